@@ -42,35 +42,35 @@ def summary(project: sierra.Project) -> sierra.Summary:
 
 
 def public() -> dict[str, Any]:
-    """The public methods and properties of Project that have a docstring of their own."""
+    """Return the public methods and properties of Project."""
     return {name: member for name, member in vars(sierra.Project).items() if not name.startswith("_")}
 
 
 @pytest.mark.parametrize("name", sierra.__all__)
-def test_each_public_name_is_there_and_documented(name: str) -> None:
+def test_every_public_name_exists_and_is_documented(name: str) -> None:
     member = getattr(sierra, name)
     assert name == "__version__" or member.__doc__
     assert name in dir(sierra)
 
 
-def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+def test_unknown_name_in_the_package_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'Projct'"):
         _ = sierra.Projct  # type: ignore[attr-defined]
 
 
-def test_importing_sierra_imports_no_library() -> None:
+def test_importing_sierra_imports_no_third_party_library() -> None:
     program = "import sys; before = set(sys.modules); import sierra; print({n.partition('.')[0] for n in sys.modules} - before)"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert not {"duckdb", "pyarrow", "pydantic", "lxml", "numpy", "git", "pandas"} & ast.literal_eval(ended.stdout)
 
 
-def test_each_method_of_a_project_has_a_docstring_with_an_example() -> None:
+def test_every_method_of_a_project_has_a_docstring_with_an_example() -> None:
     documented = {name for name, member in public().items() if member.__doc__ and ">>>" in member.__doc__}
     assert public().keys() - WITHOUT_EXAMPLE - documented == set()
     assert all(member.__doc__ for member in public().values())
 
 
-def test_all_examples_in_docstrings_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_examples_in_docstrings_are_correct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root = projects.make(tmp_path / "project")
     monkeypatch.chdir(root)
     finder, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner(optionflags=OPTIONS)
@@ -92,7 +92,7 @@ def _run(finder: doctest.DocTestFinder, runner: doctest.DocTestRunner, thing: An
         runner.run(test)
 
 
-def test_a_frame_is_a_table_or_a_statement(project: sierra.Project, summary: sierra.Summary) -> None:
+def test_frame_accepts_a_table_name_or_a_statement(project: sierra.Project, summary: sierra.Summary) -> None:
     frame = project.frame("swarm", within=summary.batch)
     assert frame.shape[0] == 20
     assert {"tick", "coverage", "population_size"} <= set(frame.columns)
@@ -101,7 +101,7 @@ def test_a_frame_is_a_table_or_a_statement(project: sierra.Project, summary: sie
         project.frame("swrm")
 
 
-def test_without_pandas_the_error_names_the_extra(root: Path, summary: sierra.Summary) -> None:
+def test_missing_pandas_is_reported_with_the_extra_to_install(root: Path, summary: sierra.Summary) -> None:
     program = (
         "import sys\n"
         "class No:\n"
@@ -118,7 +118,7 @@ def test_without_pandas_the_error_names_the_extra(root: Path, summary: sierra.Su
     assert ended.stdout == "pandas is not installed; pip install 'sierra-experiments[figures]'\n"
 
 
-def test_a_result_is_an_arrow_table_for_other_libraries(project: sierra.Project, summary: sierra.Summary) -> None:
+def test_results_are_usable_as_arrow_tables_by_other_libraries(project: sierra.Project, summary: sierra.Summary) -> None:
     result = project.sql("SELECT run, tick FROM swarm WHERE tick < 2", within=summary.batch)
     assert (len(result), result.num_rows, result.column_names) == (8, 8, ["run", "tick"])
     assert result["tick"].to_pylist() == result.column("tick").to_pylist()
@@ -129,7 +129,7 @@ def test_a_result_is_an_arrow_table_for_other_libraries(project: sierra.Project,
 HOSTILE = "<script>alert('x')</script>"
 
 
-def test_notebooks_show_escaped_and_short_html(project: sierra.Project, summary: sierra.Summary) -> None:
+def test_notebook_html_is_escaped_and_shortened(project: sierra.Project, summary: sierra.Summary) -> None:
     shown = project.sql('SELECT $x AS "<b>", range AS n FROM range(1000)', x=HOSTILE)._repr_html_()
     assert "<script" not in shown
     assert "<b>" not in shown
@@ -142,13 +142,13 @@ def test_notebooks_show_escaped_and_short_html(project: sierra.Project, summary:
     assert "identical" in project.replay(summary.batch, runs=1)._repr_html_()
 
 
-def test_a_project_without_a_store_is_shown_too(tmp_path: Path) -> None:
+def test_project_without_a_store_has_escaped_notebook_html(tmp_path: Path) -> None:
     assert "SIERRA project" in sierra.open(projects.make(tmp_path / "<i>"))._repr_html_()
     assert "<i>" not in sierra.open(tmp_path / "<i>")._repr_html_()
 
 
 class Handle:
-    """The place in a notebook where a text is shown."""
+    """The display handle of a notebook, through which a shown text is updated."""
 
     def __init__(self, shown: list[str]) -> None:
         self._shown = shown
@@ -160,7 +160,7 @@ class Handle:
 
 @pytest.fixture
 def notebook(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The modules of a notebook's kernel; what is shown there."""
+    """Install fake modules of a notebook's kernel; return the list of texts that it shows."""
     shown: list[str] = []
 
     def display(told: dict[str, str], *, raw: bool, display_id: bool) -> Handle:
@@ -180,7 +180,7 @@ def notebook(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return shown
 
 
-def test_a_notebook_shows_progress_by_default_and_not_if_it_is_not_wanted(
+def test_notebook_shows_progress_unless_it_is_disabled(
     tmp_path: Path, notebook: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     project = sierra.open(projects.make(tmp_path))
@@ -192,7 +192,7 @@ def test_a_notebook_shows_progress_by_default_and_not_if_it_is_not_wanted(
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_script_shows_progress_only_if_it_asks_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_script_shows_progress_only_if_it_is_enabled(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     project = sierra.open(projects.make(tmp_path))
     project.run("population_size=1", figures=False)
     assert capsys.readouterr() == ("", "")
@@ -202,7 +202,7 @@ def test_a_script_shows_progress_only_if_it_asks_for_it(tmp_path: Path, capsys: 
     assert err.splitlines()[-1].startswith("2/2 runs")
 
 
-def test_in_a_notebook_without_display_progress_is_printed(
+def test_progress_is_printed_in_a_notebook_without_display(
     notebook: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delitem(sys.modules, "IPython.display")

@@ -1,4 +1,4 @@
-"""The documentation is true: commands print what it shows, settings are valid, and links lead somewhere."""
+"""The documentation is correct: commands print the shown output, settings are valid, and links have targets."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ EXECUTED = [ROOT / "README.md", TUTORIAL, *sorted((DOCS / "how-to").glob("*.md")
 FENCE = re.compile(r"(?ms)^```(?P<kind>\w*)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<text>.*?)^```$")
 COMMENT = re.compile(r"<!-- (?P<key>not executed|not loaded|exit code): (?P<value>[^\n]+) -->\n\Z")
 SHELL = re.compile(r"[|<>&;$`*#\\]")
-"""Characters that need a shell; a command without them is called within this process, which is quicker."""
+"""Characters that need a shell; a command without them is called within this process, which is faster."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def name_of(page: Path) -> str:
 
 
 def steps(block: Block) -> Iterator[tuple[str, list[str]]]:
-    """Each command of a block, with the lines of output that the page shows for it."""
+    """Yield each command of a block, with the lines of output that the page shows for it."""
     if block.kind == "sh":
         yield from ((line, []) for line in block.text.splitlines() if line.strip())
         return
@@ -68,7 +68,7 @@ def steps(block: Block) -> Iterator[tuple[str, list[str]]]:
 
 
 def run(command: str, folder: Path) -> tuple[int, str, str]:
-    """The exit code, the output and the messages of a command."""
+    """Return the exit code, the output and the messages of a command."""
     words = shlex.split(command, comments=True)
     if words[0] == "sierra" and not SHELL.search(command.partition("  #")[0]):
         done = projects.quick(folder, *words[1:])
@@ -78,13 +78,13 @@ def run(command: str, folder: Path) -> tuple[int, str, str]:
 
 
 def pattern(shown: list[str]) -> re.Pattern[str]:
-    """What output must match: `…` stands for anything in a line, and as a line for any lines."""
+    """Return the pattern that output must match: `…` matches any text in a line, and as a line of its own any lines."""
     lines = (r"(?:.*\n)*?" if line == "…" else ".*".join(map(re.escape, line.rstrip().split("…"))) + r" *\n" for line in shown)
     return re.compile("".join(lines))
 
 
 def follow(page: Path, folder: Path) -> None:
-    """Do what a page says, in order."""
+    """Execute the steps of a page in order."""
     for block in blocks(page):
         if "not executed" in block.notes:
             continue
@@ -127,7 +127,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.integration
 @pytest.mark.parametrize("page", EXECUTED, ids=name_of)
-def test_the_commands_of_a_page_run_and_print_what_it_shows(
+def test_commands_of_a_page_print_the_shown_output(
     page: Path, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     as_user(monkeypatch)
@@ -148,7 +148,7 @@ def test_the_commands_of_a_page_run_and_print_what_it_shows(
     follow(page, folder)
 
 
-def test_the_page_on_plugins_shows_the_package_that_is_tested() -> None:
+def test_page_on_plugins_shows_the_tested_package() -> None:
     for block in blocks(PLUGINS):
         if block.title:
             file = plugins.SOURCE / ("project" if block.title == "sierra.toml" else "") / block.title
@@ -156,7 +156,7 @@ def test_the_page_on_plugins_shows_the_package_that_is_tested() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_the_settings_that_a_page_shows_are_valid(page: Path) -> None:
+def test_settings_shown_in_a_page_are_valid(page: Path) -> None:
     for block in blocks(page):
         if block.kind == "toml" and "not loaded" not in block.notes:
             settings = tomllib.loads(block.text)
@@ -164,11 +164,11 @@ def test_the_settings_that_a_page_shows_are_valid(page: Path) -> None:
                 settings |= {"template": "arena.xml", "command": "true"}
             where = f"{name_of(page)}, line {block.line}"
             loaded = project_file.parse(settings, where)
-            if page != PLUGINS:  # its platform is of a package that is not installed here
+            if page != PLUGINS:  # its platform is in a package that is not installed here
                 platforms.find(loaded.platform, loaded)
 
 
-def test_every_command_is_executed_or_says_why_not() -> None:
+def test_every_command_is_executed_or_has_a_reason_why_not() -> None:
     kinds = {block.kind for page in PAGES for block in blocks(page)}
     assert kinds <= {"", "console", "python", "sh", "text", "toml", "xml"}, "a test must know what to do with it"
     for page in EXECUTED:
@@ -178,13 +178,13 @@ def test_every_command_is_executed_or_says_why_not() -> None:
 
 
 def slugs(page: Path) -> set[str]:
-    """The anchors of a page's headings, as GitHub and Sphinx make them."""
+    """Return the anchors of a page's headings, as GitHub and Sphinx make them."""
     text = FENCE.sub("", page.read_text("utf-8"))
     return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in re.findall(r"(?m)^#+ (.+)$", text)}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_link_leads_somewhere(page: Path) -> None:
+def test_every_link_has_a_target(page: Path) -> None:
     text = re.sub(r"`[^`\n]*`", "", FENCE.sub("", page.read_text("utf-8")))
     for link in re.findall(r"\]\(([^)\s]+)\)", text):
         if "://" in link:
@@ -198,24 +198,24 @@ def test_every_link_leads_somewhere(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_file_of_the_repository_that_a_page_names_exists(page: Path) -> None:
+def test_every_repository_file_named_in_a_page_exists(page: Path) -> None:
     if page.is_relative_to(DOCS / "reference"):
         return
     named = re.findall(r"`((?:sierra|tests|docs|schemas)/[\w./-]+)`", FENCE.sub("", page.read_text("utf-8")))
     assert [path for path in named if not (ROOT / path).exists()] == []
 
 
-def test_the_site_lists_every_page() -> None:
+def test_site_navigation_lists_every_page() -> None:
     contents: dict[str, list[str]] = runpy.run_path(str(DOCS / "conf.py"))["CONTENTS"]
     listed = ["index.md", *(f"{page}.md" for pages in contents.values() for page in pages)]
     assert sorted(listed) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
 
 
-def test_the_reference_is_what_the_code_gives_now() -> None:
+def test_generated_reference_is_up_to_date() -> None:
     pages = runpy.run_path(str(DOCS / "generate.py"))["pages"]()
     written = {path.name: path.read_text("utf-8") for path in (DOCS / "reference").iterdir()}
     assert written == pages, "make schemas writes them again"
 
 
-def test_the_readme_is_short() -> None:
+def test_readme_has_at_most_150_lines() -> None:
     assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= 150

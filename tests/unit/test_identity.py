@@ -1,4 +1,4 @@
-"""Identity is content. The hashes below pin formats: where one changes, the format's version must be raised with it."""
+"""Identity is content. The hashes below pin formats: if one changes, the version of its format must be raised."""
 
 from __future__ import annotations
 
@@ -76,53 +76,53 @@ def ids(plan: Plan) -> dict[str, str]:
     }
 
 
-def test_ids_are_what_they_have_always_been(tmp_path: Path) -> None:
+def test_ids_are_unchanged(tmp_path: Path) -> None:
     assert ids(plan(project(tmp_path))) == GOLDEN
 
 
-def test_seeds_are_what_they_have_always_been() -> None:
+def test_seeds_are_unchanged() -> None:
     assert tuple(seed(0, number) for number in range(3)) == SEEDS
 
 
-def test_a_result_hash_is_what_it_has_always_been() -> None:
+def test_result_hash_is_unchanged_and_independent_of_file_order() -> None:
     files = [OutputFile(name, 1, digest * 64, 1, True, "") for name, digest in (("b.csv", "b"), ("a.csv", "a"))]
     assert result_hash(files) == result_hash(reversed(files)) == RESULT
     assert merkle("result", [f"{'a' * 64} a.csv", f"{'b' * 64} b.csv"]) == RESULT
 
 
-def test_a_reading_is_what_it_has_always_been() -> None:
+def test_id_of_ingest_rules_is_unchanged() -> None:
     outputs = {"out": Output(file="out.csv", units={"v": "m"})}
     assert Context("s", "b", "run", "e", "p", outputs, Success()).ingest_rules == READING
 
 
-def test_a_fingerprint_of_programs_is_what_it_has_always_been_in_any_order() -> None:
+def test_fingerprint_of_programs_is_unchanged_and_independent_of_order_and_folder() -> None:
     used = [("/usr/bin/sim", "a" * 64), ("libm.so.6", "b" * 64), ("{project}/map.png", "c" * 64)]
     assert fingerprint(used) == fingerprint(reversed(used)) == PROGRAMS
     assert fingerprint([("/opt/bin/sim", "a" * 64), *used[1:]]) == PROGRAMS
 
 
-def test_a_state_of_the_source_is_what_it_has_always_been() -> None:
+def test_id_of_a_source_is_unchanged_and_independent_of_notes() -> None:
     state = Source("swh:1:dir:" + "a" * 40, "git", "b" * 40, "main", True, "git@example.org:x", b"", "v1-dirty", "sim", "{}")
     assert state.id == SOURCE
     assert replace(state, checkout=True, notes=("x",)).id == SOURCE
 
 
-def test_units_and_what_is_done_with_a_mismatch_are_no_part_of_a_reading() -> None:
+def test_units_and_mismatch_are_not_part_of_the_id_of_ingest_rules() -> None:
     outputs = {"out": Output(file="out.csv", mismatch="ragged")}
     assert Context("t", "c", "run", "f", "q", outputs, Success()).ingest_rules == READING
 
 
-def test_a_tree_has_the_hash_that_git_gives_it() -> None:
+def test_tree_hash_is_the_hash_of_git() -> None:
     blob = "ce013625030ba8dba906f756967f9e9ca394464a"  # hello\n
     assert tree_hash([Entry("100644", blob, b"a")]) == "0976950c1fdbcb52435a433913017bf044b3a58f"
 
 
-def test_a_digest_begins_with_its_kind_and_format() -> None:
+def test_digest_depends_on_its_kind_and_format_version() -> None:
     assert digest("x", {"a": 1}) == digest("x", {"a": 1}, version=1) != digest("x", {"a": 1}, version=2)
     assert digest("x", {"a": 1}) != digest("y", {"a": 1})
 
 
-def test_no_path_user_or_time_is_in_an_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ids_do_not_depend_on_path_user_or_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     here = ids(plan(project(tmp_path / "here")))
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("USER", "somebody")
@@ -133,26 +133,26 @@ def test_no_path_user_or_time_is_in_an_id(tmp_path: Path, monkeypatch: pytest.Mo
     assert ids(plan(there)) == here
 
 
-def test_a_repository_around_a_project_changes_no_id(tmp_path: Path) -> None:
+def test_git_repository_around_a_project_changes_no_ids(tmp_path: Path) -> None:
     before = ids(plan(project(tmp_path)))
     subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
     assert ids(plan(tmp_path)) == before
 
 
-def test_other_words_for_the_same_values_are_the_same_runs(tmp_path: Path) -> None:
+def test_equal_values_in_another_query_syntax_give_the_same_ids(tmp_path: Path) -> None:
     folder = project(tmp_path)
     assert ids(plan(folder, "n=1,2,4,8")) == ids(plan(folder, "n.Log8"))
 
 
-def test_setting_a_number_to_itself_in_another_spelling_makes_the_same_runs(tmp_path: Path) -> None:
+def test_setting_a_number_to_itself_in_another_spelling_gives_the_same_batch(tmp_path: Path) -> None:
     opened = sierra.open(project(tmp_path))
     same = opened.plan("montecarlo.C2", sets=[("//e/@n", "0.0")])
     assert same.batch.id == opened.plan("montecarlo.C2").batch.id
 
 
 @pytest.mark.integration
-def test_new_runs_that_only_another_spelling_of_a_number_makes_are_told(tmp_path: Path) -> None:
-    """Both spellings are kept, since a simulator may tell an int from a double."""
+def test_new_runs_caused_only_by_another_spelling_of_a_number_are_reported(tmp_path: Path) -> None:
+    """Both spellings are kept, because a simulator may distinguish an int from a double."""
     folder = projects.make(tmp_path / "p")
     assert projects.quick(folder, "run", "noise=0,0.5", "--no-figures").returncode == 0
     for words in (("-n",), ("--no-figures",)):
@@ -164,7 +164,7 @@ def test_new_runs_that_only_another_spelling_of_a_number_makes_are_told(tmp_path
 
 
 @pytest.mark.integration
-def test_another_spelling_that_makes_the_same_runs_is_not_told(tmp_path: Path) -> None:
+def test_another_spelling_that_gives_the_same_runs_is_not_reported(tmp_path: Path) -> None:
     folder = projects.make(tmp_path / "p", template=projects.TEMPLATE.replace("0.1", "0.0"))
     assert projects.quick(folder, "run", "noise=0", "--no-figures").returncode == 0
     ran = projects.quick(folder, "run", "noise=0.0", "-n")
@@ -172,7 +172,7 @@ def test_another_spelling_that_makes_the_same_runs_is_not_told(tmp_path: Path) -
     assert "is written" not in projects.quick(folder, "run", "noise=0.0,1", "-n").stderr
 
 
-def test_more_runs_leave_the_first_as_they_were(tmp_path: Path) -> None:
+def test_more_runs_per_experiment_keep_the_first_runs_unchanged(tmp_path: Path) -> None:
     folder = project(tmp_path)
     few, many = plan(folder, runs=8).batch, plan(folder, runs=10).batch
     assert few.id != many.id
@@ -180,7 +180,7 @@ def test_more_runs_leave_the_first_as_they_were(tmp_path: Path) -> None:
         assert one.runs == other.runs[:8]
 
 
-def test_the_order_of_keys_is_of_no_account(tmp_path: Path) -> None:
+def test_order_of_keys_does_not_change_ids(tmp_path: Path) -> None:
     turned = """
     runs = 2
     seed = "//e/@seed"
@@ -196,7 +196,7 @@ def test_the_order_of_keys_is_of_no_account(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "more", ["[limits]\nwall = 5\nmemory = '1 GB'\n", "[figures.x]\nkind = 'box'\n", "[outputs.o]\nfile = 'o'\n"]
 )
-def test_limits_figures_and_outputs_are_no_part_of_a_run(tmp_path: Path, more: str) -> None:
+def test_limits_figures_and_outputs_are_not_part_of_ids(tmp_path: Path, more: str) -> None:
     assert ids(plan(project(tmp_path / "a"))) == ids(plan(project(tmp_path / "b", TOML + more)))
 
 
@@ -208,12 +208,12 @@ def test_limits_figures_and_outputs_are_no_part_of_a_run(tmp_path: Path, more: s
         ('seed = "//e/@seed"', 'seed = { set = "//e/@seed", base = 1 }'),
     ],
 )
-def test_the_declared_environment_command_and_base_seed_are_part_of_a_run(tmp_path: Path, was: str, becomes: str) -> None:
+def test_declared_variables_command_and_base_seed_are_part_of_run_ids(tmp_path: Path, was: str, becomes: str) -> None:
     old, new = plan(project(tmp_path / "a")), plan(project(tmp_path / "b", TOML.replace(was, becomes)))
     assert {run.id for run in old.batch.runs}.isdisjoint(run.id for run in new.batch.runs)
 
 
-def test_the_code_and_the_template_are_part_of_a_run(tmp_path: Path) -> None:
+def test_code_and_template_are_part_of_run_ids(tmp_path: Path) -> None:
     folder = project(tmp_path)
     seen = {run.id for run in plan(folder).batch.runs}
     (folder / "sim.sh").write_text("echo other\n")
@@ -223,7 +223,7 @@ def test_the_code_and_the_template_are_part_of_a_run(tmp_path: Path) -> None:
     assert len(seen | second | third) == 12
 
 
-def test_a_recipe_says_all_that_runs_have_in_common() -> None:
+def test_run_spec_contains_everything_that_runs_have_in_common() -> None:
     spec = RunSpec("command", ("a",), {"B": "c"}, "swh:1:dir:0", None)
     assert set(spec.preimage()) == {"platform", "command", "environment", "source", "image"}
 
@@ -234,7 +234,7 @@ CONTAINED = [
 ]
 
 
-def test_a_recipe_in_an_image_has_its_content_and_what_runs_reach_beyond_it() -> None:
+def test_run_spec_in_an_image_contains_the_image_id_and_host_access() -> None:
     plain = RunSpec("command", ("a",), {"B": "c"}, "swh:1:dir:0", "sha256:" + "0" * 64)
     reaching = replace(plain, host_access=("device /dev/dri", "network"))
     assert plain.preimage()["image"] == {"id": "sha256:" + "0" * 64, "reach": []}
@@ -246,7 +246,7 @@ ISOLATION = "248f73e6160525a63312e2ea2bb660709f2c72ba1316f4c6561046f4f7205a30"
 
 
 class Engine(NoEngine):
-    """Says what it would start of a container that it is asked for."""
+    """A fake engine that returns the command line of a container without starting it."""
 
     name = "fake"
 
@@ -254,7 +254,7 @@ class Engine(NoEngine):
         return Client(("fake", "--cid=\0/id", f"--session={box.session}", box.reference), {})
 
 
-def test_an_isolation_is_what_it_has_always_been_in_any_session() -> None:
+def test_id_of_an_isolation_is_unchanged_and_independent_of_the_session() -> None:
     image = Image("sim", "sha256:" + "0" * 64, Kind.OCI, "amd64", (), {})
     box = ContainerSpec(image, "sim", "s", (Mount("/code", "/run/sierra/project"),), True, ("/dev/dri",), True, 1 << 30, 1.5, 9)
     able = Capabilities("fake 1", rootless=True, enforced=frozenset({"memory"}), user="somebody")
@@ -265,6 +265,6 @@ def test_an_isolation_is_what_it_has_always_been_in_any_session() -> None:
     assert Isolation(Engine(), able).row is None
 
 
-def test_ids_of_texts_alone_are_the_same_by_the_quick_way() -> None:
+def test_fast_digest_of_plain_text_fields_equals_the_general_digest() -> None:
     fields = {"session": "0f3a", "run": GOLDEN["run"], "text": 'ü "\\\n\x7f\u2028'}
     assert digest_plain("execution", fields) == digest("execution", fields)

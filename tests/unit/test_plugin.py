@@ -1,4 +1,4 @@
-"""A package with one plug-in of each kind is installed and used; and a plug-in that cannot be used is told of in one line."""
+"""A package with one plug-in of each kind is installed and used; unusable plug-ins are reported in one line."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Made:
     def files(self, document): return (("input.xml", document),)
     def environment(self): return {}
 """
-"""A platform in a module, which tests break in one place."""
+"""The module of a platform, which tests break in one place."""
 FLAGS = """
 import hashlib, json
 from sierra.plugin import ARGUMENTS, NoOptions, TemplateError, fill
@@ -70,12 +70,12 @@ class Made:
     def per_run(self, changes):
         return lambda values: self.changed(changes, values).render()
 """
-"""A template format whose files are arguments, and a second file."""
+"""A template format that renders arguments and a second file."""
 
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The package in tests/plugin, on the path of this process and of those that it starts."""
+    """The package in tests/plugin, on the path of this process and of its child processes."""
     place = plugins.install(tmp_path_factory.mktemp("plugin"))
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(place))
@@ -103,7 +103,7 @@ def succeed(folder: Path, *words: str) -> str:
 
 
 def refused(folder: Path, *words: str, code: int = 2) -> str:
-    """The one line that a command which fails prints."""
+    """Return the one line that a failing command prints."""
     done = projects.quick(folder, *words)
     assert done.returncode == code, done.stdout + done.stderr
     lines = [line for line in done.stderr.splitlines() if not line.startswith("note: ")]
@@ -129,17 +129,17 @@ def append(folder: Path, text: str) -> None:
 
 
 def nice_simulator(folder: Path) -> None:
-    """Let the simulator write how nice it is."""
+    """Let the simulator write its niceness."""
     (folder / "tortoise.py").write_text(
         "import os\nopen('walk.track', 'w').write(f'track 1\\ntick niceness\\n0 {os.nice(0)}\\nend\\n')\n"
     )
     change(folder, "scale = 100.0", "scale = 1.0")
 
 
-# Each kind is used
+# Use of each kind of plug-in
 
 
-def test_a_platform_a_template_format_and_a_reader_of_another_package_make_a_batch(project: Path) -> None:
+def test_platform_template_format_and_reader_of_another_package_execute_a_batch(project: Path) -> None:
     assert "4 runs: 4 executed" in succeed(project, "run", "herd=1,3", "--no-figures")
     found = rows(project, "SELECT herd, count(*) AS n, max(tick) AS last, max(distance) AS far FROM walk GROUP BY 1 ORDER BY 1")
     assert [(row["herd"], row["n"], row["last"]) for row in found] == [(1, 10, 4), (3, 10, 4)]
@@ -147,13 +147,13 @@ def test_a_platform_a_template_format_and_a_reader_of_another_package_make_a_bat
     assert "4 runs: 0 executed, 4 reused" in succeed(project, "run", "herd=1,3", "--no-figures")
 
 
-def test_an_option_that_changes_inputs_changes_what_is_executed(project: Path) -> None:
+def test_changed_platform_option_that_changes_inputs_executes_new_runs(project: Path) -> None:
     succeed(project, "run", "herd=1", "--no-figures")
     change(project, "steps = 5", "steps = 6")
     assert "2 runs: 2 executed" in succeed(project, "run", "herd=1", "--no-figures")
 
 
-def test_an_option_of_a_reader_changes_tables_and_executes_nothing(project: Path) -> None:
+def test_changed_reader_option_changes_tables_without_executing_runs(project: Path) -> None:
     succeed(project, "run", "herd=1", "--no-figures")
     [metric] = rows(project, "SELECT max(distance) AS far FROM walk")
     change(project, "scale = 100.0", "scale = 1.0")
@@ -174,7 +174,7 @@ class Made:
 
 
 @pytest.mark.integration
-def test_a_new_version_of_a_reader_reads_recorded_files_again(plain: Path, tmp_path: Path) -> None:
+def test_new_version_of_a_reader_reads_recorded_files_again(plain: Path, tmp_path: Path) -> None:
     with (plain / "sim.py").open("a") as file:
         file.write("open('notes.text', 'w').write('four')\n")
     append(plain, '[outputs.notes]\nfile = "notes.text"\n')
@@ -191,7 +191,7 @@ def test_a_new_version_of_a_reader_reads_recorded_files_again(plain: Path, tmp_p
     assert "unknown reader 'text'" in refused(plain, "replay", sierra.open(plain).batches[-1]["batch"])
 
 
-def test_a_damaged_file_of_a_foreign_format_fails_its_run_alone(project: Path) -> None:
+def test_damaged_file_of_a_plugin_format_fails_only_its_own_run(project: Path) -> None:
     script = project / "tortoise.py"
     script.write_text(
         script.read_text().replace('print("end", file=track)', 'int(given["tortoises"]) > 1 or print("end", file=track)')
@@ -202,7 +202,7 @@ def test_a_damaged_file_of_a_foreign_format_fails_its_run_alone(project: Path) -
     assert [row["herd"] for row in rows(project, "SELECT DISTINCT herd FROM walk")] == [1]
 
 
-def test_a_runner_of_another_package_is_configured_by_its_table(project: Path) -> None:
+def test_runner_of_another_package_is_configured_by_its_table(project: Path) -> None:
     nice_simulator(project)
     succeed(project, "run", "herd=1", "--no-figures", "--on", "niced")
     assert {row["niceness"] for row in rows(project, "SELECT niceness FROM walk")} == {os.nice(0) + 5}
@@ -216,14 +216,14 @@ def spool(project: Path, tmp_path: Path) -> Path:
     return project
 
 
-def test_a_scheduler_of_another_package_executes_a_batch(spool: Path) -> None:
+def test_scheduler_of_another_package_executes_a_batch(spool: Path) -> None:
     nice_simulator(spool)
     assert "4 runs: 4 executed" in succeed(spool, "run", "herd=1,2", "--no-figures", "--on", "here")
     assert {row["niceness"] for row in rows(spool, "SELECT niceness FROM walk")} == {os.nice(0) + 3}
 
 
 @pytest.mark.integration
-def test_jobs_of_a_foreign_scheduler_are_left_and_followed(spool: Path) -> None:
+def test_detached_jobs_of_a_plugin_scheduler_can_be_attached(spool: Path) -> None:
     succeed(spool, "run", "herd=1", "--no-figures", "--on", "here", "--detach")
     [standing] = json.loads(succeed(spool, "status", "--json"))
     assert standing["runs"] == 2
@@ -232,7 +232,7 @@ def test_jobs_of_a_foreign_scheduler_are_left_and_followed(spool: Path) -> None:
 
 
 @pytest.mark.integration
-def test_jobs_of_a_foreign_scheduler_are_cancelled(spool: Path) -> None:
+def test_jobs_of_a_plugin_scheduler_can_be_cancelled(spool: Path) -> None:
     (spool / "tortoise.py").write_text("import time\ntime.sleep(600)\n")
     succeed(spool, "run", "herd=1", "--no-figures", "--on", "here", "--detach")
     [standing] = json.loads(succeed(spool, "status", "--json"))
@@ -240,7 +240,7 @@ def test_jobs_of_a_foreign_scheduler_are_cancelled(spool: Path) -> None:
     assert json.loads(succeed(spool, "status", "--json")) == []
 
 
-def test_a_foreign_scheduler_refuses_lines_and_keys_of_its_own(spool: Path) -> None:
+def test_plugin_scheduler_refuses_forbidden_directives_and_unknown_keys(spool: Path) -> None:
     succeed(spool, "run", "herd=2", "--no-figures")
     run = ("run", "herd=1", "--no-figures", "--on", "here")
     append(spool, 'directives = ["--note=a paper"]\n')
@@ -253,7 +253,7 @@ def test_a_foreign_scheduler_refuses_lines_and_keys_of_its_own(spool: Path) -> N
     succeed(spool, "ls")
 
 
-def test_an_engine_of_another_package_starts_runs(project: Path) -> None:
+def test_engine_of_another_package_starts_runs(project: Path) -> None:
     nice_simulator(project)
     layer = images.layer(("bin/python3", b"#!/bin/sh\n"))
     images.docker_archive(project / "image.tar", [layer])
@@ -266,10 +266,10 @@ def test_an_engine_of_another_package_starts_runs(project: Path) -> None:
     assert [row["engine"] for row in rows(project, "SELECT engine FROM sessions")] == ["direct"]
 
 
-# Each kind is known
+# Plug-ins in doctor and schema
 
 
-def test_doctor_lists_the_plugins_and_their_options(project: Path) -> None:
+def test_doctor_lists_plugins_and_their_options(project: Path) -> None:
     found = {check["name"]: check for check in json.loads(projects.quick(project, "doctor", "--json").stdout)}
     for name, option in (
         ("platform tortoise", "steps"),
@@ -288,7 +288,7 @@ def test_doctor_lists_the_plugins_and_their_options(project: Path) -> None:
     assert broken["options"]["found"].startswith("[runners.niced]: niceness should be less than or equal to 19")
 
 
-def test_the_schema_has_the_options_of_each_plugin(project: Path) -> None:
+def test_schema_contains_the_options_of_each_plugin(project: Path) -> None:
     schema = json.loads(succeed(project, "schema", "--toml", "--json"))
     settings = tomllib.loads((project / "sierra.toml").read_text())
     jsonschema.Draft202012Validator(schema).validate(settings)
@@ -303,7 +303,7 @@ def test_the_schema_has_the_options_of_each_plugin(project: Path) -> None:
     assert project_file.parse(tomllib.loads(loaded), "the reference").readers == {"track": {"scale": 1.0}}
 
 
-def test_the_published_schema_has_shipped_plugins_only(project: Path) -> None:
+def test_published_schema_contains_only_shipped_plugins(project: Path) -> None:
     succeed(project, "schema", "--write", "written")
     assert "tortoise" not in (project / "written" / "sierra.toml.schema.json").read_text()
 
@@ -324,15 +324,15 @@ def test_the_published_schema_has_shipped_plugins_only(project: Path) -> None:
         ),
     ],
 )
-def test_options_are_checked_in_one_line(project: Path, old: str, new: str, told: str) -> None:
+def test_invalid_plugin_options_are_reported_in_one_line(project: Path, old: str, new: str, told: str) -> None:
     change(project, old, new)
     assert refused(project, "run", "herd=1", "--no-figures") == f"sierra: {told}"
 
 
-# Each kind conforms
+# Conformance of each kind
 
 
-def test_the_platform_conforms(project: Path) -> None:
+def test_plugin_platform_conforms(project: Path) -> None:
     loaded = sierra.open(project).config
     template = plugin.KINDS[1].make("conf", {}, (project / "herd.conf").read_bytes(), "herd.conf")
     from tortoise.platform import Tortoise  # type: ignore[import-not-found]
@@ -340,19 +340,19 @@ def test_the_platform_conforms(project: Path) -> None:
     platforms.check(Tortoise, loaded, template, {"herd": grammar.parse("herd.Log4")})
 
 
-def test_the_template_format_conforms(installed: Path) -> None:
+def test_plugin_template_format_conforms(installed: Path) -> None:
     from tortoise.template import Conf, ConfOptions  # type: ignore[import-not-found]
 
     data = (plugins.SOURCE / "project" / "herd.conf").read_bytes()
     templates.check(lambda data, name: Conf(data, name, ConfOptions()), data, ["speed", "tortoises", "seed"])
 
 
-def test_xml_conforms() -> None:
+def test_xml_template_format_conforms() -> None:
     data = b"<?xml version='1.0'?>\n<a b='1'><!-- c --><c>2</c><d>x</d></a>\n"
     templates.check(XmlTemplate, data, ["/a/@b", "//c", "//d"])
 
 
-def test_the_reader_conforms(installed: Path, tmp_path: Path) -> None:
+def test_plugin_reader_conforms(installed: Path, tmp_path: Path) -> None:
     tables = {
         b"track 1\ntick far\n0 0.5\n1 2\nend\n": {"tick": [0, 1], "far": [50.0, 200.0]},
         b"track 1\ntick far\nend\n": {"tick": [], "far": []},
@@ -374,7 +374,7 @@ def test_the_reader_conforms(installed: Path, tmp_path: Path) -> None:
         ("parquet", None, [b"PAR1"]),
     ],
 )
-def test_the_shipped_readers_conform(name: str, tables: Any, damaged: list[bytes], tmp_path: Path) -> None:
+def test_shipped_readers_conform(name: str, tables: Any, damaged: list[bytes], tmp_path: Path) -> None:
     readers.check(name, tables or parquet(tmp_path), damaged, tmp_path / "trial")
 
 
@@ -388,25 +388,25 @@ def parquet(folder: Path) -> dict[bytes, Any]:
 
 
 @pytest.mark.integration
-def test_the_runner_conforms(installed: Path, tmp_path: Path) -> None:
+def test_plugin_runner_conforms(installed: Path, tmp_path: Path) -> None:
     from tortoise.runner import Niced, NicedOptions  # type: ignore[import-not-found]
 
     runners.check_runner(lambda slots: Niced(slots, NicedOptions(niceness=3)), tmp_path)
 
 
 @pytest.mark.integration
-def test_the_scheduler_conforms(installed: Path, tmp_path: Path) -> None:
+def test_plugin_scheduler_conforms(installed: Path, tmp_path: Path) -> None:
     (tmp_path / "spool").mkdir()
     (tmp_path / "trial").mkdir()
     table = schedulers.table("spool", {"spool": str(tmp_path / "spool")}, "here")
     runners.check(schedulers.find("spool")(table), tmp_path / "trial")
 
 
-def test_the_engine_conforms_as_far_as_an_engine_that_contains_nothing_can(installed: Path, tmp_path: Path) -> None:
+def test_plugin_engine_without_isolation_conforms(installed: Path, tmp_path: Path) -> None:
     engine_conformance.check(engines.find("direct"), None, tmp_path, tmp_path)
 
 
-# A plug-in that cannot be used
+# Plug-ins that cannot be used
 
 
 @pytest.mark.parametrize(
@@ -426,7 +426,7 @@ def test_the_engine_conforms_as_far_as_an_engine_that_contains_nothing_can(insta
         (PLATFORM.replace("self.words = ", "self.words = 1 / 0 + "), "cannot be made: ZeroDivisionError: division by zero"),
     ],
 )
-def test_a_plugin_that_cannot_be_used_is_told_of_in_one_line(
+def test_unusable_plugin_is_reported_in_one_line_and_breaks_no_other_command(
     plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, told: str
 ) -> None:
     name = f"bad{abs(hash(code)) % 10**9}"
@@ -443,7 +443,7 @@ def test_a_plugin_that_cannot_be_used_is_told_of_in_one_line(
     succeed(plain, "ls")
 
 
-def test_a_name_that_two_packages_offer_is_an_error_that_names_both(
+def test_plugin_name_of_two_packages_is_an_error_that_names_both(
     plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for package in ("first_of_two", "second_of_two"):
@@ -455,14 +455,14 @@ def test_a_name_that_two_packages_offer_is_an_error_that_names_both(
     assert refused(plain, "run", "population_size=1") == f"sierra: {told}"
 
 
-def test_a_package_cannot_take_a_shipped_name(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plugin_cannot_replace_a_shipped_name(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "taker", {"sierra.readers jsonl": "Made"}, PLATFORM)))
     append(plain, '[outputs.log]\nfile = "log.jsonl"\nrequired = false\n')
     line = refused(plain, "run", "population_size=3", "--runs", "1")
     assert line.startswith("sierra: the reader 'jsonl' is offered by SIERRA itself and by taker 1; ")
 
 
-def test_a_fault_in_a_plugin_names_its_package(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fault_in_a_plugin_is_reported_with_its_package(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = PLATFORM.replace("return self.words", "return self.wrods")
     monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "faulty", {"sierra.platforms odd": "Made"}, code)))
     change(plain, "template =", 'platform = "odd"\ntemplate =')
@@ -471,9 +471,7 @@ def test_a_fault_in_a_plugin_names_its_package(plain: Path, tmp_path: Path, monk
     assert line.startswith(f"sierra: {told}; please report it to its authors with ")
 
 
-def test_a_plugin_is_imported_by_commands_that_use_it_only(
-    plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plugin_is_imported_only_by_commands_that_use_it(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mark = tmp_path / "imported"
     code = f"open({str(mark)!r}, 'w').close()\n{PLATFORM}"
     monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "lazy", {"sierra.platforms odd": "Made"}, code)))
@@ -485,10 +483,10 @@ def test_a_plugin_is_imported_by_commands_that_use_it_only(
     assert mark.exists()
 
 
-# Templates that are not one file
+# Templates that are not a single file
 
 
-def test_a_template_may_give_arguments_and_several_files(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_template_may_render_arguments_and_several_files(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "flagged", {"sierra.templates flags": "Made"}, FLAGS)))
     (plain / "sim.flags").write_text("--count 1\n--seed 0\n--label two words\n")
     (plain / "sim.py").write_text(
@@ -507,7 +505,7 @@ def test_a_template_may_give_arguments_and_several_files(plain: Path, tmp_path: 
     assert "identical" in succeed(plain, "replay", sierra.open(plain).batches[-1]["batch"])
 
 
-def test_arguments_need_a_template_that_gives_them(plain: Path) -> None:
+def test_arguments_placeholder_needs_a_suitable_template_and_must_be_a_whole_word(plain: Path) -> None:
     change(plain, "python3 sim.py {input}", "python3 sim.py {arguments}")
     told = "sierra: command: {arguments} needs a template that gives arguments; arena.xml gives none"
     assert refused(plain, "run", "population_size=1") == told

@@ -1,4 +1,4 @@
-"""The project's own files agree with each other, and with what they promise."""
+"""The files of this repository are valid, complete and consistent with each other."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ CITATION_SCHEMA = table(
         ),
     },
 )
-"""The part of the Citation File Format 1.2.0 that CITATION.cff uses; like the whole, it allows no other key."""
+"""The part of the Citation File Format 1.2.0 that CITATION.cff uses; like the full format, it allows no other keys."""
 
 
 @pytest.fixture
@@ -92,43 +92,43 @@ def imports(code: str) -> set[str]:
     return found
 
 
-def test_the_citation_file_is_valid(citation: dict[str, Any]) -> None:
+def test_citation_file_is_valid(citation: dict[str, Any]) -> None:
     jsonschema.validate(citation, CITATION_SCHEMA)
 
 
-def test_the_citation_file_names_this_version(citation: dict[str, Any]) -> None:
+def test_citation_file_names_this_version(citation: dict[str, Any]) -> None:
     assert citation["version"] == sierra.__version__
 
 
-def test_the_license_is_mit_everywhere() -> None:
+def test_license_is_mit_in_all_files() -> None:
     assert (ROOT / "LICENSE").read_text("utf-8").startswith("MIT License\n\nCopyright (c) 2026 SIERRA contributors\n")
     assert PYPROJECT["project"]["license"] == "MIT"
 
 
-def test_the_changelog_has_a_place_for_what_is_new() -> None:
+def test_changelog_has_a_section_for_unreleased_changes() -> None:
     assert "\n## [Unreleased]\n" in (ROOT / "CHANGELOG.md").read_text("utf-8")
 
 
-def test_the_lock_names_every_direct_dependency() -> None:
+def test_lock_file_contains_every_direct_dependency() -> None:
     project, build = PYPROJECT["project"], PYPROJECT["build-system"]
     wanted = requirements(project["dependencies"], build["requires"], *project["optional-dependencies"].values())
     locked = {normal(name) for name in re.findall(r"^([\w.-]+)==", LOCK, re.MULTILINE)}
     assert wanted - {normal(project["name"])} <= locked
 
 
-def test_everything_in_the_lock_has_a_hash() -> None:
+def test_every_entry_of_the_lock_file_has_a_hash() -> None:
     entries = re.split(r"^(?=[\w.-]+==)", LOCK, flags=re.MULTILINE)[1:]
     assert entries
     assert [entry.split()[0] for entry in entries if "--hash=sha256:" not in entry] == []
 
 
-def test_the_lock_names_no_host_and_no_path() -> None:
+def test_lock_file_contains_no_host_and_no_path() -> None:
     allowed = re.compile(r"[\w.-]+==\S+( ; .+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?|    # .*")
     assert [line for line in LOCK.splitlines() if not allowed.fullmatch(line)] == []
     assert not re.search(r"://|(?<!\w)[/~]\w|--(extra-)?index|--find-links", LOCK)
 
 
-def test_the_wheel_holds_the_whole_package() -> None:
+def test_wheel_contains_the_whole_package() -> None:
     from hatchling.builders.wheel import WheelBuilder
 
     shipped = {Path(file.relative_path) for file in WheelBuilder(str(ROOT)).recurse_included_files()}
@@ -138,12 +138,12 @@ def test_the_wheel_holds_the_whole_package() -> None:
     assert Path("sierra/py.typed") in shipped
 
 
-def test_the_worker_needs_only_the_standard_library() -> None:
+def test_worker_imports_only_the_standard_library_of_python_3_8() -> None:
     found = imports(WORKER)
     top = {name.partition(".")[0] for name in found}
     assert top <= sys.stdlib_module_names
     assert not (top | found) & NEWER_THAN_3_8
 
 
-def test_the_worker_is_python_3_8() -> None:
+def test_worker_has_only_python_3_8_syntax() -> None:
     ast.parse(WORKER, feature_version=(3, 8))

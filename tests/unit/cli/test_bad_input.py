@@ -1,4 +1,4 @@
-"""Whatever a user gets wrong is answered with one line that says what, which, and what would be right."""
+"""Every mistake of a user is reported in one line: what is wrong, which one, and what would be right."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def project(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Ask:
-    """Call the command line in this process; its exit code and the one line that it says."""
+    """Call the command line in this process; return its exit code and its one line of output."""
 
     def ask(*words: str) -> tuple[int, str]:
         monkeypatch.chdir(project)
@@ -102,7 +102,9 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         ("", '[[changes]]\nset = "//nothing"\nvalue = 3', "//nothing matches nothing"),
     ],
 )
-def test_a_mistake_in_the_project_file_is_named(project: Path, ask: Ask, right: str, wrong: str, said: str) -> None:
+def test_mistakes_in_the_project_file_are_refused_with_a_specific_message(
+    project: Path, ask: Ask, right: str, wrong: str, said: str
+) -> None:
     text = CONFIG.replace(right, wrong, 1) if right else f"{CONFIG}\n{wrong}\n"
     (project / "sierra.toml").write_text(text)
     code, line = ask("run", "noise=1,2")
@@ -134,7 +136,7 @@ def test_a_mistake_in_the_project_file_is_named(project: Path, ask: Ask, right: 
         ([], "missing argument 'QUERY'; see sierra run --help"),
     ],
 )
-def test_a_query_that_cannot_be_is_refused(ask: Ask, words: list[str], said: str) -> None:
+def test_invalid_queries_are_refused(ask: Ask, words: list[str], said: str) -> None:
     code, line = ask("run", *words)
     assert said in line
     assert code == 2
@@ -149,7 +151,7 @@ def test_a_query_that_cannot_be_is_refused(ask: Ask, words: list[str], said: str
         ('<!DOCTYPE a [<!ENTITY e SYSTEM "file:///etc/passwd">]>' + TEMPLATE.split("\n", 1)[1].replace("0.1", "&e;"), "entit"),
     ],
 )
-def test_a_template_that_is_none_is_refused(project: Path, ask: Ask, xml: str, said: str) -> None:
+def test_invalid_templates_are_refused(project: Path, ask: Ask, xml: str, said: str) -> None:
     (project / "arena.xml").write_text(xml)
     code, line = ask("run", "noise=1")
     assert "arena.xml" in line
@@ -157,7 +159,7 @@ def test_a_template_that_is_none_is_refused(project: Path, ask: Ask, xml: str, s
     assert code == 2
 
 
-def test_what_is_missing_ends_with_3(project: Path, ask: Ask) -> None:
+def test_missing_programs_templates_and_project_files_give_exit_code_3(project: Path, ask: Ask) -> None:
     (project / "sierra.toml").write_text(CONFIG.replace("python3", "no-such-program"))
     assert ask("run", "noise=1")[0] == 3
     (project / "sierra.toml").write_text(CONFIG.replace("arena.xml", "arenna.xml"))
@@ -168,14 +170,14 @@ def test_what_is_missing_ends_with_3(project: Path, ask: Ask) -> None:
     assert code == 3
 
 
-def test_before_the_first_run_there_is_nothing_to_look_at(ask: Ask) -> None:
+def test_read_only_commands_fail_with_code_3_before_the_first_run(ask: Ask) -> None:
     for words in (["ls"], ["show", "abcd"], ["sql", "SHOW TABLES"], ["figures"]):
         code, line = ask(*words)
         assert "nothing has been run here yet" in line
         assert code == 3
 
 
-def test_a_file_in_the_place_of_the_store_is_said(project: Path) -> None:
+def test_file_in_place_of_the_store_folder_is_reported(project: Path) -> None:
     (project / ".sierra").write_text("")
     ended = quick(project, "run", "noise=1")
     assert ended.returncode == 3
@@ -183,11 +185,11 @@ def test_a_file_in_the_place_of_the_store_is_said(project: Path) -> None:
     assert "is a file; the store is to be a folder there" in ended.stderr
 
 
-def test_the_number_of_slots_is_one_or_more(ask: Ask) -> None:
+def test_zero_slots_are_refused(ask: Ask) -> None:
     assert ask("run", "noise=1", "-j", "0") == (2, "sierra: 0 runs at a time; ask for 1 or more\n")
 
 
-def test_a_failed_run_is_a_result(tmp_path: Path) -> None:
+def test_failed_run_is_reported_and_gives_exit_code_1(tmp_path: Path) -> None:
     simulator = 'import sys\nprint("no wheels")\nsys.exit("fell over" if \'count="2"\' in open(sys.argv[1]).read() else 0)\n'
     folder = make(tmp_path / "p", simulator=simulator)
     ended = quick(folder, "run", "population_size=1,2", "--runs", "1", "--no-figures")
@@ -208,7 +210,9 @@ with open("b", "wb", buffering=0) as file:
 
 
 @pytest.mark.integration
-def test_a_full_disk_ends_the_batch_and_room_completes_it(tmp_path: Path, disk: Callable[[Path, str], Path]) -> None:
+def test_full_disk_stops_the_batch_which_completes_once_there_is_space(
+    tmp_path: Path, disk: Callable[[Path, str], Path]
+) -> None:
     folder = make(disk(tmp_path / "small", "1m"), simulator=FILLS_A_SMALL_DISK)
     ended = sierra(folder, "run", "population_size.Log4", "--no-figures", "-j", "1")
     assert ended.returncode == 3
@@ -224,7 +228,7 @@ NAMES = ["a'; echo foo", 'quo"ted $(id)', "new\nline", "ünï 名"]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_names_may_hold_anything(tmp_path: Path, name: str) -> None:
+def test_file_names_may_contain_any_character(tmp_path: Path, name: str) -> None:
     folder = make(tmp_path / f"{name} {{seed}}", simulator="")
     (folder / f"{name}.xml").write_text(TEMPLATE)
     (folder / f"{name}.py").write_text(f"open({name + '.csv'!r}, 'w').write('tick,{name.encode().hex()}\\n0,1\\n1,2\\n')")

@@ -1,4 +1,4 @@
-"""The command line as its users meet it: answers, formats, help, exit codes."""
+"""The command line as its users see it: output, formats, help, exit codes."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ column = "coverage"
 
 @pytest.fixture(scope="module")
 def answered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project in which one query is answered already; only looked at."""
+    """A project with the results of one query; tests only read it."""
     config = (
         'per_run = { size = [3, 5] }\nrun_changes = [{ set = "//arena/@size", value = "{size + run}" }]\n' + CONFIG + FIGURE
     )
@@ -75,7 +75,7 @@ def answer(answered: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_shows_an_example_a_line_each_and_the_exit_codes(tmp_path: Path, command: str) -> None:
+def test_help_shows_examples_and_exit_codes_within_80_columns(tmp_path: Path, command: str) -> None:
     said = quick(tmp_path, command, "--help").stdout
     assert re.search(r"\n  Examples?:\n    sierra " + command, said)
     assert "3 something" in said
@@ -83,20 +83,20 @@ def test_help_shows_an_example_a_line_each_and_the_exit_codes(tmp_path: Path, co
     assert max(map(len, said.splitlines())) <= 80
 
 
-def test_the_help_lists_all_commands_uncut(tmp_path: Path) -> None:
+def test_help_lists_all_commands_without_truncation(tmp_path: Path) -> None:
     said = quick(tmp_path, "--help").stdout
     assert all(f"\n  {command} " in said for command in COMMANDS)
     assert "..." not in said.partition("Commands:")[2]
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_completion_can_be_had_for_each_shell(tmp_path: Path, shell: str) -> None:
+def test_completion_script_exists_for_each_shell(tmp_path: Path, shell: str) -> None:
     said = sierra(tmp_path, environment={"_SIERRA_COMPLETE": f"source_{shell}"})
     assert "_SIERRA_COMPLETE=complete_" in said.stdout
     assert said.returncode == 0
 
 
-def test_completion_completes(tmp_path: Path) -> None:
+def test_completion_completes_a_command_name(tmp_path: Path) -> None:
     typed = {"_SIERRA_COMPLETE": "complete_bash", "COMP_WORDS": "sierra ru", "COMP_CWORD": "1"}
     assert sierra(tmp_path, environment=typed).stdout.split() == ["run"]
 
@@ -105,7 +105,7 @@ def test_completion_completes(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_run_answers_with_one_json_object(answer: dict[str, Any]) -> None:
+def test_run_prints_one_json_object(answer: dict[str, Any]) -> None:
     assert len(answer["batch"]) == 64
     assert {name: answer[name] for name in ("experiments", "runs", "executed", "reused", "failed")} == {
         "experiments": 4,
@@ -119,14 +119,14 @@ def test_run_answers_with_one_json_object(answer: dict[str, Any]) -> None:
 
 
 @pytest.mark.integration
-def test_asking_again_from_a_subfolder_executes_nothing(answered: Path, answer: dict[str, Any]) -> None:
+def test_repeated_query_from_a_subfolder_executes_nothing(answered: Path, answer: dict[str, Any]) -> None:
     ended = quick(answered / "deep", "run", "population_size.Log2", "noise=0:1:2", "--json", "--no-figures")
     again = json.loads(ended.stdout)
     assert (again["batch"], again["executed"], again["reused"]) == (answer["batch"], 0, 8)
     assert ended.stderr == ""
 
 
-def test_a_dry_run_says_what_would_execute(answered: Path) -> None:
+def test_dry_run_reports_how_many_runs_would_execute(answered: Path) -> None:
     said = quick(answered, "run", "-n", "population_size.Log4", "noise=0:1:2")
     assert "4 of 12 runs would execute" in said.stdout
     told = json.loads(quick(answered, "run", "-n", "--explain", "--json", "population_size.Log4", "noise=0:1:2").stdout)
@@ -134,13 +134,13 @@ def test_a_dry_run_says_what_would_execute(answered: Path) -> None:
     assert told["new_because"]
 
 
-def test_explaining_and_answering_in_json_is_one_object(answered: Path) -> None:
+def test_explain_with_json_prints_one_object(answered: Path) -> None:
     said = quick(answered, "run", "--explain", "--json", "--no-figures", "population_size.Log2", "noise=0:1:2")
     told = json.loads(said.stdout)
     assert (told["reused"], told["reasons"]) == (8, {"reused": 8})
 
 
-def test_braces_that_are_no_placeholder_are_written_twice(tmp_path: Path) -> None:
+def test_doubled_braces_in_commands_become_literal_braces(tmp_path: Path) -> None:
     folder = make(
         tmp_path / "p", simulator="import sys\nopen('said.csv', 'w').write('words\\n' + ' '.join(sys.argv[2:]) + '\\n')\n"
     )
@@ -152,7 +152,7 @@ def test_braces_that_are_no_placeholder_are_written_twice(tmp_path: Path) -> Non
 
 
 @pytest.mark.integration
-def test_named_queries_controllers_and_scenarios(tmp_path: Path) -> None:
+def test_named_queries_apply_their_controller_and_scenarios(tmp_path: Path) -> None:
     simulator = (
         "import sys, xml.etree.ElementTree as ET\n"
         "arena = ET.parse(sys.argv[1]).getroot()\n"
@@ -186,7 +186,7 @@ def test_set_changes_all_runs_and_is_part_of_the_batch(answered: Path, answer: d
     assert changed["to_execute"] == 8
 
 
-def test_per_run_lists_are_taken_in_turn(answered: Path) -> None:
+def test_per_run_lists_give_each_run_its_own_value(answered: Path) -> None:
     text = (
         "SELECT DISTINCT number, regexp_extract(decode(content), 'size=.([0-9]+)', 1)::INT AS size "
         "FROM runs JOIN objects ON sha256 = input ORDER BY ALL"
@@ -194,7 +194,7 @@ def test_per_run_lists_are_taken_in_turn(answered: Path) -> None:
     assert quick(answered, "sql", text, "-f", "csv").stdout == "number,size\n0,3\n1,6\n"
 
 
-def test_the_project_may_live_in_pyproject_toml(tmp_path: Path) -> None:
+def test_project_may_be_configured_in_pyproject_toml(tmp_path: Path) -> None:
     folder = make(tmp_path / "p")
     (folder / "sierra.toml").unlink()
     text = CONFIG.replace("[variables]", "[tool.sierra.variables]")
@@ -205,11 +205,11 @@ def test_the_project_may_live_in_pyproject_toml(tmp_path: Path) -> None:
     assert "pyproject.toml [tool.sierra]: unknown key 'rnus'; did you mean 'runs'?" in refused.stderr
 
 
-# looking
+# read-only commands
 
 
 @pytest.mark.integration
-def test_everything_that_reads_can_answer_in_json(answered: Path, answer: dict[str, Any]) -> None:
+def test_read_only_commands_can_print_json(answered: Path, answer: dict[str, Any]) -> None:
     [listed] = json.loads(quick(answered, "ls", "--json").stdout)
     assert (listed["batch"], listed["failed"], listed["missing"]) == (answer["batch"], 0, 0)
     shown = json.loads(quick(answered, "show", answer["batch"][:8], "--json").stdout)
@@ -221,7 +221,7 @@ def test_everything_that_reads_can_answer_in_json(answered: Path, answer: dict[s
     assert json.loads(quick(answered, "schema", "--toml", "--json").stdout)["type"] == "object"
 
 
-def test_people_read_tables(answered: Path, answer: dict[str, Any]) -> None:
+def test_ls_and_show_print_tables_by_default(answered: Path, answer: dict[str, Any]) -> None:
     listed = quick(answered, "ls").stdout
     assert answer["batch"][:10] in listed
     assert "complete" in listed
@@ -229,7 +229,7 @@ def test_people_read_tables(answered: Path, answer: dict[str, Any]) -> None:
 
 
 @pytest.mark.integration
-def test_batches_of_one_query_are_told_apart(tmp_path: Path) -> None:
+def test_ls_shows_how_batches_of_the_same_query_differ(tmp_path: Path) -> None:
     config = CONFIG + '[controllers.a]\n[[controllers.a.changes]]\nset = "//swarm/@controller"\nvalue = "a"\n'
     folder = make(tmp_path / "p", 'controller = "a"\n' + config + "[controllers.b]\n")
     for words in (
@@ -265,14 +265,14 @@ def test_batches_of_one_query_are_told_apart(tmp_path: Path) -> None:
         ("00000000000", "no batch, experiment, run or execution begins with '00000000000'"),
     ],
 )
-def test_what_names_nothing_is_said(answered: Path, prefix: str, said: str) -> None:
+def test_invalid_or_unknown_ids_are_refused_in_one_line(answered: Path, prefix: str, said: str) -> None:
     for command in ("show", "figures"):
         ended = quick(answered, command, prefix)
         assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
         assert said in ended.stderr
 
 
-def test_an_unknown_figure_is_answered_with_the_known(answered: Path, answer: dict[str, Any]) -> None:
+def test_unknown_figure_is_refused_with_a_list_of_known_figures(answered: Path, answer: dict[str, Any]) -> None:
     ended = quick(answered, "figures", answer["batch"], "nope")
     assert ended.returncode == 2
     assert "no figure 'nope' of this batch; there is " in ended.stderr
@@ -281,7 +281,7 @@ def test_an_unknown_figure_is_answered_with_the_known(answered: Path, answer: di
 # sql
 
 
-def test_sql_answers_in_five_formats(answered: Path, tmp_path: Path) -> None:
+def test_sql_prints_five_formats(answered: Path, tmp_path: Path) -> None:
     import pyarrow.parquet as pq
 
     ask = "SELECT count(*) AS n, 'a|b' AS t FROM runs"
@@ -293,13 +293,13 @@ def test_sql_answers_in_five_formats(answered: Path, tmp_path: Path) -> None:
     assert pq.read_table(tmp_path / "x").to_pylist() == [{"n": 8, "t": "a|b"}]
 
 
-def test_columns_of_one_name_are_told_apart(answered: Path) -> None:
+def test_columns_with_equal_names_get_distinct_names(answered: Path) -> None:
     ask = "SELECT 6 AS n, 7 AS n, 8 AS n_1, 9 AS n"
     assert quick(answered, "sql", ask, "-f", "csv").stdout == "n,n_2,n_1,n_3\n6,7,8,9\n"
     assert quick(answered, "sql", ask).stdout.split() == ["n", "n_2", "n_1", "n_3", "6", "7", "8", "9"]
 
 
-def test_json_has_numbers_that_json_knows(answered: Path) -> None:
+def test_json_output_contains_only_valid_json_numbers(answered: Path) -> None:
     said = quick(
         answered, "sql", "SELECT 1/0 AS i, 'nan'::DOUBLE AS n, sum(number) AS s, 1.5::DECIMAL(3,1) AS d FROM runs", "--json"
     )
@@ -329,13 +329,13 @@ def test_json_has_numbers_that_json_knows(answered: Path) -> None:
         "SELECT $a",
     ],
 )
-def test_sql_only_reads_the_store(answered: Path, statement: str) -> None:
+def test_sql_refuses_statements_that_write_or_read_outside_the_store(answered: Path, statement: str) -> None:
     ended = quick(answered, "sql", statement)
     assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
     assert not (answered / "stolen.csv").exists()
 
 
-def test_sql_reads_from_a_pipe(answered: Path) -> None:
+def test_sql_reads_statements_from_a_pipe(answered: Path) -> None:
     assert sierra(answered, "sql", "-", "-f", "csv", stdin="SELECT 1 AS a\n").stdout == "a\n1\n"
     assert sierra(answered, "sql", "-").returncode == 2
     ended = sierra(answered, "sql", stdin="SELECT 1 AS a;\nSELECT nope;\n\nSELECT\n2 AS b")
@@ -344,7 +344,7 @@ def test_sql_reads_from_a_pipe(answered: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_reader_that_leaves_early_is_no_fault(answered: Path) -> None:
+def test_closed_output_pipe_is_not_an_error(answered: Path) -> None:
     with subprocess.Popen(
         [SIERRA, "sql", "FROM range(1000000)", "-f", "csv"], cwd=answered, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as asking:
@@ -360,7 +360,7 @@ def test_a_reader_that_leaves_early_is_no_fault(answered: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_users_own_settings_hold_in_all_projects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_user_settings_apply_to_all_projects_and_can_be_overridden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     file = tmp_path / "config" / "sierra" / "config.toml"
     file.parent.mkdir(parents=True)
@@ -385,7 +385,7 @@ def test_a_users_own_settings_hold_in_all_projects(tmp_path: Path, monkeypatch: 
     assert "unknown key 'job'; did you mean 'jobs'?" in quick(folder, "run", "noise=4").stderr
 
 
-def test_doctor_answers_everywhere(tmp_path: Path) -> None:
+def test_doctor_works_outside_and_inside_a_project(tmp_path: Path) -> None:
     outside = {check["name"]: check["state"] for check in json.loads(quick(tmp_path, "doctor", "--json").stdout)}
     assert outside["project"] == "absent"
     folder = make(tmp_path / "p", CONFIG.replace("python3", "no-such-program"))
@@ -394,13 +394,13 @@ def test_doctor_answers_everywhere(tmp_path: Path) -> None:
     assert re.search(r"^missing +command: .*no-such-program", ended.stdout, re.MULTILINE)
 
 
-def test_nothing_is_coloured_without_a_terminal(answered: Path) -> None:
+def test_output_has_no_colour_without_a_terminal(answered: Path) -> None:
     for words in (["ls"], ["--help"], ["run", "population_size.Log2", "noise=0:1:2", "--no-figures"]):
         ended = sierra(answered, *words, environment={"FORCE_COLOR": "", "NO_COLOR": "1"})
         assert "\x1b" not in ended.stdout + ended.stderr
 
 
-# completion of what a project has
+# completion of names of a project
 
 
 @pytest.mark.parametrize(
@@ -412,7 +412,7 @@ def test_nothing_is_coloured_without_a_terminal(answered: Path) -> None:
         ("sierra stats ", "swarm"),
     ],
 )
-def test_completion_knows_ids_variables_and_tables(answered: Path, answer: dict[str, Any], words: str, found: str) -> None:
+def test_completion_offers_ids_variables_and_tables(answered: Path, answer: dict[str, Any], words: str, found: str) -> None:
     typed = {
         "_SIERRA_COMPLETE": "complete_bash",
         "COMP_WORDS": words,
@@ -422,21 +422,21 @@ def test_completion_knows_ids_variables_and_tables(answered: Path, answer: dict[
 
 
 @pytest.mark.parametrize("words", ["sierra show ", "sierra run x", "sierra stats "])
-def test_completion_says_nothing_where_it_cannot_tell(tmp_path: Path, words: str) -> None:
+def test_completion_is_silent_if_the_project_file_is_invalid(tmp_path: Path, words: str) -> None:
     (tmp_path / "sierra.toml").write_text("no TOML")
     typed = {"_SIERRA_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": "2"}
     said = sierra(tmp_path, environment=typed)
     assert (said.stdout.split(), said.stderr) == ([], "")
 
 
-def test_montecarlo_alone_is_told_what_works(answered: Path) -> None:
+def test_montecarlo_without_count_is_refused_with_a_working_example(answered: Path) -> None:
     said = quick(answered, "run", "montecarlo", "-n")
     assert said.returncode == 2
     assert "montecarlo.C20" in said.stderr
     assert quick(answered, "run", "montecarlo.C20", "-n").returncode == 0
 
 
-def test_on_a_terminal_ids_are_short_and_tables_no_wider_than_it(
+def test_ids_are_short_and_tables_fit_on_a_terminal(
     answered: Path, answer: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     statement = ("sql", "SELECT run, execution FROM executions LIMIT 1")
@@ -464,14 +464,14 @@ def test_on_a_terminal_ids_are_short_and_tables_no_wider_than_it(
 
 @pytest.mark.integration
 @pytest.mark.parametrize("how", [("-n",), ("--json", "-n"), ()])
-def test_very_many_runs_are_not_planned_without_being_asked_for(answered: Path, how: tuple[str, ...]) -> None:
+def test_very_many_runs_are_refused_without_yes(answered: Path, how: tuple[str, ...]) -> None:
     said = quick(answered, "run", "noise=0:1:500000", *how)
     assert said.returncode == 2
     assert "500000 experiments are 1000000 runs" in said.stderr
     assert "--yes" in said.stderr
 
 
-def test_how_far_planning_has_come_is_said(answered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_planning_progress_is_reported_except_with_json(answered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "FIRST_S", 0.0)
     monkeypatch.setattr(progress, "MANY", 5)
     said = quick(answered, "run", "noise=0:1:4", "-n", "--yes")

@@ -38,21 +38,21 @@ def imported(root: Path, *words: str) -> set[str]:
     return {str(name) for name in json.loads(ended.stderr.splitlines()[-1])} & (SOMETIMES | NEVER)
 
 
-def test_help_imports_no_library_but_that_of_the_command_line(root: Path) -> None:
+def test_help_imports_only_the_command_line_library(root: Path) -> None:
     assert imported(root, "--help") == set()
 
 
 @pytest.mark.parametrize("words", [("ls",), ("status",), ("sql", "SELECT 1")], ids=" ".join)
-def test_reading_imports_neither_git_nor_what_figures_need(root: Path, words: tuple[str, ...]) -> None:
+def test_read_only_commands_import_neither_git_nor_plotting_libraries(root: Path, words: tuple[str, ...]) -> None:
     assert imported(root, *words) <= {"duckdb", "logging", "lxml", "numpy", "pyarrow", "pydantic"}
 
 
 @pytest.mark.parametrize("words", [("run", "population_size=1", "--no-figures"), ("run", "population_size=1", "-n")])
-def test_running_imports_neither_git_nor_what_figures_need(root: Path, words: tuple[str, ...]) -> None:
+def test_run_imports_neither_git_nor_plotting_libraries(root: Path, words: tuple[str, ...]) -> None:
     assert not imported(root, *words) & {"git", "matplotlib", "scipy", *NEVER}
 
 
-def test_showing_a_batch_that_has_a_commit_imports_git(root: Path) -> None:
+def test_show_imports_git_for_a_batch_with_a_commit(root: Path) -> None:
     [batch] = json.loads(projects.quick(root, "ls", "--json").stdout)
     assert "git" in imported(root, "show", batch["batch"])
     assert not imported(root, "show", batch["batch"]) & NEVER

@@ -1,4 +1,4 @@
-"""Bytes that nobody wrote, and names that steer a terminal, are shown in one line and do nothing."""
+"""Corrupt bytes and terminal escape sequences are shown on one line and have no effect."""
 
 from __future__ import annotations
 
@@ -59,19 +59,19 @@ WORDS = [
 
 
 @pytest.mark.parametrize("words", WORDS, ids=lambda words: "-".join(words)[:20].replace("\x1b", ""))
-def test_nothing_recorded_steers_a_terminal(evil: Path, words: tuple[str, ...]) -> None:
+def test_recorded_escape_sequences_are_never_printed(evil: Path, words: tuple[str, ...]) -> None:
     [row] = sierra.open(evil).sql("SELECT batch, run FROM executions WHERE status <> 'ok' LIMIT 1").to_pylist()
     done = projects.quick(evil, *(word.format(**row) for word in words))
     assert harmless(done.stdout + done.stderr)
     assert "fault in SIERRA" not in done.stderr
 
 
-def test_a_log_is_seen_with_its_escapes(evil: Path) -> None:
+def test_log_shows_escape_sequences_in_escaped_form(evil: Path) -> None:
     [row] = sierra.open(evil).sql("SELECT run FROM executions WHERE status <> 'ok' LIMIT 1").to_pylist()
     assert "\\x1b[2J" in projects.quick(evil, "show", row["run"]).stdout
 
 
-def test_json_and_files_keep_what_was_recorded(evil: Path, tmp_path: Path) -> None:
+def test_json_and_exported_files_keep_recorded_escape_sequences(evil: Path, tmp_path: Path) -> None:
     [row] = sierra.open(evil).sql("SELECT run FROM executions WHERE status <> 'ok' LIMIT 1").to_pylist()
     done = projects.quick(evil, "sql", "SELECT chr(27) AS a", "--json")
     assert harmless(done.stdout)
@@ -82,7 +82,7 @@ def test_json_and_files_keep_what_was_recorded(evil: Path, tmp_path: Path) -> No
     assert any(EVIL.encode() in path.read_bytes() for path in (tmp_path / "to").rglob("stdout"))
 
 
-def test_csv_on_a_terminal_is_safe_too(evil: Path) -> None:
+def test_csv_output_on_a_terminal_has_no_escape_sequences(evil: Path) -> None:
     ours, theirs = pty.openpty()
     assert (
         projects.start(evil, "sql", "SELECT chr(27) || 'x' AS a", "--format", "csv", stdout=theirs, stderr=theirs).wait() == 0
@@ -92,16 +92,16 @@ def test_csv_on_a_terminal_is_safe_too(evil: Path) -> None:
     os.close(ours)
 
 
-def test_what_is_safe_already_stays() -> None:
+def test_safe_text_stays_unchanged() -> None:
     assert safe("a\tb\nc äöü → 中文 … é") == "a\tb\nc äöü → 中文 … é"
     assert safe("\ud800\r\u2066") == "\\ud800\\r\\u2066"
 
 
-# ---------------------------------------------------------------- bytes that are no text
+# ---------------------------------------------------------------- bytes that are not text
 
 
 @pytest.mark.integration
-def test_a_format_that_is_no_text_is_damage(recorded: Path, tmp_path: Path) -> None:
+def test_corrupt_format_file_is_reported_as_damage_and_can_be_repaired(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     for content in (b"\xff", b"\xff" * 100_000, b"\x1b[2J\n", b""):
         (root / ".sierra" / "format").write_bytes(content)
@@ -119,7 +119,7 @@ def test_a_format_that_is_no_text_is_damage(recorded: Path, tmp_path: Path) -> N
 
 @pytest.mark.integration
 @pytest.mark.parametrize("name", ["context.json", "claims.json", "owner.0", "submission.json", "asking.json", "journal.jsonl"])
-def test_a_session_that_nobody_wrote_is_named(recorded: Path, tmp_path: Path, name: str) -> None:
+def test_corrupt_session_files_do_not_crash_status_or_gc(recorded: Path, tmp_path: Path, name: str) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     for content in (b"\xff\n", b"7", b"[" * 100_000):
         shutil.rmtree(root / ".sierra" / "work" / "00000000deadbeef", ignore_errors=True)
@@ -132,7 +132,7 @@ def test_a_session_that_nobody_wrote_is_named(recorded: Path, tmp_path: Path, na
 
 @pytest.mark.integration
 @pytest.mark.parametrize("name", ["sierra.toml", "sierra.lock", "pyproject.toml", "arena.xml", "figures/{batch}/.drawn.json"])
-def test_a_file_of_the_project_that_is_no_text_is_named(recorded: Path, tmp_path: Path, name: str) -> None:
+def test_corrupt_project_files_do_not_crash_commands(recorded: Path, tmp_path: Path, name: str) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     file = root / name.format(batch=sierra.open(root).batches[-1]["batch"][:10])
     file.parent.mkdir(parents=True, exist_ok=True)

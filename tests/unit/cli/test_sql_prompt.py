@@ -1,4 +1,4 @@
-"""The prompt of `sierra sql`, typed at as on a terminal."""
+"""The prompt of `sierra sql`, driven through a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def answered(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Terminal:
-    """A terminal at which `sierra sql` was called."""
+    """A terminal in which `sierra sql` runs."""
 
     def __init__(self, folder: Path, home: Path) -> None:
         self._ours, theirs = pty.openpty()
@@ -47,9 +47,9 @@ class Terminal:
         self._unread = ""
 
     def until(self, text: str, press: str = "") -> str:
-        """What was said until `text`, and `text`; a key is pressed each second until then.
+        """Return the output up to and including `text`; press the key `press` each second until then.
 
-        (A signal that comes between the prompt and the waiting for a key is seen after the next key only.)
+        (A signal that arrives between the prompt and the wait for a key is handled only after the next key.)
         """
         give_up = time.monotonic() + PATIENCE_S
         pressed = 0.0
@@ -93,13 +93,15 @@ def open_terminal(answered: Path, tmp_path: Path) -> Iterator[Callable[[], Termi
     "word",
     ["exit", "\\q", "\x04", *(pytest.param(word, marks=pytest.mark.nightly) for word in ("quit", ".quit", ".exit", "EXIT;"))],
 )
-def test_the_prompt_can_be_left(open_terminal: Callable[[], Terminal], word: str) -> None:
+def test_prompt_ends_with_exit_words_and_ctrl_d(open_terminal: Callable[[], Terminal], word: str) -> None:
     terminal = open_terminal()
     terminal.type(word if word == "\x04" else word + "\n")
     assert terminal.ended() == 0
 
 
-def test_a_statement_goes_on_until_its_semicolon_and_an_error_ends_nothing(open_terminal: Callable[[], Terminal]) -> None:
+def test_statements_span_lines_until_a_semicolon_and_errors_do_not_end_the_prompt(
+    open_terminal: Callable[[], Terminal],
+) -> None:
     terminal = open_terminal()
     terminal.type("SELECT 'a;\n")
     terminal.until("...> ")
@@ -122,7 +124,7 @@ def test_a_statement_goes_on_until_its_semicolon_and_an_error_ends_nothing(open_
     assert terminal.process.poll() is None
 
 
-def test_ctrl_c_drops_a_line_and_stops_a_question_but_not_the_prompt(open_terminal: Callable[[], Terminal]) -> None:
+def test_ctrl_c_discards_the_line_or_stops_the_query_but_keeps_the_prompt(open_terminal: Callable[[], Terminal]) -> None:
     terminal = open_terminal()
     terminal.type("SELECT this is nothing\n")
     terminal.until("...> ")
@@ -135,7 +137,7 @@ def test_ctrl_c_drops_a_line_and_stops_a_question_but_not_the_prompt(open_termin
     assert "42" in terminal.until("sql> ")
 
 
-def test_sigterm_ends_the_prompt(open_terminal: Callable[[], Terminal]) -> None:
+def test_sigterm_ends_the_prompt_with_exit_code_130(open_terminal: Callable[[], Terminal]) -> None:
     terminal = open_terminal()
     give_up = time.monotonic() + PATIENCE_S
     while terminal.process.poll() is None and time.monotonic() < give_up:
@@ -145,7 +147,7 @@ def test_sigterm_ends_the_prompt(open_terminal: Callable[[], Terminal]) -> None:
 
 
 @pytest.mark.integration
-def test_what_was_typed_is_remembered_in_the_state_folder(open_terminal: Callable[[], Terminal], tmp_path: Path) -> None:
+def test_history_is_saved_in_the_state_folder(open_terminal: Callable[[], Terminal], tmp_path: Path) -> None:
     pytest.importorskip("readline")
     terminal = open_terminal()
     terminal.type("SELECT 123 AS n;\n")
@@ -158,12 +160,12 @@ def test_what_was_typed_is_remembered_in_the_state_folder(open_terminal: Callabl
     assert "SELECT 123 AS n;" in terminal.until("sql> ")
 
 
-def test_a_pipe_is_answered_without_a_prompt_and_exit_ends_it(answered: Path) -> None:
+def test_piped_statements_run_without_a_prompt_until_exit(answered: Path) -> None:
     ended = sierra(answered, "sql", stdin="SELECT 1\n\nAS a;\nexit\nSELECT 2 AS b;\n")
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "a\n1\n", "")
 
 
-def test_a_batch_that_is_none_is_said_before_anything_is_typed(answered: Path) -> None:
+def test_unknown_batch_is_refused_before_any_statement_is_read(answered: Path) -> None:
     ended = sierra(answered, "sql", "-b", "00000000", stdin="SELECT 1;\n")
     assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1)
 
@@ -182,5 +184,5 @@ def test_a_batch_that_is_none_is_said_before_anything_is_typed(answered: Path) -
         ("SELECT 1 /* ;", False),
     ],
 )
-def test_a_semicolon_in_quotes_or_a_comment_ends_nothing(text: str, complete: bool) -> None:
+def test_semicolons_in_quotes_or_comments_do_not_end_a_statement(text: str, complete: bool) -> None:
     assert is_complete(text) is complete

@@ -1,4 +1,4 @@
-"""On a terminal: completion of what a project and its store have, tables that fit, and short ids."""
+"""On a terminal: completion of names and ids from the project and its store, tables that fit, and short ids."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def completed(root: Path, words: str, program: tuple[str, ...] = (str(projects.S
         ("sierra stats absent ", []),
     ],
 )
-def test_names_are_completed(root: Path, words: str, found: list[str]) -> None:
+def test_names_from_the_project_are_completed(root: Path, words: str, found: list[str]) -> None:
     assert completed(root, words) == found
 
 
@@ -84,7 +84,7 @@ def test_ids_are_completed_after_4_digits(root: Path, kind: str) -> None:
     assert row[kind][:10] in completed(root, f"sierra show {row[kind][:4]}")
 
 
-def test_batches_and_sessions_are_completed_from_nothing(root: Path) -> None:
+def test_batch_and_session_ids_are_completed_without_a_prefix(root: Path) -> None:
     [batch] = sierra.open(root).batches
     [log] = (root / ".sierra" / "logs").iterdir()
     assert completed(root, "sierra show ") == [batch["batch"][:10], log.stem]
@@ -93,7 +93,7 @@ def test_batches_and_sessions_are_completed_from_nothing(root: Path) -> None:
 
 
 @pytest.mark.parametrize("words", ["sierra show zz", "sierra show ", "sierra stats nope ", "sierra run pop", "sierra run zz"])
-def test_completion_that_finds_nothing_in_the_store_loads_no_database(root: Path, words: str) -> None:
+def test_completion_of_names_and_batches_loads_no_database(root: Path, words: str) -> None:
     program = (
         "import sys, sierra.cli.main as m\n"
         "try: m.main()\n"
@@ -104,7 +104,7 @@ def test_completion_that_finds_nothing_in_the_store_loads_no_database(root: Path
     assert not {"duckdb", "pyarrow", "numpy", "git"} & set(offered)
 
 
-def test_tables_fit_the_terminal_unless_asked_not_to(root: Path, terminal: None) -> None:
+def test_tables_fit_the_terminal_unless_long_is_given(root: Path, terminal: None) -> None:
     ran = projects.quick(root, "run", LONG, "--runs", "1", "-n", "--json")
     assert ran.returncode == 0
     project = sierra.open(root)
@@ -119,7 +119,7 @@ def test_tables_fit_the_terminal_unless_asked_not_to(root: Path, terminal: None)
     assert LONG in projects.quick(root, "sql", "--long", statement).stdout
 
 
-def test_ids_are_short_unless_asked_for(root: Path) -> None:
+def test_ids_are_short_unless_long_or_json_is_given(root: Path) -> None:
     batch = sierra.open(root).batches[0]["batch"]
     shown = json.loads(projects.quick(root, "show", batch, "--json").stdout)
     assert len(shown["spec"]["spec"]) == 64
@@ -132,7 +132,7 @@ def test_ids_are_short_unless_asked_for(root: Path) -> None:
     assert batch not in projects.quick(root, "ls").stdout
 
 
-def test_what_is_piped_is_never_cut(root: Path) -> None:
+def test_piped_output_is_never_truncated(root: Path) -> None:
     statement = "SELECT repeat('x', 500) AS text, run FROM batch_runs LIMIT 1"
     answer = projects.quick(root, "sql", statement).stdout
     assert "x" * 500 in answer

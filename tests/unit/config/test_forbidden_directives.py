@@ -1,4 +1,4 @@
-"""Lines that a project adds to those of a cluster's jobs: what breaks them, or has a setting of its own, is refused at once."""
+"""Directives that a project adds to cluster jobs: those that break jobs, or have their own setting, are refused at once."""
 
 from __future__ import annotations
 
@@ -54,18 +54,18 @@ PBS = [
 @pytest.mark.parametrize(
     ("scheduler", "line", "instead"), [*(("slurm", *one) for one in SLURM), *(("pbs", *one) for one in PBS)]
 )
-def test_what_sierra_says_itself_is_refused_with_what_to_use_instead(
+def test_directives_that_sierra_sets_itself_are_refused_with_the_alternative(
     tmp_path: Path, scheduler: str, line: str, instead: str
 ) -> None:
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}[runners.{scheduler}]\ndirectives = ['{line}']\n")
-    done = projects.quick(root, "run", "noise=1")  # before anything is asked of a cluster
+    done = projects.quick(root, "run", "noise=1")  # before anything is sent to a cluster
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert f"directive {line!r} of " in done.stderr
     assert instead in done.stderr
 
 
-def test_a_cluster_of_another_name_is_held_to_the_same(tmp_path: Path) -> None:
+def test_forbidden_directives_are_refused_for_runners_of_any_name(tmp_path: Path) -> None:
     table = '[runners.big]\nscheduler = "slurm"\ndirectives = ["--wait"]\n'
     done = projects.quick(projects.make(tmp_path / "project", projects.CONFIG + table), "run", "noise=1")
     assert (done.returncode, "directive '--wait' of 'big' can't be added: SIERRA follows" in done.stderr) == (2, True)
@@ -81,7 +81,7 @@ def test_a_cluster_of_another_name_is_held_to_the_same(tmp_path: Path) -> None:
         ("lsf", "-J mine"),
     ],
 )
-def test_what_no_setting_is_for_is_added(tmp_path: Path, scheduler: str, line: str) -> None:
+def test_directives_without_their_own_setting_are_accepted(tmp_path: Path, scheduler: str, line: str) -> None:
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}[runners.{scheduler}]\ndirectives = ['{line}']\n")
     done = projects.quick(root, "run", "noise=1", "-n")
     assert done.returncode == 0, done.stderr

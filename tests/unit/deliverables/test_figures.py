@@ -1,4 +1,4 @@
-"""Figures say what they show, hold where they come from, and are the same bytes each time."""
+"""Figures describe what they show, contain their provenance, and are reproduced byte for byte."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ DC = "{http://purl.org/dc/elements/1.1/}"
 
 
 def table(experiments: int, times: int = 0, **changed: Any) -> pa.Table:
-    """Aggregates as `sierra.stats.aggregate` makes them: over time, or, without times, one row for each experiment."""
+    """Return aggregates in the form of `sierra.stats.aggregate`: over time, or one row per experiment if `times` is 0."""
     rows = experiments * (times or 1)
     ordinal = np.repeat(np.arange(experiments), times or 1)
     t = np.tile(np.arange(times or 1, dtype=float), experiments)
@@ -67,7 +67,7 @@ def cells(axes: Sequence[Axis]) -> dict[int, dict[str, Any]]:
 def drawing(
     kind: str = "timeseries", axes: Sequence[Axis] = (SIZES,), tables: Mapping[str, Any] | None = None, **more: Any
 ) -> Drawing:
-    """A drawing of generated data; `more` are options of the figure."""
+    """Return a drawing of generated data; `more` are options of the figure."""
     count = len(cells(axes))
     stacked = {"searching": table(count, 20), "carrying": table(count, 20)}
     timed = kind in ("timeseries", "stacked")
@@ -90,7 +90,7 @@ KINDS = ("timeseries", "summary", "box", "violin", "stacked")
 
 
 def texts(svg: bytes) -> str:
-    """All that is written in a figure, each text on a line."""
+    """Return all text in a figure, one item per line."""
     root = ElementTree.fromstring(svg)  # noqa: S314 - what we have just written ourselves
     return "\n".join("".join(element.itertext()) for element in root.iter("{http://www.w3.org/2000/svg}text"))
 
@@ -100,7 +100,7 @@ def svg(shown: Drawing) -> bytes:
 
 
 def xs(line: Any) -> list[float]:
-    """Where the points of a line are."""
+    """Return the x values of the points of a line."""
     return list(line.get_xdata())
 
 
@@ -109,18 +109,18 @@ def said(shown: Drawing) -> str:
 
 
 def flowing(shown: Drawing) -> str:
-    """What is written, in one line."""
+    """Return the text of a figure in one line."""
     return " ".join(said(shown).split())
 
 
 @cache
 def once(kind: str) -> list[tuple[str, bytes]]:
-    """A drawing of generated data, in all formats, as this process has drawn it first."""
+    """Return a drawing of generated data in all formats, as this process first drew it."""
     return list(figures.rendered(drawing(kind, (SIZES, NAMES) if kind == "heatmap" else (SIZES,))))
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
-def test_each_kind_is_written_in_three_formats(kind: str, tmp_path: Path) -> None:
+def test_every_kind_of_figure_is_written_in_three_formats(kind: str, tmp_path: Path) -> None:
     axes = (SIZES, NAMES) if kind == "heatmap" else (SIZES,)
     paths = figures.draw(drawing(kind, axes), tmp_path / "new")
     assert [path.name for path in paths] == [f"{kind}.png", f"{kind}.pdf", f"{kind}.svg"]
@@ -130,13 +130,13 @@ def test_each_kind_is_written_in_three_formats(kind: str, tmp_path: Path) -> Non
 
 @pytest.mark.integration
 @pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
-def test_the_same_data_give_the_same_bytes(kind: str) -> None:
+def test_same_data_give_the_same_bytes(kind: str) -> None:
     axes = (SIZES, NAMES) if kind == "heatmap" else (SIZES,)
     assert list(figures.rendered(drawing(kind, axes))) == once(kind)
 
 
 @pytest.mark.integration
-def test_another_process_at_another_time_draws_the_same_bytes() -> None:
+def test_figures_are_identical_across_processes_dates_and_time_zones() -> None:
     code = (
         "import sys, hashlib, importlib.util as u; s = u.spec_from_file_location('t', sys.argv[1]);"
         "m = u.module_from_spec(s); s.loader.exec_module(m);"
@@ -149,7 +149,7 @@ def test_another_process_at_another_time_draws_the_same_bytes() -> None:
 
 
 @pytest.mark.integration
-def test_the_users_own_settings_of_matplotlib_change_nothing_and_are_left_alone() -> None:
+def test_matplotlib_settings_of_the_user_are_neither_used_nor_changed() -> None:
     import matplotlib as mpl
 
     before = figures.rendered(drawing())
@@ -158,7 +158,7 @@ def test_the_users_own_settings_of_matplotlib_change_nothing_and_are_left_alone(
         assert mpl.rcParams["font.size"] == 20
 
 
-def test_importing_figures_imports_neither_matplotlib_nor_seaborn() -> None:
+def test_importing_figures_loads_neither_plotting_nor_array_libraries() -> None:
     heavy = ("matplotlib", "seaborn", "numpy", "pyarrow")
     code = f"import sys, sierra.deliverables.figures; print([m for m in {heavy} if m in sys.modules])"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -166,7 +166,7 @@ def test_importing_figures_imports_neither_matplotlib_nor_seaborn() -> None:
     assert out.stdout.strip() == "[]"
 
 
-def test_a_png_holds_its_batch_and_its_sql(tmp_path: Path) -> None:
+def test_png_contains_its_batch_sql_and_note(tmp_path: Path) -> None:
     png, _, _ = figures.draw(drawing(), tmp_path)
     with Image.open(png) as image:
         image.load()
@@ -176,7 +176,7 @@ def test_a_png_holds_its_batch_and_its_sql(tmp_path: Path) -> None:
     assert held["Description"] == drawing().note
 
 
-def test_a_pdf_holds_its_batch_and_its_sql_and_no_date_and_embeds_its_fonts() -> None:
+def test_pdf_contains_its_batch_and_sql_but_no_date_and_embeds_its_fonts() -> None:
     pdf = dict(figures.rendered(drawing()))["pdf"]
     assert f"/Keywords (sierra batch {BATCH})".encode() in pdf
     assert SQL.encode("utf-16-be") in _unescaped(pdf)
@@ -186,7 +186,7 @@ def test_a_pdf_holds_its_batch_and_its_sql_and_no_date_and_embeds_its_fonts() ->
     assert any(b"begincmap" in stream for stream in _streams(pdf))
 
 
-def test_an_svg_holds_its_batch_and_its_sql_and_no_date() -> None:
+def test_svg_contains_its_batch_and_sql_but_no_date() -> None:
     data = svg(drawing())
     root = ElementTree.fromstring(data)  # noqa: S314 - what we have just written ourselves
     assert [element.text for element in root.iter(f"{DC}identifier")] == [BATCH]
@@ -194,29 +194,29 @@ def test_an_svg_holds_its_batch_and_its_sql_and_no_date() -> None:
     assert not list(root.iter(f"{DC}date"))
 
 
-def test_text_in_an_svg_is_text_and_n_and_what_is_absent_are_said() -> None:
+def test_svg_contains_the_note_on_n_and_absent_runs_as_text() -> None:
     assert drawing().note in said(drawing())
 
 
-def test_labels_have_their_units_in_brackets() -> None:
+def test_axis_labels_have_units_in_brackets() -> None:
     assert {"time [s]", "energy [J]"} <= set(said(drawing()).splitlines())
     assert {"population size [robots]", "final energy [J]"} <= set(said(drawing("summary")).splitlines())
     timed = drawing("summary", measure="time_to", threshold=3)
     assert "time until energy ≥ 3 [s]" in said(timed)
 
 
-def test_labels_that_are_given_are_taken_as_they_are() -> None:
+def test_given_labels_and_title_are_drawn_literally() -> None:
     shown = said(drawing("summary", xlabel="$N_r$ _x_", ylabel="E $ [µJ]", title=r"\alpha costs $5 or $6_"))
     assert {"$N_r$ _x_", "E $ [µJ]", r"\alpha costs $5 or $6_"} <= set(shown.splitlines())
 
 
-def test_the_legend_says_the_values_and_n_where_it_differs() -> None:
+def test_legend_shows_the_values_and_n_if_it_differs() -> None:
     assert set("1248") <= set(said(drawing()).splitlines())
     changed = table(4, 20, n=np.repeat([10, 9, 10, 10], 20))
     assert "2 (n = 9)" in said(drawing(tables={"energy": changed}))
 
 
-def test_the_legend_does_not_cover_data() -> None:
+def test_legend_does_not_cover_data() -> None:
     from sierra.deliverables.figures import style, timeseries
 
     with style.applied():
@@ -229,7 +229,7 @@ def test_the_legend_does_not_cover_data() -> None:
 
 @pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
 @pytest.mark.parametrize("title", ["", "A title " * 12])
-def test_nothing_that_is_written_lies_outside_or_on_something_else(kind: str, title: str) -> None:
+def test_text_neither_overlaps_nor_leaves_the_figure(kind: str, title: str) -> None:
     from sierra.deliverables.figures import heatmap, style, summary, timeseries
 
     long = Axis("terrain", tuple(f"a rather long name of terrain {k}" for k in range(4)))
@@ -254,7 +254,7 @@ def test_nothing_that_is_written_lies_outside_or_on_something_else(kind: str, ti
 
 
 @pytest.mark.integration
-def test_thirty_experiments_have_a_colour_bar_and_not_thirty_entries() -> None:
+def test_thirty_numeric_values_get_a_colour_bar_and_thirty_names_get_a_legend() -> None:
     many = Axis("max_speed", tuple(k / 10 for k in range(30)), unit="m/s")
     lines = said(drawing(axes=(many,))).splitlines()
     assert "max speed [m/s]" in lines
@@ -263,7 +263,7 @@ def test_thirty_experiments_have_a_colour_bar_and_not_thirty_entries() -> None:
     assert "scenario_28" in said(drawing(axes=(names,)))
 
 
-def test_a_log_scale_of_values_is_drawn_on_one() -> None:
+def test_values_in_geometric_progression_get_a_log_axis() -> None:
     from sierra.deliverables.figures import style, summary
 
     with style.applied():
@@ -275,12 +275,12 @@ def test_a_log_scale_of_values_is_drawn_on_one() -> None:
     assert [line.get_linestyle() for line in names.lines if len(xs(line)) == 4][-1] == "None"
 
 
-def test_a_second_variable_gets_a_line_of_its_own_or_a_panel() -> None:
+def test_second_variable_gets_a_legend_in_summaries_and_panels_in_timeseries() -> None:
     assert {"scenario", "low", "high"} <= set(said(drawing("summary", (SIZES, NAMES))).splitlines())
     assert {"scenario = low", "scenario = high"} <= set(said(drawing("timeseries", (SIZES, NAMES))).splitlines())
 
 
-def test_a_heatmap_shows_its_numbers_and_hatches_what_is_missing() -> None:
+def test_heatmap_shows_numbers_and_hatches_missing_cells() -> None:
     full = drawing("heatmap", (SIZES, NAMES))
     assert {"10", "80", "population size [robots]", "scenario", "final energy [J]"} <= set(said(full).splitlines())
     holed = drawing("heatmap", (SIZES, NAMES), {"energy": table(8).slice(1)})
@@ -289,7 +289,7 @@ def test_a_heatmap_shows_its_numbers_and_hatches_what_is_missing() -> None:
     assert b"pattern" not in svg(full)
 
 
-def test_one_run_has_a_line_and_no_band() -> None:
+def test_timeseries_without_intervals_has_no_bands() -> None:
     from sierra.deliverables.figures import style, timeseries
 
     none = pa.nulls(80, pa.float64())
@@ -299,7 +299,7 @@ def test_one_run_has_a_line_and_no_band() -> None:
         assert not timeseries.timeseries(alone).axes[0].collections
 
 
-def test_a_mark_is_hollow_where_runs_never_reached_the_threshold() -> None:
+def test_marks_are_hollow_if_some_runs_never_reached_the_threshold() -> None:
     from sierra.deliverables.figures import style, summary
 
     censored = table(4, never=np.array([0, 3, 0, 0]))
@@ -308,7 +308,7 @@ def test_a_mark_is_hollow_where_runs_never_reached_the_threshold() -> None:
     assert [xs(line) for line in plot.lines if line.get_markerfacecolor() == "white"] == [[2.0]]
 
 
-def test_experiments_in_which_no_run_reached_the_threshold_are_marked_at_the_upper_edge() -> None:
+def test_experiments_that_never_reached_the_threshold_are_marked_at_the_upper_edge() -> None:
     from sierra.deliverables.figures import style, summary
 
     nan = np.array([10.0, 20.0, np.nan, np.nan])
@@ -324,7 +324,7 @@ def test_experiments_in_which_no_run_reached_the_threshold_are_marked_at_the_upp
 
 
 def ragged(n: int = 2, reach: float = 500.0) -> dict[str, Any]:
-    """Lines of ten runs that end early but for `n`, whose interval then reaches far."""
+    """Return lines of ten runs of which only `n` reach the end, where the interval is wide."""
     few = np.tile(np.arange(20) >= 15, 4)
     center = table(4, 20).column("mean").to_numpy()
     half = np.where(few, reach, 1.0)
@@ -339,17 +339,17 @@ def plot_of(shown: Drawing) -> Any:
 
 
 @pytest.mark.integration
-def test_intervals_of_few_runs_do_not_set_the_range_and_are_said_to_be_cut_off() -> None:
+def test_intervals_of_few_runs_do_not_set_the_axis_range_and_the_cut_is_noted() -> None:
     shown = drawing(tables=ragged())
     low, high = plot_of(shown).get_ylim()
-    assert 5 < low < 9  # the lines go from 10 to 59, their intervals are of ± 1
+    assert 5 < low < 9  # the lines go from 10 to 59; their intervals are ± 1
     assert 60 < high < 64
     assert "some intervals of n ≤ 2 are cut off" in flowing(shown)
     assert figures.rendered(shown) == figures.rendered(shown)
 
 
 @pytest.mark.integration
-def test_intervals_that_have_room_or_are_of_most_of_the_runs_are_not_cut_off() -> None:
+def test_intervals_that_fit_or_belong_to_most_runs_are_not_cut_off() -> None:
     for tables in (ragged(n=6), ragged(reach=10.0), {"energy": table(4, 20)}):
         shown = drawing(tables=tables)
         low, high = plot_of(shown).get_ylim()
@@ -359,7 +359,7 @@ def test_intervals_that_have_room_or_are_of_most_of_the_runs_are_not_cut_off() -
         assert "cut off" not in flowing(shown)
 
 
-def test_an_experiment_of_few_runs_does_not_set_the_range_of_a_summary() -> None:
+def test_experiment_with_few_runs_does_not_set_the_axis_range_of_a_summary() -> None:
     few = table(4, n=np.array([10, 2, 10, 10]), low=np.array([9, -980, 29, 39.0]), high=np.array([11, 1020, 31, 41.0]))
     shown = drawing("summary", tables={"energy": few})
     assert plot_of(shown).get_ylim() == pytest.approx((9 - 1.6, 41 + 1.6))
@@ -369,7 +369,7 @@ def test_an_experiment_of_few_runs_does_not_set_the_range_of_a_summary() -> None
 
 
 @pytest.mark.integration
-def test_what_has_no_place_on_a_logarithmic_axis_is_said() -> None:
+def test_values_that_a_log_axis_cannot_show_are_noted() -> None:
     means = np.array([0.0, -1.0, 30.0, 40.0])
     lacking = table(4, mean=means, low=means - 1, high=means + 1)
     for kind, axes in (("summary", (SIZES,)), ("heatmap", (Axis("a", (1, 2)), Axis("b", (1, 2))))):
@@ -383,7 +383,7 @@ def test_what_has_no_place_on_a_logarithmic_axis_is_said() -> None:
         assert "log scale: 4 of 40 runs not above 0 left out" in flowing(replace(drawing(kind, log_y=True), runs=runs))
 
 
-def test_a_run_without_a_place_does_not_take_the_density_of_the_others_away() -> None:
+def test_violin_on_a_log_axis_keeps_its_density_if_one_run_is_zero() -> None:
     from sierra.deliverables.figures import style, summary
 
     runs = reduced(4)
@@ -393,14 +393,14 @@ def test_a_run_without_a_place_does_not_take_the_density_of_the_others_away() ->
         assert len(summary.violin(shown).axes[0].collections) == 4
 
 
-def test_the_colour_bar_of_a_logarithmic_heatmap_has_powers_of_ten_and_no_tex() -> None:
+def test_colour_bar_of_a_log_heatmap_shows_powers_of_ten_without_tex() -> None:
     wide = table(8, mean=10.0 ** np.arange(-2, 6))
     lines = said(drawing("heatmap", (SIZES, NAMES), {"energy": wide}, log_y=True)).splitlines()
     assert {"0.01", "100", "10⁴", "1e5"} <= set(lines)
     assert not [line for line in lines if "$" in line or "e+" in line]
 
 
-def test_intervals_of_several_groups_at_one_number_lie_side_by_side() -> None:
+def test_intervals_of_several_groups_at_the_same_value_are_side_by_side() -> None:
     plot = plot_of(drawing("summary", (SIZES, NAMES)))
     marks = [line for line in plot.lines if line.get_linestyle() == "None" and len(xs(line)) == 4 and line.get_marker() in "os"]
     places = [line.get_transform().transform([(2.0, 20.0)])[0][0] for line in marks]
@@ -412,7 +412,7 @@ def test_intervals_of_several_groups_at_one_number_lie_side_by_side() -> None:
 
 @pytest.mark.parametrize("axis", [SIZES, NAMES, Axis("terrain", tuple(f"terrain {k}" for k in range(12)))])
 @pytest.mark.parametrize("kind", ["timeseries", "summary"])
-def test_no_two_lines_differ_by_their_colour_alone(axis: Axis, kind: str) -> None:
+def test_lines_differ_in_style_and_not_only_in_colour(axis: Axis, kind: str) -> None:
     from sierra.deliverables.figures import style
 
     axes = (axis,) if kind == "timeseries" else (SIZES, axis)
@@ -427,7 +427,7 @@ def test_no_two_lines_differ_by_their_colour_alone(axis: Axis, kind: str) -> Non
 
 @pytest.mark.integration
 @pytest.mark.parametrize("kind", ["stacked", "timeseries"])
-def test_labels_of_many_panels_lie_within_the_figure_and_apart(kind: str) -> None:
+def test_labels_of_many_panels_stay_within_the_figure_and_do_not_overlap(kind: str) -> None:
     from sierra.deliverables.figures import style, timeseries
 
     axes = (Axis("population_size", (1, 2, 4), unit="robots"), Axis("communication_range", (0.25, 0.5, 1.5, 2.5), unit="m"))
@@ -449,7 +449,7 @@ def test_labels_of_many_panels_lie_within_the_figure_and_apart(kind: str) -> Non
             assert not one.overlaps(other)
 
 
-def test_marks_at_zero_do_not_go_below_it() -> None:
+def test_marks_at_zero_are_not_shifted_below_zero() -> None:
     plot = plot_of(drawing("summary", (Axis("noise", (0.0, 0.5, 1.0, 1.5)), NAMES)))
     zero = plot.transData.transform([(0.0, 20.0)])[0][0]
     marks = [line for line in plot.lines if line.get_linestyle() == "None" and len(xs(line)) == 4]
@@ -460,7 +460,7 @@ def test_marks_at_zero_do_not_go_below_it() -> None:
 @pytest.mark.integration
 @pytest.mark.parametrize("first", [SIZES, Axis("noise", (0.0, 0.5, 1.0, 1.5))])
 @pytest.mark.parametrize("count", [3, 12, 60])
-def test_marks_of_all_groups_lie_within_the_plot(first: Axis, count: int) -> None:
+def test_marks_of_all_groups_stay_within_the_plot(first: Axis, count: int) -> None:
     from sierra.deliverables.figures import style, summary
 
     shown = drawing("summary", (first, Axis("terrain", tuple(f"terrain {k}" for k in range(count)))))
@@ -487,13 +487,13 @@ def test_marks_of_all_groups_lie_within_the_plot(first: Axis, count: int) -> Non
         ({"kind": "box", "measure": "time_to", "threshold": float("nan")}, "should be a finite number"),
     ],
 )
-def test_keys_of_a_figure_that_would_do_nothing_are_refused(keys: Mapping[str, Any], complaint: str) -> None:
+def test_invalid_or_ineffective_keys_of_figures_are_refused(keys: Mapping[str, Any], complaint: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(complaint)):
         project_file.parse({"template": "t.xml", "figures": {"f": keys}}, "sierra.toml")
 
 
 @pytest.mark.integration
-def test_files_are_named_from_the_working_directory_where_that_is_shorter(simulate: Callable[..., Any]) -> None:
+def test_figure_paths_are_printed_relative_but_are_absolute_in_json(simulate: Callable[..., Any]) -> None:
     project = simulate()
     project.quick("run", "size=1,2", "--runs", "2", "--no-figures")
     listed = project.quick("figures").stdout.splitlines()
@@ -534,7 +534,7 @@ ODD: Mapping[str, Any] = {
 @pytest.mark.nightly
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("case", ODD)
-def test_nothing_odd_in_the_data_keeps_a_figure_from_being_drawn(kind: str, case: str) -> None:
+def test_figures_are_drawn_from_unusual_data(kind: str, case: str) -> None:
     axes, odd = ODD[case](kind, 20 if kind in ("timeseries", "stacked") else 0)
     tables = None if odd is None else dict.fromkeys(("searching", "other") if kind == "stacked" else ("energy",), odd)
     drawn = drawing(kind, axes, tables, title="T_$", ylabel="{" * 99)
@@ -542,7 +542,7 @@ def test_nothing_odd_in_the_data_keeps_a_figure_from_being_drawn(kind: str, case
     assert svg(drawing(kind, axes, tables, log_y=True))
 
 
-def test_one_time_is_drawn_as_a_mark() -> None:
+def test_timeseries_with_one_time_is_drawn_as_marks() -> None:
     from sierra.deliverables.figures import style, timeseries
 
     with style.applied():
@@ -550,7 +550,7 @@ def test_one_time_is_drawn_as_a_mark() -> None:
     assert sum(line.get_marker() == "o" and len(xs(line)) == 1 for line in plot.lines) == 4
 
 
-def test_nothing_to_draw_is_an_error_of_one_line(tmp_path: Path) -> None:
+def test_empty_data_are_refused_without_writing_files(tmp_path: Path) -> None:
     empty = table(4, 20, n=np.zeros(80, dtype=int))
     for tables in ({"energy": empty}, {"energy": empty.slice(0, 0)}):
         with pytest.raises(SierraError, match=r"^there is no value to draw$"):
@@ -568,14 +568,14 @@ def test_nothing_to_draw_is_an_error_of_one_line(tmp_path: Path) -> None:
         (drawing(axes=(SIZES, Axis("seed", tuple(range(40))))), "40 panels are more than 36"),
     ],
 )
-def test_data_that_do_not_suit_the_figure_are_refused(shown: Drawing, complaint: str, tmp_path: Path) -> None:
+def test_data_that_do_not_fit_the_kind_of_figure_are_refused(shown: Drawing, complaint: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=complaint):
         figures.draw(shown, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
-def test_numbers_too_large_for_an_axis_are_refused(kind: str, tmp_path: Path) -> None:
+def test_values_too_large_for_an_axis_are_refused(kind: str, tmp_path: Path) -> None:
     shown = drawing(kind, (SIZES, NAMES) if kind == "heatmap" else (SIZES,))
     large = {name: made.set_column(0, "mean", pa.array(np.full(made.num_rows, 1.7e308))) for name, made in shown.tables.items()}
     with pytest.raises(SierraError, match=r"1\.7e\+308 is too large to be drawn"):
@@ -584,12 +584,12 @@ def test_numbers_too_large_for_an_axis_are_refused(kind: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("name", ["", "../up", "a/b", ".."])
-def test_a_figure_stays_in_its_folder(name: str, tmp_path: Path) -> None:
+def test_figure_names_that_leave_the_folder_are_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="cannot be the name"):
         figures.draw(replace(drawing(), name=name), tmp_path)
 
 
-def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_unwritable_figure_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(Missing, match=re.escape(str(tmp_path / "file"))):
         figures.draw(drawing(), tmp_path / "file")

@@ -1,4 +1,4 @@
-"""Statistics and figures of outputs that are several files in each run."""
+"""Statistics and figures of outputs with several files per run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _project(root: Path, *, rows: int = 1, ticks: str = "None", config: str = DE
 
 @pytest.mark.integration
 @pytest.mark.parametrize(("rows", "ticks"), [(1, "None"), (2, "None"), (2, "lambda floor, row: row")])
-def test_several_rows_at_one_time_have_no_final_value(tmp_path: Path, rows: int, ticks: str) -> None:
+def test_statistics_and_figures_refuse_outputs_with_several_rows_per_time(tmp_path: Path, rows: int, ticks: str) -> None:
     project = _project(tmp_path / "p", rows=rows, ticks=ticks)
     summary = project.run("population_size=1")
     assert summary.figures == ()
@@ -47,14 +47,14 @@ def test_several_rows_at_one_time_have_no_final_value(tmp_path: Path, rows: int,
 
 
 def _explicit(project: Project, batch: str) -> None:
-    """Draw a figure that the project asks for."""
+    """Declare a figure in the project and draw it."""
     file = project.root / "sierra.toml"
     file.write_text(file.read_text() + '[figures.heat]\nkind = "summary"\ntable = "floor"\ncolumn = "heat"\n')
     sierra.open(project.root).draw(batch, "heat")
 
 
 @pytest.mark.integration
-def test_files_that_follow_each_other_in_time_have_the_final_value_of_the_last(tmp_path: Path) -> None:
+def test_final_value_is_that_of_the_last_file_if_files_continue_in_time(tmp_path: Path) -> None:
     project = _project(tmp_path / "p", rows=2, ticks="lambda floor, row: 2 * floor + row")
     summary = project.run("population_size=1")
     assert project.statistics(summary.batch, "floor", "heat").column("mean").to_pylist() == [1201.0]
@@ -62,14 +62,14 @@ def test_files_that_follow_each_other_in_time_have_the_final_value_of_the_last(t
 
 
 @pytest.mark.integration
-def test_one_file_of_a_glob_in_each_run_is_a_sample(tmp_path: Path) -> None:
+def test_statistics_work_if_the_glob_matches_one_file_per_run(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.floor]\nfile = "floor-12*.csv"\n'
     project = _project(tmp_path / "p", rows=3, config=config)
     summary = project.run("population_size=1", figures=False)
     assert project.statistics(summary.batch, "floor", "heat").column("mean").to_pylist() == [1202.0]
 
 
-def test_files_stand_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+def test_files_are_listed_in_numeric_order(tmp_path: Path) -> None:
     project = _project(tmp_path / "p")
     summary = project.run("population_size=1", runs=1, figures=False)
     names = [f"floor-{number}.csv" for number in range(1, 13)]
@@ -82,7 +82,7 @@ def test_files_stand_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     assert shown == names
 
 
-def test_names_are_sorted_by_their_numbers() -> None:
+def test_natural_sort_orders_names_by_their_numbers() -> None:
     names = ["a", "floor-2", "floor-10", "floor-10.5", "floor-10b", "floor-x", "2", "10", "01", "1", "²", ""]
     assert sorted(names, key=natural) == [
         "",
@@ -107,7 +107,7 @@ for name in ("robot[0].csv", "robot0.csv"):
 """
 
 
-def test_a_name_with_brackets_is_declared_as_it_is(tmp_path: Path) -> None:
+def test_file_names_with_brackets_are_matched_literally(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.one]\nfile = "robot[0].csv"\n'
     project = _project(tmp_path / "p", config=config, script=LITERAL)
     summary = project.run("population_size=1", runs=1, figures=False)
@@ -123,7 +123,7 @@ METRIC = '[equivalence.heat]\ntable = "floor"\ncolumn = "heat"\nmargin = 1\n'
 
 
 @pytest.mark.integration
-def test_a_metrics_column_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_missing_column_of_an_equivalence_metric_is_reported(tmp_path: Path) -> None:
     project = _project(tmp_path / "p", config=DECLARED + METRIC.replace('"heat"', '"haet"'))
     summary = project.run("population_size=1", figures=False)
     [note] = [note for note in project.replay(summary.batch).notes if "equivalence" in note]
@@ -132,7 +132,7 @@ def test_a_metrics_column_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_several_rows_at_one_time_are_compared_by_no_metric(tmp_path: Path) -> None:
+def test_equivalence_metric_refuses_outputs_with_several_rows_per_time(tmp_path: Path) -> None:
     project = _project(tmp_path / "p", config=DECLARED + METRIC)
     summary = project.run("population_size=1", figures=False)
     [note] = [note for note in project.replay(summary.batch).notes if "equivalence" in note]

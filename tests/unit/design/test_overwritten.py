@@ -1,4 +1,4 @@
-"""What an axis or `--set` sets is what the runs get: whoever changes it later is named, and nobody else is refused."""
+"""Runs get the values that an axis or `--set` sets: a later change that overwrites one is refused by name, others pass."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ LISTED = 'run_changes = [{ set = "/arena/swarm/@count", value = "{k}" }]\n[per_r
 
 
 def project(folder: Path, more: str = "") -> Path:
-    """With what more there is to be before its variables."""
+    """Make a project with the settings `more` before its variables."""
     return projects.make(folder, CONFIG.replace("[variables]", f"{more}[variables]", 1), template=TEMPLATE)
 
 
 def refused(folder: Path, *words: str) -> str:
-    """The one line that says why a query is none."""
+    """Return the one line that says why a query is refused."""
     ran = projects.quick(folder, "run", *words, "-n")
     assert ran.returncode == 2, ran.stderr + ran.stdout
     assert len(ran.stderr.splitlines()) == 1
@@ -74,58 +74,58 @@ def planned(folder: Path, *words: str) -> bool:
 
 
 @pytest.mark.parametrize(("more", "sizes"), [(IN_EACH, "1,2"), (IN_EACH, "7,8"), (LISTED, "1,2"), (LISTED, "7")])
-def test_what_each_run_changes_is_no_axis(tmp_path: Path, more: str, sizes: str) -> None:
+def test_axis_that_run_changes_overwrite_is_refused(tmp_path: Path, more: str, sizes: str) -> None:
     told = refused(project(tmp_path / "p", more), f"size={sizes}")
     assert told.endswith("does not last: run_changes changes what it sets; only one of them can set it")
 
 
-def test_what_each_run_sets_to_the_same_is_true(tmp_path: Path) -> None:
+def test_axis_is_accepted_if_run_changes_set_the_same_value(tmp_path: Path) -> None:
     assert planned(project(tmp_path / "p", IN_EACH), "size=7")
 
 
-def test_where_the_seed_goes_is_no_axis(tmp_path: Path) -> None:
+def test_axis_that_the_seed_overwrites_is_refused(tmp_path: Path) -> None:
     assert "seeded=1 does not last: the seed changes what it sets" in refused(project(tmp_path / "p"), "seeded=1,2")
 
 
-def test_where_the_seed_goes_nothing_is_set_on_the_command_line(tmp_path: Path) -> None:
+def test_set_that_the_seed_overwrites_is_refused(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "size=1,2", "--set", "/arena/random/@seed=5")
     assert "--set /arena/random/@seed does not last: the seed changes what it sets" in told
 
 
-def test_what_a_scenario_takes_away_is_no_axis_before_it(tmp_path: Path) -> None:
+def test_axis_that_a_later_scenario_removes_is_refused(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "level=1,2", "scenario=open,quiet")
     assert "level=1 does not last: scenario=quiet changes what it sets" in told
 
 
-def test_a_set_that_selects_nothing_anymore_excuses_no_other(tmp_path: Path) -> None:
+def test_axis_of_two_changes_is_refused_if_one_of_them_is_overwritten(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "mixed=1,2", "scenario=levels")
     assert "mixed=1 does not last: scenario=levels changes what it sets" in told
 
 
-def test_one_set_of_the_command_line_may_not_undo_another(tmp_path: Path) -> None:
+def test_set_that_overwrites_another_set_is_refused(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "size=1", "--set", "//noise/@level=3", "--set", "/arena/noise/@level=4")
     assert told.endswith(
         "--set //noise/@level does not last: --set /arena/noise/@level changes what it sets; ask for one of them"
     )
 
 
-def test_the_command_line_has_no_other_order(tmp_path: Path) -> None:
+def test_set_that_overwrites_an_axis_is_refused(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "level=1,2", "--set", "/arena/noise/@level=3")
     assert told.endswith("changes what it sets; ask for one of them")
 
 
-def test_one_value_that_a_later_path_selects_by_is_refused(tmp_path: Path) -> None:
+def test_axis_is_refused_if_a_later_xpath_selects_one_of_its_values(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "level=1,2,3", "scenario=thrice")
     assert "level=3 does not last: scenario=thrice changes what it sets" in told
 
 
 @pytest.mark.parametrize("level", ["level", "any_level"])
-def test_one_value_that_a_later_test_of_it_is_true_for_is_refused(tmp_path: Path, level: str) -> None:
+def test_axis_is_refused_if_a_later_xpath_union_selects_one_of_its_values(tmp_path: Path, level: str) -> None:
     told = refused(project(tmp_path / "p"), f"{level}=1,2,3", "scenario=third")
     assert f"{level}=3 does not last: scenario=third changes what it sets" in told
 
 
-def test_equal_first_values_hide_nothing(tmp_path: Path) -> None:
+def test_overwriting_is_found_even_if_the_first_value_stays_equal(tmp_path: Path) -> None:
     assert "level=1 does not last" in refused(
         project(tmp_path / "p", 'changes = [{ set = "//swarm/@count", value = "1" }]\n'), "level=7,1", "scenario=levels"
     )
@@ -150,17 +150,17 @@ def test_equal_first_values_hide_nothing(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("more", ["", 'run_changes = [{ set = "/arena/@length", value = "{l}" }]\n[per_run]\nl = [3, 3]\n'])
-def test_what_lasts_is_not_refused(tmp_path: Path, words: tuple[str, ...], more: str) -> None:
+def test_queries_without_overwritten_values_are_accepted(tmp_path: Path, words: tuple[str, ...], more: str) -> None:
     assert planned(project(tmp_path / "p", more), *words)
 
 
-def test_what_an_axis_sets_and_adds_may_still_not_be_overwritten(tmp_path: Path) -> None:
+def test_axis_that_sets_and_adds_is_refused_if_overwritten(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p", IN_EACH), "more=1,2")
     assert "more=1 does not last: run_changes changes what it sets" in told
 
 
-def test_lasting_is_tried_once_for_all_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Many experiments of a large template cost no more for it than a few."""
+def test_overwriting_is_checked_once_for_all_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check costs the same for many experiments of a large template as for a few."""
     folder, read = project(tmp_path / "p"), []
     init = XmlTemplate.__init__
 

@@ -1,4 +1,4 @@
-"""Seeds are derived, stay the same when runs are added, and never come twice."""
+"""Seeds are derived, stay the same when runs are added, and are never repeated."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ NUMBERS = st.integers(0, LARGEST - 1)
 STREAMS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 
 
-def test_golden_seeds_pin_the_format() -> None:
-    """Whoever changes one of these changes every run's identity: make a new format instead."""
+def test_golden_seeds_are_unchanged() -> None:
+    """A change of one of these changes the identity of every run: add a new format instead."""
     assert [seed(0, number) for number in range(8)] == [
         118367921,
         1660350901,
@@ -35,34 +35,34 @@ def test_golden_seeds_pin_the_format() -> None:
 
 
 @given(BASES, NUMBERS, STREAMS)
-def test_a_seed_is_a_positive_int32(base: int, number: int, stream: str) -> None:
+def test_seeds_are_positive_int32_numbers(base: int, number: int, stream: str) -> None:
     assert 1 <= seed(base, number, stream) <= 2**31 - 1
 
 
 @given(BASES, NUMBERS, STREAMS)
-def test_every_seed_leads_back_to_the_one_number_it_came_from(base: int, number: int, stream: str) -> None:
+def test_every_seed_can_be_inverted_to_its_number(base: int, number: int, stream: str) -> None:
     assert number_of(seed(base, number, stream), seeds._key(base, stream)) == number
 
 
 @given(BASES, st.integers(1, LARGEST), STREAMS)
-def test_every_seed_belongs_to_a_number(base: int, wanted: int, stream: str) -> None:
+def test_every_possible_seed_belongs_to_a_number(base: int, wanted: int, stream: str) -> None:
     assert seed(base, number_of(wanted, seeds._key(base, stream)), stream) == wanted
 
 
 @given(BASES, STREAMS)
-def test_the_number_that_would_get_0_gets_the_seed_that_nobody_else_has(base: int, stream: str) -> None:
+def test_number_that_would_map_to_0_gets_the_one_unused_seed(base: int, stream: str) -> None:
     key = seeds._key(base, stream)
     unlucky = undone(0, key) - 1
     if unlucky >= 0:
         assert seed(base, unlucky, stream) == seeds._permuted(0, key) > 0
 
 
-def test_a_hundred_thousand_runs_have_as_many_seeds() -> None:
+def test_hundred_thousand_runs_have_distinct_seeds() -> None:
     assert len({seed(7, number) for number in range(100_000)}) == 100_000
 
 
 @given(BASES, NUMBERS, STREAMS)
-def test_bases_and_streams_give_other_seeds(base: int, first: int, stream: str) -> None:
+def test_other_base_seeds_and_streams_give_other_seeds(base: int, first: int, stream: str) -> None:
     numbers = range(min(first, LARGEST - 8), min(first, LARGEST - 8) + 8)
     original = [seed(base, number, stream) for number in numbers]
     assert [seed(base ^ 1, number, stream) for number in numbers] != original
@@ -70,14 +70,14 @@ def test_bases_and_streams_give_other_seeds(base: int, first: int, stream: str) 
 
 
 @pytest.mark.parametrize("base", [0, 1, 2**62])
-def test_each_bit_of_the_seed_is_set_half_of_the_time(base: int) -> None:
+def test_each_bit_of_seeds_is_set_in_about_half_of_them(base: int) -> None:
     made = [seed(base, number) for number in range(4096)]
     for bit in range(31):
         assert 0.45 < sum(value >> bit & 1 for value in made) / len(made) < 0.55
 
 
 @pytest.mark.parametrize("bit", range(31))
-def test_each_bit_of_the_number_changes_each_bit_of_the_seed_half_of_the_time(bit: int) -> None:
+def test_each_bit_of_the_number_flips_each_bit_of_the_seed_in_about_half_of_cases(bit: int) -> None:
     changed = [seed(3, number) ^ seed(3, number ^ 1 << bit) for number in range(1000, 3000)]
     for out in range(31):
         assert 0.43 < sum(value >> out & 1 for value in changed) / len(changed) < 0.57
@@ -87,7 +87,7 @@ def test_each_bit_of_the_number_changes_each_bit_of_the_seed_half_of_the_time(bi
     ("base", "number", "stream"),
     [(-1, 0, ""), (2**63, 0, ""), (0, -1, ""), (0, LARGEST, ""), (0, 2**40, ""), (0, 0, "\ud800")],
 )
-def test_what_has_no_seed_is_refused_in_one_line(base: int, number: int, stream: str) -> None:
+def test_invalid_bases_numbers_and_streams_are_refused_in_one_line(base: int, number: int, stream: str) -> None:
     with pytest.raises(QueryError) as caught:
         seed(base, number, stream)
     assert len(str(caught.value).splitlines()) == 1

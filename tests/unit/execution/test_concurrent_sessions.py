@@ -1,4 +1,4 @@
-"""Any number of askings at once: none waits for a lock, none fails, and no run is executed twice."""
+"""Any number of concurrent sessions: none waits for a lock, none fails, and no run is executed twice."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Simulate = Callable[..., Any]
 
 
 def at_once(project: Any, askings: list[tuple[str, ...]]) -> list[Any]:
-    """Start all of them together; how each ended."""
+    """Start all sessions together; return how each one ended."""
     processes = [project.start("run", *words, "-j", "2", "--no-figures") for words in askings]
     ends = [project.end_of(process, 200) for process in processes]
     assert [line for end in ends for line in end.stderr.splitlines() if line.startswith("sierra:")] == []
@@ -45,7 +45,7 @@ def assert_each_once(project: Any, runs: int) -> None:
 
 
 @pytest.mark.integration
-def test_eight_that_ask_the_same_share_the_work_even_where_no_store_is_yet(simulate: Simulate) -> None:
+def test_eight_sessions_of_one_query_share_the_runs_even_without_a_store(simulate: Simulate) -> None:
     project = simulate()
     ends = at_once(project, [("size.Log8", "--runs", "10")] * 8)
     assert [end.returncode for end in ends] == [0] * 8
@@ -56,7 +56,7 @@ def test_eight_that_ask_the_same_share_the_work_even_where_no_store_is_yet(simul
 
 
 @pytest.mark.integration
-def test_eight_whose_questions_overlap_share_what_is_common(simulate: Simulate) -> None:
+def test_eight_sessions_of_overlapping_queries_share_their_common_runs(simulate: Simulate) -> None:
     project = simulate()
     some = [
         ("size.Log8", "--runs", "5"),
@@ -72,7 +72,7 @@ def test_eight_whose_questions_overlap_share_what_is_common(simulate: Simulate) 
 
 
 @pytest.mark.nightly
-def test_eight_different_ones_do_not_disturb_each_other_and_readers_never_fail(simulate: Simulate) -> None:
+def test_eight_different_sessions_do_not_interfere_and_readers_never_fail(simulate: Simulate) -> None:
     project = simulate()
     assert project.ask("run", "size=99", "--runs", "1", "--no-figures").returncode == 0
     done = threading.Event()
@@ -100,7 +100,7 @@ def test_eight_different_ones_do_not_disturb_each_other_and_readers_never_fail(s
 
 
 @pytest.mark.integration
-def test_who_asks_meanwhile_always_sees_whole_records(simulate: Simulate) -> None:
+def test_readers_see_only_complete_records_during_execution(simulate: Simulate) -> None:
     project = simulate(held(21))
     project.ask("run", "size=99", "--runs", "1", "--no-figures")
     processes = [project.start("run", f"size={n}", "--runs", "20", "-j", "2", "--no-figures") for n in (1, 2)]
@@ -116,7 +116,7 @@ def test_who_asks_meanwhile_always_sees_whole_records(simulate: Simulate) -> Non
     assert [project.end_of(process).returncode for process in processes] == [0, 0]
 
 
-def test_what_another_session_has_just_tried_without_success_is_not_tried_again(simulate: Simulate) -> None:
+def test_runs_that_fail_in_a_concurrent_session_are_not_executed_again(simulate: Simulate) -> None:
     project = simulate('until [ -e "${0%/*}/../gate" ]; do sleep 0.02; done; echo broken >&2; exit 4')
     asked = ("run", "size=1,2", "--runs", "3", "-j", "2", "--no-figures")
     one = project.start(*asked)
@@ -131,7 +131,7 @@ def test_what_another_session_has_just_tried_without_success_is_not_tried_again(
 
 
 @pytest.mark.integration
-def test_what_another_asking_executes_meanwhile_is_told_from_what_was_there(simulate: Simulate) -> None:
+def test_summary_counts_runs_of_concurrent_sessions_apart_from_earlier_ones(simulate: Simulate) -> None:
     project = simulate(held(1))
     assert project.ask("run", "size=1", "--runs", "1", "--no-figures").returncode == 0
     one = project.start("run", "size=1,2", "--runs", "1", "-j", "2", "--no-figures")
@@ -148,7 +148,7 @@ def test_what_another_asking_executes_meanwhile_is_told_from_what_was_there(simu
 # ---------------------------------------------------------------- claims
 
 
-def test_a_claim_holds_until_its_session_is_finished(tmp_path: Any) -> None:
+def test_claims_hold_until_their_session_is_finished(tmp_path: Any) -> None:
     store = StorePaths(tmp_path)
     one, two = sessions.Session(store), sessions.Session(store)
     assert one.claim({"a", "b"}) == {"a", "b"}
@@ -167,7 +167,7 @@ def test_a_claim_holds_until_its_session_is_finished(tmp_path: Any) -> None:
 
 
 @pytest.mark.integration
-def test_sessions_that_come_and_go_are_never_taken_for_dead(tmp_path: Any) -> None:
+def test_live_short_sessions_are_never_considered_dead(tmp_path: Any) -> None:
     store = StorePaths(tmp_path)
     wrong: list[Any] = []
     over = threading.Event()
@@ -192,7 +192,7 @@ def test_sessions_that_come_and_go_are_never_taken_for_dead(tmp_path: Any) -> No
     assert sorted(path.name for path in store.work.iterdir()) == ["lock", "mark"]
 
 
-def test_where_a_file_system_has_no_locks_claims_are_not_heeded(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_claims_are_ignored_on_file_systems_without_locks(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def flock(descriptor: int, how: int) -> None:
         raise OSError(errno.ENOSYS, "Function not implemented")
 
@@ -204,7 +204,7 @@ def test_where_a_file_system_has_no_locks_claims_are_not_heeded(tmp_path: Any, m
         assert found == []
 
 
-def test_where_a_file_system_has_no_locks_an_owner_that_could_not_sign_has_died(
+def test_session_with_an_old_empty_owner_file_is_dead_on_file_systems_without_locks(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def flock(descriptor: int, how: int) -> None:
@@ -234,7 +234,7 @@ main()
 
 
 @pytest.mark.integration
-def test_where_a_file_system_has_no_locks_what_died_is_finished_all_the_same(simulate: Simulate, tmp_path: Path) -> None:
+def test_killed_session_is_recovered_on_file_systems_without_locks(simulate: Simulate, tmp_path: Path) -> None:
     project = simulate(held(8))
     program = tmp_path / "without_locks.py"
     program.write_text(WITHOUT_LOCKS)
@@ -254,7 +254,7 @@ def test_where_a_file_system_has_no_locks_what_died_is_finished_all_the_same(sim
     ]
 
 
-def test_a_store_that_cannot_be_written_is_said(tmp_path: Any) -> None:
+def test_unwritable_store_is_reported(tmp_path: Any) -> None:
     (tmp_path / "work").write_text("a file")
     with pytest.raises(Missing, match="cannot write to"):
         sessions.Session(StorePaths(tmp_path))

@@ -1,4 +1,4 @@
-"""How long runs are expected to take, from what was timed."""
+"""Expected durations of runs, estimated from recorded durations."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ def timed(axis: str, seconds: Mapping[Value, float]) -> list[Timed]:
         ({2: 3.0}, 8, 12.0),  # in proportion
         ({2: 3.0}, 1, 3.0),
         ({1: 1.0, 2: 4.0, 4: 16.0}, 8, 64.0),  # a power
-        ({1: 1.0, 2: 1.0}, 8, 4.0),  # two values are too few to believe that it stays so
+        ({1: 1.0, 2: 1.0}, 8, 4.0),  # two values are too few to assume a constant
         ({1: 1.0, 2: 1.0, 4: 1.0}, 64, 1.0),
         ({1: 1.0, 2: 1e9}, 4, 16e9),  # no power above 4
-        ({4: 1.0, 2: 2.0}, 1, 4.0),  # what grows the other way
+        ({4: 1.0, 2: 2.0}, 1, 4.0),  # decreasing
         ({0: 1.0, 1: 3.0}, 3, 7.0),  # a straight line
         ({-1: 1.0, 1: 1.0}, 5, 1.0),
         ({"low": 1.0, "high": 5.0}, "low", 1.0),
         ({"low": 1.0, "high": 5.0}, "other", 5.0),
     ],
 )
-def test_what_was_never_timed_is_estimated(seconds: Mapping[Value, float], value: Value, expected: float) -> None:
+def test_durations_of_untimed_values_are_estimated(seconds: Mapping[Value, float], value: Value, expected: float) -> None:
     assert estimate({"axis": value}, timed("axis", seconds)) == pytest.approx(expected)
 
 
-def test_variables_are_estimated_together() -> None:
+def test_estimates_combine_several_variables() -> None:
     known = [Timed({"size": size, "speed": speed}, float(size * speed)) for size in (1, 2, 4) for speed in (1, 2, 4)]
     assert estimate({"size": 8, "speed": 8}, known) == pytest.approx(64)
     assert estimate({"size": 3, "speed": 1}, known) == 4
     assert estimate({"size": 8, "speed": 1}, known) == pytest.approx(8)
 
 
-def test_a_variable_that_was_not_varied_then_counts_as_it_is() -> None:
+def test_variables_that_were_not_varied_before_do_not_affect_the_estimate() -> None:
     assert estimate({"size": 1, "speed": 5}, [Timed({"size": 1, "speed": None}, 3.0)]) == 3
 
 
@@ -58,14 +58,14 @@ def test_a_variable_that_was_not_varied_then_counts_as_it_is() -> None:
     st.dictionaries(st.integers(-5, 50), st.floats(1e-3, 1e5), min_size=1, max_size=6),
     st.floats(-100, 1000, allow_nan=False),
 )
-def test_no_estimate_is_less_than_the_quickest_run(seconds: dict[int, float], value: float) -> None:
+def test_estimates_are_finite_and_at_least_the_quickest_run(seconds: dict[int, float], value: float) -> None:
     found = estimate({"axis": value}, timed("axis", dict(seconds)))
     assert min(seconds.values()) * 0.999 <= found < float("inf")
     if value > max(seconds):
         assert found >= seconds[max(seconds)] * 0.999
 
 
-def test_runs_are_expected_to_take_what_those_with_the_same_values_took(simulate: Callable[..., Simulated]) -> None:
+def test_runs_are_expected_to_take_as_long_as_runs_with_the_same_values(simulate: Callable[..., Simulated]) -> None:
     made = simulate(SLEEPS.format("size"))
     project = sierra.open(made.folder)
     project.run("size=1,9", runs=2, figures=False)
@@ -84,7 +84,7 @@ def test_runs_are_expected_to_take_what_those_with_the_same_values_took(simulate
 
 
 @pytest.mark.integration
-def test_other_settings_count_only_where_there_are_no_runs_with_these(simulate: Callable[..., Simulated]) -> None:
+def test_durations_with_other_settings_count_only_if_there_are_none_with_these(simulate: Callable[..., Simulated]) -> None:
     made = simulate(SLEEPS.format("speed"))
     project = sierra.open(made.folder)
     project.run("size=1", runs=1, sets=[("/swarm/@speed", "9")], figures=False)

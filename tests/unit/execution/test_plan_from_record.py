@@ -1,4 +1,4 @@
-"""A recorded batch is executed by its id: what is missing of it, with the code, the inputs and the rules of then."""
+"""`sierra run BATCH` executes missing and failed runs of a batch with the recorded code, inputs and ingest rules."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if count == 2 and not os.path.exists(sys.argv[2]):
 
 @pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.nightly)])
 def half(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
-    """A project with a batch of which two of four runs have failed; they succeed once `mended` is there."""
+    """A project with a batch of which two of four runs have failed; they succeed once `mended` exists."""
     config = projects.CONFIG.replace("{input}", f"{{input}} {tmp_path}/mended")
     root = projects.make(tmp_path / "project", config, simulator=FAILING)
     if request.param == "git":
         projects.commit(root)
     batch: str = sierra.open(root).run("population_size=1,2", figures=False).batch
-    (tmp_path / "mended").mkdir()  # a file would count as one that runs are made from
+    (tmp_path / "mended").mkdir()  # a file would count as an input of the runs
     return root, batch
 
 
@@ -39,7 +39,7 @@ def state(root: Path, batch: str) -> tuple[int, int]:
 
 
 @pytest.mark.integration
-def test_what_is_missing_is_executed_with_the_code_and_the_inputs_of_then(half: tuple[Path, str]) -> None:
+def test_failed_runs_of_a_batch_are_executed_with_the_recorded_code_and_inputs(half: tuple[Path, str]) -> None:
     root, batch = half
     assert state(root, batch) == (2, 0)
     for name in ("sim.py", "arena.xml"):
@@ -56,7 +56,7 @@ def test_what_is_missing_is_executed_with_the_code_and_the_inputs_of_then(half: 
 
 
 @pytest.mark.integration
-def test_where_nothing_is_missing_nothing_is_executed_and_it_can_be_said_before(half: tuple[Path, str]) -> None:
+def test_dry_run_counts_the_runs_to_execute_and_a_complete_batch_executes_none(half: tuple[Path, str]) -> None:
     root, batch = half
     told = json.loads(projects.quick(root, "run", batch[:8], "-n", "--json").stdout)
     assert (told["batch"], told["to_execute"]) == (batch, 2)
@@ -65,7 +65,7 @@ def test_where_nothing_is_missing_nothing_is_executed_and_it_can_be_said_before(
 
 
 @pytest.mark.integration
-def test_what_is_executed_so_is_judged_by_the_rules_of_then(half: tuple[Path, str]) -> None:
+def test_runs_of_a_recorded_batch_are_evaluated_by_the_recorded_rules(half: tuple[Path, str]) -> None:
     root, batch = half
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + '[outputs.never]\nfile = "never.csv"\n')
     summary = sierra.open(root).run(batch, figures=False)
@@ -73,7 +73,7 @@ def test_what_is_executed_so_is_judged_by_the_rules_of_then(half: tuple[Path, st
 
 
 @pytest.mark.integration
-def test_only_a_batch_is_executed_so_and_nothing_may_be_changed(half: tuple[Path, str]) -> None:
+def test_runs_unknown_ids_and_changed_options_are_refused_for_a_recorded_batch(half: tuple[Path, str]) -> None:
     root, batch = half
     [row] = sierra.open(root).sql("SELECT run FROM runs LIMIT 1").to_pylist()
     for words, said in (
@@ -86,7 +86,7 @@ def test_only_a_batch_is_executed_so_and_nothing_may_be_changed(half: tuple[Path
 
 
 @pytest.mark.integration
-def test_a_query_of_that_name_is_meant_first(tmp_path: Path) -> None:
+def test_named_query_takes_precedence_over_a_batch_id(tmp_path: Path) -> None:
     config = projects.CONFIG + '[queries]\ncafe = { criteria = "population_size=1" }\n'
     root = projects.make(tmp_path / "project", config)
     project = sierra.open(root)
@@ -95,7 +95,7 @@ def test_a_query_of_that_name_is_meant_first(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_what_is_not_committed_neither_counts_nor_executes_where_it_is_to_be_ignored(tmp_path: Path) -> None:
+def test_uncommitted_changes_are_neither_counted_nor_executed_if_ignored(tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project", projects.CONFIG + '[source]\ndirty = "ignore"\n'))
     committed = sierra.open(root).run("population_size=1", figures=False).batch
     other = projects.SIMULATOR.replace("count * tick", "count * tick + 1000")
@@ -113,7 +113,7 @@ def test_what_is_not_committed_neither_counts_nor_executes_where_it_is_to_be_ign
 
 @pytest.mark.integration
 @pytest.mark.parametrize("link", ["path", "editable"])
-def test_what_is_installed_from_the_project_does_not_execute_in_the_place_of_the_recorded(tmp_path: Path, link: str) -> None:
+def test_code_installed_from_the_project_is_refused_if_it_differs_from_the_record(tmp_path: Path, link: str) -> None:
     venv.create(tmp_path / "env", symlinks=True)
     [installed] = (tmp_path / "env").glob("lib/python3*/site-packages")
     simulator = "from swarm.model import f\n" + projects.SIMULATOR.replace("count * tick", "f(count * tick)")

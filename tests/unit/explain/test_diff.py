@@ -1,4 +1,4 @@
-"""What differs between two recorded things is told: all of it, what is likely to matter first, and what is the same."""
+"""`sierra diff` reports every difference of two recorded items, most relevant first, and what is the same."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def made(folder: Path, simulator: str = projects.SIMULATOR, more: str = "") -> P
 
 @pytest.fixture
 def make(tmp_path: Path) -> Make:
-    """Makes a project outside git."""
+    """Return a function that makes a project outside git."""
     return partial(made, tmp_path / "project")
 
 
 @pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.nightly)])
 def make_either(request: pytest.FixtureRequest, tmp_path: Path) -> Make:
-    """Makes a project, in git and outside."""
+    """Return a function that makes a project, in git and outside git."""
 
     def make(*parts: str) -> Path:
         root = made(tmp_path / "project", *parts)
@@ -85,7 +85,7 @@ def executions(root: Path, purpose: str = "run") -> list[dict[str, Any]]:
 
 
 @pytest.mark.integration
-def test_a_changed_line_of_code_is_told_with_its_patch_and_with_what_came_of_it(make_either: Make) -> None:
+def test_changed_code_is_reported_with_its_patch_and_the_changed_results(make_either: Make) -> None:
     root = make_either()
     before = ask(root)
     (root / "sim.py").write_text(OTHER)
@@ -104,7 +104,7 @@ def test_a_changed_line_of_code_is_told_with_its_patch_and_with_what_came_of_it(
 
 
 @pytest.mark.integration
-def test_code_that_changes_no_result_is_said_to_change_none(make_either: Make) -> None:
+def test_changed_code_with_equal_results_reports_results_as_the_same(make_either: Make) -> None:
     root = make_either()
     before = ask(root)
     (root / "sim.py").write_text(projects.SIMULATOR + "# more\n")
@@ -115,7 +115,7 @@ def test_code_that_changes_no_result_is_said_to_change_none(make_either: Make) -
 
 
 @pytest.mark.integration
-def test_files_that_come_and_go_and_binary_ones_are_named(make_either: Make) -> None:
+def test_added_removed_renamed_and_binary_files_are_listed(make_either: Make) -> None:
     root = make_either()
     (root / "old.txt").write_text("a\nb\n")
     (root / "kept.txt").write_text("the same\n")
@@ -130,7 +130,7 @@ def test_files_that_come_and_go_and_binary_ones_are_named(make_either: Make) -> 
 
 
 @pytest.mark.integration
-def test_commits_between_are_told_and_what_is_not_committed(tmp_path: Path) -> None:
+def test_commits_in_between_and_uncommitted_changes_are_reported(tmp_path: Path) -> None:
     root = projects.make(tmp_path)
     first(root)
     before = ask(root)
@@ -148,7 +148,7 @@ def test_commits_between_are_told_and_what_is_not_committed(tmp_path: Path) -> N
 
 
 @pytest.mark.integration
-def test_the_same_files_of_another_commit_come_late(tmp_path: Path) -> None:
+def test_other_commit_with_the_same_files_is_reported_after_relevant_differences(tmp_path: Path) -> None:
     root = projects.make(tmp_path)
     first(root)
     before = ask(root)
@@ -159,7 +159,7 @@ def test_the_same_files_of_another_commit_come_late(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_where_git_has_lost_the_code_the_rest_is_told(tmp_path: Path) -> None:
+def test_difference_is_reported_without_patch_if_git_lost_the_code(tmp_path: Path) -> None:
     root = projects.make(tmp_path)
     first(root)
     before = ask(root)
@@ -175,7 +175,7 @@ def test_where_git_has_lost_the_code_the_rest_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_what_was_asked_stands_before_the_input_that_it_makes(make: Make) -> None:
+def test_query_difference_is_reported_before_the_input_difference(make: Make) -> None:
     root = make()
     before = ask(root)
     said = diff(root, before, ask(root, sets=[("//noise", "0.2")]))
@@ -185,7 +185,7 @@ def test_what_was_asked_stands_before_the_input_that_it_makes(make: Make) -> Non
 
 
 @pytest.mark.integration
-def test_other_values_and_more_runs_are_told_and_what_both_have_is_compared(make: Make) -> None:
+def test_changed_values_and_run_counts_are_reported_and_common_runs_are_compared(make: Make) -> None:
     root = make()
     before = ask(root, "population_size=1,2")
     said = diff(root, before, ask(root, "population_size=2,4", runs=3))
@@ -195,7 +195,7 @@ def test_other_values_and_more_runs_are_told_and_what_both_have_is_compared(make
 
 
 @pytest.mark.integration
-def test_where_no_experiment_is_in_both_nothing_is_said_to_be_the_same(make: Make) -> None:
+def test_batches_without_common_experiments_do_not_report_equal_results(make: Make) -> None:
     root = make()
     said = diff(root, ask(root, "population_size=1,2"), ask(root, "population_size=3,4"))
     assert not {"inputs", "seed", "results"} & set(said["same"])
@@ -203,14 +203,14 @@ def test_where_no_experiment_is_in_both_nothing_is_said_to_be_the_same(make: Mak
 
 
 @pytest.mark.integration
-def test_an_axis_of_one_value_does_not_keep_experiments_apart(make: Make) -> None:
+def test_axis_with_a_single_value_does_not_prevent_comparison_of_experiments(make: Make) -> None:
     root = make()
     said = diff(root, ask(root, "population_size=1,2"), ask(root, "population_size=1,2", "noise=0.3"))
     assert lines(said, "inputs") == ["input: //noise: 0.1 → 0.3 (in all 4 runs)"]
 
 
 @pytest.mark.integration
-def test_two_experiments_and_two_runs(make: Make) -> None:
+def test_two_experiments_and_two_runs_can_be_compared(make: Make) -> None:
     root = make()
     batch = ask(root)
     one, other = sierra.open(root).sql("SELECT experiment FROM experiments ORDER BY ordinal").column(0).to_pylist()
@@ -226,7 +226,7 @@ def test_two_experiments_and_two_runs(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_other_base_seeds_are_told(make: Make) -> None:
+def test_changed_base_seed_is_reported(make: Make) -> None:
     root = make()
     before = ask(root)
     based = 'seed = { set = "//random/@seed", base = 7 }'
@@ -236,7 +236,7 @@ def test_other_base_seeds_are_told(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_a_template_that_is_only_written_differently_is_said_to_be(make: Make) -> None:
+def test_template_change_without_effect_is_reported_as_formatting_only(make: Make) -> None:
     root = make()
     before = ask(root)
     (root / "arena.xml").write_text(projects.TEMPLATE.replace("an arena", "the arena"))
@@ -246,7 +246,7 @@ def test_a_template_that_is_only_written_differently_is_said_to_be(make: Make) -
 
 
 @pytest.mark.integration
-def test_two_executions_with_other_programs(tmp_path: Path) -> None:
+def test_changed_program_between_two_executions_is_reported(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", str(program)))
     for value in (1, 2):
@@ -264,7 +264,7 @@ def test_two_executions_with_other_programs(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_failure_is_told(make: Make) -> None:
+def test_changed_status_of_a_run_is_reported(make: Make) -> None:
     root = make("import sys, pathlib\nsys.exit(pathlib.Path(sys.argv[1]).read_text().count('count=\"2\"'))\n")
     batch = ask(root)
     runs = sierra.open(root).sql("SELECT run FROM batch_runs WHERE number = 0 ORDER BY ordinal").column(0).to_pylist()
@@ -273,7 +273,7 @@ def test_a_failure_is_told(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_other_rules_are_told_by_their_keys(make: Make) -> None:
+def test_changed_ingest_rules_are_reported_by_key(make: Make) -> None:
     root = make()
     before = ask(root, "population_size=1")
     (root / "sierra.toml").write_text(projects.CONFIG + '[success]\nmarker = "stdout"\ncontains = "fine"\n')
@@ -283,7 +283,7 @@ def test_other_rules_are_told_by_their_keys(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_a_replay_is_the_same_as_its_record_but_for_what_is_volatile(make_either: Make) -> None:
+def test_replay_equals_its_record_except_for_volatile_content(make_either: Make) -> None:
     root = make_either(STAMPED, '[outputs.log]\nfile = "log.txt"\nvolatile = ["^# written"]\n')
     ask(root, "population_size=1", runs=1)
     sierra.open(root).replay(executions(root)[0]["run"])
@@ -293,7 +293,7 @@ def test_a_replay_is_the_same_as_its_record_but_for_what_is_volatile(make_either
 
 
 @pytest.mark.integration
-def test_another_host_comes_after_all_that_is_likely_to_matter(tmp_path: Path, require: Callable[..., str]) -> None:
+def test_changed_host_is_the_last_environment_difference(tmp_path: Path, require: Callable[..., str]) -> None:
     unshare = require("unshare")
     alone = subprocess.run([unshare, "-r", "--uts", "hostname", "elsewhere"], capture_output=True, check=False)
     require("a host name of one's own (unshare -r --uts)", there=alone.returncode == 0)
@@ -309,7 +309,7 @@ def test_another_host_comes_after_all_that_is_likely_to_matter(tmp_path: Path, r
     assert lines(said, "environment")[-1].endswith(" → elsewhere")
 
 
-def test_nothing_differs_is_said_with_what_was_compared(make: Make) -> None:
+def test_equal_batches_are_reported_with_the_list_of_compared_kinds(make: Make) -> None:
     root = make()
     batch = ask(root)
     ended = projects.quick(root, "diff", batch, batch[:10])
@@ -317,7 +317,7 @@ def test_nothing_differs_is_said_with_what_was_compared(make: Make) -> None:
     assert "no difference in query, platform, command, image, programs, source" in ended.stdout
 
 
-def test_what_cannot_be_compared_is_a_usage_error(make: Make) -> None:
+def test_items_that_cannot_be_compared_are_a_usage_error(make: Make) -> None:
     root = make()
     batch = ask(root)
     for words in ((batch, executions(root)[0]["run"]), (batch, "ffff"), ("x", batch)):
@@ -326,7 +326,7 @@ def test_what_cannot_be_compared_is_a_usage_error(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_people_get_the_beginning_of_a_long_patch_and_all_of_it_when_they_ask(make: Make) -> None:
+def test_long_patch_is_shortened_unless_patch_is_given(make: Make) -> None:
     root = make()
     before = ask(root)
     (root / "sim.py").write_text(projects.SIMULATOR + "".join(f"# line {n}\n" for n in range(50)))
@@ -338,7 +338,7 @@ def test_people_get_the_beginning_of_a_long_patch_and_all_of_it_when_they_ask(ma
 
 
 @pytest.mark.integration
-def test_inputs_that_the_store_has_lost_are_noted_and_the_rest_is_told(make: Make) -> None:
+def test_inputs_missing_from_the_store_are_noted_and_the_rest_is_compared(make: Make) -> None:
     root = make()
     before = ask(root)
     after = ask(root, sets=[("//noise", "0.2")])
@@ -351,7 +351,7 @@ def test_inputs_that_the_store_has_lost_are_noted_and_the_rest_is_told(make: Mak
 
 
 @pytest.mark.integration
-def test_what_was_never_executed_is_not_said_to_be_executed_with_the_same(make: Make) -> None:
+def test_runs_without_executions_report_neither_equal_results_nor_programs(make: Make) -> None:
     root = make("import sys, time; time.sleep(0.4); sys.exit(1)\n")
     sierra.open(root).run("population_size=1", runs=20, jobs=1, fail_fast=True, figures=False)
     missing = "SELECT run FROM batch_runs WHERE run NOT IN (SELECT run FROM executions) ORDER BY number"
@@ -363,7 +363,7 @@ def test_what_was_never_executed_is_not_said_to_be_executed_with_the_same(make: 
 
 
 @pytest.mark.integration
-def test_results_that_are_no_tables_are_told_to_differ(make: Make) -> None:
+def test_changed_results_that_are_not_tables_are_reported(make: Make) -> None:
     root = make("open('picture.bin', 'wb').write(b'\\0one')\n")
     before = ask(root)
     (root / "sim.py").write_text("open('picture.bin', 'wb').write(b'\\0two')\n")
@@ -371,7 +371,7 @@ def test_results_that_are_no_tables_are_told_to_differ(make: Make) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_interval_of_a_difference_is_welchs(seed: int) -> None:
+def test_interval_of_a_difference_of_means_contains_the_welch_interval(seed: int) -> None:
     import numpy as np
     from scipy import stats
 
@@ -385,8 +385,8 @@ def test_the_interval_of_a_difference_is_welchs(seed: int) -> None:
     assert found == pytest.approx((exact.low, exact.high), rel=0.1, abs=0.1)
 
 
-def test_the_interval_of_a_difference_of_rates_is_newcombes() -> None:
-    """The first example of his paper: 56 of 70 and 48 of 80."""
+def test_interval_of_a_difference_of_rates_is_the_newcombe_interval() -> None:
+    """The first example of Newcombe's paper: 56 of 70 and 48 of 80."""
     from scipy import stats
 
     def rate(good: int, n: int) -> Mean:
@@ -398,14 +398,14 @@ def test_the_interval_of_a_difference_of_rates_is_newcombes() -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-170, 1e170, 1e300])
-def test_the_interval_of_a_difference_is_the_same_at_any_magnitude(scale: float) -> None:
+def test_interval_of_a_difference_scales_with_the_magnitude_of_values(scale: float) -> None:
     one, other = (welch(Mean(5, 1.0 * by, 0.5 * by), Mean(7, 2.0 * by, 0.25 * by)) for by in (1.0, scale))
     assert one is not None
     assert other == pytest.approx((one[0] * scale, one[1] * scale), rel=1e-12)
 
 
 @pytest.mark.integration
-def test_runs_that_left_nothing_but_logs_are_not_said_to_have_the_same_results(make: Make) -> None:
+def test_runs_with_only_logs_do_not_report_equal_results(make: Make) -> None:
     root = make("print(__import__('time').time_ns())\n")
     ask(root, "population_size=1", runs=2)
     one, other = executions(root)

@@ -1,4 +1,4 @@
-"""Why runs were executed or not is told from the record; and what asking again would do, from the project as it is."""
+"""`sierra why` explains executions from the record, and predicts from the current project what a repeated query executes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def a_run(root: Path) -> str:
 
 @pytest.fixture
 def outside(tmp_path: Path) -> tuple[Path, Install]:
-    """A project whose simulator lies outside, and what installs it."""
+    """A project whose simulator is outside of it, and a function that installs the simulator."""
     program = tmp_path / "sim"
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", str(program)))
 
@@ -55,7 +55,7 @@ def outside(tmp_path: Path) -> tuple[Path, Install]:
     return root, install
 
 
-def test_what_is_asked_first_is_new_and_counts(root: Path) -> None:
+def test_first_batch_is_new_and_its_executions_are_effective(root: Path) -> None:
     batch = ask(root)
     said = why(root, batch)
     [event] = said["history"]
@@ -67,7 +67,7 @@ def test_what_is_asked_first_is_new_and_counts(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_the_file_that_made_runs_new_is_named(root: Path) -> None:
+def test_changed_file_is_the_reason_for_new_runs(root: Path) -> None:
     before = ask(root)
     (root / "sim.py").write_text(projects.SIMULATOR + "# more\n")
     after = ask(root)
@@ -84,7 +84,7 @@ def test_the_file_that_made_runs_new_is_named(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_grown_batch_says_where_its_runs_come_from(root: Path) -> None:
+def test_grown_batch_shows_which_sessions_executed_its_runs(root: Path) -> None:
     small = ask(root)
     large = ask(root, runs=3)
     said = why(root, large)
@@ -94,7 +94,7 @@ def test_a_grown_batch_says_where_its_runs_come_from(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_failure_is_why_it_was_executed_again(root: Path, tmp_path: Path) -> None:
+def test_earlier_failure_is_the_reason_for_another_execution(root: Path, tmp_path: Path) -> None:
     flag = tmp_path / "fail"
     flag.touch()
     (root / "sim.py").write_text(
@@ -114,7 +114,7 @@ def test_a_failure_is_why_it_was_executed_again(root: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.integration
-def test_another_program_is_why_and_what_it_made_stale(outside: tuple[Path, Install]) -> None:
+def test_changed_program_is_the_reason_for_another_execution(outside: tuple[Path, Install]) -> None:
     root, install = outside
     small = ask(root, "population_size=1", runs=1)
     install(2)
@@ -131,7 +131,7 @@ def test_another_program_is_why_and_what_it_made_stale(outside: tuple[Path, Inst
 
 
 @pytest.mark.integration
-def test_a_good_execution_with_other_programs_than_were_last_asked_for_is_stale(outside: tuple[Path, Install]) -> None:
+def test_successful_execution_with_older_programs_is_stale(outside: tuple[Path, Install]) -> None:
     root, install = outside
     batch = ask(root, "population_size=1", runs=1)
     install(2)
@@ -143,7 +143,7 @@ def test_a_good_execution_with_other_programs_than_were_last_asked_for_is_stale(
 
 
 @pytest.mark.integration
-def test_other_rules_are_why(root: Path) -> None:
+def test_changed_ingest_rules_are_reported_as_a_reevaluation(root: Path) -> None:
     batch = ask(root, "population_size=1")
     (root / "sierra.toml").write_text(projects.CONFIG + '[success]\nmarker = "swarm.csv"\ncontains = "coverage"\n')
     assert ask(root, "population_size=1") == batch
@@ -154,7 +154,7 @@ def test_other_rules_are_why(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_other_rules_are_why_where_the_bytes_are_not_kept(root: Path) -> None:
+def test_changed_ingest_rules_are_the_reason_for_another_execution_without_raw_files(root: Path) -> None:
     (root / "sierra.toml").write_text(projects.CONFIG + "[store]\nraw = false\n")
     batch = ask(root, "population_size=1")
     (root / "sierra.toml").write_text(projects.CONFIG + '[success]\nmarker = "swarm.csv"\ncontains = "coverage"\n')
@@ -163,7 +163,7 @@ def test_other_rules_are_why_where_the_bytes_are_not_kept(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_finding_is_why(root: Path) -> None:
+def test_later_finding_is_the_reason_for_another_execution(root: Path) -> None:
     few = [seeds.seed(0, number, "") for number in range(2)]
     text = f"'1e5' if seed in {few} else '3ab'"
     (root / "sim.py").write_text(projects.SIMULATOR.replace("count * tick + noise * (seed % 100)", text))
@@ -174,7 +174,7 @@ def test_a_finding_is_why(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_replay_is_told_and_does_not_count(root: Path) -> None:
+def test_replay_is_in_the_history_but_is_not_the_effective_execution(root: Path) -> None:
     batch = ask(root)
     sierra.open(root).replay(batch)
     said = why(root, batch)
@@ -185,14 +185,14 @@ def test_a_replay_is_told_and_does_not_count(root: Path) -> None:
     assert rows == [{"purpose": "run"}]
 
 
-def test_an_experiment_is_told_of_its_own_runs(root: Path) -> None:
+def test_experiment_is_explained_by_its_own_runs_only(root: Path) -> None:
     ask(root)
     [experiment, *_] = sierra.open(root).sql("SELECT experiment FROM experiments").column(0).to_pylist()
     said = why(root, experiment)
     assert (said["runs"], said["history"][0]["executed"], said["next_run"]) == (2, 2, ["2 runs: reused"])
 
 
-def test_a_project_that_cannot_be_asked_any_more_says_why(root: Path) -> None:
+def test_query_that_cannot_be_repeated_is_reported_with_the_reason(root: Path) -> None:
     batch = ask(root)
     (root / "arena.xml").unlink()
     [line] = why(root, batch)["next_run"]
@@ -201,12 +201,12 @@ def test_a_project_that_cannot_be_asked_any_more_says_why(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_what_was_set_is_asked_for_again_as_it_was(root: Path) -> None:
+def test_prediction_repeats_the_set_options_of_the_batch(root: Path) -> None:
     batch = ask(root, sets=[("//random[@seed]/following-sibling::noise", "0.5")])
     assert why(root, batch)["next_run"] == ["4 runs: reused"]
 
 
-def test_people_read_it_too(root: Path) -> None:
+def test_why_prints_plain_text_and_refuses_unknown_ids(root: Path) -> None:
     batch = ask(root)
     said = projects.quick(root, "why", batch).stdout
     assert "submitted (batch" in said

@@ -1,4 +1,4 @@
-"""What runs write is recorded as it is, or said not to be: never averaged away. All through the public door."""
+"""Outputs of runs are recorded exactly, or faults are reported; tested mostly through the public interface."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ Make = Callable[..., Project]
 
 @pytest.fixture
 def make(tmp_path: Path) -> Make:
-    """A project whose simulator is these lines of Python; they know `seed`, `n`, `k`, `good` and `write`."""
+    """Make a project whose simulator is these lines of Python, which can use `seed`, `n`, `k`, `good` and `write`."""
 
     def make(lines: str, toml: str = "") -> Project:
         (tmp_path / "sierra.toml").write_text(TOML + toml)
@@ -73,7 +73,7 @@ def column(project: Project, name: str = "v", table: str = "out") -> list[Any]:
 
 
 def reasons(project: Project) -> list[str]:
-    """Why runs have failed, each once."""
+    """Return the distinct reasons for which runs failed."""
     rows: list[Any] = (
         project.sql("SELECT DISTINCT reason FROM executions WHERE status <> 'ok' ORDER BY 1").column(0).to_pylist()
     )
@@ -81,24 +81,24 @@ def reasons(project: Project) -> list[str]:
 
 
 def failed(project: Project) -> list[int]:
-    """The numbers of the runs that have failed."""
+    """Return the numbers of the failed runs."""
     rows = project.sql("SELECT DISTINCT number FROM batch_runs JOIN executions USING (run) WHERE status <> 'ok' ORDER BY 1")
     numbers: list[int] = rows.column(0).to_pylist()
     return numbers
 
 
-# ---------------------------------------------------------------- what is as it should be
+# ---------------------------------------------------------------- valid outputs
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t", "|"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_any_delimiter_and_line_end_is_found_out(tmp_path: Path, delimiter: str, end: str) -> None:
+def test_delimiters_and_line_ends_are_detected(tmp_path: Path, delimiter: str, end: str) -> None:
     content = f'a{delimiter}b{end}1{delimiter}"x{delimiter}""y""{end}z"{end}'
     _, rows = table(tmp_path, [content.encode()] * 3)
     assert rows == [(1, f'x{delimiter}"y"{end}z')] * 3
 
 
-def test_quoted_delimiters_in_a_header_are_no_delimiters(tmp_path: Path) -> None:
+def test_quoted_delimiters_in_a_header_are_ignored_in_detection(tmp_path: Path) -> None:
     _, rows = table(tmp_path, [b'"a;b;c",d\n1,2\n'], names=True)
     assert rows == [("a;b;c", "d"), (1, 2)]
 
@@ -130,14 +130,14 @@ def test_quoted_delimiters_in_a_header_are_no_delimiters(tmp_path: Path) -> None
         ("a\n2020-01-01\n", ["2020-01-01"]),
     ],
 )
-def test_a_column_has_the_narrowest_type_that_keeps_its_values(tmp_path: Path, text: str, values: list[Any]) -> None:
+def test_columns_get_the_narrowest_type_that_keeps_their_values(tmp_path: Path, text: str, values: list[Any]) -> None:
     reading, rows = table(tmp_path, [text.encode()])
     assert not reading.faults
     assert [repr(row[0]) for row in rows] == [repr(value) for value in values]
 
 
 @pytest.mark.integration
-def test_whole_numbers_that_have_fractions_in_one_run_are_not_rounded(make: Make) -> None:
+def test_fractions_in_one_run_among_whole_numbers_are_not_rounded(make: Make) -> None:
     project = make("write('v\\n1\\n' if seed % 5 else 'v\\n1.5\\n')\nwrite(f'{seed}', 'seed.txt')")
     run(project, runs=20)
     seeds = project.sql("SELECT seed, v FROM out JOIN runs USING (run)").to_pylist()
@@ -146,7 +146,7 @@ def test_whole_numbers_that_have_fractions_in_one_run_are_not_rounded(make: Make
     assert all(row["v"] == (1.0 if row["seed"] % 5 else 1.5) for row in seeds)
 
 
-def test_flags_are_not_made_of_numbers_in_other_runs(tmp_path: Path) -> None:
+def test_number_in_one_run_stays_a_number_among_flags_of_other_runs(tmp_path: Path) -> None:
     files = [b"a\ntrue\n", *[b"a\nfalse\n"] * 3, b"a\n1\n", *[b"a\ntrue\n"] * 4]
     reading, _ = table(tmp_path, files)
     assert {key[0]: kinds["a"] for key, kinds in reading.columns.items()} == {
@@ -155,14 +155,14 @@ def test_flags_are_not_made_of_numbers_in_other_runs(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.glob("target*")} == {"target.parquet", "target~1001.parquet"}
 
 
-def test_large_whole_numbers_hide_behind_empty_columns_and_stay_exact(tmp_path: Path) -> None:
+def test_large_whole_numbers_stay_exact_among_files_with_empty_columns(tmp_path: Path) -> None:
     empty = b"a,b\n,1\n"
     _, rows = table(tmp_path, [empty, empty, empty, b"a,b\n1152921504606846977,1\n", empty, empty, empty])
     assert {row[0] for row in rows} == {None, 2**60 + 1}
 
 
 @pytest.mark.integration
-def test_a_header_longer_than_what_the_worker_tells_is_read_whole(tmp_path: Path) -> None:
+def test_header_longer_than_the_worker_reports_is_read_completely(tmp_path: Path) -> None:
     names = [f"robot_{number}" for number in range(900)]
     content = ",".join(names) + "\n" + ",".join(["1"] * 900) + "\n"
     reading, rows = table(tmp_path, [content.encode()] * 2)
@@ -170,13 +170,13 @@ def test_a_header_longer_than_what_the_worker_tells_is_read_whole(tmp_path: Path
     assert rows == [(1,) * 900] * 2
 
 
-def test_a_line_of_three_megabytes_is_read(tmp_path: Path) -> None:
+def test_line_of_three_megabytes_is_read(tmp_path: Path) -> None:
     reading, rows = table(tmp_path, [b"a\n" + b"x" * 3_000_000 + b"\n", b"a\ny\n"])
     assert not reading.faults
     assert sorted(len(row[0]) for row in rows) == [1, 3_000_000]
 
 
-def test_names_that_sql_finds_hard_are_kept(make: Make) -> None:
+def test_column_names_that_are_difficult_in_sql_are_kept_or_made_unique(make: Make) -> None:
     header = 'run,Run,"a ""b""",größe,select,N,,filename,experiment,place'
     project = make(f"write({header!r} + chr(10) + ','.join(map(str, range(10))) + chr(10))")
     summary = run(project, runs=1)
@@ -194,7 +194,7 @@ def test_names_that_sql_finds_hard_are_kept(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_outputs_are_called_so_that_sql_knows_them(make: Make) -> None:
+def test_undeclared_outputs_get_valid_sql_table_names(make: Make) -> None:
     names = ["a-b", "1st", "Runs", "select", "x y", "ü"]
     project = make(f"for name in {names!r}: write(good, name + '.csv')")
     assert not run(project).failed
@@ -203,7 +203,7 @@ def test_outputs_are_called_so_that_sql_knows_them(make: Make) -> None:
         assert project.sql(f'SELECT count(*) FROM "{name}"').column(0).to_pylist() == [12]
 
 
-def test_many_files_of_a_run_are_told_apart(make: Make) -> None:
+def test_rows_of_several_files_of_a_run_have_their_file_name(make: Make) -> None:
     toml = '[outputs.poses]\nfile = "p/*.csv"\n'
     project = make("os.mkdir('p')\nfor i in range(3): write(f'x\\n{i}\\n', f'p/{i}.csv')", toml)
     assert not run(project, runs=2).failed
@@ -211,7 +211,7 @@ def test_many_files_of_a_run_are_told_apart(make: Make) -> None:
     assert rows == [{"number": n, "file": f"p/{i}.csv", "x": i} for n in range(2) for i in range(3)]
 
 
-def test_what_is_no_table_is_kept_to_the_byte(make: Make) -> None:
+def test_files_that_are_not_tables_are_stored_byte_for_byte(make: Make) -> None:
     project = make("write(bytes(range(256)), 'a.bin'); write('hello', 'notes.txt')")
     run(project, runs=1)
     for row in project.sql("SELECT path, sha256 FROM artifacts WHERE kind = 'file'").to_pylist():
@@ -219,7 +219,7 @@ def test_what_is_no_table_is_kept_to_the_byte(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_rows_keep_their_order(make: Make) -> None:
+def test_rows_of_large_csv_files_keep_their_order_across_runs(make: Make) -> None:
     project = make("write('i\\n' + ''.join(f'{i * 7919 % 100003}\\n' for i in range(100003)))")
     summary = run(project, runs=3, jobs=2)
     with Frame(project.store, summary.batch) as frame:
@@ -248,20 +248,20 @@ COLUMNS = st.one_of(st.lists(each, min_size=1, max_size=6) for each in (FLOATS, 
 @pytest.mark.integration
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(values=COLUMNS)
-def test_values_come_back_exactly(tmp_path: Path, values: list[Any]) -> None:
+def test_csv_values_are_read_back_exactly(tmp_path: Path, values: list[Any]) -> None:
     quoted = [f'"{v}"'.replace('"', '""')[1:-1] if isinstance(v, str) else repr(v) for v in values]
     reading, rows = table(tmp_path, [("k,a\n" + "".join(f"k,{text}\n" for text in quoted)).encode()])
     assert not reading.faults
     found = [row[1] for row in rows]
     if all(isinstance(value, str) for value in values) and not all(isinstance(value, str) for value in found):
-        found = [None if value is None else values[place] for place, value in enumerate(found)]  # texts that are numbers
+        found = [None if value is None else values[place] for place, value in enumerate(found)]  # texts that look like numbers
     assert [repr(v) if isinstance(v, float) else v for v in found] == [repr(v) if isinstance(v, float) else v for v in values]
 
 
 @pytest.mark.integration
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(values=COLUMNS)
-def test_values_come_back_exactly_from_json(tmp_path: Path, values: list[Any]) -> None:
+def test_json_values_are_read_back_exactly(tmp_path: Path, values: list[Any]) -> None:
     content = "".join(json.dumps({"a": value}) + "\n" for value in values)
     reading, rows = table(tmp_path, [content.encode()], "jsonl")
     assert not reading.faults
@@ -303,7 +303,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_one_faulty_run_is_noticed_and_said(make: Make, fault: str) -> None:
+def test_one_faulty_run_is_detected_and_its_fault_is_reported(make: Make, fault: str) -> None:
     lines, said = FAULTS[fault]
     project = make(f"if k and seed == BAD:\n    {lines}\nelse:\n    write(good)".replace("BAD", str(seeds(4)[2])))
     summary = run(project, "k=1")
@@ -324,7 +324,7 @@ def seeds(count: int) -> list[int]:
 
 @pytest.mark.parametrize("bad", [(0,), (0, 1), pytest.param((3,), marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("fault", ["text among numbers", "a missing column", "fewer rows", "a last line without its end"])
-def test_wherever_the_faulty_runs_are_they_alone_are_blamed(make: Make, bad: tuple[int, ...], fault: str) -> None:
+def test_only_the_faulty_runs_fail_at_any_position(make: Make, bad: tuple[int, ...], fault: str) -> None:
     chosen = [seeds(4)[number] for number in bad]
     project = make(f"if seed in {chosen}:\n    {FAULTS[fault][0]}\nelse:\n    write(good)")
     assert run(project).failed == len(bad)
@@ -333,7 +333,7 @@ def test_wherever_the_faulty_runs_are_they_alone_are_blamed(make: Make, bad: tup
 
 @pytest.mark.integration
 @pytest.mark.parametrize("fault", ["text among numbers", "a missing column", "a last line without its end"])
-def test_a_faulty_run_that_was_recorded_first_is_found_by_those_that_follow(make: Make, fault: str) -> None:
+def test_faulty_run_that_was_recorded_first_is_detected_by_later_runs(make: Make, fault: str) -> None:
     lines = f"if seed == {seeds(1)[0]}:\n    {FAULTS[fault][0]}\nelse:\n    write(good)"
     project = make(lines)
     assert not run(project, runs=1).failed
@@ -343,7 +343,7 @@ def test_a_faulty_run_that_was_recorded_first_is_found_by_those_that_follow(make
     assert project.sql("SELECT count(*) AS n FROM out").to_pylist() == [{"n": 12}]
 
 
-def test_a_fault_in_a_later_flush_is_noticed(tmp_path: Path) -> None:
+def test_faults_in_a_later_flush_are_detected(tmp_path: Path) -> None:
     good = b"a,b\n1,0.5\n"
     first, _ = table(tmp_path, [good] * 5)
     for bad in (b"a,b\n1,0.", b"a,b\n1\n"):
@@ -355,7 +355,7 @@ def test_a_fault_in_a_later_flush_is_noticed(tmp_path: Path) -> None:
     assert rows == [(1.5, 2)]
 
 
-def test_other_row_counts_are_kept_where_the_project_says_so(make: Make) -> None:
+def test_different_row_counts_are_kept_with_mismatch_ragged(make: Make) -> None:
     project = make(
         f"write(good if seed != {seeds(2)[1]} else good + '3,3.5\\n')", '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n'
     )
@@ -363,14 +363,14 @@ def test_other_row_counts_are_kept_where_the_project_says_so(make: Make) -> None
     assert project.sql("SELECT count(*) AS n FROM out").to_pylist() == [{"n": 13}]
 
 
-def test_a_table_that_is_not_required_may_be_absent(make: Make) -> None:
+def test_optional_tables_may_be_absent(make: Make) -> None:
     toml = '[outputs.more]\nfile = "more.csv"\nrequired = false\n'
     project = make(f"write(good)\nif seed == {seeds(1)[0]}: write(good, 'more.csv')", toml)
     assert not run(project).failed
     assert project.sql("SELECT DISTINCT number FROM more").to_pylist() == [{"number": 0}]
 
 
-def test_a_mismatch_is_listed_and_ends_the_command_with_1(make: Make) -> None:
+def test_mismatch_is_reported_in_failures_and_gives_exit_code_1(make: Make) -> None:
     project = make(f"write(good if seed != {seeds(2)[1]} else good[:-5])")
     done = projects.quick(project.root, "run", "n=1", "--no-figures", "--json")
     assert done.returncode == 1, done.stderr
@@ -380,7 +380,7 @@ def test_a_mismatch_is_listed_and_ends_the_command_with_1(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_several_faults_in_one_batch_are_each_said(make: Make) -> None:
+def test_several_faults_in_one_batch_are_reported_separately(make: Make) -> None:
     bad = seeds(10)
     project = make(
         f"""
@@ -405,7 +405,7 @@ def test_several_faults_in_one_batch_are_each_said(make: Make) -> None:
         (b'{"a":1,"b":"x"}\n{"a":1,"a":2,"b":"x"}\n', "line 2: the key 'a' is there twice"),
     ],
 )
-def test_faulty_json_lines_are_noticed(tmp_path: Path, bad: bytes, said: str) -> None:
+def test_faulty_json_lines_are_detected(tmp_path: Path, bad: bytes, said: str) -> None:
     good = b'{"a":1,"b":"x"}\n'
     reading, rows = table(tmp_path, [good, bad, good, good], "jsonl")
     assert list(reading.faults) == ["e1"]
@@ -413,26 +413,26 @@ def test_faulty_json_lines_are_noticed(tmp_path: Path, bad: bytes, said: str) ->
     assert rows == [(1, "x")] * 3
 
 
-def test_json_numbers_with_fractions_in_one_run_of_many_are_not_rounded(tmp_path: Path) -> None:
+def test_json_fractions_in_one_run_of_many_are_not_rounded(tmp_path: Path) -> None:
     _, rows = table(tmp_path, [b'{"a":1}\n'] * 40 + [b'{"a":1.5}\n'] + [b'{"a":1}\n'] * 9, "jsonl")
     assert sorted(row[0] for row in rows) == [1.0] * 49 + [1.5]
 
 
 @pytest.mark.parametrize("bad", [b"", b"PAR1 not really", b"cut"])
-def test_faulty_parquet_is_noticed(tmp_path: Path, bad: bytes) -> None:
+def test_faulty_parquet_files_are_detected(tmp_path: Path, bad: bytes) -> None:
     good = parquet(tmp_path, {"a": [1, 2], "b": ["x", "y"]})
     reading, rows = table(tmp_path, [good, good[: len(good) // 2] if bad == b"cut" else bad, good], "parquet")
     assert list(reading.faults) == ["e1"]
     assert rows == [(1, "x"), (2, "y")] * 2
 
 
-def test_where_text_begins_in_json_among_numbers_is_noted(tmp_path: Path) -> None:
+def test_first_line_with_text_among_json_numbers_is_noted(tmp_path: Path) -> None:
     good, bad = b'{"a":1,"b":"x"}\n', b'{"a":1,"b":"x"}\n{"a":"q","b":"x"}\n'
     reading, _ = table(tmp_path, [good, bad, good, good], "jsonl")
     assert reading.hints == {("e1", "out.jsonl"): {"a": "out.jsonl: line 2: text where numbers are in column 'a': 'q'"}}
 
 
-def test_decimals_that_no_table_can_hold_are_at_fault(tmp_path: Path) -> None:
+def test_decimals_with_more_than_38_digits_are_a_fault(tmp_path: Path) -> None:
     wide, good = (pa.array([Decimal("1.5")], pa.decimal256(60, 20)), pa.array([Decimal("1.5")], pa.decimal128(38, 20)))
     reading, rows = table(tmp_path, [parquet(tmp_path, {"v": column}) for column in (good, wide, good)], "parquet")
     assert list(reading.faults) == ["e1"]
@@ -440,21 +440,21 @@ def test_decimals_that_no_table_can_hold_are_at_fault(tmp_path: Path) -> None:
     assert len(rows) == 2
 
 
-def test_parquet_files_of_other_types_are_noticed_and_other_widths_joined(tmp_path: Path) -> None:
+def test_parquet_files_of_different_types_are_joined_as_text_with_their_kinds_noted(tmp_path: Path) -> None:
     files = [{"a": [1]}, {"a": [1.5]}, {"a": ["x"]}, {"a": [2]}]
     reading, rows = table(tmp_path, [parquet(tmp_path, file) for file in files], "parquet")
     assert [kinds["a"] for kinds in reading.columns.values()] == ["number", "number", "number", "text"]
     assert rows == [("1.0",), ("1.5",), ("x",), ("2.0",)]
 
 
-def test_values_of_parquet_come_back_exactly(tmp_path: Path) -> None:
+def test_parquet_values_are_read_back_exactly(tmp_path: Path) -> None:
     values = {"i": [2**63 - 1], "u": pa.array([2**64 - 1], pa.uint64()), "f": [5e-324], "t": ["ü\n\"'"], "l": [[1, 2]]}
     _, rows = table(tmp_path, [parquet(tmp_path, values)] * 2, "parquet")
     assert rows == [(2**63 - 1, 2**64 - 1, 5e-324, "ü\n\"'", [1, 2])] * 2
 
 
 @pytest.mark.integration
-def test_batches_with_other_column_types_are_asked_together(make: Make) -> None:
+def test_batches_with_different_column_types_are_queried_together(make: Make) -> None:
     project = make("write({1: 'v\\n1\\n', 2: 'v\\n0.1\\n', 3: 'v\\nx\\n', 4: 'v\\n\\n\\n'}[n])")
     for n, kind in ((1, "BIGINT"), (2, "DOUBLE"), (4, "DOUBLE"), (3, "DOUBLE")):
         assert not run(project, f"n={n}", runs=2).failed
@@ -481,7 +481,7 @@ def table(
     only: str = "%",
     names: bool = False,
 ) -> tuple[Reading, list[tuple[Any, ...]]]:
-    """Read files as recording does: what came of it, and the rows by run."""
+    """Read files as recording does; return the reading and the rows by run."""
     target = folder / "target.parquet"
     files = []
     for number, content in enumerate(contents):
@@ -546,7 +546,7 @@ def test_columns_may_differ_between_experiments(make: Make, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", BY_N)
-def test_other_columns_than_the_siblings_fail_a_run(make: Make, kind: str) -> None:
+def test_runs_with_other_columns_than_their_siblings_fail(make: Make, kind: str) -> None:
     project = make(BY_N[kind].replace("range(n)", f"range(1 + (seed == {seeds(2)[1]}))"))
     assert run(project, "n=1,2").failed == 2
     assert failed(project) == [1]
@@ -556,7 +556,7 @@ def test_other_columns_than_the_siblings_fail_a_run(make: Make, kind: str) -> No
 
 
 @pytest.mark.parametrize("kind", BY_N)
-def test_columns_may_differ_among_siblings_where_the_project_says_so(make: Make, kind: str) -> None:
+def test_columns_may_differ_between_sibling_runs_with_mismatch_ragged(make: Make, kind: str) -> None:
     toml = f'[outputs.out]\nfile = "out.{kind}"\nmismatch = "ragged"\n'
     project = make(BY_N[kind].replace("range(n)", f"range(1 + (seed == {seeds(2)[1]}))"), toml)
     assert run(project).failed == 0
@@ -564,14 +564,14 @@ def test_columns_may_differ_among_siblings_where_the_project_says_so(make: Make,
 
 
 @pytest.mark.integration
-def test_an_odd_run_that_is_recorded_first_is_not_the_norm(make: Make) -> None:
+def test_run_with_odd_columns_fails_even_if_recorded_first(make: Make) -> None:
     project = make(f"write(good if seed != {seeds(1)[0]} else 'tick,v,w\\n0,1,2\\n1,1,2\\n2,1,2\\n')")
     assert run(project, runs=1).failed == 0
     run(project, runs=3)
     assert failed(project) == [0]
 
 
-def test_a_header_that_is_cut_is_noticed_though_each_experiment_has_one_run(make: Make) -> None:
+def test_truncated_header_is_detected_even_with_one_run_per_experiment(make: Make) -> None:
     project = make("write('tic' if n == 3 else good)")
     assert run(project, "n=1,2,3,4", runs=1).failed == 1
     assert reasons(project) == ["out.csv: line 1: its last line is cut short (no line feed at its end)"]
@@ -580,7 +580,7 @@ def test_a_header_that_is_cut_is_noticed_though_each_experiment_has_one_run(make
 @pytest.mark.integration
 @pytest.mark.parametrize("apart", [False, True])
 @pytest.mark.parametrize("other", ["bad", "true"])
-def test_a_column_of_another_kind_in_one_experiment_is_said_and_spoils_nothing(
+def test_column_of_another_kind_in_one_experiment_is_noted_without_failing_runs(
     make: Make, noted: Callable[[], list[str]], monkeypatch: pytest.MonkeyPatch, apart: bool, other: str
 ) -> None:
     project = make(f"write('tick,v\\n0,%s\\n' % ({other!r} if n == 3 else 0.5))")
@@ -602,7 +602,7 @@ TEXTS_LIKE_NUMBERS = "write('t,sha\\n0,%s\\n' % ({} if seed in {} else '3ab'))"
 @pytest.mark.integration
 @pytest.mark.parametrize("apart", [False, True])
 @pytest.mark.parametrize("text", ["1e5", "007", "true"])
-def test_texts_that_look_like_numbers_are_the_same_texts_whenever_they_are_recorded(
+def test_texts_that_look_like_numbers_stay_the_same_in_any_recording_order(
     make: Make, monkeypatch: pytest.MonkeyPatch, apart: bool, text: str
 ) -> None:
     project = make(TEXTS_LIKE_NUMBERS.format(repr(text), seeds(2)))
@@ -616,7 +616,7 @@ def test_texts_that_look_like_numbers_are_the_same_texts_whenever_they_are_recor
 
 
 @pytest.mark.integration
-def test_texts_that_were_read_as_numbers_at_first_come_back_in_every_batch_that_has_them(make: Make) -> None:
+def test_texts_first_read_as_numbers_are_restored_in_every_batch_after_reexecution(make: Make) -> None:
     project = make(TEXTS_LIKE_NUMBERS.format("'1e5'", seeds(2)))
     assert run(project, runs=2).failed == 0
     assert run(project, runs=8).failed == 2
@@ -626,7 +626,7 @@ def test_texts_that_were_read_as_numbers_at_first_come_back_in_every_batch_that_
 
 
 @pytest.mark.parametrize("bad", [0, 1, 3])
-def test_one_text_among_numbers_is_blamed_wherever_the_boundaries_are(
+def test_text_among_numbers_is_detected_wherever_recordings_are_split(
     make: Make, monkeypatch: pytest.MonkeyPatch, bad: int
 ) -> None:
     project = make(f"write(good.replace('1.5', 'oops' if seed == {seeds(4)[bad]} else '1.5'))")
@@ -675,22 +675,20 @@ ONE_COLUMN = "column {!r} of output 'out' is text in 2 runs, and has no figure: 
         ("word\nthe\nword\n", None),
     ],
 )
-def test_texts_that_are_hardly_meant_as_such_are_said_once_with_what_to_write(
+def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(
     make: Make, noted: Callable[[], list[str]], content: str, said: str | None
 ) -> None:
     assert not run(make(f"write({content!r})"), runs=2).failed
     assert [note[: len(said or "")] for note in noted()] == [said] * (said is not None)
 
 
-def test_a_comment_before_the_header_is_named_where_it_has_as_many_fields(make: Make, noted: Callable[[], list[str]]) -> None:
+def test_comment_with_as_many_fields_as_the_header_is_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     assert not run(make("write('# a, b\\nt,v\\n0,1\\n1,2\\n')"), runs=2).failed
     told = "is text in 2 runs, and has no figure: the first line is a comment, and comments are not read; "
     assert [told in note for note in noted()] == [True, True]
 
 
-def test_a_delimiter_that_a_table_does_not_have_is_said_with_the_one_that_it_has(
-    make: Make, noted: Callable[[], list[str]]
-) -> None:
+def test_wrong_declared_delimiter_is_noted_with_the_right_one(make: Make, noted: Callable[[], list[str]]) -> None:
     project = make("write('t,v\\n0,1\\n1,2\\n')", '[outputs.out]\nfile = "out.csv"\ndelimiter = ";"\n')
     assert not run(project, runs=2).failed
     assert noted() == [ONE_COLUMN.format("t,v") + 'is it several columns? (delimiter = "," in [outputs.out])']
@@ -708,7 +706,7 @@ def test_a_delimiter_that_a_table_does_not_have_is_said_with_the_one_that_it_has
         ("tick,v\r0,0.5\rtick,v\r1,0.5\r", 3),
     ],
 )
-def test_a_header_that_is_there_twice_fails_a_run_though_all_runs_have_it(make: Make, content: str, line: int) -> None:
+def test_repeated_header_fails_runs_even_if_all_runs_have_it(make: Make, content: str, line: int) -> None:
     project = make(f"write({content!r})")
     assert run(project, runs=3).failed == 3
     header = content.strip("\ufeff").splitlines()[0]
@@ -729,7 +727,7 @@ def test_a_header_that_is_there_twice_fails_a_run_though_all_runs_have_it(make: 
         ),
     ],
 )
-def test_comments_in_a_csv_are_named(make: Make, content: str, said: str) -> None:
+def test_comments_in_a_csv_file_are_reported_as_faults(make: Make, content: str, said: str) -> None:
     project = make(f"write({content!r})")
     assert run(project, runs=2).failed == 2
     [reason] = reasons(project)
@@ -737,7 +735,7 @@ def test_comments_in_a_csv_are_named(make: Make, content: str, said: str) -> Non
 
 
 @pytest.mark.integration
-def test_an_empty_column_in_one_experiment_fits_any_in_the_others(make: Make) -> None:
+def test_empty_column_in_one_experiment_fits_any_type_in_others(make: Make) -> None:
     project = make("write('tick,v,x%d\\n0,%s,1\\n' % (n, '' if n == 3 else 0.5))")
     for n in (3, 1, 2):
         run(project, f"n={n}")
@@ -749,7 +747,7 @@ def test_an_empty_column_in_one_experiment_fits_any_in_the_others(make: Make) ->
     ]
 
 
-def test_where_columns_may_differ_each_run_keeps_its_own(make: Make) -> None:
+def test_ragged_runs_keep_their_own_columns(make: Make) -> None:
     project = make(COLUMNS_BY_N, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
     assert project.run("n=1,3", figures=False).failed == 0
     rows = project.sql("SELECT n, count(*) AS rows, count(x0) AS x0, count(x2) AS x2 FROM out GROUP BY ALL ORDER BY n")
@@ -757,7 +755,7 @@ def test_where_columns_may_differ_each_run_keeps_its_own(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_where_columns_may_differ_they_are_added_run_by_run(make: Make) -> None:
+def test_ragged_columns_accumulate_over_several_sessions(make: Make) -> None:
     project = make(COLUMNS_BY_N, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
     for n in (3, 1, 2):
         assert project.run(f"n={n}", figures=False).failed == 0
@@ -765,7 +763,7 @@ def test_where_columns_may_differ_they_are_added_run_by_run(make: Make) -> None:
     assert rows == [{"n": 1, "x1": 0}, {"n": 2, "x1": 12}, {"n": 3, "x1": 12}]
 
 
-def test_columns_may_differ_among_siblings_too(make: Make) -> None:
+def test_ragged_columns_may_differ_between_sibling_runs(make: Make) -> None:
     by_seed = COLUMNS_BY_N.replace("range(n)", "range(1 + seed % 3)")
     project = make(by_seed, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
     assert project.run("n=1,3", runs=6, figures=False).failed == 0
@@ -773,13 +771,13 @@ def test_columns_may_differ_among_siblings_too(make: Make) -> None:
     assert row == {"fewer": True, "runs": 12}
 
 
-def test_columns_without_a_name_are_all_kept(tmp_path: Path) -> None:
+def test_unnamed_columns_are_all_kept(tmp_path: Path) -> None:
     _, rows = table(tmp_path, [b"a,,\n1,2,3\n"], names=True)
     assert rows == [("a", "column1", "column2"), (1, 2, 3)]
 
 
 @pytest.mark.parametrize("odd", [b"12_34", b"1e400"])
-def test_what_is_no_number_among_numbers_of_many_runs_is_noticed(tmp_path: Path, odd: bytes) -> None:
+def test_invalid_number_among_numbers_of_many_runs_is_noted_and_kept_as_text(tmp_path: Path, odd: bytes) -> None:
     files = [b"a,b\n0.5,x_y\n"] * 20 + [b"a,b\n" + odd + b",x_y\n"] + [b"a,b\n1.5,x_y\n"] * 20
     reading, rows = table(tmp_path, files)
     assert reading.hints == {
@@ -789,19 +787,19 @@ def test_what_is_no_number_among_numbers_of_many_runs_is_noticed(tmp_path: Path,
 
 
 @pytest.mark.parametrize("content", [b"\x1f\x8b\x08\0a\n1\n", "a,b\n1,2\n".encode("utf-16"), b"gr\xf6\xdfe\n1\n", b"\0\0\n"])
-def test_a_header_that_is_no_text_is_noticed(tmp_path: Path, content: bytes) -> None:
+def test_header_that_is_not_utf_8_is_detected(tmp_path: Path, content: bytes) -> None:
     reading, _ = table(tmp_path, [content])
     assert "line 1: is no text in UTF-8" in reading.faults["e0"]
 
 
 @pytest.mark.parametrize("content", [b"\na,b\n1,2\n", b",,\n1,2,3\n", b'"a,b\n1,2\n'])
-def test_a_header_without_names_is_noticed(tmp_path: Path, content: bytes) -> None:
+def test_header_without_names_is_detected(tmp_path: Path, content: bytes) -> None:
     reading, rows = table(tmp_path, [content])
     assert reading.faults["e0"].startswith("out.csv: line 1: ")
     assert rows == []
 
 
-def test_a_delimiter_is_found_out_for_each_set_of_columns(tmp_path: Path) -> None:
+def test_delimiter_is_detected_for_each_set_of_columns(tmp_path: Path) -> None:
     reading, rows = table(tmp_path, [b"a\n1\n", b"a;b\n1;2\n", b"a;b;c\n1;2;3\n"], columns="a")
     assert not reading.faults
     assert rows == [(1,)] * 3
@@ -815,17 +813,17 @@ def test_two_thousand_columns_are_read(tmp_path: Path) -> None:
     assert rows == [(0.5,) * 2000] * 2
 
 
-def test_a_fault_names_no_path_of_the_machine(tmp_path: Path) -> None:
+def test_faults_contain_no_path_of_the_machine(tmp_path: Path) -> None:
     reading, _ = table(tmp_path, [b"PAR1"], "parquet")
     assert str(tmp_path) not in reading.faults["e0"]
 
 
-# ---------------------------------------------------------------- what is allowed, and yet hardly meant
+# ---------------------------------------------------------------- allowed, but probably unintended
 
 
 @pytest.fixture
 def noted(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[str]]:
-    """What the recorders of an asking have to say in the end."""
+    """Return a function that returns the final notes of the recorders of a session."""
     recorders: list[Recorder] = []
     made = Recorder.__init__
 
@@ -837,7 +835,7 @@ def noted(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[str]]:
     return lambda: [note for recorder in recorders for note in recorder.notes()]
 
 
-def test_tables_that_are_kept_as_files_are_said(make: Make, noted: Callable[[], list[str]]) -> None:
+def test_tables_that_are_kept_as_files_are_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     toml = '[outputs.declared]\nfile = "d/*.csv"\n'
     lines = "for folder in ('d', 'logs'): os.mkdir(folder); write(good, folder + '/1.csv'); write(good, folder + '/2.csv')"
     run(make(lines + "\nwrite(good, 'x-y.csv'); write(good, 'x_y.csv'); write('', 'a.txt')", toml))
@@ -849,7 +847,7 @@ def test_tables_that_are_kept_as_files_are_said(make: Make, noted: Callable[[], 
     ]
 
 
-def test_more_tables_than_are_made_unasked_are_said(make: Make, noted: Callable[[], list[str]]) -> None:
+def test_too_many_undeclared_tables_are_kept_as_files_and_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     run(make("for i in range(21): write(good, f'{i:02}.csv')"))
     assert noted() == [
         "'00.csv' and 20 others are kept as files: undeclared, and of more than 20 in a run "
@@ -859,7 +857,7 @@ def test_more_tables_than_are_made_unasked_are_said(make: Make, noted: Callable[
 
 @pytest.mark.integration
 @pytest.mark.parametrize(("value", "said"), [("n", False), ("float(n)", False), ("7", True)])
-def test_a_column_that_an_axis_hides_is_said_where_its_values_are_others(
+def test_column_hidden_by_a_variable_is_noted_if_its_values_differ(
     make: Make, noted: Callable[[], list[str]], value: str, said: bool
 ) -> None:
     project = make(f"write(f'tick,N\\n0,{{{value}}}\\n')")
@@ -871,7 +869,7 @@ def test_a_column_that_an_axis_hides_is_said_where_its_values_are_others(
     assert len(column(project, "N_")) == 8
 
 
-def test_columns_that_one_run_alone_has_are_said(make: Make, noted: Callable[[], list[str]]) -> None:
+def test_columns_that_only_one_run_has_are_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     project = make("write(good if n != 2 else 'tick,w\\n0,1\\n1,1\\n2,1\\n')")
     assert run(project, "n=1,2,3", runs=1).failed == 0
     assert noted() == [
@@ -879,18 +877,18 @@ def test_columns_that_one_run_alone_has_are_said(make: Make, noted: Callable[[],
     ]
 
 
-def test_columns_that_siblings_share_need_no_word(make: Make, noted: Callable[[], list[str]]) -> None:
+def test_columns_that_sibling_runs_share_are_not_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     run(make(COLUMNS_BY_N), "n=1,2", runs=2)
     assert noted() == []
 
 
 @pytest.mark.parametrize("query", ["n=9007199254740993,0.5", "n=0.5,-9007199254740993", "n=0:9007199254740993:3"])
-def test_whole_numbers_that_no_float_has_are_not_mixed_with_decimals(make: Make, query: str) -> None:
+def test_whole_numbers_beyond_float_precision_are_not_mixed_with_decimals(make: Make, query: str) -> None:
     with pytest.raises(QueryError, match=r"9007199254740993 is beyond 2\*\*53"):
         run(make("write(good)"), query)
 
 
-def test_links_pipes_and_odd_names_among_the_outputs_do_no_harm(make: Make) -> None:
+def test_links_pipes_and_odd_names_among_outputs_are_harmless(make: Make) -> None:
     project = make("write(good); os.symlink('out.csv', 'link.csv'); os.mkfifo('pipe.csv'); write(good, 'new\\nline.csv')")
     summary = run(project)
     assert summary.failed == 0
@@ -899,7 +897,7 @@ def test_links_pipes_and_odd_names_among_the_outputs_do_no_harm(make: Make) -> N
 
 
 @pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])
-def test_rows_of_a_large_file_keep_their_order(tmp_path: Path, kind: str) -> None:
+def test_rows_of_a_large_file_keep_their_order_with_several_threads(tmp_path: Path, kind: str) -> None:
     path, count = tmp_path / f"big.{kind}", 250_000
     pads = [f"{number * 7919 % 1_000_003:06}" * 8 for number in range(count)]
     match kind:

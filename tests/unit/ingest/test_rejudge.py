@@ -1,4 +1,4 @@
-"""What is recorded is judged anew where [outputs] or [success] change, and nothing is executed for that."""
+"""Recorded executions are evaluated again when [outputs] or [success] change, without executing runs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ RUNS = 6
 
 
 class Counted:
-    """A project whose simulator says outside of it each time that it is executed."""
+    """A project whose simulator logs each execution to a file outside the project."""
 
     def __init__(self, root: Path, config: str = WIDE, simulator: str = SIMULATOR) -> None:
         self.log = root.with_name("executed")
@@ -47,7 +47,7 @@ class Counted:
         return len(self.log.read_text().split())
 
     def declare(self, config: str) -> None:
-        """Write down other outputs than before."""
+        """Replace the declared outputs."""
         (self.root / "sierra.toml").write_text(projects.CONFIG + config)
 
     def ask(self, code: int = 0, *words: str) -> dict[str, Any]:
@@ -57,7 +57,7 @@ class Counted:
         return answer
 
     def said(self, *words: str) -> str:
-        """What is printed for people."""
+        """Return the plain-text output and messages of a command."""
         ended = quick(self.root, *words)
         return ended.stdout + ended.stderr
 
@@ -82,7 +82,7 @@ def project(tmp_path: Path) -> Counted:
 
 
 @pytest.mark.integration
-def test_outputs_that_are_declared_for_the_first_time_execute_nothing(tmp_path: Path) -> None:
+def test_newly_declared_outputs_are_read_without_executing_runs(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", "")
     simulator = project.root / "sim.py"
     simulator.write_text(simulator.read_text().replace("3 + (seed % 2)", "3"))
@@ -102,7 +102,7 @@ def test_outputs_that_are_declared_for_the_first_time_execute_nothing(tmp_path: 
 
 
 @pytest.mark.integration
-def test_a_delimiter_reads_the_same_bytes_again(project: Counted) -> None:
+def test_changed_delimiter_reads_the_recorded_bytes_again(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ","\n')
     assert project.ask()["reevaluated"] == RUNS
     assert "a;b" in [row["column_name"] for row in project.rows("DESCRIBE wide")]
@@ -117,7 +117,7 @@ def test_a_delimiter_reads_the_same_bytes_again(project: Counted) -> None:
 
 
 @pytest.mark.integration
-def test_columns_of_a_file_without_a_header_are_read_from_the_same_bytes(project: Counted) -> None:
+def test_headerless_columns_are_read_from_the_recorded_bytes(project: Counted) -> None:
     project.declare(WIDE + 'header = false\ncolumns = ["x", "y"]\ndelimiter = ";"\n')
     assert project.ask()["reevaluated"] == RUNS
     assert project.value("SELECT count(*) FROM wide WHERE x = 'a' AND y = 'b'") == RUNS
@@ -125,7 +125,7 @@ def test_columns_of_a_file_without_a_header_are_read_from_the_same_bytes(project
 
 
 @pytest.mark.integration
-def test_going_back_to_earlier_rules_judges_nothing(project: Counted) -> None:
+def test_returning_to_earlier_rules_evaluates_nothing_again(project: Counted) -> None:
     before = project.rows("SELECT * FROM wide ORDER BY ALL")
     project.declare(WIDE + 'delimiter = ","\n')
     project.ask()
@@ -139,7 +139,7 @@ def test_going_back_to_earlier_rules_judges_nothing(project: Counted) -> None:
 
 
 @pytest.mark.integration
-def test_what_fails_by_the_new_rules_is_reported_and_executed_only_when_asked_again(project: Counted) -> None:
+def test_runs_that_fail_by_new_rules_are_executed_only_when_the_query_is_repeated(project: Counted) -> None:
     project.declare(WIDE + "min_rows = 4\n")
     short = project.value("SELECT count(*) FROM (SELECT run FROM wide GROUP BY run HAVING count(*) = 3)")
     assert 0 < short < RUNS
@@ -157,7 +157,7 @@ def test_what_fails_by_the_new_rules_is_reported_and_executed_only_when_asked_ag
 
 
 @pytest.mark.integration
-def test_what_failed_by_other_rules_is_good_by_the_new_ones(tmp_path: Path) -> None:
+def test_failed_runs_become_successful_by_new_rules_without_execution(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", SWARM + '[outputs.missing]\nfile = "missing.csv"\n')
     assert project.ask(1)["failed"] == RUNS
     project.declare(
@@ -172,7 +172,7 @@ def test_what_failed_by_other_rules_is_good_by_the_new_ones(tmp_path: Path) -> N
 
 
 @pytest.mark.integration
-def test_what_failed_by_rules_that_judged_anew_is_judged_anew_once_more(project: Counted) -> None:
+def test_runs_that_failed_a_reevaluation_are_evaluated_again_by_newer_rules(project: Counted) -> None:
     project.declare(WIDE + "min_rows = 5\n")
     assert project.ask(1)["failed"] == RUNS
     project.declare(WIDE + "min_rows = 1\n")
@@ -183,20 +183,20 @@ def test_what_failed_by_rules_that_judged_anew_is_judged_anew_once_more(project:
 
 
 @pytest.mark.integration
-def test_a_failure_that_rules_do_not_explain_is_executed_again(tmp_path: Path) -> None:
+def test_failures_with_another_cause_than_the_rules_are_executed_again(tmp_path: Path) -> None:
     failing = SIMULATOR + "sys.exit(3)\n"
     project = Counted(tmp_path / "project", "", failing)
     assert project.ask(1)["failed"] == RUNS
     project.declare(SWARM)
     assert f"{RUNS} runs: failed: exit status 3" in project.said("run", *ASK, "--dry-run", "--explain")
-    assert project.ask(1)["executed"] == RUNS  # by these rules they fail too
+    assert project.ask(1)["executed"] == RUNS  # they fail by these rules too
     project.declare(SWARM + "[outputs.wide]\nfile = 'wide.csv'\nformat = 'file'\n[success]\nexit_status = [0, 3]\n")
     assert project.ask()["reevaluated"] == RUNS
     assert project.executed == 2 * RUNS
 
 
 @pytest.mark.integration
-def test_a_marker_in_the_log_is_looked_for_in_what_is_recorded(project: Counted) -> None:
+def test_success_markers_are_searched_in_the_recorded_log(project: Counted) -> None:
     project.declare(WIDE + '[success]\nmarker = "stdout"\ncontains = "done 1"\n')
     answer = project.ask(1)
     assert (answer["executed"], answer["failed"], answer["reevaluated"]) == (0, RUNS // 2, RUNS)
@@ -204,7 +204,7 @@ def test_a_marker_in_the_log_is_looked_for_in_what_is_recorded(project: Counted)
 
 
 @pytest.mark.integration
-def test_a_log_that_was_cut_cannot_be_judged(tmp_path: Path) -> None:
+def test_truncated_logs_cannot_be_evaluated_again_so_their_runs_are_executed(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", "", SIMULATOR + "print('x' * 3_000_000)\n")
     project.ask(0, "population_size=1", "--runs", "1", "--no-figures")
     project.declare('[success]\nmarker = "stdout"\ncontains = "done"\n')
@@ -214,7 +214,7 @@ def test_a_log_that_was_cut_cannot_be_judged(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_what_may_differ_between_siblings_executes_nothing(tmp_path: Path) -> None:
+def test_changed_mismatch_rule_evaluates_again_without_executing_runs(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", WIDE.replace("ragged", "strict"))
     odd = project.ask(1)["failed"]
     assert 0 < odd < RUNS
@@ -229,7 +229,7 @@ def test_what_may_differ_between_siblings_executes_nothing(tmp_path: Path) -> No
 
 
 @pytest.mark.integration
-def test_what_is_asked_says_what_is_judged_and_what_executes(project: Counted) -> None:
+def test_dry_run_why_and_run_report_how_many_runs_are_evaluated_again(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
     assert f"{RUNS} runs: [outputs] or [success] have changed: judged anew from the record" in project.said(
         "run", *ASK, "--dry-run", "--explain"
@@ -243,7 +243,7 @@ def test_what_is_asked_says_what_is_judged_and_what_executes(project: Counted) -
 
 
 @pytest.mark.integration
-def test_without_the_bytes_the_runs_execute_and_it_is_said_why(tmp_path: Path) -> None:
+def test_runs_are_executed_again_with_the_reason_if_their_raw_files_are_not_stored(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", "[store]\nraw = false\n" + WIDE)
     project.ask()
     assert project.value("SELECT count(*) FROM artifacts a JOIN objects USING (sha256) WHERE a.kind = 'table'") == 0
@@ -255,7 +255,7 @@ def test_without_the_bytes_the_runs_execute_and_it_is_said_why(tmp_path: Path) -
 
 
 @pytest.mark.integration
-def test_rules_that_read_tables_as_before_need_no_bytes(tmp_path: Path) -> None:
+def test_rules_that_do_not_change_parsing_need_no_raw_files(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", "[store]\nraw = false\n" + WIDE)
     project.ask()
     rows = {name: project.rows(f"SELECT * EXCLUDE (row) FROM {name} ORDER BY run, row") for name in ("swarm", "wide")}
@@ -278,7 +278,9 @@ def test_rules_that_read_tables_as_before_need_no_bytes(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_rows_that_are_not_as_many_as_were_recorded_are_not_copied(project: Counted, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reevaluation_fails_if_the_number_of_copied_rows_differs_from_the_record(
+    project: Counted, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(
         "sierra.store.rejudged_rows.ROWS", "SELECT o.* REPLACE (m.made AS execution) FROM {files} o, made m LIMIT 5"
     )
@@ -289,7 +291,7 @@ def test_rows_that_are_not_as_many_as_were_recorded_are_not_copied(project: Coun
 
 
 @pytest.mark.integration
-def test_bytes_that_are_dropped_are_said_to_be_and_runs_execute_where_they_are_needed(project: Counted) -> None:
+def test_gc_raw_reports_dropped_files_and_runs_that_need_them_are_executed_again(project: Counted) -> None:
     rows = project.rows("SELECT * EXCLUDE (row) FROM swarm ORDER BY run, row")
     told = project.said("gc", "--raw", "--dry-run")
     assert "files that became tables: their bytes, not their rows" in told
@@ -312,7 +314,7 @@ def test_bytes_that_are_dropped_are_said_to_be_and_runs_execute_where_they_are_n
 
 
 @pytest.mark.integration
-def test_bytes_of_a_table_that_are_needed_as_those_of_a_file_are_not_dropped(project: Counted) -> None:
+def test_gc_raw_keeps_raw_files_that_are_declared_as_files(project: Counted) -> None:
     project.declare('[outputs.swarm]\nfile = "swarm.csv"\nformat = "file"\n' + WIDE)
     assert project.ask()["reevaluated"] == RUNS
     assert quick(project.root, "gc", "--raw", "--yes").returncode == 0
@@ -323,7 +325,7 @@ def test_bytes_of_a_table_that_are_needed_as_those_of_a_file_are_not_dropped(pro
 
 
 @pytest.mark.integration
-def test_two_sessions_that_judge_at_once_leave_each_row_once(project: Counted) -> None:
+def test_two_sessions_that_evaluate_again_at_once_do_not_duplicate_rows(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
     both = [start(project.root, "run", *ASK, stderr=subprocess.STDOUT) for _ in range(2)]
     assert [process.wait(200) for process in both] == [0, 0]
@@ -336,7 +338,7 @@ def test_two_sessions_that_judge_at_once_leave_each_row_once(project: Counted) -
 
 
 @pytest.mark.integration
-def test_a_session_that_is_killed_while_it_judges_costs_nothing(project: Counted) -> None:
+def test_killed_reevaluation_loses_nothing_and_executes_nothing_again(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
     before = {path.name for path in (project.root / ".sierra" / "segments").iterdir()}
     killed = 0
@@ -360,7 +362,7 @@ def test_a_session_that_is_killed_while_it_judges_costs_nothing(project: Counted
 
 
 @pytest.mark.integration
-def test_a_replay_compares_with_what_counts(project: Counted) -> None:
+def test_replay_compares_with_the_effective_execution_after_reevaluation(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
     project.ask()
     ended = quick(project.root, "replay", project.value("SELECT batch FROM batches"), "--json")
@@ -371,7 +373,7 @@ def test_a_replay_compares_with_what_counts(project: Counted) -> None:
 
 
 @pytest.mark.integration
-def test_removing_an_execution_removes_its_judgements(project: Counted) -> None:
+def test_removing_an_execution_removes_its_judgements_and_rows(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
     project.ask()
     execution = project.value("SELECT min(execution) FROM executions")
@@ -387,7 +389,7 @@ def test_removing_an_execution_removes_its_judgements(project: Counted) -> None:
 
 
 @pytest.mark.integration
-def test_merging_segments_changes_no_row(project: Counted) -> None:
+def test_gc_changes_no_rows_or_judgements_of_reevaluated_executions(project: Counted) -> None:
     for config in (WIDE + 'delimiter = ";"\n', WIDE + "min_rows = 1\n", WIDE + "min_rows = 2\n", WIDE + "min_rows = 3\n"):
         project.declare(config)
         project.ask()
@@ -405,7 +407,7 @@ def test_merging_segments_changes_no_row(project: Counted) -> None:
 
 
 @pytest.mark.integration
-def test_a_byte_that_is_flipped_in_the_kept_files_is_noticed(project: Counted) -> None:
+def test_fsck_notices_a_flipped_bit_in_the_stored_raw_files(project: Counted) -> None:
     path = next(project.root.glob(".sierra/segments/*/output.swarm.parquet")).with_name("objects.parquet")
     content = bytearray(path.read_bytes())
     content[len(content) // 3] ^= 1

@@ -1,4 +1,4 @@
-"""Rows are counted in the files themselves, and a parser that reads fewer is not believed."""
+"""Rows are counted in the files themselves; a parser that reads fewer rows is an error."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ BAD = {
 
 
 def written(path: Path, number: int = 0, *, counts: bool = True) -> Written:
-    """A file as a worker tells of it; without `counts`, as an older one did."""
+    """Return the description of a file as a worker makes it; without `counts`, as an older worker made it."""
     seen = worker.describe(str(path), "out" + path.suffix)
     facts = [seen[name] for name in ("path", "head", "lines", "ended", "bytes")]
     more = [seen.get(name) for name in ("quotes", "blank", "alike")] if counts else []
@@ -53,7 +53,7 @@ def read_files(
     counts: bool = True,
     kind: Any = "csv",
 ) -> tuple[Reading, dict[str, list[Any]]]:
-    """Read files as recording does: what came of it, and the rows by execution, in their order."""
+    """Read files as recording does; return the reading, and the rows by execution in order."""
     target = folder / "target" / "table.parquet"
     target.parent.mkdir(exist_ok=True)
     for old in target.parent.iterdir():
@@ -79,7 +79,7 @@ def make(folder: Path, contents: Sequence[bytes], names: Sequence[str] | None = 
 
 
 def places(count: int) -> list[int]:
-    """Every place among few, the ends and the middle of many."""
+    """Return every place if there are few, else the ends and the middle."""
     return list(range(count)) if count < 10 else [0, count // 2, count - 1]
 
 
@@ -91,7 +91,7 @@ QUICK = {(fault, threads, count) for fault, threads, count in CASES if count == 
     ("fault", "threads", "count"),
     [pytest.param(*case, marks=() if case in QUICK else pytest.mark.nightly) for case in CASES],
 )
-def test_a_bad_file_among_many_is_blamed_as_it_is_alone(tmp_path: Path, fault: str, threads: int, count: int) -> None:
+def test_bad_file_gets_the_same_fault_among_many_files_as_alone(tmp_path: Path, fault: str, threads: int, count: int) -> None:
     alone, nothing = read_files(tmp_path, make(tmp_path, [BAD[fault]]))
     assert (list(alone.faults), alone.rows, nothing) == (["e0"], {}, {})
     for place in places(count):
@@ -104,7 +104,7 @@ def test_a_bad_file_among_many_is_blamed_as_it_is_alone(tmp_path: Path, fault: s
 
 @pytest.mark.parametrize("threads", THREADS)
 @pytest.mark.parametrize("count", MANY)
-def test_many_files_give_the_rows_that_each_gives_alone(tmp_path: Path, threads: int, count: int) -> None:
+def test_many_files_give_the_same_rows_as_each_file_alone(tmp_path: Path, threads: int, count: int) -> None:
     contents = [
         b"tick,v\n" + b"".join(b"%d,%d\n" % (row, row * number) for row in range(number % 7)) for number in range(count)
     ]
@@ -120,7 +120,7 @@ NAMES = ["it's.csv", "new\nline.csv", "ü ü.csv", "per%20cent.csv", "a#b.csv", 
 
 
 @pytest.mark.parametrize("bad", range(len(NAMES)))
-def test_odd_names_lose_no_rows(tmp_path: Path, bad: int) -> None:
+def test_unusual_file_names_lose_no_rows(tmp_path: Path, bad: int) -> None:
     contents = [OPEN_QUOTE if number == bad else GOOD for number in range(len(NAMES))]
     reading, rows = read_files(tmp_path, make(tmp_path / "runs", contents, NAMES))
     assert list(reading.faults) == [f"e{bad}"]
@@ -128,7 +128,7 @@ def test_odd_names_lose_no_rows(tmp_path: Path, bad: int) -> None:
     assert len(rows) == len(NAMES) - 1
 
 
-def test_an_odd_number_of_quotes_is_a_fault_with_its_line(tmp_path: Path) -> None:
+def test_odd_number_of_quotes_is_a_fault_with_its_line_number(tmp_path: Path) -> None:
     reading, _ = read_files(tmp_path, make(tmp_path, [b'a,b\n1,2\n3,5"\n4,5\n', OPEN_QUOTE]))
     assert reading.faults == {
         "e0": "out.csv: line 3: an odd number of quotes: '3,5\"' "
@@ -157,21 +157,23 @@ def test_an_odd_number_of_quotes_is_a_fault_with_its_line(tmp_path: Path) -> Non
     ],
 )
 @pytest.mark.parametrize("counts", [True, False])
-def test_rows_of_sound_files_are_counted_rightly(tmp_path: Path, text: str, rows: int, shape: Shape, counts: bool) -> None:
+def test_rows_of_valid_csv_files_are_counted_correctly(
+    tmp_path: Path, text: str, rows: int, shape: Shape, counts: bool
+) -> None:
     reading, found = read_files(tmp_path, make(tmp_path, [text.encode()]), shape=shape, counts=counts)
     assert not reading.faults
     assert (list(reading.rows.values()), list(reading.counted.values())) == ([rows], [rows])
     assert len(found.get("e0", [])) == rows
 
 
-def test_rows_after_an_empty_first_line_without_header_are_not_lost(tmp_path: Path) -> None:
+def test_empty_first_line_without_header_is_a_fault_instead_of_lost_rows(tmp_path: Path) -> None:
     reading, _ = read_files(tmp_path, make(tmp_path, [b"\n1,2\n3,4\n"]), shape=Shape("csv", header=False))
     assert reading.faults == {
         "e0": "out.csv: line 1: is empty, and 2 rows follow; name the columns (columns = [...] in [outputs.…])"
     }
 
 
-def test_rows_of_json_lines_and_parquet_are_counted_in_the_files(tmp_path: Path) -> None:
+def test_rows_of_json_lines_and_parquet_files_are_counted(tmp_path: Path) -> None:
     lines = tmp_path / "a.jsonl"
     lines.write_bytes(b'{"a":1}\n\n  \n{"a":2}')
     reading, _ = read_files(tmp_path, [lines], kind="jsonl")
@@ -183,10 +185,10 @@ def test_rows_of_json_lines_and_parquet_are_counted_in_the_files(tmp_path: Path)
 
 
 @pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])
-def test_a_parser_that_reads_less_than_is_there_is_not_believed(
+def test_fault_is_reported_if_the_parser_reads_fewer_rows_than_the_file_has(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    """Whatever a parser leaves out in silence: here a filter stands for it."""
+    """A filter simulates a parser that silently skips a row."""
     from sierra.ingest.csv import Csv
     from sierra.ingest.jsonl import Jsonl
     from sierra.ingest.parquet import Parquet
@@ -223,7 +225,7 @@ NOISE = (b'"', b"\n", b"\r", b",", b"\r\n", b" ", b"\\", b"\0", b"")
 
 
 def generated(numbers: random.Random) -> bytes:
-    """A CSV of one to three columns, mostly numbers, with a few bytes changed."""
+    """Return a CSV of one to three columns, mostly numbers, with a few bytes changed."""
     width, end = numbers.randint(1, 3), numbers.choice(["\n", "\n", "\r\n"])
     odd = numbers.random() < 0.5
     lines = [
@@ -239,7 +241,7 @@ def generated(numbers: random.Random) -> bytes:
 
 
 def records(content: bytes) -> list[list[str]] | None:
-    """What Python's csv reads below the header, in the dialect that is read; None where it refuses."""
+    """Return the records below the header as Python's csv reads them in the supported dialect; None if it refuses."""
     text = content.decode("utf-8-sig", "surrogateescape")
     for padded in ('" ,', '" \n', '" \r'):
         text = text.replace(padded, '"' + padded[-1])
@@ -251,7 +253,7 @@ def records(content: bytes) -> list[list[str]] | None:
 
 
 def is_plain(content: bytes) -> bool:
-    """Whether nothing is wrong with a CSV: no quotes, one kind of line end, as many fields in each line."""
+    """Return True for a plain CSV: no quotes, one kind of line end, the same number of fields in each line."""
     lines = content.decode(errors="replace").split("\n")
     odd = any(character in content for character in b'"\r\\\0')
     return not odd and lines[-1] == "" and all(line.count(",") == lines[0].count(",") for line in lines[1:-1] if line)
@@ -273,19 +275,19 @@ def check_generated(folder: Path, seed: int) -> None:
 
 
 @pytest.mark.integration
-def test_generated_files_have_the_rows_that_pythons_csv_finds(tmp_path: Path) -> None:
+def test_generated_files_have_as_many_rows_as_python_csv_reads(tmp_path: Path) -> None:
     for seed in range(40):
         check_generated(tmp_path, seed)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("block", [0, 1, *at_night(range(2, 8))])
-def test_thousands_of_generated_files_have_the_rows_that_pythons_csv_finds(tmp_path: Path, block: int) -> None:
+def test_thousands_of_generated_files_have_as_many_rows_as_python_csv_reads(tmp_path: Path, block: int) -> None:
     for seed in range(1000 + 150 * block, 1150 + 150 * block):
         check_generated(tmp_path, seed)
 
 
-# ---------------------------------------------------------------- what a worker counts
+# ---------------------------------------------------------------- counts of the worker
 
 
 PIECES = st.lists(st.sampled_from([b"\n", b"\r\n", b"\r", b"x", b'"', b"\n\n"]), max_size=12).map(b"".join)
@@ -293,7 +295,7 @@ PIECES = st.lists(st.sampled_from([b"\n", b"\r\n", b"\r", b"x", b'"', b"\n\n"]),
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
 @given(content=PIECES, size=st.integers(1, 5))
-def test_a_worker_counts_the_same_wherever_its_pieces_end(
+def test_worker_counts_do_not_depend_on_the_chunk_size(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes, size: int
 ) -> None:
     path = tmp_path / "x"
@@ -308,7 +310,7 @@ def test_a_worker_counts_the_same_wherever_its_pieces_end(
     assert seen["ended"] == (content == b"" or content.endswith(b"\n"))
 
 
-def test_of_what_is_no_text_a_worker_counts_less(tmp_path: Path) -> None:
+def test_worker_counts_fewer_properties_of_binary_files(tmp_path: Path) -> None:
     path = tmp_path / "x"
     path.write_bytes(b"\x89PNG\0\n\n")
     assert worker.describe(str(path), "x").keys() == {"path", "sha256", "bytes", "lines", "ended", "head"}
@@ -316,7 +318,7 @@ def test_of_what_is_no_text_a_worker_counts_less(tmp_path: Path) -> None:
     assert {"quotes", "blank", "alike"} <= worker.describe(str(path), "x").keys()
 
 
-def test_blank_lines_follow_one_another(tmp_path: Path) -> None:
+def test_worker_counts_consecutive_blank_lines(tmp_path: Path) -> None:
     path = tmp_path / "x"
     for before, ends in itertools.product((b"", b"a\n"), (b"\n", b"\r\n")):
         path.write_bytes(before.replace(b"\n", ends) + 5 * ends)

@@ -1,4 +1,4 @@
-"""Which column is the time axis, where the project does not say: the one that is called so, or the one that behaves so."""
+"""The time axis of outputs that declare none is chosen by the name of a column or by its values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TAKEN = "'timestep' is taken for the time of output 'swarm', as it increases ali
 
 
 def times(root: Path, *words: str) -> tuple[set[Any], str]:
-    """At which times there are statistics of coverage, and what is said of that."""
+    """Return the times at which there are statistics of coverage, and the messages."""
     ended = quick(root, "stats", "swarm", "coverage", "--times", "own", "--json", *words)
     assert ended.returncode == 0, ended.stderr
     return {row["t"] for row in json.loads(ended.stdout)}, ended.stderr
@@ -29,7 +29,7 @@ def asked(root: Path, simulator: str, config: str = "", runs: int = 3) -> Path:
 
 
 @pytest.mark.integration
-def test_a_column_that_increases_alike_in_all_runs_is_the_time_and_it_is_said(tmp_path: Path) -> None:
+def test_column_that_increases_alike_in_all_runs_is_the_time_and_is_reported(tmp_path: Path) -> None:
     found, told = times(asked(tmp_path, TIMESTEP))
     assert found == {0, 10, 20, 30, 40}
     assert TAKEN in told
@@ -40,7 +40,7 @@ def test_a_column_that_increases_alike_in_all_runs_is_the_time_and_it_is_said(tm
 
 
 @pytest.mark.integration
-def test_a_column_that_is_declared_or_called_so_is_not_looked_for(tmp_path: Path) -> None:
+def test_declared_or_conventionally_named_time_column_is_used_without_a_report(tmp_path: Path) -> None:
     root = asked(tmp_path / "called", projects.SIMULATOR)
     assert times(root)[0] == {0, 1, 2, 3, 4}
     assert "is taken for" not in times(root)[1]
@@ -49,7 +49,7 @@ def test_a_column_that_is_declared_or_called_so_is_not_looked_for(tmp_path: Path
     assert "is taken for" not in times(declared)[1]
 
 
-def test_runs_of_other_lengths_have_the_same_time_as_far_as_they_go(tmp_path: Path) -> None:
+def test_time_column_is_found_in_runs_of_different_lengths(tmp_path: Path) -> None:
     ragged = '[outputs.swarm]\nfile = "swarm.csv"\nmismatch = "ragged"\n'
     found, told = times(asked(tmp_path, TIMESTEP.replace("range(5)", "range(3 + seed % 3)"), ragged))
     assert {0, 10, 20} <= found
@@ -60,15 +60,15 @@ def test_runs_of_other_lengths_have_the_same_time_as_far_as_they_go(tmp_path: Pa
 @pytest.mark.parametrize(
     "written",
     [
-        "tick * count",  # other values in other experiments
-        "tick + seed % 7",  # other values in each run
-        "min(tick, 3)",  # it stops
+        "tick * count",  # differs between experiments
+        "tick + seed % 7",  # differs between runs
+        "min(tick, 3)",  # stops increasing
         "-tick",
         "'nan' if tick == 4 else tick",
         "'' if tick == 4 else tick",
     ],
 )
-def test_what_does_not_behave_like_a_time_is_none(written: str, tmp_path: Path) -> None:
+def test_columns_that_do_not_increase_alike_in_all_runs_are_not_the_time(written: str, tmp_path: Path) -> None:
     simulator = TIMESTEP.replace("print(tick * 10, ", f"print({written}, ")
     found, told = times(asked(tmp_path, simulator))
     assert found == {0, 1, 2, 3, 4}
@@ -79,7 +79,7 @@ def test_what_does_not_behave_like_a_time_is_none(written: str, tmp_path: Path) 
     assert "are counted instead" not in times(tmp_path)[1], "who declares an output has said that it has no time"
 
 
-def test_of_one_run_no_column_is_taken_for_the_time(tmp_path: Path) -> None:
+def test_no_column_is_chosen_as_the_time_for_a_single_run(tmp_path: Path) -> None:
     projects.make(tmp_path, simulator=TIMESTEP)
     assert quick(tmp_path, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     assert "is taken for" not in times(tmp_path)[1]

@@ -1,4 +1,4 @@
-"""`sierra fsck` finds every damage of a store, names it, and says what of the record it concerns."""
+"""`sierra fsck` finds all damage in a store, names the files, and reports which records are affected."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def wrong(root: Path) -> list[tuple[Kind, str]]:
 
 
 def segment_with(root: Path, table: str) -> Path:
-    """Of those that have the table, the one that holds most, whatever it is called: names begin with a hash."""
+    """Return the largest segment that has the table (segment names begin with a hash, so they give no fixed order)."""
     folders = [path.parent for path in root.glob(f".sierra/segments/*/{table}.parquet")]
     return max(folders, key=lambda folder: (sum(file.stat().st_size for file in folder.iterdir()), folder.name))
 
 
-def test_a_sound_store_is_sound(recorded: Path) -> None:
+def test_undamaged_store_is_reported_as_sound(recorded: Path) -> None:
     ended = projects.quick(recorded, "fsck")
     assert (ended.returncode, ended.stderr) == (0, "")
     assert ended.stdout.startswith("sound: ")
@@ -54,7 +54,7 @@ def test_a_sound_store_is_sound(recorded: Path) -> None:
 
 
 @pytest.mark.integration
-def test_where_something_is_damaged_the_next_step_is_named(root: Path) -> None:
+def test_damage_is_reported_with_the_command_that_repairs_it(root: Path) -> None:
     segment = segment_with(root, "batch_runs")
     (segment / "batch_runs.parquet").write_bytes(b"")
     said = projects.quick(root, "fsck").stdout
@@ -64,7 +64,7 @@ def test_where_something_is_damaged_the_next_step_is_named(root: Path) -> None:
 
 
 def positions(data: bytes, name: str, numbers: random.Random) -> Iterator[int]:
-    """Places of all kinds in a file: its ends, its footer, each line of a text, and any."""
+    """Yield positions of all kinds in a file: its ends, its middle, its footer, and a random one."""
     size = len(data)
     yield from {0, size // 2, size - 1, max(size - 6, 0), max(size - 9, 0)}
     if name.endswith(".parquet"):
@@ -81,7 +81,7 @@ def flip(path: Path, place: int, numbers: random.Random) -> None:
 
 @pytest.mark.nightly
 def test_any_flipped_bit_is_found_and_its_file_is_named(recorded: Path, root: Path) -> None:
-    """One bit in a file of each segment at a time, and in one of the store's own."""
+    """Each attempt flips one bit in a file of each segment and in one of the store's own files."""
     numbers = random.Random(1)
     own = [path.relative_to(root) for path in sorted((root / ".sierra").iterdir()) if path.is_file()]
     folders = [sorted(path.relative_to(root) for path in one.iterdir()) for one in root.glob(".sierra/segments/*")]
@@ -97,8 +97,8 @@ def test_any_flipped_bit_is_found_and_its_file_is_named(recorded: Path, root: Pa
     assert fsck(root).sound
 
 
-def test_each_bit_of_a_segment_counts_in_what_vouches_for_it(recorded: Path) -> None:
-    """All places at once, without a whole check for each: hashes see every bit, so it is the hash that must be compared."""
+def test_segment_names_and_manifests_depend_on_every_bit_of_the_files(recorded: Path) -> None:
+    """This covers every bit without one check per bit: hashes depend on every bit, so the hashes are compared."""
     for folder in sorted((recorded / ".sierra" / "segments").iterdir()):
         files = sorted(path for path in folder.iterdir() if path.name != "MANIFEST")
         text = manifest(files)
@@ -125,7 +125,9 @@ def link(path: Path) -> None:
 
 @pytest.mark.parametrize("damage", [truncate, extend, empty, link, Path.unlink])
 @pytest.mark.parametrize("file", ["MANIFEST", "executions.parquet", "objects.parquet"])
-def test_files_that_are_cut_grown_linked_or_gone_are_named(root: Path, damage: Callable[[Path], None], file: str) -> None:
+def test_truncated_extended_emptied_linked_and_deleted_files_are_named(
+    root: Path, damage: Callable[[Path], None], file: str
+) -> None:
     path = segment_with(root, "executions") / file
     damage(path)
     kind = Kind.ABSENT if damage is Path.unlink and file != "MANIFEST" else Kind.DAMAGED
@@ -143,7 +145,7 @@ def test_files_swapped_between_segments_are_named(root: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["{prefix}-0123456789abcdef", "0123456789ab-{hash}", "copy of it", "{prefix}-{hash}.bak"])
-def test_a_doubled_segment_is_named(root: Path, name: str) -> None:
+def test_duplicate_segments_are_named(root: Path, name: str) -> None:
     segment = segment_with(root, "executions")
     prefix, _, digits = segment.name.partition("-")
     double = segment.with_name(name.format(prefix=prefix, hash=digits))
@@ -153,7 +155,7 @@ def test_a_doubled_segment_is_named(root: Path, name: str) -> None:
 
 
 @pytest.mark.integration
-def test_strays_are_named_and_what_is_only_left_is_no_damage(root: Path) -> None:
+def test_stray_files_are_named_and_unfinished_files_are_not_damage(root: Path) -> None:
     (root / ".sierra" / "segments" / "notes.txt").write_text("")
     (root / ".sierra" / "segments" / "link").symlink_to("/tmp")
     (root / ".sierra" / "mine").mkdir()
@@ -163,8 +165,8 @@ def test_strays_are_named_and_what_is_only_left_is_no_damage(root: Path) -> None
     assert [finding.path for finding in fsck(root).findings if finding.kind is Kind.LEFT] == [".format.123"]
 
 
-def test_what_surrounds_two_askings_may_be_recorded_of_each(root: Path) -> None:
-    """As on a cluster, where it is recorded on its own, before anything was executed: the same bytes for each batch."""
+def test_equal_environments_and_programs_may_be_recorded_for_two_batches(root: Path) -> None:
+    """On a cluster, environments and programs are recorded before runs execute: the same bytes for each batch."""
     for batch in ("0123456789ab", "ba9876543210"):
         around = root / ".sierra" / "segments" / f"{batch}-"
         around.mkdir()
@@ -175,7 +177,7 @@ def test_what_surrounds_two_askings_may_be_recorded_of_each(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_what_is_concerned_is_said(root: Path) -> None:
+def test_damage_is_reported_with_the_affected_executions_and_batches(root: Path) -> None:
     path = segment_with(root, "executions") / "objects.parquet"
     extend(path)
     [finding] = [finding for finding in fsck(root).findings if finding.path == str(path.relative_to(root / ".sierra"))]
@@ -188,11 +190,11 @@ def test_what_is_concerned_is_said(root: Path) -> None:
     assert ended.stdout.splitlines()[0].startswith("damaged: segments/")
 
 
-# What has the right hashes, and yet is not what was recorded.
+# Forged records with correct hashes.
 
 
 def forge(root: Path, table: str, change: Callable[[dict[str, Any]], None]) -> None:
-    """Write a table of a segment anew, each row changed, and make MANIFEST and name fit."""
+    """Rewrite a table of a segment with each row changed, and update MANIFEST and the segment's name."""
     folder = segment_with(root, table)
     path = folder / f"{table}.parquet"
     found = pq.read_table(path)
@@ -239,14 +241,14 @@ FORGED: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
 
 
 @pytest.mark.parametrize("what", FORGED)
-def test_a_forged_record_is_found_though_all_hashes_of_files_are_right(root: Path, what: str) -> None:
+def test_forged_records_are_found_even_if_all_file_hashes_match(root: Path, what: str) -> None:
     forge(root, *FORGED[what])
     assert {kind for kind, _ in wrong(root)} & {Kind.INCONSISTENT, Kind.LOST}
 
 
 @pytest.mark.integration
-def test_rows_that_were_never_read_are_missed_and_executed_again(root: Path) -> None:
-    """As a parser leaves them that stops early: the table has as many rows as the record says, the file had more."""
+def test_rows_that_were_never_read_are_found_missing_and_their_execution_is_dropped(root: Path) -> None:
+    """A parser that stops early leaves this: the table has as many rows as recorded, but the file had more."""
     folder = segment_with(root, "output.swarm")
     swarm = pq.read_table(folder / "output.swarm.parquet")
     lost = swarm.column("execution")[0].as_py()
@@ -266,7 +268,7 @@ def test_rows_that_were_never_read_are_missed_and_executed_again(root: Path) -> 
 
 
 @pytest.mark.integration
-def test_a_file_that_vanished_is_missed_though_manifest_does_not_list_it(root: Path) -> None:
+def test_missing_table_is_found_even_if_the_manifest_does_not_list_it(root: Path) -> None:
     for table in ("artifacts", "objects", "output.swarm", "executions"):
         copy = stores.copy(root, root.with_name(table))
         folder = segment_with(copy, "executions")
@@ -276,8 +278,8 @@ def test_a_file_that_vanished_is_missed_though_manifest_does_not_list_it(root: P
 
 
 @pytest.mark.integration
-def test_no_segment_of_several_is_overlooked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As many as a busy machine records: what one of them lacks is missed."""
+def test_missing_table_is_found_in_each_of_several_segments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine records many segments: a table that one of them lacks is found missing."""
     monkeypatch.setattr(recorder, "PENDING_RUNS", 1)
     root = projects.make(tmp_path / "several", simulator=stores.SIMULATOR)
     sierra.open(root).run("population_size=1", runs=4, jobs=1, figures=False)
@@ -291,7 +293,7 @@ def test_no_segment_of_several_is_overlooked(tmp_path: Path, monkeypatch: pytest
         assert {kind for kind, _ in wrong(copy)} & {Kind.LOST, Kind.INCONSISTENT}, table
 
 
-def test_other_columns_and_what_is_no_parquet_are_named(root: Path) -> None:
+def test_wrong_columns_and_invalid_parquet_files_are_named(root: Path) -> None:
     folder = segment_with(root, "executions")
     pq.write_table(pa.table({"execution": ["a"], "content": [b"x"]}), folder / "artifacts.parquet")
     (folder / "ingest_rules.parquet").write_bytes(b"PAR1 no PAR1")
@@ -300,7 +302,7 @@ def test_other_columns_and_what_is_no_parquet_are_named(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_bomb_is_refused_and_not_expanded(root: Path) -> None:
+def test_decompression_bomb_is_reported_as_inconsistent(root: Path) -> None:
     folder = segment_with(root, "objects")
     row = {"sha256": "0" * 64, "part": 0, "size": 1 << 40, "content": bytes(200 << 20)}
     schema = pq.read_schema(folder / "objects.parquet")
@@ -310,8 +312,8 @@ def test_a_bomb_is_refused_and_not_expanded(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_nothing_that_stands_in_files_makes_it_fail(recorded: Path, root: Path) -> None:
-    """Any bytes in a file of each segment, each of which is what its MANIFEST and its name say."""
+def test_fsck_survives_arbitrary_bytes_in_files(recorded: Path, root: Path) -> None:
+    """A file of each segment gets random bytes; its MANIFEST and name are updated to match."""
     numbers = random.Random(2)
     for _ in range(5):
         for folder in sorted(root.glob(".sierra/segments/*")):
@@ -327,7 +329,7 @@ def test_nothing_that_stands_in_files_makes_it_fail(recorded: Path, root: Path) 
     assert fsck(root).sound
 
 
-def test_a_list_of_sources_that_cannot_be_read_is_said(root: Path) -> None:
+def test_unreadable_list_of_sources_is_reported(root: Path) -> None:
     for path in root.glob(".sierra/segments/*/sources.parquet"):
         data = path.read_bytes()
         footer = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
@@ -337,7 +339,7 @@ def test_a_list_of_sources_that_cannot_be_read_is_said(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_source_that_git_lost_is_named_apart(tmp_path: Path) -> None:
+def test_source_missing_from_git_is_reported_as_gone(tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project"))
     sierra.open(root).run("population_size=1", runs=1, figures=False)
     assert fsck(root).sound
@@ -346,11 +348,11 @@ def test_a_source_that_git_lost_is_named_apart(tmp_path: Path) -> None:
     assert kind is Kind.GONE
 
 
-# Repairing.
+# Repair.
 
 
 def repaired(root: Path) -> list[str]:
-    """What a repair says that it does; a dry run says the same first, and does nothing."""
+    """Repair the store and return the reported actions; check first that a dry run changes nothing."""
     before = stores.state(root)
     dry = json.loads(projects.quick(root, "fsck", "--repair", "--dry-run", "--json").stdout)["repaired"]
     assert stores.state(root) == before
@@ -360,7 +362,7 @@ def repaired(root: Path) -> list[str]:
 
 
 def everything(root: Path) -> bytes:
-    """All bytes of the store, wherever they are."""
+    """Return the content of all files of the store, joined in sorted order."""
     return b"".join(sorted(stores.state(root).values()))
 
 
@@ -368,7 +370,7 @@ def everything(root: Path) -> bytes:
 @pytest.mark.parametrize(
     "damages", [(truncate, empty, Path.unlink), (empty, Path.unlink, truncate), (Path.unlink, truncate, empty)]
 )
-def test_what_is_the_same_in_every_store_is_written_again(recorded: Path, root: Path, damages: Sequence[Any]) -> None:
+def test_standard_files_of_the_store_are_rewritten_by_repair(recorded: Path, root: Path, damages: Sequence[Any]) -> None:
     names = ("format", ".gitignore", "CACHEDIR.TAG")
     for name, damage in zip(names, damages, strict=True):
         damage(root / ".sierra" / name)
@@ -378,14 +380,14 @@ def test_what_is_the_same_in_every_store_is_written_again(recorded: Path, root: 
 
 
 @pytest.mark.integration
-def test_a_manifest_is_made_again(recorded: Path, root: Path) -> None:
+def test_manifest_is_restored_by_repair(recorded: Path, root: Path) -> None:
     truncate(segment_with(root, "executions") / "MANIFEST")
     assert len(repaired(root)) == 1
     assert stores.state(root) == stores.state(recorded)
 
 
 @pytest.mark.integration
-def test_strays_are_put_aside(root: Path) -> None:
+def test_stray_files_are_moved_aside_by_repair(root: Path) -> None:
     (segment_with(root, "executions") / "more").write_text("mine")
     shutil.copytree(segment_with(root, "executions"), root / ".sierra" / "segments" / "copy")
     assert len(repaired(root)) == 2
@@ -395,8 +397,8 @@ def test_strays_are_put_aside(root: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("tables", [("executions", "objects", "artifacts"), ("output.swarm", "ingest_rules", "output.notes")])
-def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: Path, tables: Sequence[str]) -> None:
-    """Each of the tables in what another batch executed; the second batch has files that no other has."""
+def test_only_lost_executions_are_executed_again_after_repair(root: Path, tables: Sequence[str]) -> None:
+    """Damage each table in executions of a different batch; the second batch has files that no other batch has."""
     project = sierra.open(root)
     executed = "SELECT batch, count(*) AS n, count_if(purpose = 'run') AS most FROM executions GROUP BY batch"
     before = {row["batch"]: row for row in project.sql(executed).to_pylist()}
@@ -411,7 +413,7 @@ def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: 
     assert fsck(root).sound
     after = {row["batch"]: row["n"] for row in project.sql(executed).to_pylist()}
     lost = [before[batch]["n"] - after.get(batch, 0) for batch in batches]
-    assert [count > 0 for count in lost] == [table != "ingest_rules" for table in tables]  # which other segments have too
+    assert [count > 0 for count in lost] == [table != "ingest_rules" for table in tables]  # other segments have the rules too
     assert all(count <= before[batch]["most"] for batch, count in zip(batches, lost, strict=True))
     summaries = [project.run(batch, figures=False) for batch in batches]
     assert sum(one.failed + one.missing for one in summaries) == 0
@@ -420,7 +422,7 @@ def test_what_was_executed_and_is_lost_is_executed_again_and_nothing_else(root: 
 
 
 @pytest.mark.integration
-def test_declarations_that_are_damaged_take_no_execution_with_them(
+def test_damaged_ingest_rules_cause_no_loss_of_executions(
     simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder, "PENDING_RUNS", 1)
@@ -441,10 +443,10 @@ def test_declarations_that_are_damaged_take_no_execution_with_them(
         *(pytest.param(those, marks=pytest.mark.nightly) for those in (("batch_runs", "specs", "sources"), ("objects",))),
     ],
 )
-def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, tables: Sequence[str]) -> None:
-    """Each of the tables in the segment of another batch."""
+def test_damaged_batch_descriptions_are_recorded_again_without_executing_runs(root: Path, tables: Sequence[str]) -> None:
+    """Damage each table in the segment of a different batch."""
     folders = [path.parent for path in root.glob(".sierra/segments/*/batch_runs.parquet")]
-    folders.sort(key=lambda folder: ((folder / "blobs.parquet").exists(), folder.name))  # what nobody else has comes last
+    folders.sort(key=lambda folder: ((folder / "blobs.parquet").exists(), folder.name))  # segment with unique content last
     for table in tables:
         folder = next(one for one in folders if (one / f"{table}.parquet").exists())
         folders.remove(folder)
@@ -456,7 +458,7 @@ def test_what_says_that_there_is_a_batch_is_recorded_again(root: Path, tables: S
 
 
 @pytest.mark.integration
-def test_files_of_a_source_are_recorded_again_where_only_their_content_is_lost(root: Path) -> None:
+def test_lost_content_of_source_files_is_recorded_again_without_executing_runs(root: Path) -> None:
     folder = segment_with(root, "blobs")
     content = pq.read_table(folder / "objects.parquet")
     extend(folder / "objects.parquet")
@@ -470,7 +472,7 @@ def test_files_of_a_source_are_recorded_again_where_only_their_content_is_lost(r
 
 
 @pytest.mark.integration
-def test_a_repair_says_that_bytes_of_tables_are_lost(root: Path) -> None:
+def test_repair_reports_lost_raw_files_of_tables(root: Path) -> None:
     folder = segment_with(root, "output.swarm")
     extend(folder / "objects.parquet")
     assert any(f"segments/{folder.name}: the bytes of files that became tables" in line for line in repaired(root))
@@ -478,7 +480,7 @@ def test_a_repair_says_that_bytes_of_tables_are_lost(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_batch_that_is_executing_is_not_in_the_way_of_a_check(simulate: Callable[..., Any]) -> None:
+def test_fsck_works_while_a_batch_is_executing(simulate: Callable[..., Any]) -> None:
     project = simulate(held(20))
     running = project.start("run", "size=1,2", "--runs", "20", "-j", "2", "--no-figures")
     project.until_executed(5, running)
@@ -490,7 +492,7 @@ def test_a_batch_that_is_executing_is_not_in_the_way_of_a_check(simulate: Callab
     assert project.end_of(running).returncode == 0
 
 
-def test_a_store_of_another_format_is_named_and_not_repaired(root: Path) -> None:
+def test_store_of_another_format_is_reported_and_not_repaired(root: Path) -> None:
     store = root / ".sierra"
     (store / "format").write_text("sierra store 1\n")
     before = {path: path.read_bytes() for path in store.rglob("*") if path.is_file()}

@@ -1,4 +1,4 @@
-"""`sierra gc` removes what nothing needs, merges small files, and loses nothing."""
+"""`sierra gc` removes unneeded files, merges small files, and loses nothing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.conftest import held
 
 @pytest.fixture(scope="module")
 def made(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with a batch that was asked for often, so that its segments are many."""
+    """A project with batches that were submitted several times, so that there are many segments."""
     root = stores.copy(recorded, tmp_path_factory.mktemp("gc") / "project")
     for query in ("population_size=1,2", "noise=0.5") * 2:
         sierra.open(root).run(query, figures=False)
@@ -35,7 +35,7 @@ def root(made: Path, tmp_path: Path) -> Path:
 
 
 def everything(root: Path) -> dict[str, Any]:
-    """All that SQL and `sierra files` give."""
+    """Return all content that is visible in SQL and through `sierra files`."""
     around = ("objects", "blobs", "specs", "sources", "environments", "programs", "ingest_rules")
     with sierra.open(root).store.snapshot() as snapshot:
 
@@ -53,7 +53,7 @@ def segments(root: Path) -> int:
 
 
 @pytest.mark.integration
-def test_many_small_segments_become_few_and_every_row_stays(root: Path) -> None:
+def test_many_small_segments_are_merged_without_losing_rows(root: Path) -> None:
     before, count = everything(root), segments(root)
     dry = projects.quick(root, "gc", "--dry-run")
     assert (dry.returncode, segments(root)) == (0, count)
@@ -67,14 +67,14 @@ def test_many_small_segments_become_few_and_every_row_stays(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_without_a_terminal_yes_is_needed(root: Path) -> None:
+def test_gc_without_a_terminal_needs_yes(root: Path) -> None:
     before = stores.state(root)
     ended = projects.quick(root, "gc")
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
     assert stores.state(root) == before
 
 
-def test_files_that_nothing_refers_to_go_and_unfinished_ones(root: Path) -> None:
+def test_unreferenced_and_unfinished_files_are_removed(root: Path) -> None:
     store = sierra.open(root).store
     writer = store.writer(store.paths.work / "test", store.segments()[0].batch)
     from sierra.store.objects import Objects
@@ -100,7 +100,7 @@ def test_files_that_nothing_refers_to_go_and_unfinished_ones(root: Path) -> None
 
 
 @pytest.mark.integration
-def test_what_a_dead_asking_had_finished_is_recorded(simulate: Callable[..., Any]) -> None:
+def test_finished_runs_of_a_dead_session_are_recorded(simulate: Callable[..., Any]) -> None:
     project = simulate(held(5))
     running = project.start("run", "size=1", "--runs", "8", "-j", "2", "--no-figures")
     project.until_executed(6, running)
@@ -117,7 +117,7 @@ def test_what_a_dead_asking_had_finished_is_recorded(simulate: Callable[..., Any
 
 
 @pytest.mark.integration
-def test_killed_at_any_moment_nothing_is_lost_or_doubled(made: Path, tmp_path: Path) -> None:
+def test_killed_gc_neither_loses_nor_duplicates_rows(made: Path, tmp_path: Path) -> None:
     numbers = random.Random(4)
     before = everything(made)
     for attempt in range(4):
@@ -138,7 +138,7 @@ def test_killed_at_any_moment_nothing_is_lost_or_doubled(made: Path, tmp_path: P
 
 
 @pytest.mark.nightly
-def test_beside_a_running_batch_nothing_is_lost(simulate: Callable[..., Any]) -> None:
+def test_gc_during_a_running_batch_loses_nothing(simulate: Callable[..., Any]) -> None:
     project = simulate(r"sleep 0.15; printf 't,v\n1,1\n2,4\n' > swarm.csv")
     for _ in range(2):
         assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
@@ -157,7 +157,7 @@ def test_beside_a_running_batch_nothing_is_lost(simulate: Callable[..., Any]) ->
 
 
 @pytest.mark.integration
-def test_a_reader_keeps_what_it_reads(root: Path) -> None:
+def test_gc_keeps_files_that_a_reader_has_open(root: Path) -> None:
     store = sierra.open(root).store
     with store.snapshot() as snapshot:
         found = gc.collect(store)

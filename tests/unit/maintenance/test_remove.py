@@ -1,4 +1,4 @@
-"""`sierra rm` deletes what it says and nothing else, whole or not at all."""
+"""`sierra rm` deletes exactly the announced items, completely or not at all."""
 
 from __future__ import annotations
 
@@ -43,20 +43,20 @@ def without(root: Path, batch: str, table: str, key: str = "batch") -> list[dict
     return rows(root, f"SELECT * EXCLUDE (row) FROM {table} WHERE {key} <> $b ORDER BY ALL", b=batch)
 
 
-def test_a_dry_run_says_what_would_go_and_changes_nothing(root: Path) -> None:
+def test_dry_run_lists_the_items_to_delete_and_changes_nothing(root: Path) -> None:
     before = stores.state(root)
     first = batches(root)["population_size=1,2"]
     ended = projects.quick(root, "rm", first[:8], "--dry-run")
     assert (ended.returncode, ended.stderr) == (0, "")
     assert f"batch {first[:10]} (population_size=1,2): 2 experiments, 4 runs" in ended.stdout
-    assert "3 executions of 2 runs" in ended.stdout  # those of population_size=1, one of them replayed
+    assert "3 executions of 2 runs" in ended.stdout  # the runs of population_size=1, one of them replayed
     assert (
         f"stays: 2 runs with their executions, which batch {batches(root)['population_size=2,3'][:10]} has too" in ended.stdout
     )
     assert stores.state(root) == before
 
 
-def test_what_is_removed_is_missing_from_the_batches_that_stay(root: Path) -> None:
+def test_removed_run_is_missing_from_the_remaining_batch(root: Path) -> None:
     batch = batches(root)["noise=0.5"]
     [run, *_] = sierra.open(root).sql("SELECT run FROM batch_runs", within=batch).column("run").to_pylist()
     projects.quick(root, "rm", run, "--yes")
@@ -65,7 +65,7 @@ def test_what_is_removed_is_missing_from_the_batches_that_stay(root: Path) -> No
     assert "1 missing" in projects.quick(root, "ls").stdout
 
 
-def test_without_a_terminal_yes_is_needed(root: Path) -> None:
+def test_rm_without_a_terminal_needs_yes(root: Path) -> None:
     before = stores.state(root)
     ended = projects.quick(root, "rm", batches(root)["noise=0.5"])
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
@@ -74,7 +74,7 @@ def test_without_a_terminal_yes_is_needed(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_batch_goes_whole_and_what_others_have_stays(root: Path) -> None:
+def test_batch_is_removed_completely_but_shared_runs_stay(root: Path) -> None:
     named = batches(root)
     gone, stays = named["population_size=1,2"], named["population_size=2,3"]
     shared = rows(root, "SELECT DISTINCT run FROM batch_runs WHERE batch = $b", b=stays)
@@ -96,7 +96,7 @@ def test_a_batch_goes_whole_and_what_others_have_stays(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_what_stays_is_not_executed_again_and_what_went_is(root: Path) -> None:
+def test_remaining_runs_are_reused_and_removed_runs_are_executed_again(root: Path) -> None:
     named = batches(root)
     projects.quick(root, "rm", named["population_size=1,2"], "--yes")
     assert sierra.open(root).run("population_size=2,3", runs=3, figures=False).executed == 0
@@ -106,7 +106,7 @@ def test_what_stays_is_not_executed_again_and_what_went_is(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_segments_of_other_batches_are_the_same_bytes(root: Path) -> None:
+def test_segments_of_other_batches_stay_unchanged(root: Path) -> None:
     named = batches(root)
     gone = named["noise=0.5"]
     before = {path: data for path, data in stores.state(root).items() if not path.startswith(f"segments/{gone[:12]}")}
@@ -118,7 +118,7 @@ def test_segments_of_other_batches_are_the_same_bytes(root: Path) -> None:
 
 @pytest.mark.integration
 @pytest.mark.parametrize("kind", ["experiment", "run", "execution"])
-def test_of_a_part_what_was_executed_goes_and_the_batch_asks_for_it_again(root: Path, kind: str) -> None:
+def test_removed_parts_of_a_batch_are_executed_again_by_the_same_query(root: Path, kind: str) -> None:
     batch = batches(root)["noise=0.5"]
     table = "experiments" if kind == "experiment" else "executions"
     statement = f"SELECT {kind} AS id FROM {table} WHERE batch = $b ORDER BY 1 LIMIT 1"
@@ -133,7 +133,7 @@ def test_of_a_part_what_was_executed_goes_and_the_batch_asks_for_it_again(root: 
 
 
 @pytest.mark.integration
-def test_batches_named_together_take_what_only_they_share(root: Path) -> None:
+def test_runs_shared_only_by_batches_removed_together_are_removed(root: Path) -> None:
     named = batches(root)
     both = [named["population_size=1,2"], named["population_size=2,3"]]
     assert projects.quick(root, "rm", *both, "--yes").returncode == 0
@@ -146,7 +146,7 @@ def test_batches_named_together_take_what_only_they_share(root: Path) -> None:
     assert sound(root)
 
 
-def test_what_is_not_there_or_ambiguous_is_refused(root: Path) -> None:
+def test_unknown_invalid_and_missing_ids_are_refused(root: Path) -> None:
     before = stores.state(root)
     for word in ("ffff00", "xyz", ""):
         assert projects.quick(root, "rm", word, "--yes").returncode == 2
@@ -155,7 +155,7 @@ def test_what_is_not_there_or_ambiguous_is_refused(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_killed_at_any_moment_it_is_before_or_after_and_again_finishes_it(recorded: Path, tmp_path: Path) -> None:
+def test_killed_rm_has_removed_everything_or_nothing_and_can_be_repeated(recorded: Path, tmp_path: Path) -> None:
     numbers = random.Random(3)
     named = batches(recorded)
     both = [named["population_size=1,2"], named["population_size=2,3"]]
@@ -186,7 +186,7 @@ def test_killed_at_any_moment_it_is_before_or_after_and_again_finishes_it(record
 
 
 @pytest.mark.integration
-def test_a_full_disk_loses_nothing(recorded: Path, tmp_path: Path) -> None:
+def test_full_disk_during_rm_loses_nothing(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     before = stores.state(root)
     batch = batches(root)["population_size=1,2"]
@@ -198,7 +198,7 @@ def test_a_full_disk_loses_nothing(recorded: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_an_executing_batch_is_not_removed_and_another_is(simulate: Callable[..., Any]) -> None:
+def test_executing_batch_is_not_removed_but_other_batches_are(simulate: Callable[..., Any]) -> None:
     project = simulate(held(4))
     assert project.quick("run", "size=1", "--runs", "3", "--no-figures").returncode == 0
     [other] = project.sql("SELECT batch FROM batches")

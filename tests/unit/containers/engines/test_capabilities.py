@@ -1,4 +1,4 @@
-"""What engines say of themselves: what works here, what doesn't, and what to do about it."""
+"""Capabilities of engines: what works here, what doesn't, and what to do about it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LIMITED = frozenset(("memory",))
 
 @dataclass
 class Pretended:
-    """A folder of programs that say what a test wants them to, and that is all that the PATH has but a shell's."""
+    """A folder of fake programs; the PATH contains only them and basic shell tools."""
 
     folder: Path
 
@@ -36,7 +36,7 @@ class Pretended:
         file.chmod(0o755)
 
     def asked(self) -> int:
-        """How often a container was to be started since the last time."""
+        """Return how many container starts were requested since the last call."""
         log = self.folder / "asked"
         words = log.read_text() if log.exists() else ""
         log.unlink(missing_ok=True)
@@ -55,7 +55,7 @@ def pretended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pretended:
 
 
 def podman(container: str, version: str = "4.9.0") -> str:
-    """A podman that does so where it is to start a container."""
+    """Return the script of a fake podman that runs the command `container` to start a container."""
     return f"""case "$*" in
 --version) echo podman version {version} ;;
 *info*) printf 'runc\\nrunc version 1.1\\n\\nconmon version 2.1, commit: x\\ncgroups v2\\n' ;;
@@ -64,14 +64,14 @@ esac"""
 
 
 STARTS = 'while test "$1" != /bin/sh; do shift; done; exec "$@"'
-"""As if there were a container."""
+"""Run the command without a container."""
 
 
 def doctor(folder: Path) -> dict[str, dict[str, str]]:
     return {check["name"]: check for check in json.loads(quick(folder, "doctor", "--json").stdout)}
 
 
-def test_doctor_names_engines_that_are_not_there(pretended: Pretended, tmp_path: Path) -> None:
+def test_doctor_lists_missing_engines_with_a_remedy(pretended: Pretended, tmp_path: Path) -> None:
     said = doctor(tmp_path)
     for name in ("podman", "apptainer"):
         assert said[name]["state"] == "absent"
@@ -80,7 +80,7 @@ def test_doctor_names_engines_that_are_not_there(pretended: Pretended, tmp_path:
 
 
 @pytest.mark.parametrize(("stored", "slow"), [("vfs", True), ("overlay", False)])
-def test_doctor_says_that_podman_is_slow_where_it_copies_images(
+def test_doctor_warns_that_podman_is_slow_with_the_vfs_driver(
     pretended: Pretended, tmp_path: Path, stored: str, slow: bool
 ) -> None:
     store = json.dumps({"store": {"graphDriverName": stored, "graphRoot": "/var/lib/containers"}})
@@ -105,7 +105,7 @@ def test_doctor_says_that_podman_is_slow_where_it_copies_images(
         ("Error: it is a Tuesday", "it is a Tuesday"),
     ],
 )
-def test_what_podman_fails_at_is_one_line_with_what_helps(
+def test_podman_failures_are_reported_in_one_line_with_a_remedy(
     complaint: str, remedy: str, pretended: Pretended, tmp_path: Path
 ) -> None:
     pretended.program("podman", podman(f"echo '{complaint}' >&2; exit 125"))
@@ -123,21 +123,21 @@ def test_what_podman_fails_at_is_one_line_with_what_helps(
     ("singularity", "singularity-ce version 3.8.4"),
     ("singularity", "singularity version 3.7.0"),
 ])  # fmt: skip
-def test_an_engine_that_is_too_old_is_named(name: str, said: str, pretended: Pretended) -> None:
+def test_engines_that_are_too_old_are_refused(name: str, said: str, pretended: Pretended) -> None:
     pretended.program(name, f"echo {said}")
     trouble = find("podman" if name == "podman" else "apptainer").probe().trouble
     assert "too old" in trouble
     assert "or newer is needed" in trouble
 
 
-def test_limits_that_are_only_ignored_are_not_enforced(pretended: Pretended) -> None:
+def test_limits_that_the_engine_ignores_are_not_listed_as_enforced(pretended: Pretended) -> None:
     pretended.program("podman", podman(STARTS))
     able = find("podman").probe()
     assert (able.trouble, able.enforced) == ("", frozenset())
     assert able.version == "podman 4.9.0, runc 1.1, conmon 2.1, cgroups v2"
 
 
-def test_the_network_is_seen_where_it_is_not_isolated(pretended: Pretended, tmp_path: Path) -> None:
+def test_missing_network_isolation_is_detected_and_shown_by_doctor(pretended: Pretended, tmp_path: Path) -> None:
     if not any(":" in line and "lo:" not in line for line in Path("/proc/net/dev").read_text().splitlines()):
         pytest.skip("needs a network card")
     pretended.program("podman", podman(STARTS))
@@ -145,14 +145,14 @@ def test_the_network_is_seen_where_it_is_not_isolated(pretended: Pretended, tmp_
     assert "NOT ISOLATED" in doctor(tmp_path)["podman"]["found"]
 
 
-def test_another_runtime_is_taken_where_the_usual_one_fails(pretended: Pretended) -> None:
+def test_podman_falls_back_to_another_runtime_if_the_default_fails(pretended: Pretended) -> None:
     pretended.program("podman", podman(f'test "$1" = --runtime=runc || {{ echo "crun: it failed" >&2; exit 1; }}; {STARTS}'))
     assert "crun: it failed" in find("podman").probe().trouble
     pretended.program("runc", "exit 0")
     assert find("podman").probe().trouble == ""
 
 
-def test_what_was_found_is_remembered_until_something_changes(pretended: Pretended, tmp_path: Path) -> None:
+def test_successful_probe_is_cached_until_the_engine_changes(pretended: Pretended, tmp_path: Path) -> None:
     pretended.program("podman", podman(STARTS))
     found = find("podman").probe()
     assert pretended.asked() == 1
@@ -164,7 +164,7 @@ def test_what_was_found_is_remembered_until_something_changes(pretended: Pretend
     assert pretended.asked() == 1
 
 
-def test_trouble_is_not_remembered(pretended: Pretended, tmp_path: Path) -> None:
+def test_failed_probe_is_not_cached(pretended: Pretended, tmp_path: Path) -> None:
     broken = tmp_path / "broken"
     broken.touch()
     pretended.program("podman", podman(f"test -e {broken} && {{ echo 'Error: not now' >&2; exit 125; }}; {STARTS}"))
@@ -173,7 +173,7 @@ def test_trouble_is_not_remembered(pretended: Pretended, tmp_path: Path) -> None
     assert find("podman").probe().trouble == ""
 
 
-def test_singularity_ce_is_spoken_to_by_its_own_names(pretended: Pretended) -> None:
+def test_singularity_ce_is_called_with_its_own_program_and_variable_names(pretended: Pretended) -> None:
     says = 'case "$1" in --version) echo singularity-ce version 4.1.2 ;; buildcfg) ;; *) ' + STARTS + " ;; esac"
     pretended.program("singularity", says)
     assert find("apptainer").probe().version.startswith("singularity-ce 4.1.2")
@@ -192,7 +192,7 @@ def test_singularity_ce_is_spoken_to_by_its_own_names(pretended: Pretended) -> N
         ("FATAL:   while starting: it rains", "it rains"),
     ],
 )
-def test_what_apptainer_fails_at_is_one_line(complaint: str, remedy: str, pretended: Pretended) -> None:
+def test_apptainer_failures_are_reported_in_one_line_with_a_remedy(complaint: str, remedy: str, pretended: Pretended) -> None:
     fails = (
         f"case \"$1\" in --version) echo apptainer version 1.4.5 ;; buildcfg) ;; *) echo '{complaint}' >&2; exit 255 ;; esac"
     )
@@ -203,7 +203,7 @@ def test_what_apptainer_fails_at_is_one_line(complaint: str, remedy: str, preten
 
 
 @pytest.mark.integration
-def test_apptainer_works_where_nothing_can_be_remembered(
+def test_apptainer_works_without_a_writable_cache(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
 ) -> None:
     require("apptainer")
@@ -212,7 +212,9 @@ def test_apptainer_works_where_nothing_can_be_remembered(
     assert find("apptainer").probe().trouble == ""
 
 
-def test_no_room_for_trying_is_said(pretended: Pretended, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_temporary_folder_is_reported_by_the_probe(
+    pretended: Pretended, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pretended.program("podman", podman(STARTS))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
     trouble = find("podman").probe().trouble
@@ -221,18 +223,18 @@ def test_no_room_for_trying_is_said(pretended: Pretended, tmp_path: Path, monkey
 
 
 class TestApptainersEndings:
-    """How an ended client is understood."""
+    """How the exit status of a client is interpreted."""
 
     @staticmethod
     def of(status: int | None, said: str = "", *, signal: int | None = None, stopped: str | None = None) -> Result:
         result = Result("", "", "", 0.0, 0.0, status, signal, stopped, None, None, None, "", 0, ())
         return find("apptainer").classify(result, said, LIMITED)
 
-    def test_255_is_a_programs_own_status(self) -> None:
+    def test_exit_code_255_without_an_engine_error_is_the_exit_code_of_the_program(self) -> None:
         assert self.of(255, "nothing of the engine's").exit_code == 255
         assert self.of(255, "FATAL:   it was\nand then this").error is None
 
-    def test_255_after_a_complaint_is_the_engines(self) -> None:
+    def test_exit_code_255_after_an_engine_error_is_an_error_of_the_engine(self) -> None:
         for said, told in (
             ('FATAL:   "nosuch": executable file not found in $PATH', "the command cannot be started"),
             ("FATAL:   stat /nosuch/x: no such file or directory", "the command cannot be started"),
@@ -247,12 +249,12 @@ class TestApptainersEndings:
             assert told in (result.error or "")
             assert result.exit_code is None
 
-    def test_a_signal_is_the_programs(self) -> None:
+    def test_exit_codes_above_128_are_signals_of_the_program(self) -> None:
         assert (self.of(139).exit_code, self.of(139).signal) == (None, 11)
         assert self.of(137).stopped == "memory"
         assert self.of(137, stopped="timeout").stopped == "timeout"
 
-    def test_a_client_that_was_killed_is_an_error(self) -> None:
+    def test_killed_client_is_an_error_unless_sierra_stopped_it(self) -> None:
         assert "signal 15" in (self.of(None, signal=15).error or "")
         assert self.of(None, signal=9, stopped="timeout").error is None
 
@@ -267,7 +269,7 @@ def squashfs(tmp_path: Path, require: Callable[..., str]) -> Path:
     return file
 
 
-def test_files_of_an_image_are_unpacked_once(squashfs: Path, tmp_path: Path) -> None:
+def test_image_files_are_unpacked_once(squashfs: Path, tmp_path: Path) -> None:
     folder = sandboxes.ready(squashfs, "sha256:1", tmp_path / "made" / "rootfs")
     before = (folder / "bin").stat()
     assert (folder / "bin" / "tool").read_text() == "right"
@@ -276,7 +278,7 @@ def test_files_of_an_image_are_unpacked_once(squashfs: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("change", ["content", "added", "removed", "rights"])
-def test_files_of_an_image_that_were_changed_are_unpacked_again(change: str, squashfs: Path, tmp_path: Path) -> None:
+def test_changed_image_files_are_unpacked_again(change: str, squashfs: Path, tmp_path: Path) -> None:
     folder = sandboxes.ready(squashfs, "sha256:1", tmp_path / "made" / "rootfs")
     tool = folder / "bin" / "tool"
     match change:
@@ -297,11 +299,11 @@ def test_files_of_an_image_that_were_changed_are_unpacked_again(change: str, squ
     assert sorted(path.name for path in folder.parent.iterdir()) == [".rootfs.lock", "rootfs"]
 
 
-def test_an_image_that_took_anothers_place_is_unpacked(squashfs: Path, tmp_path: Path) -> None:
+def test_image_with_another_id_replaces_the_unpacked_files(squashfs: Path, tmp_path: Path) -> None:
     folder = sandboxes.ready(squashfs, "sha256:1", tmp_path / "made" / "rootfs")
     inode = folder.stat().st_ino
     assert sandboxes.ready(squashfs, "sha256:2", folder).stat().st_ino != inode
 
 
-def test_none_contains_nothing() -> None:
+def test_engine_none_has_no_capabilities() -> None:
     assert find("none").probe() == Capabilities("none")

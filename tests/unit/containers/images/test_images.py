@@ -1,4 +1,4 @@
-"""Images by their content: archives, layers, SIFs and squashfs are read, checked, pinned; what is hostile or damaged is not."""
+"""Images by content: archives, layers, SIFs, squashfs are read, checked and pinned; hostile or damaged ones are refused."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def project(tmp_path: Path) -> Project:
 
 
 def paths(project: Project, name: str) -> dict[str, str]:
-    """What is in an image: each path with its type."""
+    """Return the content of an image: each path with its type."""
     return {path: entry.type for path, entry in project.image(name).files.items()}
 
 
 def assert_refused(project: Project, name: str, *words: str) -> str:
-    """It is not pinned: one line says of which file what is wrong, and nothing is left."""
+    """Assert that pinning fails with one line that names the file and the fault, and leaves nothing behind."""
     done = quick(project.root, "image", "pin", name)
     assert done.returncode in (1, 3)
     assert done.stderr.count("\n") == 1
@@ -69,7 +69,7 @@ def assert_refused(project: Project, name: str, *words: str) -> str:
 # ---------------------------------------------------------------- one image in many forms
 
 
-def test_an_image_is_the_same_in_every_form(project: Project, require: Callable[..., str]) -> None:
+def test_image_has_the_same_id_and_content_in_every_archive_format(project: Project, require: Callable[..., str]) -> None:
     require("mksquashfs")
     root = project.root
     made.docker_archive(root / "docker.tar", [BASE, TOP])
@@ -90,7 +90,7 @@ def test_an_image_is_the_same_in_every_form(project: Project, require: Callable[
     assert found["oci.tar"][0] == "sha256:" + made.sha256(made.config([BASE, TOP]))
 
 
-def test_layers_are_merged_as_engines_do_it(project: Project) -> None:
+def test_layers_are_merged_as_container_engines_do(project: Project) -> None:
     low = made.layer(
         ("keep", "1"), ("gone", "1"), ("folder/inner", "1"), ("folder/other", "1"), ("file", "1"), ("was/folder", "1"),
         ("links/a", "shared"), ("links/b => links/a", ""), ("links/c => links/b", ""), ("way -> folder", ""),
@@ -114,7 +114,7 @@ def test_layers_are_merged_as_engines_do_it(project: Project) -> None:
 
 
 @pytest.mark.parametrize("kind", [tarfile.CHRTYPE, tarfile.BLKTYPE])
-def test_no_image_with_a_device_is_imported(project: Project, kind: bytes) -> None:
+def test_import_of_images_with_device_files_is_refused(project: Project, kind: bytes) -> None:
     node = made.device("dev/sda")
     node.type = kind
     made.docker_archive(project.root / "sim.tar", [BASE, made.layer(node), made.layer((".wh.dev", ""))])
@@ -124,7 +124,7 @@ def test_no_image_with_a_device_is_imported(project: Project, kind: bytes) -> No
     assert list((project.root / ".sierra").glob("images/*")) == []
 
 
-def test_the_squashfs_has_what_the_layers_have(project: Project, require: Callable[..., str]) -> None:
+def test_squashfs_contains_the_files_of_the_layers(project: Project, require: Callable[..., str]) -> None:
     require("mksquashfs")
     odd = made.layer(("a b/c\\d\"e'", "1"), ("ünï/名", "2"), ("hard => ünï/名", ""), ("x" * 150 + "/y", ""), ("null", ""))
     made.docker_archive(project.root / "sim.tar", [BASE, TOP, odd])
@@ -138,7 +138,9 @@ def test_the_squashfs_has_what_the_layers_have(project: Project, require: Callab
 
 
 @pytest.mark.parametrize("odd", [("var", "a file"), ("var -> usr", ""), ("tmp -> var/tmp", "")], ids=str)
-def test_what_apptainer_mounts_on_may_be_anything(project: Project, require: Callable[..., str], odd: tuple[str, str]) -> None:
+def test_apptainer_mount_points_may_be_files_or_links_in_the_image(
+    project: Project, require: Callable[..., str], odd: tuple[str, str]
+) -> None:
     require("mksquashfs")
     made.docker_archive(project.root / "sim.tar", [BASE, made.layer(odd)])
     image = project.pin("sim.tar").image
@@ -147,7 +149,7 @@ def test_what_apptainer_mounts_on_may_be_anything(project: Project, require: Cal
     assert kept == project.image("sim.tar").files[kept.path]
 
 
-def test_the_squashfs_of_an_image_is_that_image(project: Project, require: Callable[..., str]) -> None:
+def test_squashfs_and_sif_made_from_an_image_have_its_id(project: Project, require: Callable[..., str]) -> None:
     require("mksquashfs")
     root, store = project.root, StorePaths(project.root / ".sierra")
     made.docker_archive(root / "sim.tar", [BASE, TOP])
@@ -158,7 +160,7 @@ def test_the_squashfs_of_an_image_is_that_image(project: Project, require: Calla
     assert images.rootfs(root, store, images.pinned(root, "sim.sif")) == root / "sim.sif"
 
 
-def test_a_damaged_squashfs_is_made_again(project: Project, require: Callable[..., str]) -> None:
+def test_damaged_or_missing_squashfs_is_rebuilt(project: Project, require: Callable[..., str]) -> None:
     require("mksquashfs")
     root, store = project.root, StorePaths(project.root / ".sierra")
     made.docker_archive(root / "sim.tar", [BASE])
@@ -171,10 +173,10 @@ def test_a_damaged_squashfs_is_made_again(project: Project, require: Callable[..
     assert images.rootfs(root, store, image).read_bytes() == good
 
 
-# ---------------------------------------------------------------- what is in it
+# ---------------------------------------------------------------- content of images
 
 
-def test_programs_are_found_as_a_shell_in_the_image_would(project: Project) -> None:
+def test_programs_are_found_along_the_path_of_the_image(project: Project) -> None:
     top = made.layer(
         ("opt/bin/tool", "t"), ("opt/notes", "n"), ("bin/loop -> loop", ""), ("bin/up -> ../../../bin/busybox", ""),
         ("bin/away -> /nowhere", ""), ("bin/through -> ../lib/../bin/sh", ""),
@@ -198,7 +200,7 @@ def test_programs_are_found_as_a_shell_in_the_image_would(project: Project) -> N
     }
 
 
-def test_packages_of_all_managers_are_named(project: Project) -> None:
+def test_packages_of_dpkg_apk_and_python_are_listed(project: Project) -> None:
     installed = "Package: libc6\nStatus: install ok installed\nVersion: 2.36-9\n"
     removed = "Package: old\nStatus: deinstall ok config-files\nVersion: 1\n"
     metadata = "Metadata-Version: 2.1\nName: numpy\nVersion: 2.4.6\n\nName: x\n"
@@ -217,7 +219,7 @@ def test_packages_of_all_managers_are_named(project: Project) -> None:
     }
 
 
-def test_what_is_shown_moves_no_cursor(project: Project) -> None:
+def test_image_labels_are_shown_without_escape_sequences(project: Project) -> None:
     configured = made.config([BASE], config={"Labels": {"evil": "\x1b[2Jgone"}})
     made.docker_archive(project.root / "sim.tar", [BASE], configured)
     done = quick(project.root, "image", "show", "sim.tar")
@@ -226,7 +228,7 @@ def test_what_is_shown_moves_no_cursor(project: Project) -> None:
     assert "evil" in done.stdout
 
 
-def test_an_image_has_a_row_that_gives_it_back(project: Project) -> None:
+def test_image_survives_conversion_to_a_row_and_back(project: Project) -> None:
     configured = made.config([BASE], config={"Env": ["A=1"], "Labels": {"l": "1"}}, created="2023-11-14T22:13:20Z")
     made.docker_archive(project.root / "sim.tar", [BASE], configured)
     found = project.pin("sim.tar")
@@ -236,7 +238,7 @@ def test_an_image_has_a_row_that_gives_it_back(project: Project) -> None:
     assert row["files"] == made.sha256(found.listing)
 
 
-def test_what_is_known_of_images_is_no_stranger_to_fsck(project: Project) -> None:
+def test_pinned_images_are_neither_stray_for_fsck_nor_garbage_for_gc(project: Project) -> None:
     made.docker_archive(project.root / "sim.tar", [BASE])
     project.pin("sim.tar")
     assert fsck.check(StorePaths(project.root / ".sierra"), project.root).report.sound
@@ -246,7 +248,7 @@ def test_what_is_known_of_images_is_no_stranger_to_fsck(project: Project) -> Non
 # ---------------------------------------------------------------- hostile and damaged archives
 
 
-def test_a_layer_cannot_lead_out_of_the_image(project: Project) -> None:
+def test_layer_paths_and_links_that_leave_the_image_are_refused(project: Project) -> None:
     for name in ("../../escape", "a/../../escape", "/../escape"):
         made.docker_archive(project.root / "sim.tar", [BASE, made.layer((name, "x"))])
         assert_refused(project, "sim.tar", "layer 2", "leads out of the image")
@@ -255,14 +257,14 @@ def test_a_layer_cannot_lead_out_of_the_image(project: Project) -> None:
         assert_refused(project, "sim.tar", words)
 
 
-def test_links_without_end_are_refused(project: Project) -> None:
+def test_link_loops_and_too_deep_folders_are_refused(project: Project) -> None:
     made.docker_archive(project.root / "sim.tar", [made.layer(("a -> b", ""), ("b -> a", ""), ("a/file", "x"))])
     assert_refused(project, "sim.tar", "more than 40 links")
     made.docker_archive(project.root / "sim.tar", [made.layer(("a/" * 2000 + "file", "x"))])
     assert_refused(project, "sim.tar", "256 folders")
 
 
-def test_absolute_names_and_links_stay_within_the_image(project: Project, tmp_path: Path) -> None:
+def test_absolute_names_and_links_resolve_within_the_image(project: Project, tmp_path: Path) -> None:
     top = made.layer(
         ("/etc/absolute", "1"),
         ("out -> ../../../../..", ""),
@@ -281,7 +283,7 @@ CUTS = (1, 511, 512, 700, 3000, 5000, -1600, -2000, -4000)
 
 
 @pytest.mark.parametrize("form", ["docker", "oci"])
-def test_a_truncated_archive_is_refused(project: Project, form: str) -> None:
+def test_truncated_archives_are_refused(project: Project, form: str) -> None:
     make: Callable[..., Path] = made.docker_archive if form == "docker" else made.oci_archive
     whole = make(project.root / "sim.tar", [BASE, TOP]).read_bytes()
     for cut in CUTS:
@@ -290,7 +292,7 @@ def test_a_truncated_archive_is_refused(project: Project, form: str) -> None:
 
 
 @pytest.mark.parametrize("form", ["docker", "oci"])
-def test_no_byte_of_an_image_can_change(project: Project, form: str) -> None:
+def test_archives_with_a_changed_byte_are_refused(project: Project, form: str) -> None:
     make: Callable[..., Path] = made.docker_archive if form == "docker" else made.oci_archive
     plain = {"pack": lambda one: one} if form == "oci" else {}
     whole = make(project.root / "sim.tar", [BASE], **plain).read_bytes()
@@ -340,33 +342,33 @@ BAD: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("what", BAD)
-def test_what_is_no_sound_image_is_refused(project: Project, what: str) -> None:
+def test_malformed_images_are_refused(project: Project, what: str) -> None:
     make, words = BAD[what]
     make(project.root / "sim.tar")
     assert_refused(project, "sim.tar", *words)
 
 
 @pytest.mark.integration
-def test_a_bomb_is_not_unpacked(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_decompression_bomb_is_refused(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(oci, "LEAST_BOUND", 1 << 20)
     made.oci_archive(project.root / "sim.tar", [made.layer(("zeros", bytes(64 << 20)))])
     assert_refused(project, "sim.tar", "layer 1", "expands to more than")
 
 
-def test_a_header_is_not_read_at_any_size(project: Project) -> None:
+def test_oversized_tar_header_is_refused(project: Project) -> None:
     header = tarfile.TarInfo("a")
     header.pax_headers = {"comment": "x" * (20 << 20)}
     made.oci_archive(project.root / "sim.tar", [made.layer(header)])
     assert_refused(project, "sim.tar", "header of")
 
 
-def test_an_image_has_so_many_files_at_most(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_image_with_too_many_files_is_refused(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(layers, "MOST_FILES", 5)
     made.docker_archive(project.root / "sim.tar", [BASE])
     assert_refused(project, "sim.tar", "more than 5 files")
 
 
-def test_damaged_layers_are_noticed_where_the_image_is_known(project: Project) -> None:
+def test_damaged_layers_are_noticed_even_if_the_image_is_already_known(project: Project) -> None:
     made.docker_archive(project.root / "good.tar", [BASE, TOP])
     project.pin("good.tar")
     made.docker_archive(project.root / "bad.tar", [BASE, TOP], layer1=BASE)
@@ -380,7 +382,7 @@ def test_damaged_layers_are_noticed_where_the_image_is_known(project: Project) -
 
 @pytest.fixture
 def system(tmp_path: Path, require: Callable[..., str]) -> bytes:
-    """A squashfs."""
+    """The bytes of a squashfs image."""
     require("mksquashfs")
     tree = tmp_path / "tree"
     (tree / "bin").mkdir(parents=True)
@@ -394,7 +396,7 @@ def system(tmp_path: Path, require: Callable[..., str]) -> bytes:
     return (tmp_path / "made.sqfs").read_bytes()
 
 
-def test_a_sif_is_identified_by_its_file_system(project: Project, system: bytes) -> None:
+def test_sif_is_identified_by_its_file_system(project: Project, system: bytes) -> None:
     found = project.pin(made.sif(project.root / "a.sif", system).name)
     assert found.image.id == "squashfs:" + made.sha256(system)
     assert (found.image.architecture, found.image.file) == ("amd64", "a.sif")
@@ -406,7 +408,7 @@ def test_a_sif_is_identified_by_its_file_system(project: Project, system: bytes)
     assert images.pinned(project.root, "b.sqfs").sha256 != images.pinned(project.root, "a.sif").sha256
 
 
-def test_a_damaged_sif_is_refused(project: Project, system: bytes) -> None:
+def test_damaged_or_unsupported_sif_is_refused(project: Project, system: bytes) -> None:
     whole = made.sif(project.root / "a.sif", system).read_bytes()
     for cut in (40, 100, 200, 20_000, 33_000, -4096, -1):
         (project.root / "a.sif").write_bytes(whole[:cut])
@@ -429,12 +431,12 @@ def test_a_damaged_sif_is_refused(project: Project, system: bytes) -> None:
 # ---------------------------------------------------------------- pinning
 
 
-def test_what_is_not_pinned_is_said_so(project: Project) -> None:
+def test_unpinned_image_is_refused_with_the_command_that_pins_it(project: Project) -> None:
     with pytest.raises(Missing, match=r"^the image 'sim\.tar' is not pinned, .* run: sierra image pin sim\.tar$"):
         images.pinned(project.root, "sim.tar")
 
 
-def test_a_recipe_that_is_not_built_is_to_be_built_before_it_is_pinned(
+def test_unbuilt_recipe_is_refused_with_the_build_command_before_the_pin_command(
     project: Project, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recipe = project.root / "containers" / "sim"
@@ -447,7 +449,7 @@ def test_a_recipe_that_is_not_built_is_to_be_built_before_it_is_pinned(
     assert build < pin
 
 
-def test_a_path_of_this_machine_is_pinned_as_the_project_calls_it(project: Project) -> None:
+def test_paths_within_the_project_are_pinned_relative_and_others_get_a_note(project: Project) -> None:
     made.docker_archive(project.root / "sim.tar", [BASE])
     for name in (str(project.root / "sim.tar"), "./sim.tar", f"{project.root}/./sim.tar"):
         assert quick(project.root, "image", "pin", name).returncode == 0
@@ -457,7 +459,7 @@ def test_a_path_of_this_machine_is_pinned_as_the_project_calls_it(project: Proje
     assert f"note: {there} is a path of this machine alone" in said.stderr
 
 
-def test_what_is_built_from_outside_is_proposed_by_its_tag(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_build_proposes_the_tag_for_recipes_outside_the_project(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
     for folder in (project.root / "sim", project.root.parent / "other"):
         folder.mkdir()
         (folder / "Containerfile").write_text("FROM scratch\n")
@@ -469,14 +471,14 @@ def test_what_is_built_from_outside_is_proposed_by_its_tag(project: Project, mon
         assert said.endswith(f"next: sierra image pin {proposed}\n")
 
 
-def test_the_user_of_an_image_is_not_ignored_without_a_word(project: Project) -> None:
+def test_ignored_non_root_user_of_an_image_is_reported(project: Project) -> None:
     for user, told in (("sim", True), ("1000:1000", True), ("root", False), ("0:0", False), ("", False)):
         file = project.root / "sim.tar"
         made.docker_archive(file, [BASE], made.config([BASE], config={"User": user}))
         assert (f"the image's USER {user!r} is ignored" in quick(project.root, "image", "pin", "sim.tar").stderr) == told
 
 
-def test_pins_are_the_same_text_in_whatever_order_they_are_made(project: Project) -> None:
+def test_lock_file_does_not_depend_on_the_order_of_pins(project: Project) -> None:
     texts = set()
     made.docker_archive(project.root / "a.tar", [BASE])
     made.docker_archive(project.root / "b.tar", [TOP])
@@ -492,14 +494,14 @@ def test_pins_are_the_same_text_in_whatever_order_they_are_made(project: Project
 @pytest.mark.parametrize(
     "text", ["", "{", "[]", '{"format": 2, "images": {}}', '{"format": 1}', '{"format": 1, "images": {"a": {"id": "x"}}}']
 )
-def test_a_broken_lock_is_said_in_a_line(project: Project, text: str) -> None:
+def test_broken_lock_file_is_reported_in_one_line(project: Project, text: str) -> None:
     (project.root / "sierra.lock").write_text(text)
     done = quick(project.root, "image", "ls")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "sierra.lock" in done.stderr
 
 
-def test_an_id_in_the_lock_is_one(project: Project) -> None:
+def test_lock_file_with_an_invalid_id_is_refused(project: Project) -> None:
     made.docker_archive(project.root / "a.tar", [BASE])
     project.pin("a.tar")
     lock = project.root / "sierra.lock"
@@ -508,7 +510,7 @@ def test_an_id_in_the_lock_is_one(project: Project) -> None:
         images.pins(project.root)
 
 
-def test_a_changed_file_never_runs(project: Project) -> None:
+def test_changed_image_file_fails_verification_even_with_the_same_time(project: Project) -> None:
     path = made.docker_archive(project.root / "sim.tar", [BASE])
     image = project.pin("sim.tar").image
     images.verify(project.root, image)
@@ -526,7 +528,7 @@ def test_a_changed_file_never_runs(project: Project) -> None:
         images.verify(project.root, image)
 
 
-def test_an_image_for_another_machine_does_not_run(project: Project, system: bytes) -> None:
+def test_image_for_another_architecture_is_refused(project: Project, system: bytes) -> None:
     other = b"04" if images.machine() == "amd64" else b"02"
     configured = made.config([BASE], architecture="s390x")
     made.docker_archive(project.root / "sim.tar", [BASE], configured)
@@ -537,16 +539,16 @@ def test_an_image_for_another_machine_does_not_run(project: Project, system: byt
 
 
 def bytes_read() -> int:
-    """Return how many bytes this process has read so far, from whatever cache."""
+    """Return how many bytes this process has read so far, including from caches."""
     [line] = [line for line in Path("/proc/self/io").read_text().splitlines() if line.startswith("rchar:")]
     return int(line.split()[1])
 
 
 @pytest.mark.integration
-def test_to_verify_an_unchanged_file_reads_nothing_of_it(project: Project) -> None:
+def test_verification_does_not_read_unchanged_image_files_again(project: Project) -> None:
     path = made.docker_archive(project.root / "sim.tar", [made.layer(("big", os.urandom(30_000_000)))])
     os.utime(path)
-    time.sleep(2.1)  # what was changed just now is read again
+    time.sleep(2.1)  # recently changed files are read again
     image = project.pin("sim.tar").image
     before = bytes_read()
     images.verify(project.root, images.pinned(project.root, "sim.tar"))
@@ -554,7 +556,7 @@ def test_to_verify_an_unchanged_file_reads_nothing_of_it(project: Project) -> No
     assert image.id.startswith("sha256:")
 
 
-def test_without_podman_a_tag_is_no_image(project: Project, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_tags_need_podman_but_archives_do_not(project: Project, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     done = quick(project.root, "image", "pin", "localhost/sim:1")
     assert (done.returncode, done.stderr.count("\n")) == (3, 1)
@@ -563,7 +565,7 @@ def test_without_podman_a_tag_is_no_image(project: Project, monkeypatch: pytest.
     assert quick(project.root, "image", "pin", "sim.tar").returncode == 0
 
 
-def test_a_full_disk_is_said_and_nothing_is_left(
+def test_full_disk_is_reported_and_no_partial_files_remain(
     disk: Callable[[Path, str], Path], tmp_path: Path, require: Callable[..., str]
 ) -> None:
     require("mksquashfs")
@@ -582,7 +584,7 @@ def test_a_full_disk_is_said_and_nothing_is_left(
     assert list(small.glob("*out.tar*")) == []
 
 
-def test_exported_files_are_read_again(project: Project, tmp_path: Path) -> None:
+def test_exported_archive_is_verified_and_removed_if_damaged(project: Project, tmp_path: Path) -> None:
     made.docker_archive(project.root / "sim.tar", [BASE, TOP])
     image = project.pin("sim.tar").image
     done = quick(project.root, "image", "export", "sim.tar", str(tmp_path / "out.tar"), "--json")
@@ -594,12 +596,12 @@ def test_exported_files_are_read_again(project: Project, tmp_path: Path) -> None
     assert not (tmp_path / "again.tar").exists()
 
 
-def test_an_image_is_exported_to_a_folder_that_is_there(project: Project) -> None:
+def test_export_to_a_missing_folder_is_refused(project: Project) -> None:
     done = quick(project.root, "image", "export", "localhost/sim:1", "nowhere/sim.tar")
     assert (done.returncode, done.stderr) == (2, "sierra: there is no folder nowhere for sim.tar\n")
 
 
-def test_a_project_without_an_image_is_told_where_to_name_one(project: Project) -> None:
+def test_pin_without_a_name_is_refused_if_the_project_names_no_image(project: Project) -> None:
     done = quick(project.root, "image", "pin")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "names no image" in done.stderr
