@@ -58,7 +58,8 @@ def follow(
             following.go_on(signals)
         else:
             following.execute(work, signals, enough)
-        odd = find_odd(store, session.paths, recorder.context) if recorder.context.purpose == Purpose.RUN else set()
+        complete = recorder.context.purpose == Purpose.RUN and (work is not None or not following.left)
+        odd = find_odd(store, session.paths, recorder.context) if complete else set()
         return Followed(following.left, bool(signals) and not detach, odd, tuple(recorder.notes()))
 
 
