@@ -137,7 +137,7 @@ def make_elsewhere(store: StorePaths, session: SessionPaths, folder: Path) -> Se
     mine = folder / own
     mine.mkdir(parents=True, exist_ok=True)
     if mine.is_symlink() or (_others(mine) and not _is_marked(mine, own)):
-        raise Missing(f"{mine} was not made by SIERRA; move it away, or change [store] work")
+        raise Missing(f"{mine} was not made by SIERRA; move it away, or change [store] work_folder")
     _write_once(mine / StorePaths.MARK, own)
     runs = mine / session.root.name
     session.elsewhere_file.write_bytes(os.fsencode(runs))
