@@ -52,7 +52,7 @@ class Checked:
 def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Checked:
     """Check a store; `root` is its project. Raises Missing if there is no store, or if SIERRA did not make the folder."""
     if not paths.root.is_dir():
-        raise Missing(f"no store in {paths.root}: nothing has been run here yet (sierra run makes one)")
+        raise Missing(f"no store in {paths.root}: nothing has been run here yet (sierra run creates one)")
     if not check_files.has_segments(paths):
         check_free(paths.root)
     began = time.monotonic()
@@ -138,7 +138,7 @@ def _sessions(paths: StorePaths) -> Iterator[Finding]:
         return
     for session in found:
         if session.root not in living:
-            what = "an asking that died; sierra run or sierra gc finishes it"
+            what = "a session that died; sierra run or sierra gc finishes it"
             yield Finding(Kind.DEAD, f"work/{session.root.name}", what)
 
 
@@ -146,7 +146,9 @@ def _strange(paths: StorePaths) -> Iterator[Finding]:
     """Yield a finding for each entry beside the sessions that SIERRA did not make; none of them is ever removed."""
     for path in ownership_marks.strange(paths):
         name = path.relative_to(paths.root)
-        yield Finding(Kind.FOREIGN, str(name), "does not bear SIERRA's mark, and is left alone; move it away if it is yours")
+        yield Finding(
+            Kind.FOREIGN, str(name), "has no mark of SIERRA, so SIERRA does not touch it; move it away if it is yours"
+        )
 
 
 def _left(found: Contents) -> Iterator[Finding]:

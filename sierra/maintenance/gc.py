@@ -233,17 +233,17 @@ def _parts(group: Group) -> Iterator[Group]:
 
 
 RAW_LOST = (
-    "files that became tables: their bytes, not their rows. Changed [outputs] or [success] may execute their runs again, "
-    "sierra files writes them from their rows, and no check can read them again"
+    "files that became tables: their bytes, not their rows. Changes to [outputs] or [success] may then execute their runs "
+    "again, sierra files rebuilds them from their rows, and checks cannot read them again"
 )
 
 
 def text(collection: Collection) -> list[str]:
     """Return lines that list what is removed."""
     told = (
-        (collection.sessions, "askings that died (what had finished in them is recorded first)"),
+        (collection.sessions, "sessions that died (their finished executions are recorded first)"),
         (collection.unfinished, "unfinished files"),
-        (collection.replaced, "segments that were replaced"),
+        (collection.replaced, "replaced segments"),
         (collection.objects - collection.raw, "recorded files that nothing refers to"),
         (collection.raw, RAW_LOST),
         (collection.merged, f"small segments, merged into {collection.into}"),

@@ -91,7 +91,7 @@ def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], boo
             nonlocal made
             made = _plan(store, named)
             if made.removal != first.removal:
-                raise SierraError("what this would delete has changed meanwhile; ask again")
+                raise SierraError("the store changed since the preview; run the command again")
             for group in groups(made.touched):
                 rewriting.write(group, made.drop)
             return made.seen
@@ -107,7 +107,7 @@ def _resolve(store: Store, prefixes: Sequence[str]) -> dict[str, set[str]]:
         found = store.resolve(prefix)
         named[found.kind].add(found.id)
     if not prefixes:
-        raise NotFound("name what is to be removed: batches, experiments, runs or executions, by the beginning of their ids")
+        raise NotFound("give the ids (or their beginnings) of the batches, experiments, runs or executions to remove")
     return named
 
 
@@ -283,9 +283,13 @@ def text(removal: Removal) -> list[str]:
     if removal.replays:
         lines.append(f"{removal.replays} replay{'' if removal.replays == 1 else 's'}")
     if removal.losing:
-        lines.append(f"these executions are also of batch {_some(removal.losing)}, which stays, and would execute them again")
+        lines.append(
+            f"these executions also belong to batch {_some(removal.losing)}, which stays; its next run executes them again"
+        )
     if removal.shared:
-        lines.append(f"stays: {removal.shared} runs with their executions, which batch {_some(removal.sharing)} has too")
+        lines.append(
+            f"not removed: {removal.shared} runs with their executions, which also belong to batch {_some(removal.sharing)}"
+        )
     return lines
 
 

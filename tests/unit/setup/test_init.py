@@ -403,10 +403,10 @@ def test_without_an_answer_nothing_is_written(folder: Path) -> None:
 def test_without_a_terminal_what_is_not_clear_names_its_option(tmp_path: Path) -> None:
     for files, said in (
         ([], "give the template with --template FILE"),
-        (["a.xml", "b.xml"], "several could be the template (a.xml, b.xml); give the template with --template FILE"),
-        (["template.xml"], "no program; say how it is started with --command"),
-        (["Makefile"], "no program; build it first, or say how it is started with --command"),
-        (["c.py", "d.py"], "several could be the simulator: c.py, d.py; say how it is started with --command"),
+        (["a.xml", "b.xml"], "several files could be the template (a.xml, b.xml); give the template with --template FILE"),
+        (["template.xml"], "no program found; give the command that starts it with --command"),
+        (["Makefile"], "no program found; build it first, or give the command that starts it with --command"),
+        (["c.py", "d.py"], "several files could be the simulator: c.py, d.py; give the command that starts it with --command"),
     ):
         for name in files:
             (tmp_path / name).write_text(TEMPLATE if name.endswith("xml") else "")
@@ -436,7 +436,7 @@ def test_a_folder_that_is_none_or_may_not_be_written_to_is_said(folder: Path, mo
     ended = quick(folder, "init", "-y")
     assert (ended.returncode, ended.stderr) == (
         3,
-        "sierra: . may not be written to; get the right to, or name another folder\n",
+        "sierra: . is not writable; change its permissions, or use another folder\n",
     )
 
 
