@@ -108,7 +108,7 @@ def _contents(read: Records) -> Iterator[Finding]:
 
 
 def _affected(read: Records, name: str, file: str) -> Affected:
-    """Return what a segment affects, as far as its sound files show; otherwise name the batch in the segment's name."""
+    """Return the records that a segment affects, as far as sound files show; otherwise name the batch in the segment's name."""
     [segment] = [segment for segment in read.contents.sound if segment.name == name]
     try:
         batches = [row[0] for row in read.each("SELECT batch FROM batches WHERE starts_with(batch, $p)", p=segment.batch)]
@@ -143,7 +143,7 @@ def _sessions(paths: StorePaths) -> Iterator[Finding]:
 
 
 def _strange(paths: StorePaths) -> Iterator[Finding]:
-    """Yield a finding for each entry beside the sessions that SIERRA did not make; none of them is ever removed."""
+    """Yield a finding for each entry of the work folder that SIERRA did not make. SIERRA never removes these entries."""
     for path in ownership_marks.strange(paths):
         name = path.relative_to(paths.root)
         yield Finding(

@@ -1,4 +1,4 @@
-"""`gc`: remove what nothing needs, and merge small segments of a batch into one.
+"""`gc`: remove data that nothing needs, and merge small segments of a batch into one.
 
 It removes folders of sessions that died (their finished executions are recorded first), unfinished files, replaced segments,
 and recorded files that no record refers to. It leaves git's `refs/sierra/` alone: other projects and stores may share the
@@ -85,7 +85,7 @@ class _Plan:
 
 
 def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collection:
-    """Return what `collect` would remove and merge."""
+    """Return the data that `collect` would remove and merge."""
     paths = store.paths
     made = _plan(store, raw=raw)
     with sessions.exclusively(paths) as locks:
@@ -111,7 +111,7 @@ def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collectio
 def collect(
     store: Store, *, damaged: bool = False, raw: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
 ) -> Collection | None:
-    """Remove what nothing needs, if `agree` returns true for the preview; return None if it returns false.
+    """Remove data that nothing needs, if `agree` returns true for the preview; return None if it returns false.
 
     Raises Missing if the disk is full, SierraError if another session has just begun; nothing is lost in either case.
     """
@@ -239,7 +239,7 @@ RAW_LOST = (
 
 
 def text(collection: Collection) -> list[str]:
-    """Return lines that list what is removed."""
+    """Return lines that list the data to remove."""
     told = (
         (collection.sessions, "sessions that died (their finished executions are recorded first)"),
         (collection.unfinished, "unfinished files"),

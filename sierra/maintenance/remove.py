@@ -69,12 +69,12 @@ class _Plan:
 
 
 def plan(store: Store, prefixes: Sequence[str]) -> Removal:
-    """Return what `remove` would delete. Raises NotFound for an unknown id, or if no id is given."""
+    """Return the records that `remove` would delete. Raises NotFound for an unknown id, or if no id is given."""
     return _plan(store, _resolve(store, prefixes)).removal
 
 
 def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
-    """Remove what these ids name, if `agree` returns true for the preview; return None if it returns false.
+    """Remove the records that these ids name, if `agree` returns true for the preview; return None if it returns false.
 
     Raises NotFound for an unknown id, Missing if the disk is full, SierraError while one of the batches is executing or if the
     preview is out of date. If it raises, nothing changes.
@@ -273,7 +273,7 @@ def _column(snapshot: Snapshot, statement: str) -> set[str]:
 
 
 def text(removal: Removal) -> list[str]:
-    """Return lines that list what would be deleted, and what stays."""
+    """Return lines that list the records to delete, and those that stay."""
     lines = [
         f"batch {short(one['batch'])} ({one['query']}): {one['experiments']} experiments, {one['runs']} runs"
         for one in removal.batches

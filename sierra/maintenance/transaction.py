@@ -1,4 +1,4 @@
-"""Exclusive changes to recorded data by `gc`, `rm` and repair: prepared beside the store, published at one moment."""
+"""Exclusive changes to recorded data by `gc`, `rm` and repair: prepared outside the segments, published at one moment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks of what SIERRA needs and can use on this machine and in this project, with a remedy for what is missing."""
+"""Checks of the requirements and options on this machine and in this project, with a remedy for each missing one."""
 
 from __future__ import annotations
 

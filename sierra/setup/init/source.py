@@ -25,7 +25,7 @@ ALL = "."
 
 
 def found(root: Path, template: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names beside the template that may be code, and those that probably are not."""
+    """Return the names, without the template, of files that may be code, and those of files that probably are not."""
     names = [name for name in folder.listed(root) if name not in (template, CONFIG)]
     left_out = tuple(name for name in names if is_hardly_code(name, is_folder=(root / name).is_dir()))
     return tuple(name for name in names if name not in left_out), left_out

@@ -65,7 +65,7 @@ def test_over_all_batches_numbers_stay_numbers_and_texts_stand_beside(two: tuple
 
 def test_that_a_column_is_not_of_one_type_is_said(two: tuple[Project, list[str]]) -> None:
     project, (numbers, _) = two
-    told = "note: column 'v' of t has numbers in some runs and other values in others: these are in 'v_text'\n"
+    told = "note: column 'v' of t has numbers in some runs and other values in others; the other values are in 'v_text'\n"
     asked = projects.quick(project.root, "sql", "SELECT max(v) FROM t")
     assert (asked.returncode, asked.stderr) == (0, told)
     assert projects.quick(project.root, "sql", "-b", numbers[:12], "SELECT max(v) FROM t").stderr == ""
