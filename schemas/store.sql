@@ -61,9 +61,9 @@ CREATE TABLE executions (
     "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
     "signal" BIGINT,  -- the signal that ended it; NULL if none did
     "wall_s" DOUBLE,  -- time from start to end [s]
-    "user_s" DOUBLE,  -- CPU time in user mode of all its processes that ended; in a container, as measured [s]
-    "system_s" DOUBLE,  -- CPU time in the kernel, measured likewise [s]
-    "max_rss_bytes" BIGINT,  -- peak resident memory of its largest process (at least the worker's own size); in a container, as seen [bytes]
+    "user_s" DOUBLE,  -- CPU time in user mode of all its processes that ended; in a container, measured from outside [s]
+    "system_s" DOUBLE,  -- CPU time in kernel mode, measured in the same way [s]
+    "max_rss_bytes" BIGINT,  -- peak resident memory of its largest process (at least the worker's); in a container, measured from outside [bytes]
     "host" VARCHAR,  -- host name
     "slot" BIGINT,  -- the slot of the worker that executed it
     "result" VARCHAR,  -- Merkle hash of the names and digests of its outputs
@@ -88,7 +88,7 @@ CREATE TABLE attempts (
     "node" VARCHAR,  -- host name of the node
     "started" TIMESTAMP WITH TIME ZONE,  -- when it started
     "ended" TIMESTAMP WITH TIME ZONE,  -- when it last recorded something
-    "clock_offset_s" DOUBLE,  -- how far the node's clock was ahead of the shared file system's clock; if by over 2 s, all times are those of the file system's clock [s]
+    "clock_offset_s" DOUBLE,  -- how far the node's clock was ahead of the shared file system's clock; if over 2 s, all times are by the file system's clock [s]
     "cpus" BIGINT,  -- cores that were allocated to it [1]
     "memory" BIGINT,  -- memory that was allocated to it; NULL if unknown [bytes]
     "gpus" VARCHAR,  -- GPUs that were allocated to it, by the scheduler's names
@@ -185,7 +185,7 @@ CREATE TABLE sessions (
     "programs" VARCHAR,  -- fingerprint of the programs with which its runs were, or would have been, executed
     "ingest_rules" VARCHAR,  -- hash of the rules, as in executions
     "batch_rules" VARCHAR,  -- hash of the rules and of the allowed differences between runs of the batch (mismatch)
-    "lamport" BIGINT  -- its position in the logical order: a greater number is later, independent of clocks; numbers in old records are negative, in the order of their times
+    "lamport" BIGINT  -- its position in the logical order: a greater number is later, independent of clocks; old records have negative numbers, in the order of their times, and so come first
 );
 
 -- Replays: recorded runs that were executed again from the record alone, and compared with it.
@@ -375,9 +375,9 @@ CREATE TABLE all_judgements (
     "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
     "signal" BIGINT,  -- the signal that ended it; NULL if none did
     "wall_s" DOUBLE,  -- time from start to end [s]
-    "user_s" DOUBLE,  -- CPU time in user mode of all its processes that ended; in a container, as measured [s]
-    "system_s" DOUBLE,  -- CPU time in the kernel, measured likewise [s]
-    "max_rss_bytes" BIGINT,  -- peak resident memory of its largest process (at least the worker's own size); in a container, as seen [bytes]
+    "user_s" DOUBLE,  -- CPU time in user mode of all its processes that ended; in a container, measured from outside [s]
+    "system_s" DOUBLE,  -- CPU time in kernel mode, measured in the same way [s]
+    "max_rss_bytes" BIGINT,  -- peak resident memory of its largest process (at least the worker's); in a container, measured from outside [bytes]
     "host" VARCHAR,  -- host name
     "slot" BIGINT,  -- the slot of the worker that executed it
     "result" VARCHAR,  -- Merkle hash of the names and digests of its outputs

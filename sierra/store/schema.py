@@ -114,14 +114,14 @@ RECORDED = {
             (
                 "user_s",
                 REAL,
-                "CPU time in user mode of all its processes that ended; in a container, as measured",
+                "CPU time in user mode of all its processes that ended; in a container, measured from outside",
                 "s",
             ),
-            ("system_s", REAL, "CPU time in the kernel, measured likewise", "s"),
+            ("system_s", REAL, "CPU time in kernel mode, measured in the same way", "s"),
             (
                 "max_rss_bytes",
                 INT,
-                "peak resident memory of its largest process (at least the worker's own size); in a container, as seen",
+                "peak resident memory of its largest process (at least the worker's); in a container, measured from outside",
                 "bytes",
             ),
             ("host", TEXT, "host name"),
@@ -151,7 +151,7 @@ RECORDED = {
             (
                 "clock_offset_s",
                 REAL,
-                "how far the node's clock was ahead of the shared file system's clock; if by over 2 s, all times are those of "
+                "how far the node's clock was ahead of the shared file system's clock; if over 2 s, all times are by "
                 "the file system's clock",
                 "s",
             ),
@@ -275,8 +275,8 @@ RECORDED = {
             (
                 "lamport",
                 INT,
-                "its position in the logical order: a greater number is later, independent of clocks; numbers in old records "
-                "are negative, in the order of their times",
+                "its position in the logical order: a greater number is later, independent of clocks; old records have "
+                "negative numbers, in the order of their times, and so come first",
             ),
         ),
         _table(
