@@ -229,7 +229,7 @@ class Seed(Table):
     base: int = Field(0, ge=0, description="base seed: the number that all seeds derive from")
     independent: bool = Field(
         False,
-        description="different seeds in each experiment; by default all experiments use the same seeds (common random numbers)",
+        description="different seeds in each experiment; by default, all experiments use the same seeds: common random numbers",
     )
 
 

@@ -29,9 +29,9 @@ QUERY = "query.schema.json"
 STORE = "store.sql"
 WIDTH = 118
 INTRODUCTION = """\
-All keys of sierra.toml. The table [tool.sierra] of pyproject.toml may contain them instead.
-A line that starts with # and no space is an example: remove the # to use it. The text before it describes the key, with
-its type, its default and, if so, that it is required in brackets. An XPath is XPath 1.0."""
+All keys of sierra.toml. They may also be in the table [tool.sierra] of pyproject.toml instead.
+A line that starts with # and no space is an example: remove the # to use it. The text above it describes the key.
+Its type, its default and whether it is required are in brackets. An XPath is XPath 1.0."""
 
 Note = Callable[[str], None]
 """A function that receives a line for people."""

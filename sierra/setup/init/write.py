@@ -20,7 +20,7 @@ from sierra.util.text import few
 
 SOURCE = (
     "By default, results depend on all files of this folder, including new files: a change to any file makes all runs new,\n"
-    "# and fails the runs that are executing. To limit that to your code, use:"
+    "# and makes executing runs fail. To limit this to your code, use:"
 )
 quoted = partial(dumps, ensure_ascii=False)
 """Format texts and lists of them as TOML does."""
