@@ -2,7 +2,7 @@
 
 If an option occurs twice, schedulers use one of the two, without a message. Options that have a setting in `[runners.…]` are
 refused in favour of that setting. Options are also refused if jobs could not be found again, would write their logs elsewhere,
-or would wait for ever.
+or would wait forever.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping
 
-CPUS = "use cpus = N: so many runs execute at a time"
+CPUS = "use cpus = N, which is also the number of runs at a time"
 MEMORY = 'use memory = "8 GB"'
 WALL = "use wall = SECONDS"
 PARTITION = 'use partition = "…"'
 ACCOUNT = 'use account = "…"'
-ONE_NODE = "an array task runs on one node; array_tasks = N says how many there are, cpus = N how many cores each has"
-NAMED = "SIERRA finds its jobs again by the name that it gives them"
-LOGS = "what elements print is shown where it matters, and removed with the session"
-WAITS = "SIERRA has elements wait itself, for one small task that tries the nodes out"
-FOLLOWED = "SIERRA follows its jobs itself; --detach leaves them"
-ALONE = 'nothing of your shell goes along; variables of runs stand in [environment], modules = ["…"] are loaded on the node'
-SUBMITTED = "SIERRA reads what the command answers, and hands over one script"
-FOLDER = 'jobs begin in the session\'s folder; scratch = "…" says where runs execute'
+ONE_NODE = "an array task runs on one node; array_tasks = N sets the number of array tasks, cpus = N the cores of each"
+NAMED = "SIERRA finds its jobs by the name that it gives them"
+LOGS = "SIERRA shows the output of array tasks if it matters, and removes it with the session"
+WAITS = "SIERRA itself makes array tasks wait for one small task that tests the nodes"
+FOLLOWED = "SIERRA waits for its jobs itself; use --detach to leave them"
+ALONE = 'jobs get no variables of your shell; set variables of runs in [environment], and modules to load with modules = ["…"]'
+SUBMITTED = "SIERRA reads the output of the submit command, and submits one script"
+FOLDER = 'jobs start in the session\'s folder; scratch = "…" sets the folder where runs execute'
 
 SLURM: Mapping[str, str] = {
     "cpus-per-task": CPUS,
@@ -35,7 +35,7 @@ SLURM: Mapping[str, str] = {
     "account": ACCOUNT,
     "qos": 'use qos = "…"',
     "constraint": 'use constraint = "…"',
-    "array": "array_tasks = N says how many array tasks there are",
+    "array": "use array_tasks = N",
     "nodes": ONE_NODE,
     "ntasks": ONE_NODE,
     "ntasks-per-core": ONE_NODE,
@@ -43,8 +43,8 @@ SLURM: Mapping[str, str] = {
     "ntasks-per-node": ONE_NODE,
     "ntasks-per-socket": ONE_NODE,
     "job-name": NAMED,
-    "comment": "SIERRA says there which session a job is of",
-    "clusters": "SIERRA finds its jobs only on the cluster that SLURM_CONF names",
+    "comment": "SIERRA writes the session of the job there",
+    "clusters": "SIERRA finds its jobs only on the cluster that SLURM_CONF selects",
     "output": LOGS,
     "error": LOGS,
     "open-mode": LOGS,
@@ -75,8 +75,8 @@ FLAGS = "HIOQVWhksuv"
 PBS: Mapping[str, str] = {
     "q": PARTITION,
     "A": ACCOUNT,
-    "J": "array_tasks = N says how many array tasks there are",
-    "t": "array_tasks = N says how many array tasks there are",
+    "J": "use array_tasks = N",
+    "t": "use array_tasks = N",
     "N": NAMED,
     "o": LOGS,
     "e": LOGS,
@@ -84,7 +84,7 @@ PBS: Mapping[str, str] = {
     "k": LOGS,
     "V": ALONE,
     "v": ALONE,
-    "S": "SIERRA's script is one of sh",
+    "S": "SIERRA's script is written for sh",
     "C": SUBMITTED,
     "f": SUBMITTED,
     "I": SUBMITTED,
@@ -114,7 +114,7 @@ CHECKED = ("slurm", "pbs")
 def complaint(scheduler: str, line: str) -> str | None:
     """Return the reason why a line cannot be added for a scheduler of `CHECKED`, with an alternative; None if it can."""
     if not line.lstrip().startswith("-"):
-        return f"should be as it stands after #{'SBATCH' if scheduler == 'slurm' else 'PBS'}, as in {_example(scheduler)}"
+        return f"should be the text after #{'SBATCH' if scheduler == 'slurm' else 'PBS'}, such as {_example(scheduler)}"
     found = _slurm(line) if scheduler == "slurm" else _pbs(line)
     return next(found, None)
 

@@ -132,8 +132,10 @@ class Kind:
         said = f"the {self.word} {offer.name!r} of {offer.package}"
         version = getattr(found, "contract", None)
         if version != VERSION:
-            made = "says no version of the contract" if version is None else f"is made for version {version} of the contract"
-            raise PluginError(f"{said} {made}, and this SIERRA has version {VERSION}; {offer.remedy}")
+            made = (
+                "declares no version of the contract" if version is None else f"is made for version {version} of the contract"
+            )
+            raise PluginError(f"{said} {made}, but this SIERRA has version {VERSION}; {offer.remedy}")
         if not isinstance(found, type):
             raise PluginError(f"{said} is not a class ({offer.point.value}); {offer.remedy}")
         if lacking := [name for name in _members(_attribute(self.protocol)) if not hasattr(found, name)]:

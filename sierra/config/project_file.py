@@ -64,7 +64,7 @@ SYSTEM = ("proc", "sys", "dev", "tmp")
 KINDS = {
     "int_type": "should be a whole number",
     "float_type": "should be a number",
-    "string_type": "should be a text",
+    "string_type": "should be text",
     "bool_type": "should be true or false",
     "tuple_type": "should be a list",
     "dict_type": "should be a table",
@@ -90,7 +90,7 @@ def _set_to(value: Any) -> Any:
 def _inside(path: str) -> str:
     """Check that a path or glob stays in the output folder."""
     if path.startswith("/") or ".." in PurePosixPath(path).parts:
-        raise ValueError(f"{path!r} should be a path within the run's output folder, as in results.csv")
+        raise ValueError(f"{path!r} should be a path within the run's output folder, such as results.csv")
     return path
 
 
@@ -103,28 +103,28 @@ def _inner(path: str) -> str:
 
 
 def _on_node(path: str) -> str:
-    """Check that a path does not depend on the folder in which a task begins."""
+    """Check that a path does not depend on the folder in which a task starts."""
     if not path.startswith(("/", "$")):
-        raise ValueError(f"{path!r} should be an absolute path on the node, as in /scratch or $TMPDIR/x")
+        raise ValueError(f"{path!r} should be an absolute path on the node, such as /scratch or $TMPDIR/x")
     return path
 
 
 def _elsewhere(path: str) -> str:
-    """Check that a path does not depend on the folder in which a command begins."""
+    """Check that a path does not depend on the folder in which a command starts."""
     if not path.startswith(("/", "~", "$")):
-        raise ValueError(f"{path!r} should be an absolute path, as in /scratch/me, ~/scratch or $SCRATCH")
+        raise ValueError(f"{path!r} should be an absolute path, such as /scratch/me, ~/scratch or $SCRATCH")
     return path
 
 
 def _device(path: str) -> str:
     if not path.startswith("/dev/") or ".." in PurePosixPath(path).parts:
-        raise ValueError(f"{path!r} should be a device, as in /dev/dri")
+        raise ValueError(f"{path!r} should be a device, such as /dev/dri")
     return path
 
 
 def _once(names: tuple[str, ...]) -> tuple[str, ...]:
     if len({name.lower() for name in names}) < len(names):
-        raise ValueError("each column should be named once; SQL takes no notice of case")
+        raise ValueError("column names should be unique; SQL ignores upper and lower case")
     return names
 
 
@@ -134,7 +134,7 @@ def size(text: Any) -> Any:
         return text
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKMGT]?i?)B?\s*", text)
     if not match:
-        raise ValueError(f"{text!r} is not a size; write it as 500 MB or 2 GiB")
+        raise ValueError(f"{text!r} is not a size; use one such as 500 MB or 2 GiB")
     number, prefix = match.groups()
     base = 1024 if prefix.endswith("i") else 1000
     return int(float(number) * base ** " kmgt".index(prefix[:1].lower() or " "))
@@ -167,19 +167,19 @@ class Table(BaseModel):
 class ChangeTable(Table):
     """One change to the template: exactly one of `set`, `add`, `remove`, `rename`, each an XPath."""
 
-    set: str | None = Field(None, description="XPath of attributes or elements to give `value` to")
-    add: str | None = Field(None, description="XPath of the parents that `xml` is put into")
-    remove: str | None = Field(None, description="XPath of elements or attributes to take away")
-    rename: str | None = Field(None, description="XPath of elements to give the tag `to`")
+    set: str | None = Field(None, description="XPath of the attributes or elements that get `value`")
+    add: str | None = Field(None, description="XPath of the parent elements that get `xml` as a child")
+    remove: str | None = Field(None, description="XPath of the elements or attributes to remove")
+    rename: str | None = Field(None, description="XPath of the elements to rename to the tag `to`")
     value: Text | None = Field(
         None,
         description="for `set`: the new value; `{…}` is an expression of axes, as in `{population_size * 2}`; `{{` is a brace",
     )
-    attribute: str | None = Field(None, description="for `set`: the attribute, added where it is absent")
-    xml: str | None = Field(None, description="for `add`: the element, as XML")
-    at: int | None = Field(None, ge=0, description="for `add`: the index among the children, from 0; last where absent")
+    attribute: str | None = Field(None, description="for `set`: the attribute's name; added if it is missing")
+    xml: str | None = Field(None, description="for `add`: the new element, as XML")
+    at: int | None = Field(None, ge=0, description="for `add`: the index among the children, from 0; default: last")
     to: str | None = Field(None, description="for `rename`: the new tag")
-    expect: PositiveInt | None = Field(None, description="how many matches there must be; at least one where absent")
+    expect: PositiveInt | None = Field(None, description="exact number of matches required; default: at least one")
 
     @model_validator(mode="after")
     def _one_operation(self) -> ChangeTable:
@@ -191,11 +191,11 @@ class ChangeTable(Table):
         }
         given = [name for name in needs if getattr(self, name) is not None]
         if len(given) != 1:
-            raise ValueError("a change has exactly one of set, add, remove, rename")
+            raise ValueError("a change needs exactly one of set, add, remove, rename")
         operation = given[0]
         for other in ("value", "attribute", "xml", "at", "to"):
             if getattr(self, other) is not None and other not in needs[operation]:
-                raise ValueError(f"{other!r} does not go with {operation!r}")
+                raise ValueError(f"{other!r} cannot be used with {operation!r}")
         required = {"add": "xml", "rename": "to"}.get(operation)
         if required and getattr(self, required) is None:
             raise ValueError(f"{operation!r} needs {required!r}")
@@ -203,15 +203,15 @@ class ChangeTable(Table):
 
 
 class Variable(Table):
-    """An independent variable: what one value of it changes in the template.
+    """An independent variable: the changes that one of its values makes to the template.
 
-    The short form `name = "XPATH"` sets what the XPath selects to the value.
+    The short form `name = "XPATH"` sets the attributes or elements that the XPath selects to the value.
     """
 
-    set: str | None = Field(None, description="XPath of what gets the value itself")
+    set: str | None = Field(None, description="XPath of the attributes or elements that get the value itself")
     changes: tuple[ChangeTable, ...] = Field((), description="further changes; `{name}` is the value")
-    label: str = Field("", description="what figures call it; its name where absent")
-    unit: str = Field("", description="its unit, for figures")
+    label: str = Field("", description="name in figures; default: the variable's name")
+    unit: str = Field("", description="unit in figures")
 
     @model_validator(mode="after")
     def _something(self) -> Variable:
@@ -223,25 +223,30 @@ class Variable(Table):
 
 
 class Seed(Table):
-    """The place and the origin of the seed. The short form is the XPath alone."""
+    """Where the seed goes in the template, and how seeds are derived. The short form is the XPath alone."""
 
-    set: str | None = Field(None, description="XPath of what gets the seed")
-    base: int = Field(0, ge=0, description="the number that all seeds derive from")
-    independent: bool = Field(False, description="other seeds in each experiment; else the same, common random numbers")
+    set: str | None = Field(None, description="XPath of the attribute or element that gets the seed")
+    base: int = Field(0, ge=0, description="base seed: the number that all seeds derive from")
+    independent: bool = Field(
+        False,
+        description="different seeds in each experiment; by default, all experiments use the same seeds: common random numbers",
+    )
 
 
 class Group(Table):
     """A controller or a scenario: a named group of changes."""
 
-    changes: tuple[ChangeTable, ...] = Field((), description="what it changes in the template; may be nothing")
+    changes: tuple[ChangeTable, ...] = Field((), description="changes to the template; may be empty")
 
 
 class Tolerance(Table):
-    """The maximum distance of a number from the recorded one in a replay; one of these limits must hold."""
+    """How far a replayed number may be from the recorded one; one of these limits must be met."""
 
-    abs: float = Field(0.0, ge=0, allow_inf_nan=False, description="the difference itself, in the column's unit")
-    rel: float = Field(0.0, ge=0, allow_inf_nan=False, description="the difference divided by the recorded number's size")
-    ulp: float = Field(0.0, ge=0, allow_inf_nan=False, description="the difference in units in the last place of a double")
+    abs: float = Field(0.0, ge=0, allow_inf_nan=False, description="maximum absolute difference, in the column's unit")
+    rel: float = Field(
+        0.0, ge=0, allow_inf_nan=False, description="maximum difference divided by the absolute value of the recorded number"
+    )
+    ulp: float = Field(0.0, ge=0, allow_inf_nan=False, description="maximum difference in units in the last place of a double")
 
 
 class Output(Table):
@@ -249,28 +254,30 @@ class Output(Table):
 
     file: Inside = Field(min_length=1, description="path or glob, relative to the run's output folder")
     format: Annotated[str, WithJsonSchema({"type": "string", "enum": ["csv", "parquet", "jsonl", "file"]})] | None = Field(
-        None, description="how it is read; `file` is kept and no table; by its ending where absent"
+        None, description="format; `file` is stored but does not become a table; default: by the file's extension"
     )
-    delimiter: str = Field("", max_length=1, description="what separates the columns of a CSV; found out where absent")
-    header: bool = Field(True, description="whether a CSV's first line holds the columns' names")
+    delimiter: str = Field("", max_length=1, description="separator between the columns of a CSV file; default: detected")
+    header: bool = Field(True, description="whether the first line of a CSV file contains the column names")
     columns: Annotated[tuple[Name, ...], AfterValidator(_once)] = Field(
-        (), description="the columns' names of a CSV without header"
+        (), description="column names of a CSV file without a header"
     )
-    time: str = Field("", description="the column that is the time axis; the row's number where there is none")
-    required: bool = Field(True, description="whether a run without it has failed")
-    min_rows: int = Field(0, ge=0, description="a run with fewer has failed")
+    time: str = Field("", description="column that is the time axis; default: the row number")
+    required: bool = Field(True, description="whether a run fails without this output")
+    min_rows: int = Field(0, ge=0, description="minimum number of rows; a run with fewer rows fails")
     mismatch: Literal["strict", "ragged"] = Field(
-        "strict", description="other row counts or columns than its siblings: fail the run, or keep it and report n"
+        "strict",
+        description="if row count or columns differ from those of sibling runs: `strict` fails the run, `ragged` keeps it "
+        "and reports n",
     )
-    units: Mapping[str, str] = Field(default_factory=dict, description="the unit of each column, for figures")
+    units: Mapping[str, str] = Field(default_factory=dict, description="unit of each column in figures")
     tolerance: Mapping[str, Tolerance] = Field(
         default_factory=dict,
-        description="by column (`*`: all others), how far a replay may be from the record: abs, rel or ulp",
+        description="maximum difference between replay and record, by column (`*`: all other columns): abs, rel or ulp",
     )
-    ordered: bool = Field(True, description="whether a replay heeds the order of rows")
+    ordered: bool = Field(True, description="whether a replay compares the order of rows")
     volatile: tuple[str, ...] = Field(
         (),
-        description="what a replay does not compare: columns of a table; in another file, regular expressions of lines",
+        description="not compared by a replay: columns of a table; for other files, regular expressions that match lines",
     )
 
     def matches(self, path: str) -> bool:
@@ -286,109 +293,117 @@ class Output(Table):
 
 
 class Success(Table):
-    """The evidence that a run succeeded, in addition to its exit status and its required outputs."""
+    """Conditions for a successful run, in addition to its required outputs."""
 
-    marker: Inside = Field("", description="a file in the output folder (or `stdout`, `stderr`) that must be there")
-    contains: str = Field("", description="a text that the marker file must contain")
-    exit_status: tuple[int, ...] = Field((0,), min_length=1, description="exit statuses that are success")
+    marker: Inside = Field("", description="a file in the output folder (or `stdout`, `stderr`) that must exist")
+    contains: str = Field("", description="text that the marker file must contain")
+    exit_status: tuple[int, ...] = Field((0,), min_length=1, description="exit statuses that mean success")
 
 
 class LimitsTable(Table):
     """Limits of one execution; a missing limit means no limit."""
 
-    wall: Seconds | None = Field(None, description="seconds from its start to its end")
-    cpu: Seconds | None = Field(None, description="seconds of CPU time of all its processes")
-    memory: Size | None = Field(None, description="resident bytes of all its processes, a number or as in `2 GiB`")
-    output: Size | None = Field(None, description="bytes of the files in its folder, holes included, as in `500 MB`")
-    grace: Seconds = Field(5.0, description="seconds between SIGTERM and SIGKILL")
+    wall: Seconds | None = Field(None, description="wall-clock time, in seconds")
+    cpu: Seconds | None = Field(None, description="CPU time of all its processes, in seconds")
+    memory: Size | None = Field(None, description="resident memory of all its processes, in bytes or as in `2 GiB`")
+    output: Size | None = Field(
+        None,
+        description="total size of the files in its folder, in bytes or as in `500 MB`; holes of sparse files are included",
+    )
+    grace: Seconds = Field(5.0, description="time between SIGTERM and SIGKILL, in seconds")
 
 
 class Environment(Table):
-    """The variables that a run sees in addition to SIERRA's own, and the variables that are recorded."""
+    """Environment variables that runs get in addition to SIERRA's own, and variables that are recorded."""
 
-    set: Mapping[VariableName, Text] = Field(default_factory=dict, description="given to every run; part of its identity")
+    set: Mapping[VariableName, Text] = Field(
+        default_factory=dict, description="variables that every run gets; part of its identity"
+    )
     pass_: tuple[str, ...] = Field(
-        (), alias="pass", description="taken from the caller's environment, by name; part of its identity"
+        (), alias="pass", description="names of variables that runs get from the caller's environment; part of their identity"
     )
     record: tuple[str, ...] = Field(
-        (), description="variables of the caller's (`*` stands for any characters) that are recorded; runs do not see them"
+        (), description="names of the caller's variables to record (`*` matches any characters); runs do not get them"
     )
 
 
 class Container(Table):
-    """The image in which runs execute, and their access to the host; by default they reach neither network nor devices."""
+    """The image in which runs execute, and their access to the host; by default they can use neither network nor devices."""
 
     image: str = Field(
         min_length=1, description="a tag, an archive, a SIF or squashfs file, or the folder of a recipe; see `sierra image pin`"
     )
-    engine: str = Field("podman", description="what contains runs: `podman`, `apptainer`, `none`, or one that is installed")
+    engine: str = Field("podman", description="container engine: `podman`, `apptainer`, `none`, or an installed plug-in")
     isolation: Literal["run", "worker"] = Field(
-        "run", description="a container for each run, or one for each slot that its runs share (quicker, and weaker)"
+        "run",
+        description="`run`: a container for each run; `worker`: one for all runs of a slot (faster, weaker isolation)",
     )
     mounts: Mapping[Inner, str] = Field(
         default_factory=dict,
-        description="files and folders that runs may read, by their path in the container; as seen from the project's root",
+        description="files and folders that runs may read: path in the container = path on the host, from the project's root",
     )
     variables: Mapping[VariableName, Text] = Field(
-        default_factory=dict, description="given to every run in the container; part of its identity"
+        default_factory=dict, description="variables that every run in the container gets; part of its identity"
     )
-    network: bool = Field(False, description="whether runs reach the network; part of their identity")
-    devices: tuple[Device, ...] = Field((), description="devices that runs may use, as in `/dev/dri`; part of their identity")
-    gpu: bool = Field(False, description="whether runs reach NVIDIA's graphics processors; part of their identity")
+    network: bool = Field(False, description="whether runs can use the network; part of their identity")
+    devices: tuple[Device, ...] = Field((), description="devices that runs may use, such as `/dev/dri`; part of their identity")
+    gpu: bool = Field(False, description="whether runs can use NVIDIA GPUs; part of their identity")
     cpus: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        None, description="cores that a container may use at a time"
+        None, description="maximum number of cores that a container may use at a time"
     )
-    pids: PositiveInt | None = Field(None, description="processes and threads that a container may have")
+    pids: PositiveInt | None = Field(None, description="maximum number of processes and threads in a container")
 
 
 class ClusterTable(Table):
-    """A cluster: the resources of each array task, and the sharding of a batch into tasks."""
+    """A cluster: the resources of each array task, and the division of a batch into array tasks."""
 
-    scheduler: str | None = Field(
-        None, description="`slurm`, `pbs`, or one that is installed; where absent, the one that the table is called after"
-    )
+    scheduler: str | None = Field(None, description="`slurm`, `pbs`, or an installed plug-in; default: the name of the table")
     array_tasks: PositiveInt | None = Field(
-        None, description="shares of a batch, each executed by one task; where absent, so many that each takes 5 to 10 minutes"
+        None,
+        description="number of array tasks; each executes a share of the batch; default: enough for 5 to 10 minutes each",
     )
-    cpus: PositiveInt = Field(1, description="cores of an element: so many of its runs execute at a time")
-    memory: Size | None = Field(None, description="memory of an element, a number or as in `4 GiB`")
-    wall: Seconds | None = Field(None, description="seconds that an element may take; where absent, estimated, or the site's")
-    partition: Line | None = Field(None, description="the partition (PBS: the queue)")
-    account: Line | None = Field(None, description="the account (PBS: as well) that is charged")
-    qos: Line | None = Field(None, description="the quality of service (SLURM)")
+    cpus: PositiveInt = Field(1, description="cores of an array task; it executes as many runs at a time")
+    memory: Size | None = Field(None, description="memory of an array task, in bytes or as in `4 GiB`")
+    wall: Seconds | None = Field(
+        None, description="time limit of an array task, in seconds; default: estimated, or the site's default"
+    )
+    partition: Line | None = Field(None, description="partition (PBS: queue)")
+    account: Line | None = Field(None, description="account that is charged (SLURM and PBS)")
+    qos: Line | None = Field(None, description="quality of service (SLURM)")
     constraint: Line | None = Field(
-        None, description="features that nodes must have (SLURM), or what is added to `select` (PBS)"
+        None, description="features that nodes must have (SLURM), or text that is added to `select` (PBS)"
     )
-    gpus: PositiveInt | None = Field(None, description="graphics processors of an element")
-    modules: tuple[Line, ...] = Field((), description="environment modules to load before anything else")
+    gpus: PositiveInt | None = Field(None, description="GPUs of an array task")
+    modules: tuple[Line, ...] = Field((), description="environment modules that are loaded first")
     directives: tuple[Line, ...] = Field(
-        (), description="further lines, as they stand after `#SBATCH` or `#PBS`: what no setting is for"
+        (), description="further directives for which there is no setting: the text after `#SBATCH` or `#PBS`"
     )
-    python: str = Field("python3", min_length=1, description="a Python 3.8 or newer on the nodes")
+    python: str = Field("python3", min_length=1, description="the command for Python 3.8 or newer on the nodes")
     scratch: Annotated[str, AfterValidator(_on_node)] | None = Field(
         None,
-        description="folder on the node for runs, as in `$TMPDIR/x`, made in one that is there; where absent, $SLURM_TMPDIR, "
-        "$TMPDIR or /tmp",
+        description="folder on the node in which runs execute, such as `$TMPDIR/x`; its parent folder must exist; default: "
+        "$SLURM_TMPDIR, $TMPDIR or /tmp",
     )
     cancelled: Literal["stop", "resubmit"] = Field(
         "stop",
-        description="what to do when somebody else cancels an element: `stop` the session, or `resubmit` it",
+        description="if somebody else cancels an array task: `stop` the session, or `resubmit` the task",
     )
     attempts: PositiveInt = Field(
-        3, description="times that a run is begun, the last one alone, or an element without any, before it has failed"
+        3,
+        description="number of attempts at a run (the last one alone), or at an array task that starts no run, before it fails",
     )
 
 
 class Source(Table):
-    """The part of the project that is the source of a run."""
+    """The part of the project that is the source of runs: the code that is part of their identity."""
 
-    paths: tuple[str, ...] = Field((), description="files and folders; the whole project where absent")
+    paths: tuple[str, ...] = Field((), description="files and folders; default: the whole project")
     dirty: Literal["record", "refuse", "ignore"] = Field(
         "record",
-        description="changes that git has no commit of: count, are an error, or neither count nor execute (a checkout does)",
+        description="uncommitted changes: `record` them, `refuse` them with an error, or `ignore` them and execute a checkout",
     )
     max_untracked: Size = Field(
-        50_000_000, description="an untracked file of more bytes is an error, a number or as in `50 MB`"
+        50_000_000, description="maximum size of an untracked file, in bytes or as in `50 MB`; a larger file is an error"
     )
 
 
@@ -397,13 +412,13 @@ class StoreTable(Table):
 
     raw: bool = Field(
         True,
-        description="whether the bytes of files that become tables are kept too, so that changed [outputs] and [success] "
-        "execute nothing again",
+        description="whether the bytes of files that become tables are stored too, so that changes to [outputs] and [success] "
+        "need no new executions",
     )
     work_folder: Annotated[str, AfterValidator(_elsewhere)] | None = Field(
         None,
-        description="where runs of this machine execute: a folder for each project is made in it; `~` and variables as in "
-        "`$SCRATCH` are filled in; in the store where absent",
+        description="folder in which runs of this machine execute; SIERRA makes a folder for each project in it; `~` and "
+        "variables such as `$SCRATCH` are expanded; default: in the store",
     )
 
     def place(self) -> Path | None:
@@ -414,39 +429,43 @@ class StoreTable(Table):
         with contextlib.suppress(RuntimeError):  # the user does not exist
             filled = filled.expanduser()
         if not filled.is_absolute() or "$" in str(filled):
-            raise Missing(f"[store] work: {self.work_folder!r} is {str(filled)!r} here, and no absolute path; set the variable")
+            raise Missing(
+                f"[store] work_folder: {self.work_folder!r} is {str(filled)!r} here, not an absolute path; set the variable"
+            )
         return filled
 
 
 class Determinism(Table):
-    """The check that runs with the same seed give the same bytes."""
+    """The check that runs with the same seed write the same bytes."""
 
-    probe: bool = Field(False, description="execute one run twice before a batch, and say whether it came out the same")
+    probe: bool = Field(False, description="execute one run twice before a batch, and report whether both results are the same")
 
 
 class Equivalence(Table):
-    """A metric that compares nondeterministic runs in a replay, over the runs of a whole experiment."""
+    """A metric by which a replay compares nondeterministic runs, over all runs of an experiment."""
 
-    table: str = Field(description="the output")
-    column: str = Field(description="the column of it")
-    measure: Literal["final", "mean", "time_to"] = Field("final", description="what a run is reduced to, as in figures")
+    table: str = Field(description="name of the output")
+    column: str = Field(description="column of the output")
+    measure: Literal["final", "mean", "time_to"] = Field(
+        "final", description="how a run is reduced to one number, as in figures"
+    )
     threshold: Annotated[float, Field(allow_inf_nan=False)] | None = Field(None, description="for `time_to`, as in figures")
     margin: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        None, description="means this far apart are still the same, in the column's unit"
+        None, description="maximum difference between means that are still equivalent, in the column's unit"
     )
     relative: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        None, description="the same as a part of the recorded mean (0.05: 5 %)"
+        None, description="the margin as a fraction of the recorded mean (0.05: 5 %)"
     )
     alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
-        0.05, description="the probability at most to take for the same what is a margin apart"
+        0.05, description="significance level: maximum probability of finding means equivalent that differ by the margin"
     )
 
     @model_validator(mode="after")
     def _fitting(self) -> Equivalence:
         if (self.margin is None) == (self.relative is None):
-            raise ValueError('say either "margin" or "relative"')
+            raise ValueError('give either "margin" or "relative"')
         if (self.measure == "time_to") != (self.threshold is not None):
-            raise ValueError('measure "time_to" and "threshold" go together')
+            raise ValueError('measure "time_to" and "threshold" must be used together')
         return self
 
 
@@ -456,120 +475,131 @@ Argv = Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_t
 class ProgramsTable(Table):
     """The arguments that make programs in a command print their versions, which are recorded."""
 
-    version: Argv = Field(("--version",), description="what an installed program is asked with; empty: none is asked")
+    version: Argv = Field(
+        ("--version",),
+        description="arguments that make an installed program print its version; empty: do not start programs for that",
+    )
     versions: Mapping[str, Argv] = Field(
         default_factory=dict,
-        description="by the program's name, with what else it is asked (empty: not at all); scripts and programs of the "
-        "project are only asked where they stand here",
+        description="other arguments for single programs, by the program's name (empty: do not start it); scripts and programs "
+        "of the project are only started for their version if they are listed here",
     )
 
 
 class QueryTable(Table):
-    """A research query with a name, for `sierra run NAME`."""
+    """A named query, for `sierra run NAME`."""
 
     criteria: Annotated[
         tuple[str, ...],
         BeforeValidator(lambda v: tuple(v.split()) if isinstance(v, str) else v, json_schema_input_type=Words),
         Field(min_length=1),
-    ] = Field(description="one for each axis, as on the command line; a text is split at blanks")
-    runs: PositiveInt | None = Field(None, description="runs per experiment; the project's `runs` where absent")
-    controller: str | None = Field(None, description="its name; the project's `controller` where absent")
-    scenario: str | None = Field(None, description="its name; the project's `scenario` where absent")
+    ] = Field(description="criteria, one for each axis, as on the command line; text is split at spaces")
+    runs: PositiveInt | None = Field(None, description="runs per experiment; default: the project's `runs`")
+    controller: str | None = Field(None, description="name of the controller; default: the project's `controller`")
+    scenario: str | None = Field(None, description="name of the scenario; default: the project's `scenario`")
 
 
 class Figure(Table):
-    """One figure. Without any, each numeric column of each output gets a time series and a summary."""
+    """One figure. If there are none, each numeric column of each output gets a time series and a summary."""
 
     kind: Literal["timeseries", "summary", "box", "violin", "heatmap", "stacked"] = Field(
-        "timeseries", description="lines over time; points, boxes or violins over the first variable; a map of two; areas"
+        "timeseries",
+        description="`timeseries`: lines over time; `summary`, `box`, `violin`: points, boxes or violins over the first "
+        "variable; `heatmap`: a map of two variables; `stacked`: areas",
     )
-    table: str = Field("", description="the output; may be left out where there is only one")
+    table: str = Field("", description="name of the output; may be omitted if there is only one")
     columns: Annotated[
         tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
-    ] = Field((), alias="column", description="the column (for `stacked`: the columns)")
+    ] = Field((), alias="column", description="column (for `stacked`: columns)")
     times: Literal["own", "carry", "linear"] | None = Field(
         None,
-        description="what is drawn over time is drawn at the runs' own times, or at common ones, with the last values carried "
-        "forward, or interpolated linearly; where absent, `own`, or `carry` where most times differ between runs",
+        description="times of values drawn over time: `own`: each run's own times; `carry`, `linear`: common times, with the "
+        "last values carried forward or linear interpolation; default: `own`, or `carry` if most times differ between runs",
     )
     measure: Literal["final", "mean", "time_to"] = Field(
-        "final", description="what a run is reduced to: its last value, its mean over time, the time until `threshold`"
+        "final",
+        description="how a run is reduced to one number: its last value, its mean over time, or the time until `threshold`",
     )
     threshold: Annotated[float, Field(allow_inf_nan=False)] | None = Field(
-        None, description="for `time_to`: the value that has to be reached or exceeded, in the column's unit"
+        None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"
     )
     center: Literal["mean", "median", "iqm"] = Field(
         "mean", description="mean with its 95 % interval, median with quartiles, or interquartile mean with its 95 % interval"
     )
-    title: str = Field("", description="what stands above it")
-    xlabel: str = Field("", description="below the x axis; the time's or the variable's name and unit where absent")
-    ylabel: str = Field("", description="what the values are; the column's name and unit where absent")
-    log_x: bool = Field(False, description="a logarithmic x axis; variables whose values are 1, 2, 4, … have one anyway")
-    log_y: bool = Field(False, description="logarithmic values (in a heatmap: colours)")
+    title: str = Field("", description="title above the figure")
+    xlabel: str = Field("", description="label of the x axis; default: name and unit of the time or the variable")
+    ylabel: str = Field("", description="label of the values; default: the column's name and unit")
+    log_x: bool = Field(False, description="logarithmic x axis; variables with the values 1, 2, 4, … always have one")
+    log_y: bool = Field(False, description="logarithmic scale of the values (in a heatmap: of the colours)")
 
     @model_validator(mode="after")
     def _fitting(self) -> Figure:
         if self.measure == "time_to" and self.threshold is None:
             raise ValueError('measure "time_to" needs a "threshold"')
         if self.measure != "time_to" and self.threshold is not None:
-            raise ValueError('"threshold" goes with measure = "time_to"')
+            raise ValueError('"threshold" needs measure = "time_to"')
         if self.kind == "timeseries" and self.measure != "final":
-            raise ValueError(f'measure {self.measure!r} needs another kind, as in: kind = "summary"')
+            raise ValueError(f'measure {self.measure!r} needs another kind, such as kind = "summary"')
         if self.times and self.kind not in ("timeseries", "stacked"):
-            raise ValueError(f'"times" goes with kind "timeseries" or "stacked", not {self.kind!r}')
+            raise ValueError(f'"times" needs kind "timeseries" or "stacked", not {self.kind!r}')
         return self
 
 
 class Project(Table):
     """`sierra.toml`."""
 
-    template: str = Field(description="the XML file that every run's input is made from")
+    template: str = Field(description="the XML file from which the inputs of all runs are generated")
     command: Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_type=Words)] = Field(
         (),
-        description="the program and its arguments; {input}, {output}, {seed}, {project}, {python} stand for the run's own",
+        description="the program and its arguments; {input}, {output}, {seed}, {project} and {python} are filled in",
     )
     requires: tuple[Annotated[str, Field(pattern=r"^[A-Za-z0-9]")], ...] = Field(
-        (), description="Python packages that `{python}` needs, as pip takes them; checked before anything executes"
+        (), description="Python packages that `{python}` needs, as for pip; checked before anything executes"
     )
-    platform: str = Field("command", description="how the simulator is driven: `command`, `argos`, or one that is installed")
+    platform: str = Field(
+        "command", description="platform, which drives the simulator: `command`, `argos`, or an installed plug-in"
+    )
     runs: PositiveInt = Field(10, description="runs per experiment")
-    controller: str | None = Field(None, description="the controller, where none is asked for")
-    scenario: str | None = Field(None, description="the scenario, where none is asked for")
+    controller: str | None = Field(None, description="default controller, if none is requested")
+    scenario: str | None = Field(None, description="default scenario, if none is requested")
     seed: Annotated[Seed, BeforeValidator(_set_to, json_schema_input_type=str | Seed)] = Seed()
     variables: Mapping[Name, Annotated[Variable, BeforeValidator(_set_to, json_schema_input_type=str | Variable)]] = Field(
-        default_factory=dict, description="what queries vary, by name"
+        default_factory=dict, description="independent variables that queries vary, by name"
     )
-    changes: tuple[ChangeTable, ...] = Field((), description="made in every run of every batch")
+    changes: tuple[ChangeTable, ...] = Field((), description="changes for every run of every batch")
     per_run: Mapping[Name, Annotated[tuple[Scalar, ...], Field(min_length=1)]] = Field(
-        default_factory=dict, description="lists: run number n may use item n, as `{name}` in `run_changes`"
+        default_factory=dict, description="lists of values, by name: `{name}` in `run_changes` is item n for run number n"
     )
     run_changes: tuple[ChangeTable, ...] = Field(
-        (), description="made in each run; may use {seed}, {run} and the lists of per_run"
+        (), description="changes for each single run; may use {seed}, {run} and the lists of per_run"
     )
     controllers: Mapping[Name, Group] = Field(
-        default_factory=dict, description="for `controller` and --controller, by name; `{controller}` in changes is the name"
+        default_factory=dict,
+        description="controllers for `controller` and --controller, by name; `{controller}` in changes is the name",
     )
-    scenarios: Mapping[Name, Group] = Field(default_factory=dict, description="for `scenario` and --scenario, by name")
+    scenarios: Mapping[Name, Group] = Field(
+        default_factory=dict, description="scenarios for `scenario` and --scenario, by name"
+    )
     outputs: Mapping[Name, Output] = Field(
         default_factory=dict,
-        description="what runs write, by the table's name; where absent, each .csv, .parquet and .jsonl of the output folder",
+        description="files that runs write, by the table's name; default: each .csv, .parquet and .jsonl of the output folder",
     )
     success: Success = Success()
     limits: LimitsTable = LimitsTable()
     environment: Environment = Environment()
-    container: Container | None = Field(None, description="the image that runs execute in; on this machine where absent")
+    container: Container | None = Field(None, description="the image in which runs execute; default: no container")
     source: Source = Source()
     store: StoreTable = StoreTable()
     determinism: Determinism = Determinism()
     equivalence: Mapping[Name, Equivalence] = Field(
-        default_factory=dict, description="for runs that are not deterministic: what must be the same in a replay, by name"
+        default_factory=dict, description="metrics that must be equivalent in a replay of nondeterministic runs, by name"
     )
     programs: ProgramsTable = ProgramsTable()
-    queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="research queries, by name")
+    queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="named queries")
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     platforms: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of platforms, by name")
     runners: Mapping[str, Mapping[str, Any]] = Field(
-        default_factory=dict, description="clusters for `--on`, by name: `slurm`, `pbs`, or one of your own with a `scheduler`"
+        default_factory=dict, description="clusters for `--on`, by name: `slurm`, `pbs`, or your own name with a `scheduler`"
     )
     templates: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of template formats, by name")
     engines: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of container engines, by name")
@@ -591,7 +621,7 @@ class LoadedProject:
     def check_written(self) -> None:
         """Raise Missing if there is no `sierra.toml`, so that nothing can be executed."""
         if not self.written:
-            raise Missing(f"no {CONFIG} in {self.root}, only a store, which can be read; make one with: sierra init")
+            raise Missing(f"no {CONFIG} in {self.root}, only a store, which can be read; create one with: sierra init")
 
 
 def load(folder: Path) -> LoadedProject:
@@ -607,7 +637,7 @@ def load(folder: Path) -> LoadedProject:
         file = root / PYPROJECT
         if file.is_file() and (table := read_toml(file).get("tool", {}).get("sierra")) is not None:
             return LoadedProject(root, file, parse(table, f"{file} [tool.sierra]"))
-    raise Missing(f"no {CONFIG} in {folder} or above it; make one with: sierra init")
+    raise Missing(f"no {CONFIG} in {folder} or above it; create one with: sierra init")
 
 
 def load_store(folder: Path) -> LoadedProject:
@@ -643,7 +673,7 @@ def check_directives(table: ClusterTable, complaint: Callable[[str], str | None]
     """Raise ConfigError if a line of a cluster contradicts lines that SIERRA writes itself; `complaint` returns the reason."""
     for line in table.directives:
         if why := complaint(line):
-            raise ConfigError(f"{where}: directive {line!r} of {name!r} can't be added: {why}")
+            raise ConfigError(f"{where}: directive {line!r} of {name!r} cannot be added: {why}")
 
 
 def options(model: type[OptionsT], table: Mapping[str, Any], origin: str, within: tuple[str, ...] = ()) -> OptionsT:
@@ -664,7 +694,7 @@ def _frozen(value: Any, origin: str) -> Any:
     """
     match value:
         case str() if "\0" in value:
-            raise ConfigError(f"{origin}: {value[:40]!r} has the character NUL in it; leave it out")
+            raise ConfigError(f"{origin}: {value[:40]!r} contains the character NUL; remove it")
         case dict():
             return {_frozen(name, origin): _frozen(inner, origin) for name, inner in value.items()}
         case list() | tuple():
@@ -706,7 +736,7 @@ def _explain(error: ValidationError, model: type[BaseModel], within: tuple[str, 
 def _no_name(value: object) -> str:
     """Return a message for an invalid name, with a proposal."""
     letters = re.sub(r"[^A-Za-z0-9]+", "_", str(value)).strip("_").lstrip("0123456789_")
-    return f"{value!r} is not a name; use letters, digits and _, as in {letters or 'my_name'}"
+    return f"{value!r} is not a valid name; use letters, digits and _, as in {letters or 'my_name'}"
 
 
 def _written(value: Any) -> str:
@@ -719,7 +749,7 @@ def _nearest(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
     """Return a hint with the known keys of the table that contains `location`, or the most similar one."""
     known = sorted(_keys(model, location[:-1]))
     if issubclass(model, ClusterTable) and location[-1] in SETTINGS:
-        return f"; here it is {SETTINGS[location[-1]]!r}"
+        return f"; use {SETTINGS[location[-1]]!r} instead"
     close = difflib.get_close_matches(str(location[-1]), known, 1, cutoff=0.5)
     if close:
         return f"; did you mean {close[0]!r}?"

@@ -1,4 +1,4 @@
-"""The user's own defaults for all projects: they affect how SIERRA works here, but not the results.
+"""The user's own defaults for all projects. They affect how SIERRA works here, but not the results.
 
 The file is `$XDG_CONFIG_HOME/sierra/config.toml` (`~/.config/sierra/config.toml` if that variable is not set). A variable such
 as `SIERRA_JOBS` overrides the file, and a command's option overrides both.
@@ -19,7 +19,7 @@ from sierra.store.layout import user_settings
 class Settings(Table):
     """The user's file `config.toml`."""
 
-    jobs: PositiveInt | None = Field(None, description="runs at a time; as many as there are usable cores where absent")
+    jobs: PositiveInt | None = Field(None, description="runs at a time; default: the number of usable cores")
     figures: bool = Field(True, description="whether `sierra run` draws figures")
 
 

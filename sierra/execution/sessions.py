@@ -121,7 +121,7 @@ class Session:
                 self.paths = ownership_marks.make_elsewhere(self.store, self.paths, folder)
         except Missing as error:
             self.close()
-            raise Missing(f"[store] work: {error}") from error
+            raise Missing(f"[store] work_folder: {error}") from error
 
     def take_number(self) -> None:
         """Take a Lamport number. Call this before anything is recorded (see `sierra.store.order`)."""

@@ -75,7 +75,7 @@ def read(paths: StorePaths, tell: Callable[[int], None] = lambda done: None) -> 
                 found.left.append(name)
             twin = suffixes.setdefault(name.partition("-")[2], name)
             if twin != name and not segment.files.keys() <= ONCE.keys():
-                what = f"the same segment as {twin}, under another name"
+                what = f"a copy of segment {twin} under another name"
                 found.findings.append(Finding(Kind.STRAY, _shown(paths, folder), what))
                 continue
             _segment(paths, found, segment, pool, counts=name not in hidden)
@@ -96,44 +96,46 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
         path = paths.root / name
         try:
             if not _is_plain(path):
-                yield Finding(Kind.DAMAGED, name, "is no plain file")
+                yield Finding(Kind.DAMAGED, name, "is not a regular file")
             elif _beginning(path, len(content.encode()) + 1) != content.encode():
-                yield Finding(Kind.DAMAGED, name, "does not say what it should; sierra fsck --repair writes it again")
+                yield Finding(Kind.DAMAGED, name, "has wrong content; sierra fsck --repair writes it again")
         except FileNotFoundError:
-            yield Finding(Kind.ABSENT, name, "is not there; sierra fsck --repair writes it again")
+            yield Finding(Kind.ABSENT, name, "is missing; sierra fsck --repair writes it again")
         except OSError as error:
             yield Finding(Kind.DAMAGED, name, f"cannot be read: {error.strerror}")
     for entry in _entries(paths.root):
         path = Path(entry.path)
         if entry.name in FOLDERS:
             if not entry.is_dir(follow_symlinks=entry.name == WORK):
-                yield Finding(Kind.STRAY, _shown(paths, path), "is no folder")
+                yield Finding(Kind.STRAY, _shown(paths, path), "is not a folder")
         elif UNFINISHED.fullmatch(entry.name):
             yield Finding(Kind.LEFT, _shown(paths, path), "an unfinished file")
         elif entry.name in DERIVED:
             if not _is_sealed(path):
-                yield Finding(Kind.DAMAGED, entry.name, "is not what was written; sierra fsck --repair removes it")
+                yield Finding(Kind.DAMAGED, entry.name, "has other content than SIERRA wrote; sierra fsck --repair removes it")
         elif entry.name == paths.identity.name:
             if ownership_marks.id_in(path) is None:
                 yield Finding(
-                    Kind.DAMAGED, entry.name, "holds no id of a store; move it and work away, and SIERRA makes both again"
+                    Kind.DAMAGED, entry.name, "contains no store id; move it and work away, and SIERRA creates both again"
                 )
         elif entry.name not in FIXED:
             yield Finding(Kind.STRAY, _shown(paths, path), "does not belong to a store")
     if not paths.segments.is_dir():
-        yield Finding(Kind.ABSENT, "segments", "is not there: all that was recorded is gone")
+        yield Finding(Kind.ABSENT, "segments", "is missing: all records are lost")
     segments = put_aside(paths)
     for entry in _entries(paths.damaged):
         path = Path(entry.path)
         if path in segments:
             yield Finding(Kind.LEFT, _shown(paths, path), "put aside by a repair; sierra gc --damaged removes it")
         else:
-            yield Finding(Kind.FOREIGN, _shown(paths, path), "is no segment, and is left alone; move it away if it is yours")
+            yield Finding(
+                Kind.FOREIGN, _shown(paths, path), "is not a segment, so SIERRA does not touch it; move it away if it is yours"
+            )
     known = set(session_log.logs(paths))
     for entry in _entries(paths.logs):
         path = Path(entry.path)
         if path not in known:
-            yield Finding(Kind.FOREIGN, _shown(paths, path), "is no log of a session; move it away if it is yours")
+            yield Finding(Kind.FOREIGN, _shown(paths, path), "is not a session's log; move it away if it is yours")
 
 
 def has_segments(paths: StorePaths) -> bool:
@@ -157,9 +159,9 @@ def _strays(paths: StorePaths, present: Mapping[str, Segment]) -> Iterator[Findi
     for entry in _entries(paths.segments):
         path = _shown(paths, Path(entry.path))
         if entry.is_symlink() or not entry.is_dir(follow_symlinks=False):
-            yield Finding(Kind.STRAY, path, "is no segment: no folder")
+            yield Finding(Kind.STRAY, path, "is not a segment: it is not a folder")
         elif not NAME.fullmatch(entry.name):
-            yield Finding(Kind.STRAY, path, "is no segment: they are called by 12 and 16 hexadecimal digits")
+            yield Finding(Kind.STRAY, path, "is not a segment: the names of segments consist of 12 and 16 hexadecimal digits")
 
 
 def _entries(folder: Path) -> list[os.DirEntry[str]]:
@@ -223,17 +225,17 @@ def _manifest(folder: Path) -> tuple[dict[str, str], list[str]]:
     path = folder / MANIFEST
     try:
         if not _is_plain(path):
-            return {}, ["is no plain file"]
+            return {}, ["is not a regular file"]
         text = _beginning(path, MARK_BYTES)
     except FileNotFoundError:
-        return {}, ["is not there"]
+        return {}, ["is missing"]
     except OSError as error:
         return {}, [f"cannot be read: {error.strerror}"]
     listed = {}
     for line in text.decode("utf-8", "replace").splitlines():
         if matched := LINE.fullmatch(line):
             listed[matched[2]] = matched[1]
-    faults = [] if sha256(text)[:16] == folder.name[-16:] else ["is not the one that the segment's name vouches for"]
+    faults = [] if sha256(text)[:16] == folder.name[-16:] else ["does not have the hash in the segment's name"]
     return listed, faults
 
 
@@ -242,11 +244,11 @@ def _hashed(path: Path) -> tuple[str, int]:
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
-        return ("is a link, and no file" if path.is_symlink() else f"cannot be read: {error.strerror}"), 0
+        return ("is a symbolic link, not a file" if path.is_symlink() else f"cannot be read: {error.strerror}"), 0
     try:
         with os.fdopen(descriptor, "rb", buffering=0) as file:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                return "is no plain file", 0
+                return "is not a regular file", 0
             digest, size = hashlib.sha256(), 0
             while piece := file.read(CHUNK):
                 digest.update(piece)
@@ -258,11 +260,11 @@ def _hashed(path: Path) -> tuple[str, int]:
 
 def _differs(found: tuple[str, int] | None, digest: str) -> tuple[Kind, str]:
     if found is None:
-        return Kind.ABSENT, "is not there"
+        return Kind.ABSENT, "is missing"
     if found[0] == digest:
         return Kind.DAMAGED, ""
     whole = re.fullmatch("[0-9a-f]{64}", found[0])
-    return Kind.DAMAGED, "has other bytes than were written" if whole else found[0]
+    return Kind.DAMAGED, "has other bytes than SIERRA wrote" if whole else found[0]
 
 
 # content of Parquet files
@@ -282,17 +284,17 @@ def parquet_fault(path: Path, name: str) -> str | None:
         with pq.ParquetFile(path) as file:
             schema = file.schema_arrow
     except (OSError, ValueError, pa.ArrowException) as error:
-        return f"is no Parquet file that can be read: {first_line(error)}"
+        return f"is not a readable Parquet file: {first_line(error)}"
     if name.startswith(OUTPUT):
         missing = [column for column in ("run", "execution") if column not in schema.names]
         return f"has no column {missing[0]!r}" if missing else None
     if name not in RECORDED:
-        return f"no table of a store is called {name!r}"
+        return f"the store has no table {name!r}"
     if name == "experiments":
         schema = pa.schema(list(schema)[: len(arrow_schema(name))])
     if is_table(name, schema):
         return None
-    return f"has not the columns of {name}: {', '.join(map(str, schema.names))[:200]}"
+    return f"does not have the columns of {name}: {', '.join(map(str, schema.names))[:200]}"
 
 
 @dataclass(slots=True)
@@ -356,7 +358,7 @@ def _finish(one: _Object | None, path: str, found: Objects) -> None:
         if one.sha1 is not None:
             found.blobs[one.digest] = one.sha1.hexdigest()
     else:
-        found.faults.append((path, f"object {one.digest[:16]} has other content than its SHA-256 says"))
+        found.faults.append((path, f"object {one.digest[:16]} does not have the content of its SHA-256"))
 
 
 def _parts(path: str) -> Iterator[tuple[str, int, int, memoryview]]:
@@ -371,7 +373,7 @@ def _parts(path: str) -> Iterator[tuple[str, int, int, memoryview]]:
             described = file.metadata.row_group(group)
             held = sum(described.column(place).total_uncompressed_size for place in range(described.num_columns))
             if described.num_rows > ROWS or held > 2 * GROUP:
-                raise ValueError("its row groups are larger than any that is written")
+                raise ValueError("its row groups are larger than any that SIERRA writes")
             rows = max(1, min(ROWS, EXPANDED // max(held, 1)))
             for batch in file.iter_batches(rows, row_groups=[group]):
                 digests, parts, sizes, contents = (batch.column(name) for name in ("sha256", "part", "size", "content"))

@@ -151,11 +151,11 @@ def _judgements(records: Records) -> Iterator[Finding]:
     rows = f"SELECT judgement, execution, ingest_rules, session, filename FROM {records.raw('judgements')}"
     for judgement, execution, ingest_rules, session, filename in list(records.each(rows)):
         if _id(lambda: judgement_id(execution, ingest_rules, session)) != judgement:  # noqa: B023
-            what = f"judgement {short(str(judgement))} does not have the id that its columns give"
+            what = f"judgement {short(str(judgement))} does not have the id that follows from its columns"
             yield records.wrong({"filename": filename}, what, of(records.snapshot, [judgement]))
     statement = "SELECT j.judgement FROM judgements j JOIN executions e USING (execution) WHERE j.run <> e.run"
     if named := [row[0] for row in records.each(statement)]:
-        what = "judgements are of other runs than the executions that they judge"
+        what = "judgements have other runs than their executions"
         yield Finding(Kind.INCONSISTENT, "judgements", what, of(records.snapshot, named))
 
 
@@ -169,7 +169,9 @@ def _own(records: Records, table: str, key: str, identity: Callable[[Mapping[str
     for row in records.rows(table):
         if _id(lambda row=row: identity(row)) != row[key]:  # type: ignore[misc]
             yield records.wrong(
-                row, f"{key} {short(str(row[key]))} does not have the id that its columns give", _using(records, row, key)
+                row,
+                f"{key} {short(str(row[key]))} does not have the id that follows from its columns",
+                _using(records, row, key),
             )
 
 
@@ -193,7 +195,7 @@ def _programs(records: Records) -> Iterator[Finding]:
         statement = f"SELECT programs, name, sha256 FROM {read_parquet([path])}"
         for identity, rows in groupby(records.each(statement), itemgetter(0)):
             if identity != fingerprint((name, found) for _, name, found in rows if name is not None):
-                what = f"programs {short(str(identity))} do not have the id that their names and SHA-256 give"
+                what = f"programs {short(str(identity))} do not have the id that follows from their names and SHA-256"
                 yield Finding(Kind.INCONSISTENT, records.shown(path), what, _using(records, {"programs": identity}, "programs"))
 
 
@@ -209,7 +211,7 @@ def _runs(records: Records) -> Iterator[Finding]:
         if files is None:
             bad.setdefault((path, f"its spec {short(str(spec))} is not recorded"), set()).add(run)
         elif _id(lambda: run_id(spec, zip(files, inputs, strict=True), seed)) != run:  # noqa: B023
-            bad.setdefault((path, "runs do not have the ids that their spec, inputs and seeds give"), set()).add(run)
+            bad.setdefault((path, "runs do not have the ids that follow from their spec, inputs and seeds"), set()).add(run)
     for (path, what), runs in bad.items():
         yield Finding(Kind.INCONSISTENT, records.shown(path), what, of(records.snapshot, runs=runs))
 
@@ -227,7 +229,7 @@ def _batches(records: Records) -> Iterator[Finding]:
             batch, ordinal, own = row["batch"], row["ordinal"], row["experiment"]
             found.setdefault(batch, {})[ordinal] = own
             if batch in axes and not _is_experiment(records, row, axes[batch]):
-                what = f"experiment {short(str(own))} does not have the id that its values and runs give"
+                what = f"experiment {short(str(own))} does not have the id that follows from its values and runs"
                 runs = [r[0] for r in records.each(MEMBERS, b=batch, o=ordinal)]
                 yield records.wrong({"filename": path}, what, of(records.snapshot, runs=runs, batches=[batch]))
     for batch in axes:
@@ -236,7 +238,7 @@ def _batches(records: Records) -> Iterator[Finding]:
             yield Finding(
                 Kind.INCONSISTENT,
                 "batches",
-                f"batch {short(batch)} does not have the id that its experiments give",
+                f"batch {short(batch)} does not have the id that follows from its experiments",
                 of(records.snapshot, batches=[batch]),
             )
     yield from _parted(records, found.keys() - axes.keys())
@@ -284,7 +286,7 @@ def _results(records: Records) -> Iterator[Finding]:
         if not odd and sha256(canonical_plain(preimage)) != result:
             bad.append(execution)
     if bad := _unless_broken(records, bad):
-        what = "executions do not have the result that their artifacts give"
+        what = "executions do not have the result hash that follows from their artifacts"
         yield Finding(Kind.INCONSISTENT, "executions", what, of(records.snapshot, bad))
 
 
@@ -304,23 +306,23 @@ def _unless_broken(records: Records, executions: Iterable[str]) -> list[str]:
     return sorted(named)
 
 
-ORPHANS = "their runs belong to no batch; asking for that again finds them"
+ORPHANS = "their runs belong to no recorded batch; run the batch's query again to record it"
 LOST_BY_EXECUTION = {
     "files or logs of executions are not in the store": """
         SELECT DISTINCT execution FROM all_artifacts a ANTI JOIN kept USING (sha256) WHERE a.kind IN ('file', 'log')""",
     ORPHANS: """
         SELECT DISTINCT execution FROM executions ANTI JOIN batch_runs USING (run)""",
-    "what the project declared for executions is not recorded": """
+    "the ingest rules of executions are not recorded": """
         SELECT DISTINCT judgement FROM all_judgements ANTI JOIN ingest_rules USING (ingest_rules)""",
-    "how executions were contained is not recorded": """
+    "the isolation of executions is not recorded": """
         SELECT DISTINCT execution FROM executions ANTI JOIN isolations USING (isolation) WHERE isolation IS NOT NULL""",
-    "there are artifacts of executions that are not recorded": """
+    "artifacts belong to executions that are not recorded": """
         SELECT DISTINCT execution FROM all_artifacts a ANTI JOIN all_judgements e ON e.judgement = a.execution""",
-    "there are findings about executions that are not recorded": """
+    "findings belong to executions that are not recorded": """
         SELECT DISTINCT execution FROM findings f ANTI JOIN all_judgements e ON e.judgement = f.execution""",
-    "there are judgements of executions that are not recorded": """
+    "judgements belong to executions that are not recorded": """
         SELECT DISTINCT judgement FROM judgements ANTI JOIN executions USING (execution)""",
-    "there are verdicts about executions that are not recorded": """
+    "verdicts belong to executions that are not recorded": """
         SELECT DISTINCT recorded FROM verdicts v WHERE recorded NOT IN (SELECT execution FROM executions)
         UNION SELECT execution FROM verdicts WHERE execution NOT IN (SELECT execution FROM executions)""",
 }
@@ -339,14 +341,14 @@ def _references(records: Records) -> Iterator[Finding]:
     said = "SELECT replay FROM verdicts UNION SELECT replay FROM equivalences"
     orphans = f"SELECT replay FROM ({said}) ANTI JOIN replays USING (replay)"
     for (replay,) in records.each(orphans):
-        yield Finding(Kind.LOST, "replays", f"replay {short(replay)} is not recorded, but verdicts of it are")
+        yield Finding(Kind.LOST, "replays", f"replay {short(replay)} is not recorded, but its verdicts are")
     for table, key in (("environments", "environment"), ("programs", "programs")):
         statement = f"SELECT execution FROM executions ANTI JOIN {table} USING ({key}) WHERE {key} <> $nothing"
         if named := [row[0] for row in records.each(statement, nothing=fingerprint(()))]:
             yield Finding(
                 Kind.UNKNOWN,
                 table,
-                f"the {table} of executions are not recorded (their asking was killed)",
+                f"the {table} of executions are not recorded (their session was killed)",
                 of(records.snapshot, named),
             )
 
@@ -379,11 +381,11 @@ def _tables(records: Records) -> Iterator[Finding]:
     records.snapshot.register("written", _written(records))
     bad: dict[str, list[tuple[str, str]]] = {}
     for execution, output, path, expected, found in records.each(TABLES):
-        bad.setdefault(output, []).append((execution, f"{path}: {found}, not {expected}"))
+        bad.setdefault(output, []).append((execution, f"{path}: {found} instead of {expected}"))
     for output, executions in sorted(bad.items()):
         if named := _unless_broken(records, (execution for execution, _ in executions)):
             first = next(told for execution, told in executions if execution in named)
-            what = f"table {output!r} has not as many rows as executions wrote ({first})"
+            what = f"table {output!r} does not have as many rows as executions wrote ({first})"
             yield Finding(Kind.LOST, "output." + output, what, of(records.snapshot, named))
 
 
@@ -409,14 +411,14 @@ def _manifests(records: Records) -> Iterator[Finding]:
         if found not in records.objects.whole:
             yield Finding(Kind.LOST, "blobs", f"a file of a source, {short(blob)}, is not in the store", _of_sources(records))
         elif records.objects.blobs.get(found, blob) != blob:
-            yield Finding(Kind.INCONSISTENT, "blobs", f"{short(blob)} is not git's hash of the file that it stands for")
+            yield Finding(Kind.INCONSISTENT, "blobs", f"{short(blob)} is not git's hash of its file")
     for row in records.rows("sources"):
         if row["files"] not in records.objects.whole:
             what = f"the list of the files of source {short(row['source'])} is not in the store"
             yield Finding(Kind.LOST, "sources", what, _of_tree(records, row["tree"]))
         elif (tree := source.tree_of(_object(records, row["files"]))) is not None and source.SWHID + tree != row["tree"]:
             yield records.wrong(
-                row, f"the files of source {short(row['source'])} do not give its tree", _of_tree(records, row["tree"])
+                row, f"the files of source {short(row['source'])} do not have its tree's hash", _of_tree(records, row["tree"])
             )
     known = {row[0] for row in records.each("SELECT DISTINCT tree FROM sources")}
     for (tree,) in records.each("SELECT DISTINCT source FROM specs WHERE source IS NOT NULL"):
@@ -465,7 +467,7 @@ def _of_sources(records: Records) -> Affected:
     return of(records.snapshot, batches=[row[0] for row in records.each(statement)])
 
 
-HEALS = "sierra source fetch brings what sierra source push has shared"
+HEALS = "sierra source fetch gets sources that were shared with sierra source push"
 
 
 def _gone(records: Records, root: Path) -> Iterator[Finding]:
@@ -478,7 +480,7 @@ def _gone(records: Records, root: Path) -> Iterator[Finding]:
             return
         if not there:
             affected = _of_tree(records, tree)
-            yield Finding(Kind.GONE, "sources", f"{tree} is not in git: it can't be replayed here; {HEALS}", affected)
+            yield Finding(Kind.GONE, "sources", f"{tree} is not in git, so its runs cannot be replayed here; {HEALS}", affected)
 
 
 CHECKS: Sequence[Check] = (

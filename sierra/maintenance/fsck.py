@@ -52,7 +52,7 @@ class Checked:
 def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Checked:
     """Check a store; `root` is its project. Raises Missing if there is no store, or if SIERRA did not make the folder."""
     if not paths.root.is_dir():
-        raise Missing(f"no store in {paths.root}: nothing has been run here yet (sierra run makes one)")
+        raise Missing(f"no store in {paths.root}: nothing has been run here yet (sierra run creates one)")
     if not check_files.has_segments(paths):
         check_free(paths.root)
     began = time.monotonic()
@@ -108,7 +108,7 @@ def _contents(read: Records) -> Iterator[Finding]:
 
 
 def _affected(read: Records, name: str, file: str) -> Affected:
-    """Return what a segment affects, as far as its sound files show; otherwise name the batch in the segment's name."""
+    """Return the records that a segment affects, as far as sound files show; otherwise name the batch in the segment's name."""
     [segment] = [segment for segment in read.contents.sound if segment.name == name]
     try:
         batches = [row[0] for row in read.each("SELECT batch FROM batches WHERE starts_with(batch, $p)", p=segment.batch)]
@@ -138,15 +138,17 @@ def _sessions(paths: StorePaths) -> Iterator[Finding]:
         return
     for session in found:
         if session.root not in living:
-            what = "an asking that died; sierra run or sierra gc finishes it"
+            what = "a session that died; sierra run or sierra gc finishes it"
             yield Finding(Kind.DEAD, f"work/{session.root.name}", what)
 
 
 def _strange(paths: StorePaths) -> Iterator[Finding]:
-    """Yield a finding for each entry beside the sessions that SIERRA did not make; none of them is ever removed."""
+    """Yield a finding for each entry of the work folder that SIERRA did not make. SIERRA never removes these entries."""
     for path in ownership_marks.strange(paths):
         name = path.relative_to(paths.root)
-        yield Finding(Kind.FOREIGN, str(name), "does not bear SIERRA's mark, and is left alone; move it away if it is yours")
+        yield Finding(
+            Kind.FOREIGN, str(name), "has no mark of SIERRA, so SIERRA does not touch it; move it away if it is yours"
+        )
 
 
 def _left(found: Contents) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""`gc`: remove what nothing needs, and merge small segments of a batch into one.
+"""`gc`: remove data that nothing needs, and merge small segments of a batch into one.
 
 It removes folders of sessions that died (their finished executions are recorded first), unfinished files, replaced segments,
 and recorded files that no record refers to. It leaves git's `refs/sierra/` alone: other projects and stores may share the
@@ -85,7 +85,7 @@ class _Plan:
 
 
 def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collection:
-    """Return what `collect` would remove and merge."""
+    """Return the data that `collect` would remove and merge."""
     paths = store.paths
     made = _plan(store, raw=raw)
     with sessions.exclusively(paths) as locks:
@@ -111,7 +111,7 @@ def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collectio
 def collect(
     store: Store, *, damaged: bool = False, raw: bool = False, agree: Callable[[Collection], bool] = lambda collection: True
 ) -> Collection | None:
-    """Remove what nothing needs, if `agree` returns true for the preview; return None if it returns false.
+    """Remove data that nothing needs, if `agree` returns true for the preview; return None if it returns false.
 
     Raises Missing if the disk is full, SierraError if another session has just begun; nothing is lost in either case.
     """
@@ -233,17 +233,17 @@ def _parts(group: Group) -> Iterator[Group]:
 
 
 RAW_LOST = (
-    "files that became tables: their bytes, not their rows. Changed [outputs] or [success] may execute their runs again, "
-    "sierra files writes them from their rows, and no check can read them again"
+    "files that became tables: their bytes, not their rows. Changes to [outputs] or [success] may then execute their runs "
+    "again, sierra files rebuilds them from their rows, and checks cannot read them again"
 )
 
 
 def text(collection: Collection) -> list[str]:
-    """Return lines that list what is removed."""
+    """Return lines that list the data to remove."""
     told = (
-        (collection.sessions, "askings that died (what had finished in them is recorded first)"),
+        (collection.sessions, "sessions that died (their finished executions are recorded first)"),
         (collection.unfinished, "unfinished files"),
-        (collection.replaced, "segments that were replaced"),
+        (collection.replaced, "replaced segments"),
         (collection.objects - collection.raw, "recorded files that nothing refers to"),
         (collection.raw, RAW_LOST),
         (collection.merged, f"small segments, merged into {collection.into}"),

@@ -69,12 +69,12 @@ class _Plan:
 
 
 def plan(store: Store, prefixes: Sequence[str]) -> Removal:
-    """Return what `remove` would delete. Raises NotFound for an unknown id, or if no id is given."""
+    """Return the records that `remove` would delete. Raises NotFound for an unknown id, or if no id is given."""
     return _plan(store, _resolve(store, prefixes)).removal
 
 
 def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
-    """Remove what these ids name, if `agree` returns true for the preview; return None if it returns false.
+    """Remove the records that these ids name, if `agree` returns true for the preview; return None if it returns false.
 
     Raises NotFound for an unknown id, Missing if the disk is full, SierraError while one of the batches is executing or if the
     preview is out of date. If it raises, nothing changes.
@@ -91,7 +91,7 @@ def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], boo
             nonlocal made
             made = _plan(store, named)
             if made.removal != first.removal:
-                raise SierraError("what this would delete has changed meanwhile; ask again")
+                raise SierraError("the store changed since the preview; run the command again")
             for group in groups(made.touched):
                 rewriting.write(group, made.drop)
             return made.seen
@@ -107,7 +107,7 @@ def _resolve(store: Store, prefixes: Sequence[str]) -> dict[str, set[str]]:
         found = store.resolve(prefix)
         named[found.kind].add(found.id)
     if not prefixes:
-        raise NotFound("name what is to be removed: batches, experiments, runs or executions, by the beginning of their ids")
+        raise NotFound("give the ids (or their beginnings) of the batches, experiments, runs or executions to remove")
     return named
 
 
@@ -273,7 +273,7 @@ def _column(snapshot: Snapshot, statement: str) -> set[str]:
 
 
 def text(removal: Removal) -> list[str]:
-    """Return lines that list what would be deleted, and what stays."""
+    """Return lines that list the records to delete, and those that stay."""
     lines = [
         f"batch {short(one['batch'])} ({one['query']}): {one['experiments']} experiments, {one['runs']} runs"
         for one in removal.batches
@@ -283,9 +283,13 @@ def text(removal: Removal) -> list[str]:
     if removal.replays:
         lines.append(f"{removal.replays} replay{'' if removal.replays == 1 else 's'}")
     if removal.losing:
-        lines.append(f"these executions are also of batch {_some(removal.losing)}, which stays, and would execute them again")
+        lines.append(
+            f"these executions also belong to batch {_some(removal.losing)}, which stays; its next run executes them again"
+        )
     if removal.shared:
-        lines.append(f"stays: {removal.shared} runs with their executions, which batch {_some(removal.sharing)} has too")
+        lines.append(
+            f"not removed: {removal.shared} runs with their executions, which also belong to batch {_some(removal.sharing)}"
+        )
     return lines
 
 

@@ -86,7 +86,9 @@ def _ours(paths: StorePaths) -> None:
         found = paths.format.read_bytes().decode("utf-8", "replace")
         if re.fullmatch(r"sierra store \d+\n", found) and found != FORMAT:
             told = f"this is {found.strip()!r}, which this SIERRA does not repair"
-            raise Damaged(f"{paths.format}: {told}; if this SIERRA made it, let the file say {FORMAT.strip()!r}")
+            raise Damaged(
+                f"{paths.format}: {told}; if this SIERRA made the store, change the file's content to {FORMAT.strip()!r}"
+            )
 
 
 def _fixed(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
@@ -99,7 +101,7 @@ def _fixed(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
     for name in sorted({finding.path for finding in checked.report.findings if finding.kind is Kind.DAMAGED} & DERIVED):
         if not dry_run:
             (paths.root / name).unlink()
-        yield f"{name}: removed, to be made again"
+        yield f"{name}: removed; SIERRA creates it again"
 
 
 def _manifests(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
@@ -111,7 +113,7 @@ def _manifests(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[s
             if not dry_run:
                 write_whole(folder / MANIFEST, text)
             checked.contents.broken.pop(name)
-            yield f"segments/{name}/{MANIFEST}: made again from the segment's files, which its name vouches for"
+            yield f"segments/{name}/{MANIFEST}: rebuilt from the segment's files; its hash agrees with the segment's name"
 
 
 def _strays(paths: StorePaths, checked: Checked, dry_run: bool) -> Iterator[str]:
@@ -131,14 +133,14 @@ def _salvage(paths: StorePaths, root: Path, checked: Checked, dry_run: bool, tel
     if not dry_run:
         _write(paths, root, loss, tell)
     for name in names:
-        yield f"segments/{name}: what is sound in it written to a new segment, and the old one moved to damaged/"
+        yield f"segments/{name}: its sound records written to a new segment, and the old segment moved to damaged/"
     for segment in loss.touched:
         if "artifacts" in segment.files and "objects.parquet" in checked.contents.broken.get(segment.name, ()):
-            yield f"segments/{segment.name}: the bytes of files that became tables are lost, their rows are not"
+            yield f"segments/{segment.name}: the bytes of files that became tables are lost, but their rows are not"
     if loss.executions:
-        yield f"{len(loss.executions)} executions are lost; sierra run executes again those that counted"
+        yield f"{len(loss.executions)} executions are lost; sierra run executes the effective ones again"
     for batch in sorted(loss.batches):
-        yield f"batch {short(batch)} is not complete; asking for it again records it again"
+        yield f"batch {short(batch)} is not complete; run its query again to record it again"
 
 
 def _write(paths: StorePaths, root: Path, first: _Loss, tell: Tell) -> None:
@@ -157,7 +159,7 @@ def _write(paths: StorePaths, root: Path, first: _Loss, tell: Tell) -> None:
 
         def may() -> None:
             if loss.executions - first.executions or loss.batches - first.batches:
-                raise SierraError("more has been damaged meanwhile; try again")
+                raise SierraError("more was damaged during the repair; run the command again")
             undisturbed(paths, session, loss.batches)
 
         publish(paths, session, prepare, may, keep={segment.name for segment in first.touched})

@@ -1,4 +1,4 @@
-"""Exclusive changes to recorded data by `gc`, `rm` and repair: prepared beside the store, published at one moment."""
+"""Exclusive changes to recorded data by `gc`, `rm` and repair: prepared outside the segments, published at one moment."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def publish(
         with sessions.exclusively(store) as locks:
             if not locks:
                 raise Missing(
-                    f"{store.root}: the file system has no locks, so nothing can be changed safely; copy it to one that has"
+                    f"{store.root}: the file system has no locks, so changes are not safe; copy the store to one with locks"
                 )
             may()
             if names(store) == seen:
@@ -67,7 +67,7 @@ def publish(
                         aside(store, store.segments / name)
                     tidy(store, session.paths.root / "old")
                     return left(store)
-    raise SierraError("others record all the time; try again when they have ended")
+    raise SierraError("the store is busy; retry when other sierra processes have finished")
 
 
 def aside(store: StorePaths, path: Path) -> None:
@@ -100,10 +100,10 @@ def undisturbed(store: StorePaths, session: Session, batches: AbstractSet[str]) 
             time.sleep(0.05)
             batch = _batch(paths)
         if batch is None and paths.root.exists():
-            raise SierraError(f"another sierra is at work here (session {paths.root.name}); try again when it has ended")
+            raise SierraError(f"another sierra process uses the store (session {paths.root.name}); retry when it has finished")
         if batch in batches:
             raise SierraError(
-                f"batch {short(str(batch))} is being executed (session {paths.root.name}); end that, or wait for it"
+                f"batch {short(str(batch))} is being executed (session {paths.root.name}); stop this session, or wait for it"
             )
 
 

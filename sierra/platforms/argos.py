@@ -101,10 +101,10 @@ LARGEST = 2**32 - 1
 """The largest number of ticks, and of robots, that ARGoS supports."""
 LABEL = "Population size"
 CRITERIA: Mapping[str, str] = {
-    "population_size": "how many robots are distributed in the arena",
-    "population_constant_density": "robots in arenas that grow, at one density in percent of robots per m²",
-    "population_variable_density": "robots in one arena, at densities in percent of robots per m²",
-    "arena": "the arena's size in metres, as in arena=10x10,20x10",
+    "population_size": "number of robots that are distributed in the arena",
+    "population_constant_density": "number of robots in growing arenas, at one density in percent of robots per m²",
+    "population_variable_density": "number of robots in one arena, at several densities in percent of robots per m²",
+    "arena": "size of the arena in metres, as in arena=10x10,20x10",
 }
 
 _SIDE = r"([0-9]{1,9}(?:\.[0-9]{1,9})?)"
@@ -119,23 +119,24 @@ class ArgosOptions(Table):
     """`[platforms.argos]`."""
 
     length: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        None, description="seconds that are simulated; as in the template where absent"
+        None, description="simulated time in seconds; default: as in the template"
     )
-    ticks_per_second: PositiveInt | None = Field(None, description="as in the template where absent")
-    threads: NonNegativeInt = Field(0, description="threads of one run beside the main one; 0 is none")
-    visualization: bool = Field(False, description="whether the template's visualization is kept")
+    ticks_per_second: PositiveInt | None = Field(None, description="ticks per simulated second; default: as in the template")
+    threads: NonNegativeInt = Field(0, description="additional threads of one run; 0: only the main thread")
+    visualization: bool = Field(False, description="whether to keep the template's visualization")
     arena: Annotated[str, StringConstraints(pattern=f"^{_SIZE}$")] | None = Field(
-        None, description="the arena's size in metres, as in 10x10 or 10x10x2; as in the template where absent"
+        None, description="size of the arena in metres, such as 10x10 or 10x10x2; default: as in the template"
     )
     walls: str = Field(WALLS, description="XPath of the four boxes that bound the arena")
     population: str | None = Field(
-        None, description="XPath of what population_size sets; the quantity of the one distributed robot where absent"
+        None,
+        description="XPath of the attribute that population_size sets; default: the quantity of the distributed robots",
     )
     libraries: tuple[str, ...] = Field(
-        ("build",), description="folders of the project where the libraries are that the template names"
+        ("build",), description="folders of the project that contain the libraries of the template"
     )
     label: Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.-]*$")] | None = Field(
-        None, description=f"the tag that {PLACEHOLDER} becomes; the controller's name where absent"
+        None, description=f"tag that replaces {PLACEHOLDER}; default: the controller's name"
     )
 
 
@@ -179,7 +180,7 @@ class Space:
 
     def __post_init__(self) -> None:
         if not all(low < high for low, high in zip(self.low, self.high, strict=True)):
-            raise TemplateError("the walls leave no space between them; use an arena that is larger")
+            raise TemplateError("the walls leave no space between them; use a larger arena")
 
 
 class Argos:
@@ -194,7 +195,7 @@ class Argos:
         self._command = project.command or COMMAND
         self._arena = _size(self._options.arena) if self._options.arena else None
         if self._arena and not all((self._arena.x, self._arena.y, self._arena.z != 0)):
-            raise ConfigError(f"{TABLE}: arena: {self._options.arena!r} is empty; write it as 10x10")
+            raise ConfigError(f"{TABLE}: arena: {self._options.arena!r} is empty; use a size such as 10x10")
         for folder in self._options.libraries:
             _check_folder(folder)
 
@@ -233,7 +234,7 @@ class Argos:
         _check_pinning(document)
         self._check_arena(document, template)
         if left := document.find(f"//@*[contains(., '{PLACEHOLDER}')]"):
-            raise TemplateError(f"{left[0]!r} holds {PLACEHOLDER} among other text, or was added later; use {{controller}}")
+            raise TemplateError(f"{left[0]!r} contains {PLACEHOLDER} among other text, or was added later; use {{controller}}")
 
     def command(self) -> tuple[str, ...]:
         return self._command
@@ -277,7 +278,7 @@ class Argos:
 
     def _population_size(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]]:
         if isinstance(criterion.scale, MonteCarlo):
-            raise QueryError(f"{criterion.name} has a range; use {criterion.name}.Log8")
+            raise QueryError(f"{criterion.name} needs a range; use {criterion.name}.Log8")
         populations = tuple(_whole(criterion.name, value) for value in ranges.values(criterion.scale))
         path = self._population(template)
         points = tuple(Point(n, (_quantity(path, n, criterion.name),)) for n in populations)
@@ -286,7 +287,7 @@ class Argos:
     def _constant_density(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]]:
         scale, name = criterion.scale, criterion.name
         if not isinstance(scale, ConstantDensity):
-            raise QueryError(f"{name} has a density, an increment in metres and a count; use {name}.5p0.I16.C4")
+            raise QueryError(f"{name} needs a density, an increment in metres and a count; use {name}.5p0.I16.C4")
         first, path = _arena_size(template), self._population(template)
         sizes = tuple(Size(first.x + longer, first.y + longer) for longer in ranges.growths(scale))
         populations = tuple(_agents(name, size.area, scale.density) for size in sizes)
@@ -301,7 +302,7 @@ class Argos:
     def _variable_density(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]]:
         scale, name = criterion.scale, criterion.name
         if not isinstance(scale, VariableDensity):
-            raise QueryError(f"{name} has two densities and a count; use {name}.1p0.5p0.C4")
+            raise QueryError(f"{name} needs two densities and a count; use {name}.1p0.5p0.C4")
         size, path = _arena_size(template), self._population(template)
         self._check_walls(template, size, "")
         populations = tuple(_agents(name, size.area, density) for density in ranges.densities(scale))
@@ -322,7 +323,7 @@ class Argos:
         found = len(template.find(path))
         if found != 1 or (not self._options.population and len(template.find(ROBOTS)) != 1):
             raise TemplateError(
-                f"the template has not one kind of robots, and that distributed ({path} selects {found}); "
+                f"the template must have exactly one kind of robots, and distribute it ({path} selects {found}); "
                 f"set population in {TABLE} to the XPath of one quantity"
             )
         if template.find(f"({path})/self::*"):
@@ -353,12 +354,14 @@ class Argos:
         positions = tuple(_parsed(text, "a wall's position") for text in template.find(f"({path})/body/@position"))
         turned = any(any(_parsed(text, "an orientation")) for text in template.find(f"({path})/body/@orientation"))
         if turned or not len(template.find(path)) == len(ids) == len(sizes) == len(positions):
-            raise TemplateError(f"{path} selects what is not a wall: a box with id, size and position, and not turned")
+            raise TemplateError(
+                f"{path} selects elements that are not walls: a wall is a box with id, size and position, without rotation"
+            )
         walls = tuple(_wall(*facts, positions) for facts in zip(ids, sizes, positions, strict=True))
         if walls and sorted((wall.axis, wall.high) for wall in walls) != [(0, False), (0, True), (1, False), (1, True)]:
             raise TemplateError(
-                f"{', '.join(map(repr, ids))}: not one wall on each of four sides; "
-                f"set walls in {TABLE} to the XPath of four boxes, or of none"
+                f"{', '.join(map(repr, ids))}: there must be one wall on each of the four sides; "
+                f"set walls in {TABLE} to an XPath that selects four boxes, or none"
             )
         return walls
 
@@ -367,9 +370,9 @@ class Argos:
         if not _has_other_edges(document, template):
             return
         size, everything = _arena_size(document), f"{BOUNDARIES}//@*"
-        self._check_walls(document, size, f", or ask for arena={size}")
+        self._check_walls(document, size, f", or use arena={size}")
         if (found := document.find(everything)) and found == template.find(everything):
-            raise TemplateError(f"{BOUNDARIES} would not follow the {size} arena; change them as well")
+            raise TemplateError(f"{BOUNDARIES} would not follow the {size} arena; change the boundaries as well")
 
     def _check_walls(self, document: Reader, size: Size, otherwise: str) -> None:
         """Check that each wall is at most its thickness away from the arena's edge; otherwise robots lack part of the area."""
@@ -377,8 +380,8 @@ class Argos:
         for wall in self._walls(document):
             if (wrong := _off_the_edge(wall, arena)) is not None:
                 raise TemplateError(
-                    f"{wall.id!r} {wrong} of the {size} arena, so that robots don't have its area; "
-                    f'set arena = "{size}" in {TABLE}{otherwise}: this moves the walls'
+                    f"{wall.id!r} {wrong} of the {size} arena, so that robots cannot use its whole area; "
+                    f'set arena = "{size}" in {TABLE}{otherwise}, which moves the walls'
                 )
 
     def _moved(self, wall: Wall, arena: Space, why: str) -> tuple[Change, ...]:
@@ -401,12 +404,12 @@ def _check_folder(folder: str) -> None:
     """Check that a folder lies below the project, and that its name fits into a list separated by `:`."""
     parts = PurePosixPath(folder).parts
     if not parts or parts[0] == "/" or ".." in parts or set(folder) & set(":;,={}"):
-        raise ConfigError(f'{TABLE}: libraries: {folder!r} is not a folder below the project; use one as in ["build"]')
+        raise ConfigError(f'{TABLE}: libraries: {folder!r} is not a folder in the project; use one such as ["build"]')
 
 
 def _check_length(document: Reader) -> None:
     if len(document.find(EXPERIMENT)) != 1:
-        raise TemplateError(f"the template has not one {EXPERIMENT}; ARGoS needs it")
+        raise TemplateError(f"the template must have exactly one {EXPERIMENT}; ARGoS needs it")
     length = _at_most_one(document, f"{EXPERIMENT}/@length") or "0"
     ticks = _at_most_one(document, f"{EXPERIMENT}/@ticks_per_second")
     if ticks is None:
@@ -414,10 +417,12 @@ def _check_length(document: Reader) -> None:
     count = _number(length, f"{EXPERIMENT}/@length") * _number(ticks, f"{EXPERIMENT}/@ticks_per_second")
     if count < 1:
         raise TemplateError(
-            f"{EXPERIMENT}/@length is {length!r}, less than a tick, and would run for ever; set length = 300 in {TABLE}"
+            f"{EXPERIMENT}/@length is {length!r}, less than one tick, so the run would never end; set length = 300 in {TABLE}"
         )
     if count > LARGEST:
-        raise TemplateError(f"{EXPERIMENT}/@length is {length!r}, more ticks than the {LARGEST} that ARGoS counts; use fewer")
+        raise TemplateError(
+            f"{EXPERIMENT}/@length is {length!r}, which is more than the {LARGEST} ticks that ARGoS can count; use fewer"
+        )
 
 
 def _check_method(document: Reader) -> None:
@@ -432,7 +437,7 @@ def _check_pinning(document: Reader) -> None:
     if _number(threads, f"{SYSTEM}/@threads") > 0 and pinned.strip().lower() == "true":
         raise TemplateError(
             f'{SYSTEM} has pin_threads_to_cores="true", which pins thread n of each run to core n, '
-            'so that runs side by side would share the same cores; write pin_threads_to_cores="false"'
+            'so that runs at the same time would share the same cores; use pin_threads_to_cores="false"'
         )
 
 
@@ -455,7 +460,7 @@ def _agents(name: str, area: Fraction, density: Fraction) -> int:
     if exact < 1:
         least = _step(100 / area)
         raise QueryError(
-            f"{name}: {_plain(density)} % of {_plain(area)} m² are {_plain(exact)} robots, less than one; "
+            f"{name}: {_plain(density)} % of {_plain(area)} m² gives {_plain(exact)} robots, less than one; "
             f"use a density of {least} or more, or a larger arena"
         )
     return int(exact)
@@ -470,7 +475,7 @@ def _too_slow(name: str, first: Size, scale: ConstantDensity, populations: tuple
     around = float(first.x + first.y)
     enough = (math.sqrt(around**2 + 400 / float(scale.density)) - around) / 2
     return (
-        f"{name}: arenas that grow by {_plain(scale.increment)} m have {twice} robots twice; "
+        f"{name}: with arenas that grow by {_plain(scale.increment)} m, two arenas have {twice} robots; "
         f"use an increment of I{_step(Fraction(enough))} or more"
     )
 
@@ -479,20 +484,20 @@ def _too_close(name: str, size: Size, scale: VariableDensity, populations: tuple
     twice = next(n for n in populations if populations.count(n) > 1)
     count = int(abs(scale.end - scale.start) * size.area / 100) + 1
     right = f"use C{count}" if count > 1 else "use densities that are further apart"
-    return f"{name}: two of the densities are {twice} robots on {_plain(size.area)} m²; {right}, or a larger arena"
+    return f"{name}: two of the densities give {twice} robots on {_plain(size.area)} m²; {right}, or a larger arena"
 
 
 def _sizes(scale: Scale) -> dict[str, Size]:
     values = ranges.values(scale) if isinstance(scale, Listed) else ()
     matches = {text: re.fullmatch(_SIZE, text) for text in values if isinstance(text, str)}
     if not values or len(matches) < len(values) or not all(matches.values()):
-        raise QueryError("an arena is its sides in metres; use arena=10x10,20x10")
+        raise QueryError("an arena is given by its sides in metres; use arena=10x10,20x10")
     sizes = {text: _size(text) for text in matches}
     for text, size in sizes.items():
         if not (size.x and size.y and size.z != 0):
             raise QueryError(f"arena: {text!r} is empty; use arena=10x10,20x10")
     if len({(size.x, size.y, size.z) for size in sizes.values()}) < len(sizes):
-        raise QueryError(f"arena: two of {', '.join(sizes)} are the same; use each once")
+        raise QueryError(f"arena: two of {', '.join(sizes)} are the same; use each size once")
     return sizes
 
 
@@ -504,7 +509,7 @@ def _size(text: str) -> Size:
 def _arena_size(template: Reader) -> Size:
     x, y, _ = _vector(template, f"{ARENA}/@size")
     if min(x, y) <= 0:
-        raise TemplateError(f"{ARENA}/@size is empty; use a size as 10,10,2")
+        raise TemplateError(f"{ARENA}/@size is empty; use a size such as 10,10,2")
     return Size(x, y)
 
 
@@ -550,7 +555,7 @@ def _wall(identity: str, size: Vector, position: Vector, positions: tuple[Vector
     places = [place[axis] for place in positions]
     middle = (min(places) + max(places)) / 2
     if size[0] == size[1] or position[axis] == middle:
-        raise TemplateError(f"{identity!r} is no wall of one side; set walls in {TABLE} to the XPath of four boxes")
+        raise TemplateError(f"{identity!r} is not a wall on one side; set walls in {TABLE} to an XPath that selects four boxes")
     return Wall(identity, axis, position[axis] > middle, position, size[axis], size[2], size[1 - axis])
 
 
@@ -560,7 +565,7 @@ def _off_the_edge(wall: Wall, arena: Space) -> str | None:
     outside = _face(wall, outer=True)
     off = abs(outside - (arena.high if wall.high else arena.low)[wall.axis])
     if off > wall.thickness:
-        return f"is {_plain(off)} m off the edge"
+        return f"is {_plain(off)} m away from the edge"
     low, high = wall.position[along] - wall.length / 2, wall.position[along] + wall.length / 2
     gap = max(low - arena.low[along], arena.high[along] - high)
     return f"ends {_plain(gap)} m before the edge" if gap > wall.thickness else None
@@ -595,7 +600,7 @@ def _stretched(template: Reader, before: Space, after: Space, why: str) -> tuple
         new_low, new_high = _mapped(low, before, after), _mapped(high, before, after)
         if any(low[axis] < high[axis] and new_low[axis] == new_high[axis] for axis in (0, 1)):
             raise TemplateError(
-                f"{why}: robots are distributed from {least!r} to {most!r}, outside the walls; move one of them"
+                f"{why}: robots are distributed from {least!r} to {most!r}, outside the walls; move the robots or the walls"
             )
         for attribute, corner in (("min", new_low), ("max", new_high)):
             changes.append(Set(f"({BOXES})[{number}]/@{attribute}", _joined(corner), expect=1, why=why))
@@ -616,7 +621,7 @@ def _mapped_along(axis: int, place: Fraction, before: Space, after: Space) -> Fr
 def _at_most_one(template: Reader, path: str) -> str | None:
     found = template.find(path)
     if len(found) > 1:
-        raise TemplateError(f"{path} is there {len(found)} times; use it once")
+        raise TemplateError(f"{path} occurs {len(found)} times; use it once")
     return found[0] if found else None
 
 
@@ -631,13 +636,13 @@ def _parsed(text: str, what: str) -> Vector:
     """Return three numbers that are separated by commas, the format of vectors in ARGoS."""
     parts = text.split(",")
     if len(parts) != 3:
-        raise TemplateError(f"{what}: {text!r} is not three numbers; use one as 10,10,2")
+        raise TemplateError(f"{what}: {text!r} is not three numbers; use a value such as 10,10,2")
     return _number(parts[0], what), _number(parts[1], what), _number(parts[2], what)
 
 
 def _number(text: str, what: str) -> Fraction:
     if len(text) > 60 or not _NUMBER.fullmatch(text.strip()):
-        raise TemplateError(f"{what}: {text!r} is not a number; use one as 10 or 0.5")
+        raise TemplateError(f"{what}: {text!r} is not a number; use one such as 10 or 0.5")
     return Fraction(text.strip())
 
 

@@ -1,4 +1,4 @@
-"""Checks of what SIERRA needs and can use on this machine and in this project, with a remedy for what is missing."""
+"""Checks of the requirements and options on this machine and in this project, with a remedy for each missing one."""
 
 from __future__ import annotations
 
@@ -49,20 +49,22 @@ def _machine() -> Iterator[Check]:
     yield Check("cores", "ok", f"{usable_cores()} usable")
     free = shutil.disk_usage(Path.cwd()).free
     room = free > 1 << 30
-    yield Check("disk", "ok" if room else "missing", f"{free / 1e9:.1f} GB free here", "" if room else "free some room")
+    yield Check("disk", "ok" if room else "missing", f"{free / 1e9:.1f} GB free here", "" if room else "free some disk space")
     reaper = Path(f"/proc/self/task/{os.getpid()}/children").exists()
     yield Check(
         "process supervision",
         "ok" if reaper else "absent",
-        "escaped processes are found and ended" if reaper else "processes that leave their group are not found",
-        "" if reaper else "Linux with CONFIG_PROC_CHILDREN",
+        "processes that leave their process group are found and ended"
+        if reaper
+        else "processes that leave their process group are not found",
+        "" if reaper else "use a Linux kernel with CONFIG_PROC_CHILDREN",
     )
 
 
 def _settings() -> Iterator[Check]:
     file = user_settings()
     if not file.is_file():
-        yield Check("settings", "ok", f"none of your own in {file}")
+        yield Check("settings", "ok", f"no settings file at {file}")
         return
     yield _tried("settings", lambda: ", ".join(f"{name} = {value}" for name, value in user.load()) + f" ({file})")
 
@@ -82,7 +84,7 @@ def _libraries() -> Iterator[Check]:
 
 def _programs() -> Iterator[Check]:
     path = shutil.which("git")
-    remedy = "" if path else "projects in git need it: install git"
+    remedy = "" if path else "needed for projects in git: install git"
     yield Check("git", "ok" if path else "absent", path or "not installed", remedy)
 
 
@@ -117,22 +119,20 @@ def _engines() -> Iterator[Check]:
             yield Check(name, "absent", found, remedy)
         else:
             slow = name == "podman" and podman_images.driver() == "vfs"
-            told = (
-                ["SLOW: stores images by vfs, which copies them whole, so that runs take 2 to 3 times as long"] if slow else []
-            )
+            told = ["SLOW: its storage driver vfs copies whole images, so runs take 2 to 3 times as long"] if slow else []
             remedy = 'install fuse-overlayfs, or set driver = "overlay" in storage.conf' if slow else ""
             yield Check(name, "ok", ", ".join([able.version, *_said(able), *told]), remedy)
 
 
 def _said(able: Capabilities) -> Iterator[str]:
     """Yield the properties and limitations of an engine's containers."""
-    yield f"{'rootless' if able.rootless else 'as root'}, outputs are {able.user}'s"
+    yield f"{'rootless' if able.rootless else 'as root'}, outputs belong to {able.user}"
     ignored = {"cpus", "pids"} - able.enforced
     yield f"enforces {', '.join(sorted(able.enforced)) or 'no limits'}"
     if ignored:
         yield f"ignores {', '.join(sorted(ignored))}"
     if "memory" not in able.enforced:
-        yield "SIERRA watches over memory"
+        yield "SIERRA monitors memory itself"
     if not able.isolated:
         yield "NOT ISOLATED from the network"
 
@@ -169,7 +169,7 @@ def _project() -> Iterator[Check]:
         plugins.check(project.config)
         runners.check(project.config.runners)
         used(project.config.outputs, project.config.readers)
-        return "those of all plug-ins are valid"
+        return "the options of all plug-ins are valid"
 
     yield _tried("options", check_options)
     template = project.config.template

@@ -2,7 +2,7 @@
 
 All are generated from the code; `make schemas` writes them to `schemas/`, and a test compares them. The keys of `sierra.toml`
 are published twice. One form is JSON Schema, for editors. The other is made from that schema: commented TOML for people, with
-a sentence and an example for each key. All examples together are one valid `sierra.toml`.
+a description and an example for each key. All examples together are one valid `sierra.toml`.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ QUERY = "query.schema.json"
 STORE = "store.sql"
 WIDTH = 118
 INTRODUCTION = """\
-Everything that sierra.toml may hold; in pyproject.toml, it may stand in [tool.sierra] instead.
-A line that begins with # and no blank is an example: take the # away to use it. A sentence about it stands before it,
-with its type in brackets, what it is where it is absent, and whether it must be there. An XPath is XPath 1.0."""
+All keys of sierra.toml. They may also be in the table [tool.sierra] of pyproject.toml instead.
+A line that starts with # and no space is an example: remove the # to use it. The text above it describes the key.
+Its type, its default and whether it is required are in brackets. An XPath is XPath 1.0."""
 
 Note = Callable[[str], None]
 """A function that receives a line for people."""

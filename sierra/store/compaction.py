@@ -266,7 +266,7 @@ def _write_output(target: Path, paths: Sequence[str], executions: AbstractSet[st
             connection.execute(copy(stays, target))
             written = connection.execute(SUM.format(rows=f"SELECT * FROM {read_parquet([str(target)])}")).fetchall()[0]
             if written != before or _counted([str(target)]) != kept or not _schema(str(target)).equals(_schema(paths[0])):
-                raise Damaged(f"{paths[0]}: its rows are not the same written again; nothing was changed")
+                raise Damaged(f"{paths[0]}: its rows differ after they were written again; nothing was changed")
     except duckdb.IOException as error:
         raise Missing(f"cannot write {target}: {first_line(error)}") from error
     except duckdb.Error as error:

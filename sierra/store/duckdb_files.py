@@ -25,7 +25,7 @@ ODD = re.compile(r"^~|[*?\[\udc80-\udcff]")
 """The parts of a path that DuckDB does not take literally: patterns, the home folder, and bytes that are not UTF-8."""
 OPEN = "/proc/self/fd"
 """The folder of a process's open files by number, on Linux."""
-UNNAMED = "cannot be read under this name here; rename what has one of the characters ~ * ? [ in its name"
+UNNAMED = "cannot be read under this name here; rename files or folders that have one of the characters ~ * ? [ in their names"
 UNGUESSED = "hive_partitioning = false, hive_types_autocast = false"
 
 _open: dict[str, int] = {}
@@ -116,7 +116,7 @@ def check_folder(path: Path) -> None:
         str(path).encode()
     except UnicodeEncodeError as error:
         shown = os.fsencode(path).decode("utf-8", "backslashreplace")
-        raise Missing(f"{shown}: no store can be in a folder whose name is no UTF-8; rename it") from error
+        raise Missing(f"{shown}: a store cannot be in a folder whose name is not UTF-8; rename the folder") from error
     if ODD.search(str(path)) and not Path(OPEN).is_dir():
         raise Missing(f"{path}: {UNNAMED}")
 

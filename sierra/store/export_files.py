@@ -87,7 +87,7 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
     Raises UsageError if the folder is within the store, Missing if it cannot be created or the disk is full.
     """
     if folder.resolve().is_relative_to(store.paths.root.resolve()):
-        raise UsageError(f"{folder} is in the store itself; name another folder")
+        raise UsageError(f"{folder} is in the store itself; use another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         root = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -106,7 +106,7 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
                     failure = str(error)
                 except OSError as error:
                     if error.errno in NO_ROOM:
-                        raise Missing(f"{folder}: {error.strerror}; what is written already stays") from error
+                        raise Missing(f"{folder}: {error.strerror}; files that were already written stay") from error
                     failure = f"cannot be written: {error.strerror or error}"
                 yield Outcome(one.file, path, bool(one.identical), failure)
     finally:
@@ -133,7 +133,7 @@ def _chosen(files: Sequence[Recorded], patterns: Sequence[str]) -> Iterator[Reco
     if unused:
         names = list(dict.fromkeys(file.path for file in files))
         shown = ", ".join(map(repr, names[:NAMED_AT_MOST])) + (", …" if len(names) > NAMED_AT_MOST else "")
-        raise NotFound(f"no recorded file {min(unused)!r}; there is {shown or 'none'}")
+        raise NotFound(f"no recorded file {min(unused)!r}; recorded files: {shown or 'none'}")
 
 
 def _matches(path: str, pattern: str, *, listed: bool, named: bool) -> bool:
@@ -158,7 +158,7 @@ class _Whole:
         self._folders = path.split("/")
         self._name = self._folders.pop()
         if any(part in ("", ".", "..") or "\0" in part for part in (*self._folders, self._name)):
-            raise Damaged("its recorded path leads out of the folder")
+            raise Damaged("its recorded path leads outside the folder")
         self._unfinished = f".sierra-{secrets.token_hex(8)}"
         self._root = root
 
@@ -166,7 +166,7 @@ class _Whole:
         self._folder = self._below()
         try:
             if self._is_there():
-                raise UsageError("something of that name is there already, and is not overwritten")
+                raise UsageError("a file or folder of that name exists already, and is not overwritten")
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
             self._file = os.fdopen(os.open(self._unfinished, flags, 0o666, dir_fd=self._folder), "wb")
         except BaseException:
@@ -194,7 +194,7 @@ class _Whole:
                 with contextlib.suppress(FileExistsError):
                     os.mkdir(name, dir_fd=above)
                 if stat.S_ISLNK(os.stat(name, dir_fd=above, follow_symlinks=False).st_mode):
-                    raise UsageError(f"{name!r} on its way is a link, which is not followed")
+                    raise UsageError(f"{name!r} in its path is a symbolic link, and links are not followed")
                 folder = os.open(name, flags, dir_fd=above)
             finally:
                 os.close(above)
@@ -205,10 +205,10 @@ class _Whole:
         try:
             os.link(self._unfinished, self._name, src_dir_fd=self._folder, dst_dir_fd=self._folder)
         except FileExistsError:
-            raise UsageError("something of that name is there already, and is not overwritten") from None
+            raise UsageError("a file or folder of that name exists already, and is not overwritten") from None
         except OSError:  # a file system without hard links
             if self._is_there():
-                raise UsageError("something of that name is there already, and is not overwritten") from None
+                raise UsageError("a file or folder of that name exists already, and is not overwritten") from None
             os.rename(self._unfinished, self._name, src_dir_fd=self._folder, dst_dir_fd=self._folder)
 
     def _is_there(self) -> bool:

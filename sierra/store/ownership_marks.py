@@ -33,7 +33,7 @@ SIGNED = {"pid", "where"}
 """The fields that an owner file has at least."""
 MOST = 1 << 16
 """The limit on the bytes that are read from a mark."""
-ADVICE = 'remove the link; to execute runs elsewhere, write in sierra.toml: [store] work_folder = "PATH"'
+ADVICE = 'remove the link; to execute runs elsewhere, set in sierra.toml: [store] work_folder = "PATH"'
 
 
 def identity(store: StorePaths) -> str:
@@ -41,7 +41,7 @@ def identity(store: StorePaths) -> str:
     if not os.path.lexists(store.identity):
         _write_once(store.identity, _checked(secrets.token_hex(12)))
     if (found := id_in(store.identity)) is None:
-        raise Damaged(f"{store.identity}: holds no id of a store; move it and {store.work} away, and SIERRA makes both again")
+        raise Damaged(f"{store.identity}: contains no store id; move it and {store.work} away, and SIERRA creates both again")
     return found
 
 
@@ -61,7 +61,7 @@ def mark_work(store: StorePaths) -> None:
     """Check that the work folder belongs to this store, and mark it. Raises Missing if it may belong to something else."""
     work = store.work
     if work.is_symlink() and not work.is_dir():
-        raise Missing(f"{work} is a link to {str(work.readlink())!r}, which is no folder; {ADVICE}")
+        raise Missing(f"{work} is a link to {str(work.readlink())!r}, which is not a folder; {ADVICE}")
     work.mkdir(parents=True, exist_ok=True)
     own, said = identity(store), id_in(store.work_mark)
     if said == own:
@@ -79,7 +79,7 @@ def _check_link(store: StorePaths) -> None:
     if work.stat().st_dev != store.root.stat().st_dev:
         raise Missing(f"{work} is a link to another file system ({work.resolve()}); {ADVICE}")
     if held := _others(work):
-        raise Missing(f"{work} is a link to {work.resolve()}, which holds other things ({held[0]!r}, …); {ADVICE}")
+        raise Missing(f"{work} is a link to {work.resolve()}, which contains other files ({held[0]!r}, …); {ADVICE}")
 
 
 def _others(folder: Path) -> list[str]:
@@ -137,7 +137,7 @@ def make_elsewhere(store: StorePaths, session: SessionPaths, folder: Path) -> Se
     mine = folder / own
     mine.mkdir(parents=True, exist_ok=True)
     if mine.is_symlink() or (_others(mine) and not _is_marked(mine, own)):
-        raise Missing(f"{mine} was not made by SIERRA; move it away, or change [store] work")
+        raise Missing(f"{mine} was not made by SIERRA; move it away, or change [store] work_folder")
     _write_once(mine / StorePaths.MARK, own)
     runs = mine / session.root.name
     session.elsewhere_file.write_bytes(os.fsencode(runs))

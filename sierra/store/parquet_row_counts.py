@@ -55,4 +55,4 @@ def _check_size(described: Any, columns: list[str]) -> None:
         group = described.row_group(number)
         chunks = (group.column(place) for place in range(group.num_columns))
         if sum(chunk.total_uncompressed_size for chunk in chunks if chunk.path_in_schema in columns) > HELD:
-            raise ValueError("its row groups are larger than any that is written")
+            raise ValueError("its row groups are larger than any that SIERRA writes")

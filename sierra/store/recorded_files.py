@@ -288,7 +288,7 @@ class _Groups:
             raise Damaged(file.remark)
         parts = self._parts.get(file.sha256)
         if parts is None:
-            raise Damaged(f"not in the store, or not to be read there (SHA-256 {file.sha256})")
+            raise Damaged(f"not in the store, or not readable there (SHA-256 {file.sha256})")
         try:
             whole = [self._read(*parts[0])] if len(parts) == 1 else None
             found = sha256()
@@ -297,7 +297,7 @@ class _Groups:
         except UNREADABLE as error:
             raise Damaged(f"cannot be read from {self._paths[parts[0][0]]}: {first_line(error)}") from error
         if found.hexdigest() != file.sha256:
-            raise Damaged(f"the store has other content than was recorded (SHA-256 {file.sha256})")
+            raise Damaged(f"its content in the store differs from the record (SHA-256 {file.sha256})")
         content.identical = file.bytes == file.kept
         yield from whole or (self._read(*part) for part in parts)
 
@@ -443,9 +443,9 @@ def _csv(
         yield piece
     content.identical = found.hexdigest() == file.sha256
     if count != file.rows:
-        raise Damaged(f"{count} of its {file.rows} rows can be read in table {file.output!r}")
+        raise Damaged(f"only {count} of its {file.rows} rows can be read in table {file.output!r}")
     if not content.identical and not is_sound():
-        raise Damaged(f"the segment that holds its rows (table {file.output!r}) is not what was recorded")
+        raise Damaged(f"the segment that contains its rows (table {file.output!r}) differs from the record")
 
 
 def _cell(value: str, kind: str) -> str:

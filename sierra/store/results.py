@@ -63,5 +63,7 @@ def objects(snapshot: Snapshot, digests: Iterable[str]) -> dict[str, bytes]:
     found = {digest: b"".join(content for _, content in rows) for digest, rows in parts}
     for digest in digests:
         if sha256(found.get(digest, b"")) != digest:
-            raise Damaged(f"the recorded file {digest} is {'not what it was' if digest in found else 'not in the store'}")
+            raise Damaged(
+                f"the recorded file {digest} {'differs from the record' if digest in found else 'is not in the store'}"
+            )
     return found

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 MEMBERS = "SELECT judgement FROM membership"
-MIXED = "holds numbers in some runs, and other things in others"
+MIXED = "has numbers in some runs and other values in others"
 WHOLE = ("BOOLEAN", "BIGINT", "INTEGER", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "USMALLINT", "UTINYINT", "HUGEINT")
 NUMERIC = (*WHOLE, "DOUBLE", "FLOAT", "DECIMAL", "UHUGEINT")
 
@@ -203,7 +203,7 @@ class Frame:
             raise NotFound(f"output {table!r} has no column {column!r}; {like(column, known)}")
         if time and time.lower() not in map(str.lower, known):
             raise NotFound(
-                f"output {table!r} has no column {time!r} to be its time ([outputs.{table}] time); {like(time, known)}"
+                f"output {table!r} has no column {time!r} for its time ([outputs.{table}] time); {like(time, known)}"
             )
         t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
         self._snapshot.run("DROP VIEW IF EXISTS samples")

@@ -71,7 +71,7 @@ class _File(logging.Handler):
         found = os.fstat(file)
         if not stat.S_ISREG(found.st_mode):
             os.close(file)
-            raise OSError(f"{self._path} is no file")
+            raise OSError(f"{self._path} is not a file")
         self._file, self._size = file, found.st_size
 
     def _rotate(self) -> None:

@@ -29,7 +29,7 @@ def following(paths: StorePaths, living: Iterable[int]) -> int:
     """
     highest = max((_recorded(paths), *living))
     if highest >= HIGHEST:
-        raise Damaged(f"{paths.root}: there are records with the Lamport number {highest}, which SIERRA does not give")
+        raise Damaged(f"{paths.root}: there are records with the Lamport number {highest}, which SIERRA never assigns")
     return highest + 1
 
 

@@ -69,10 +69,10 @@ class Store:
             with self.paths.format.open("rb") as file:
                 found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
         except OSError as error:
-            raise Missing(f"no store in {root}: nothing has been run here yet (sierra run makes one)") from error
+            raise Missing(f"no store in {root}: nothing has been run here yet (sierra run creates one)") from error
         if found != FORMAT:
-            told = f"this is {found.strip()[:40]!r}, and this SIERRA reads {FORMAT.strip()!r}"
-            other = f"read it with the SIERRA that made it, or move {root} away and ask again"
+            told = f"this is {found.strip()[:40]!r}, but this SIERRA reads {FORMAT.strip()!r}"
+            other = f"read it with the SIERRA that made it, or move {root} away and run the command again"
             heals = other if re.fullmatch(r"sierra store \d+\n", found) else "sierra fsck --repair writes it again"
             raise Damaged(f"{self.paths.format}: {told}; {heals}")
 
@@ -162,7 +162,7 @@ class Store:
         """Return the object whose id begins with `prefix` (at least 4 digits). Raises NotFound for none or several."""
         text = prefix.lower()
         if not PREFIX.fullmatch(text):
-            raise NotFound(f"{prefix!r} is not an id: 4 to 64 hexadecimal digits, as `sierra ls` shows them")
+            raise NotFound(f"{prefix!r} is not an id: use 4 to 64 hexadecimal digits, as shown by `sierra ls`")
         with self.snapshot() as snapshot:
             found = snapshot.rows(
                 "SELECT 'batch' AS kind, batch AS id, batch FROM batches WHERE starts_with(batch, $p) UNION "
@@ -173,7 +173,7 @@ class Store:
                 p=text,
             )
         if not found:
-            raise NotFound(f"no batch, experiment, run or execution begins with {prefix!r}; sierra ls shows what there is")
+            raise NotFound(f"no batch, experiment, run or execution begins with {prefix!r}; sierra ls lists the batches")
         if len(found) > 1:
             shown = ", ".join(f"{row['id'][:16]} ({row['kind']})" for row in found[:6])
             raise NotFound(f"{prefix!r} is ambiguous: {shown}{', …' if len(found) > 6 else ''}")
@@ -188,7 +188,7 @@ class Store:
             raise NotFound(f"no recorded file has the SHA-256 {digest}")
         content: bytes = b"".join(row["content"] for row in rows)
         if sha256(content) != digest:
-            raise Damaged(f"the recorded file {digest} has other content than was recorded")
+            raise Damaged(f"the recorded file {digest} differs from the record")
         return content
 
     def blob(self, blob: str) -> bytes | None:
@@ -206,7 +206,7 @@ def check_free(root: Path) -> None:
         strange.append(paths.gitignore.name)
     if strange and not paths.format.exists():
         raise Missing(
-            f"{root} holds other things ({strange[0]!r}) and no store; move them away, and sierra run makes a store there"
+            f"{root} contains other files ({strange[0]!r}) and no store; move them away, and sierra run creates a store there"
         )
 
 
@@ -274,7 +274,7 @@ class Snapshot:
                 self.views.make()
                 answer = self._answer(text, parameters)
             if answer is None:
-                raise SqlError("that statement has no answer; ask with SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
+                raise SqlError("the statement returns no rows; use SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
             return convert(Answer(answer, "; ".join(self.views.told) if self._noted(text) else ""))
         except duckdb.Error as error:
             raise self._wrong(error) from error
@@ -299,9 +299,9 @@ class Snapshot:
 
         statements = self.connection.extract_statements(re.sub(r"(?is)^\s*explain\s+(analyze\s+)?", "", text))
         if len(statements) != 1:
-            raise SqlError(f"ask one statement at a time; this is {len(statements)}")
+            raise SqlError(f"use one statement at a time; this is {len(statements)}")
         if statements[0].type != duckdb.StatementType.SELECT:
-            raise SqlError(f"the store is read-only here; {statements[0].type.name} statements are refused")
+            raise SqlError(f"the store is read-only here; {statements[0].type.name} statements are not allowed")
 
     def each(self, statement: str, parameters: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:
         """Yield the rows of one of SIERRA's own statements, with a few thousand rows in memory at a time."""

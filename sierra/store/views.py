@@ -180,10 +180,10 @@ class Views:
         """Note which columns have a `_text` column."""
         for name, text in found.texts.items():
             column, beside = f"column {called[name]!r} of {table}", repr(called[text])
-            holds = "numbers in some runs, and other things in others: these are"
+            split = "numbers in some runs and other values in others; the other values are"
             if name in found.rounded:
-                holds = "fractions in some runs, and whole numbers too great for them in others: all digits are"
-            self.told.append(f"{column} holds {holds} in {beside}")
+                split = "fractions in some runs and very large whole numbers in others; the exact digits are"
+            self.told.append(f"{column} has {split} in {beside}")
 
     @property
     def _anew(self) -> bool:

@@ -246,7 +246,7 @@ def test_plugin_scheduler_refuses_forbidden_directives_and_unknown_keys(spool: P
     append(spool, 'directives = ["--note=a paper"]\n')
     assert "#SPOOL --note=a paper" in succeed(spool, *run, "--dry-run")
     change(spool, "--note=a paper", "--array=9")
-    told = "sierra: [runners.here]: directive '--array=9' of 'here' can't be added: use array_tasks = N"
+    told = "sierra: [runners.here]: directive '--array=9' of 'here' cannot be added: use array_tasks = N"
     assert refused(spool, *run) == told
     change(spool, "niceness = 3", "nicenes = 3")
     assert refused(spool, *run) == "sierra: [runners.here]: unknown key 'nicenes'; did you mean 'niceness'?"
@@ -418,9 +418,9 @@ def test_plugin_engine_without_isolation_conforms(installed: Path, tmp_path: Pat
         ("", "cannot be loaded: AttributeError: "),
         (
             PLATFORM.replace("contract = 1", "contract = 2"),
-            "is made for version 2 of the contract, and this SIERRA has version 1",
+            "is made for version 2 of the contract, but this SIERRA has version 1",
         ),
-        (PLATFORM.replace("contract = 1", ""), "says no version of the contract, and this SIERRA has version 1"),
+        (PLATFORM.replace("contract = 1", ""), "declares no version of the contract, but this SIERRA has version 1"),
         (PLATFORM.replace("def files", "def file"), "lacks files"),
         (PLATFORM.replace("Options = NoOptions", "Options = dict"), "Options is not a subclass of Table"),
         (PLATFORM.replace("self.words = ", "self.words = 1 / 0 + "), "cannot be made: ZeroDivisionError: division by zero"),

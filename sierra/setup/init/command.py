@@ -46,13 +46,13 @@ def choose(root: Path, template: str, given: str | None, ask: Ask | None) -> str
     lines = {name: _joined([*words, "{input}"]) for name, words in found.items()}
     likely = [line for name, line in lines.items() if folder.is_started(root / name)] or list(lines.values())
     unbuilt = "; build it first, or" if any((root / name).exists() for name in TO_BUILD) else ";"
-    what = f"several could be the simulator: {', '.join(found)};" if found else f"no program{unbuilt}"
+    what = f"several files could be the simulator: {', '.join(found)};" if found else f"no program found{unbuilt}"
     question = Question(
-        "command: how the simulator is started, without a shell\n"
-        "({input} is the generated file; there are also {output}, {seed}, {project}, {python})",
+        "command: starts the simulator, without a shell\n"
+        "({input} is the generated file; other placeholders: {output}, {seed}, {project}, {python})",
         tuple(lines.values()),
         likely[0] if len(likely) == 1 else None,
-        f"{root}: {what} say how it is started with --command '{EXAMPLE}'",
+        f"{root}: {what} give the command that starts it with --command '{EXAMPLE}'",
     )
     return settled(given, question, ask, partial(_check, root, template))
 
@@ -71,16 +71,16 @@ def doubts(platform: Platform, root: Path) -> Iterator[str]:
     argv = commands.command(platform, root)
     program = commands.fill(argv, root)[0]
     if Path(program).is_file() and not os.access(program, os.X_OK):
-        yield f"{program} is no program; name its interpreter (python3 ...), or make it one with chmod +x"
+        yield f"{program} is not executable; add its interpreter to the command (python3 ...), or use chmod +x"
     elif "{" not in program and shutil.which(program) is None:
-        yield f"the program {program!r} is not there yet; build or install it before it is to run"
+        yield f"the program {program!r} does not exist yet; build or install it before the first run"
     for word in argv:
         if SHELL.match(word):
-            yield f"no shell reads the command, so that {word!r} is given to the program; sh -c '...' is a shell"
+            yield f"no shell starts the command, so the program gets {word!r} as an argument; use sh -c '...' for a shell"
         if (root / word).is_dir() and not word.startswith(("/", ".")):
-            yield f"{word!r} is a folder here, but runs start in a folder of their own; write {{project}}/{word} if it is meant"
+            yield f"{word!r} is a folder here, but each run starts in its own folder; to use this one, write {{project}}/{word}"
     if not any("{input}" in word or "{run}" in word for word in argv):
-        yield "the command does not name {input}, the generated file; unless it finds that itself, all experiments are the same"
+        yield "the command does not contain {input}, the generated file; unless the program finds it, all experiments are equal"
 
 
 def _check(root: Path, template: str, text: str) -> str:
@@ -89,10 +89,10 @@ def _check(root: Path, template: str, text: str) -> str:
     except ValueError as error:
         raise UsageError(f"command {text!r}: {error}") from error
     if not words:
-        raise UsageError(f"a command is not empty; write it as in: {EXAMPLE}")
+        raise UsageError(f"the command is empty; use one such as: {EXAMPLE}")
     for word in words:
         if Path(word).suffix in folder.INTERPRETERS and "{" not in word and not (root / word).exists():
-            raise UsageError(f"command: there is no {word} in {root}; write a path from there")
+            raise UsageError(f"command: there is no {word} in {root}; use a path relative to that folder")
     command = _joined(_placed(word, root.resolve()) for word in words)
     commands.command(platform(template, command)[1], root)
     return command

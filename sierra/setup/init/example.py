@@ -14,9 +14,9 @@ def copy_example(name: str, folder: Path) -> list[str]:
     examples = resources.files("sierra.setup") / "examples"
     known = sorted(entry.name for entry in examples.iterdir() if entry.is_dir() and not entry.name.startswith("_"))
     if name not in known:
-        raise UsageError(f"no example {name!r}; there is {', '.join(known)}")
+        raise UsageError(f"no example {name!r}; known are {', '.join(known)}")
     if folder.exists() and any(folder.iterdir()):
-        raise UsageError(f"{folder} is not empty; name a new folder")
+        raise UsageError(f"{folder} is not empty; use a new folder")
     folder.mkdir(parents=True, exist_ok=True)
     with resources.as_file(examples / name) as example:
         files = sorted(file for file in example.iterdir() if file.is_file())

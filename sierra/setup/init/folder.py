@@ -35,19 +35,19 @@ def check(root: Path) -> None:
     """Raise UsageError if there is a project already, Missing if none can be made."""
     path, pyproject = root / CONFIG, root / PYPROJECT
     if os.path.lexists(path):
-        raise UsageError(f"{path} is there already, and is never written over; change it with an editor, or remove it first")
+        raise UsageError(f"{path} exists already and is never overwritten; change it with an editor, or remove it first")
     if not root.is_dir():
-        raise Missing(f"{root} is no folder; make it, and put template and simulator there")
+        raise Missing(f"{root} is not a folder; create it, and put the template and the simulator there")
     if not os.access(root, os.W_OK | os.X_OK):
-        raise Missing(f"{root} may not be written to; get the right to, or name another folder")
+        raise Missing(f"{root} is not writable; change its permissions, or use another folder")
     if pyproject.is_file() and "sierra" in project_file.read_toml(pyproject).get("tool", {}):
-        raise UsageError(f"{pyproject} has [tool.sierra] already, which {CONFIG} would hide; change it with an editor")
+        raise UsageError(f"{pyproject} has [tool.sierra] already, which {CONFIG} would hide; change that table with an editor")
 
 
 def doubts(root: Path) -> Iterator[str]:
     above = [parent / CONFIG for parent in root.resolve().parents if (parent / CONFIG).is_file()]
     if above:
-        yield f"this folder was in the project of {above[0]}; from now on it is one of its own"
+        yield f"this folder was in the project of {above[0]}; from now on it is a separate project"
 
 
 def template(root: Path, given: str | None, ask: Ask | None) -> tuple[str, Template]:
@@ -55,9 +55,11 @@ def template(root: Path, given: str | None, ask: Ask | None) -> tuple[str, Templ
     below = [name for name in listed(root) if not is_hardly_code(name, is_folder=True)]
     found = _files(root, [""], TEMPLATES) or _files(root, below, TEMPLATES)
     default = found[0] if len(found) == 1 else "template.xml" if "template.xml" in found else None
-    what = f"several could be the template ({', '.join(found)})" if found else f"no {', '.join(TEMPLATES)} file"
-    missing = f"{root}: {what}; say which with --template FILE"
-    question = Question("template: the XML file that every run's input is made from", tuple(found), default, missing)
+    what = f"several files could be the template ({', '.join(found)})" if found else f"no {', '.join(TEMPLATES)} file found"
+    missing = f"{root}: {what}; give the template with --template FILE"
+    question = Question(
+        "template: the XML file from which the inputs of all runs are generated", tuple(found), default, missing
+    )
     return settled(given, question, ask, partial(_check_template, root))
 
 

@@ -25,7 +25,7 @@ ALL = "."
 
 
 def found(root: Path, template: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names beside the template that may be code, and those that probably are not."""
+    """Return the names, without the template, of files that may be code, and those of files that probably are not."""
     names = [name for name in folder.listed(root) if name not in (template, CONFIG)]
     left_out = tuple(name for name in names if is_hardly_code(name, is_folder=(root / name).is_dir()))
     return tuple(name for name in names if name not in left_out), left_out
@@ -37,8 +37,8 @@ def choose(root: Path, template: str, given: Sequence[str], ask: Ask | None) -> 
     if not given and not (proposed and any((root / name).is_dir() for name in left_out)):
         return ()
     question = Question(
-        f"source: the code that results depend on; {ALL} is all of this folder, new files too."
-        f" {', '.join(left_out)} may be no code",
+        f"source: the code that results depend on; {ALL} is the whole folder, including new files."
+        f" These may not be code: {', '.join(left_out)}",
         (ALL, shlex.join(proposed)),
         ALL,
     )
@@ -53,5 +53,5 @@ def _check(root: Path, text: str) -> tuple[str, ...]:
         raise UsageError(f"source {text!r}: {error}") from error
     for path in paths:
         if path.startswith((os.pardir, os.sep)) or not (root / path).exists():
-            raise UsageError(f"source: there is no {path!r} in {root}; name files and folders of it, as in: src sim.py")
+            raise UsageError(f"source: there is no {path!r} in {root}; use files and folders in it, such as: src sim.py")
     return () if ALL in paths else tuple(paths)

@@ -51,11 +51,11 @@ def named(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
 def mistaken(name: str, known: Iterable[str]) -> str | None:
     """Return why queries or the store cannot have a name, and what would be right; None if they can."""
     if not NAME.fullmatch(name):
-        return "that is not a name of letters, digits and _; write it as in my_name"
+        return "this is not a name of letters, digits and _; use a name such as my_name"
     if name in GROUPED:
-        return f"a query means something else by it; take another name, as in my_{name}"
+        return f"this name has another meaning in queries; use another name, such as my_{name}"
     if name.lower() in {other.lower() for other in known}:
-        return "there is one of that name already; take another name"
+        return "this name is used already; use another name"
     try:
         grammar.parse_all([f"{name}=1"])
     except QueryError as error:

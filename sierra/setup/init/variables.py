@@ -15,7 +15,9 @@ from sierra.templates.base import Template
 def choose_seed(template: Template, found: Sequence[str], given: str | None, ask: Ask | None) -> str | None:
     """Return the path that gets each run's seed; None if there is none. Raises TemplateError."""
     question = Question(
-        f"seed: an XPath of what gets each run's seed ({NONE} for none)", tuple(found), found[0] if found else ""
+        f"seed: XPath of the attribute or element that gets each run's seed ({NONE} for none)",
+        tuple(found),
+        found[0] if found else "",
     )
     return settled(given, question, ask, partial(_check_seed, template))
 
@@ -39,7 +41,7 @@ def choose(
         so_far = ", ".join(f"{name}={path}" for name, path in chosen.items()) or "none"
         others = [f"{name}={path}" for name, path in named.items() if path not in chosen.values()]
         question = Question(
-            f"variables so far: {so_far}\nanother one as NAME=XPATH ({NONE}NAME leaves one out, Enter is enough)",
+            f"variables so far: {so_far}\nadd one as NAME=XPATH ({NONE}NAME removes one, Enter finishes)",
             tuple(others[:SHOWN]),
             "",
         )
@@ -56,10 +58,10 @@ def doubts(seed: str | None, seeds: Sequence[str], *, elsewhere: bool) -> Iterat
     `seeds` are the paths of all numbers that are called a seed. `elsewhere`: whether runs also get their seeds without a path.
     """
     if seed is None and not elsewhere:
-        yield 'all runs of an experiment are the same until the seed goes somewhere: seed = "XPATH", or {seed} in the command'
+        yield 'all runs of an experiment are the same until they use the seed: set seed = "XPATH", or use {seed} in the command'
     others = [path for path in seeds if path != seed]
     if seed is not None and others:
-        yield f"these stay as they are in the template, in all runs: {', '.join(others)}"
+        yield f"these seeds keep the template's value in all runs: {', '.join(others)}"
 
 
 def _check_seed(template: Template, text: str) -> str | None:
@@ -73,13 +75,13 @@ def _check(template: Template, per_run: Sequence[Change], known: Iterable[str], 
     """Return name and path from NAME=XPATH. Raises UsageError."""
     name, equals, path = (part.strip() for part in text.partition("="))
     if not equals or not name or not path or name[0] in "/@":
-        raise UsageError(f'{text!r}: write a variable as NAME=XPATH, as in "population_size=//swarm/@count"')
+        raise UsageError(f'{text!r}: give a variable as NAME=XPATH, as in "population_size=//swarm/@count"')
     why = f"variable {name!r}"
     if said := mistaken(name, known):
         raise UsageError(f"{why}: {said}")
     one, two = (template.changed((Set(path, value, why=why), *per_run), {"seed": 0}).render() for value in ("1", "2"))
     if one == two:
-        raise UsageError(f"{why}: {path} is where the seed goes; vary something else, or use montecarlo.C20 for other seeds")
+        raise UsageError(f"{why}: {path} gets the seed; vary something else, or use montecarlo.C20 for other seeds")
     return name, path
 
 
@@ -90,7 +92,7 @@ def _one_more(template: Template, per_run: Sequence[Change], chosen: dict[str, s
     if text.startswith(NONE):
         name = text.removeprefix(NONE).strip()
         if name not in chosen:
-            raise UsageError(f"there is no variable {name!r}; so far there is {', '.join(chosen) or 'none'}")
+            raise UsageError(f"there is no variable {name!r}; variables so far: {', '.join(chosen) or 'none'}")
         return {other: path for other, path in chosen.items() if other != name}
     name, path = _check(template, per_run, chosen, text)
     return {other: place for other, place in chosen.items() if place != path} | {name: path}

@@ -19,8 +19,8 @@ from sierra.util.fs import write_whole
 from sierra.util.text import few
 
 SOURCE = (
-    "The code that results depend on is all of this folder, also files that are new in it: a change of any makes all runs\n"
-    "# new, and fails those that execute. Unless this names it:"
+    "By default, results depend on all files of this folder, including new files: a change to any file makes all runs new,\n"
+    "# and makes executing runs fail. To limit this to your code, use:"
 )
 quoted = partial(dumps, ensure_ascii=False)
 """Format texts and lists of them as TOML does."""
@@ -52,23 +52,26 @@ def write(root: Path, guess: Guess) -> Path:
         data = text.encode()
         project_file.parse(tomllib.loads(text), str(path))
     except (UnicodeEncodeError, tomllib.TOMLDecodeError) as error:
-        raise UsageError(f"{path} cannot be written: {error}; rename what has a name that is no text") from error
+        raise UsageError(
+            f"{path} cannot be written: {error}; rename files or attributes whose names are not valid text"
+        ) from error
     folder.check(root)  # a file may have appeared while the user answered
     return write_whole(path, data)
 
 
 def _lines(root: Path, guess: Guess) -> Iterator[str]:
-    yield "# What SIERRA runs. All that can be said here: sierra schema --toml"
-    yield f"template = {quoted(guess.template)}  # every run's input is made from it"
+    yield "# The experiments that SIERRA runs. For all keys: sierra schema --toml"
+    yield f"template = {quoted(guess.template)}  # SIERRA makes the input of each run from this file"
     if guess.platform != "command":
-        yield f"platform = {quoted(guess.platform)}  # knows how it is started, and where the seed goes"
+        yield f"platform = {quoted(guess.platform)}  # starts the simulator and sets the seed"
     if guess.command:
         yield f"command = {quoted(guess.command)}"
         yield "# {input} is the generated file; runs write into their working directory, {output}"
     if guess.seed or guess.platform == "command":
-        yield f"{'' if guess.seed else '# '}seed = {quoted(guess.seed or '//@seed')}  # an XPath: where each run's seed goes"
+        seed = quoted(guess.seed or "//@seed")
+        yield f"{'' if guess.seed else '# '}seed = {seed}  # an XPath: where the seed of each run goes"
     yield "runs = 10  # per experiment\n"
-    yield "[variables]  # what queries vary: a name, and an XPath of what gets the value"
+    yield "[variables]  # what queries vary: a name, and an XPath that gets the value"
     yield from (f"{name} = {quoted(path)}" for name, path in guess.variables.items())
     yield from (f"# {name} = {quoted(path)}" for name, path in guess.other_variables.items())
     if not guess.variables and not guess.other_variables:
@@ -76,7 +79,7 @@ def _lines(root: Path, guess: Guess) -> Iterator[str]:
     if guess.module_path:
         yield f"\n[environment]\nset = {{ PYTHONPATH = {quoted(guess.module_path)} }}"
     if guess.source:
-        yield "\n[source]  # the code that results depend on; a change of anything else makes no new runs"
+        yield "\n[source]  # the code that results depend on; changes to other files make no new runs"
         yield f"paths = {quoted(guess.source)}"
     else:
         code, left_out = found(root, guess.template)

@@ -298,7 +298,7 @@ def test_how_executions_were_contained_is_recorded_with_them(root: Path) -> None
         shutil.rmtree(path.parent)
     found = sierra.open(root).fsck()
     assert found.executions == 3
-    assert all("contained" not in finding.what for finding in found.findings)
+    assert all("isolation" not in finding.what for finding in found.findings)
     assert len(sierra.open(root).sql("SELECT DISTINCT isolation FROM isolations JOIN executions USING (isolation)")) == 3
 
 

@@ -48,8 +48,8 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         ("[variables]", "[variabels]", "unknown key 'variabels'; did you mean 'variables'?"),
         ("", "[limits]\nwal = 3", "unknown key 'limits.wal'; did you mean 'wall'?"),
         ("", '[outputs.swarm]\nfile = "a.csv"\nformt = "csv"', "unknown key 'outputs.swarm.formt'; did you mean 'format'?"),
-        ("", '[runners.pbs]\nqueue = "short"', "unknown key 'runners.pbs.queue'; here it is 'partition'"),
-        ("", "[runners.slurm]\nwalltime = 60", "unknown key 'runners.slurm.walltime'; here it is 'wall'"),
+        ("", '[runners.pbs]\nqueue = "short"', "unknown key 'runners.pbs.queue'; use 'partition' instead"),
+        ("", "[runners.slurm]\nwalltime = 60", "unknown key 'runners.slurm.walltime'; use 'wall' instead"),
         ("", '[runners.slurm]\nscratch = "tmp"', "runners.slurm.scratch: 'tmp' should be an absolute path on the node"),
         ("", '[queries.q]\ncriteria = "noise=1"\nrns = 3', "unknown key 'queries.q.rns'; did you mean 'runs'?"),
         ('"//noise"', '{ sett = "//noise" }', "unknown key 'variables.noise.sett'; did you mean 'set'?"),
@@ -62,14 +62,14 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         ('"//noise"', "5", "variables.noise should be a table, not 5"),
         ("", '[figures.x]\nkind = "pie"', "figures.x.kind should be 'timeseries'"),
         ("", '[figures.x]\nmeasure = "time_to"', 'measure "time_to" needs a "threshold"'),
-        ("", '[limits]\nmemory = "much"', "limits.memory: 'much' is not a size; write it as 500 MB or 2 GiB"),
+        ("", '[limits]\nmemory = "much"', "limits.memory: 'much' is not a size; use one such as 500 MB or 2 GiB"),
         ("", "[limits]\nmemory = -5", "limits.memory should be greater than 0, not -5"),
         ("", "[limits]\nwall = inf", "limits.wall should be a finite number"),
-        ("", '[outputs."a b"]\nfile = "a.csv"', "'a b' is not a name; use letters, digits and _"),
+        ("", '[outputs."a b"]\nfile = "a.csv"', "'a b' is not a valid name; use letters, digits and _"),
         (
             "",
             '[outputs.x]\nfile = "a.csv"\nheader = false\ncolumns = ["t", "my speed (m/s)"]',
-            "outputs.x.columns.1: 'my speed (m/s)' is not a name; use letters, digits and _, as in my_speed_m_s",
+            "outputs.x.columns.1: 'my speed (m/s)' is not a valid name; use letters, digits and _, as in my_speed_m_s",
         ),
         (
             "",
@@ -85,7 +85,7 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
             '[container]\nimage = "any"\nengine = "none"\nvariables = { SIERRA_SEED = "1" }',
             "[container] variables: SIERRA_SEED: each run has its own",
         ),
-        ("", '[environment.set]\nA = "a\\u0000b"', "has the character NUL in it; leave it out"),
+        ("", '[environment.set]\nA = "a\\u0000b"', "contains the character NUL; remove it"),
         ("", '[source]\npaths = ["nope"]', "there is no 'nope'"),
         ("runs = 2", "per_run = { a = [] }", "per_run.a should not be empty"),
         ("runs = 2", "per_run = { noise = [1] }", "expressions know another 'noise' already"),
@@ -166,7 +166,7 @@ def test_missing_programs_templates_and_project_files_give_exit_code_3(project: 
     assert ask("run", "noise=1")[0] == 3
     (project / "sierra.toml").unlink()
     code, line = ask("run", "noise=1")
-    assert "make one with: sierra init" in line
+    assert "create one with: sierra init" in line
     assert code == 3
 
 

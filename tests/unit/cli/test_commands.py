@@ -258,7 +258,7 @@ def test_ls_shows_how_batches_of_the_same_query_differ(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("prefix", "said"),
     [
-        ("abc", "'abc' is not an id: 4 to 64 hexadecimal digits"),
+        ("abc", "'abc' is not an id: use 4 to 64 hexadecimal digits"),
         ("xyzw", "'xyzw' is not an id"),
         ("a'; b", "is not an id"),
         ("", "'' is not an id"),

@@ -9,19 +9,19 @@ import pytest
 from tests import projects
 
 SLURM = [
-    ("--dependency=afterok:1", "SIERRA has elements wait itself"),
-    ("-d singleton", "SIERRA has elements wait itself"),
-    ("--dep=afterok:1", "SIERRA has elements wait itself"),
+    ("--dependency=afterok:1", "SIERRA itself makes array tasks wait"),
+    ("-d singleton", "SIERRA itself makes array tasks wait"),
+    ("--dep=afterok:1", "SIERRA itself makes array tasks wait"),
     ("--array=0-3", "array_tasks = N"),
     ("--mail-type=FAIL --array 0-3", "array_tasks = N"),
     ("-a0-3", "array_tasks = N"),
-    ("-ko nowhere", "what elements print is shown"),
-    ("--output=/tmp/x", "what elements print is shown"),
-    ("-e /tmp/x", "what elements print is shown"),
-    ("--parsable", "SIERRA reads what the command answers"),
-    ("--test-only", "SIERRA reads what the command answers"),
-    ("--wait", "SIERRA follows its jobs itself"),
-    ("-HW", "SIERRA follows its jobs itself"),
+    ("-ko nowhere", "SIERRA shows the output of array tasks"),
+    ("--output=/tmp/x", "SIERRA shows the output of array tasks"),
+    ("-e /tmp/x", "SIERRA shows the output of array tasks"),
+    ("--parsable", "SIERRA reads the output of the submit command"),
+    ("--test-only", "SIERRA reads the output of the submit command"),
+    ("--wait", "SIERRA waits for its jobs itself"),
+    ("-HW", "SIERRA waits for its jobs itself"),
     ("--export=ALL", "[environment]"),
     ("-J mine", "by the name that it gives them"),
     ("--time=10", "use wall = SECONDS"),
@@ -30,24 +30,24 @@ SLURM = [
     ("-c4", "use cpus = N"),
     ("--ntasks=4", "runs on one node"),
     ("--partition short", "use partition"),
-    ("mail-type=FAIL", "should be as it stands after #SBATCH, as in --mail-type=FAIL"),
-    ("#SBATCH --nice", "should be as it stands after #SBATCH"),
+    ("mail-type=FAIL", "should be the text after #SBATCH, such as --mail-type=FAIL"),
+    ("#SBATCH --nice", "should be the text after #SBATCH"),
 ]
 PBS = [
     ("-J 0-3", "array_tasks = N"),
     ("-t 0-3", "array_tasks = N"),
-    ("-o /tmp/x", "what elements print is shown"),
-    ("-e /tmp/x", "what elements print is shown"),
+    ("-o /tmp/x", "SIERRA shows the output of array tasks"),
+    ("-e /tmp/x", "SIERRA shows the output of array tasks"),
     ("-V", "[environment]"),
     ("-v A=1", "[environment]"),
-    ("-W depend=afterok:1", "SIERRA has elements wait itself"),
-    ("-W umask=22,depend=afterok:1", "SIERRA has elements wait itself"),
-    ("-Wblock=true", "SIERRA follows its jobs itself"),
+    ("-W depend=afterok:1", "SIERRA itself makes array tasks wait"),
+    ("-W umask=22,depend=afterok:1", "SIERRA itself makes array tasks wait"),
+    ("-Wblock=true", "SIERRA waits for its jobs itself"),
     ("-N mine", "by the name that it gives them"),
     ("-l walltime=1:00:00", "use wall = SECONDS"),
     ("-lselect=1:ncpus=4", "use cpus, memory and gpus"),
     ("-q long", "use partition"),
-    ("#PBS -m abe", "should be as it stands after #PBS, as in -l place=excl"),
+    ("#PBS -m abe", "should be the text after #PBS, such as -l place=excl"),
 ]
 
 
@@ -68,7 +68,7 @@ def test_directives_that_sierra_sets_itself_are_refused_with_the_alternative(
 def test_forbidden_directives_are_refused_for_runners_of_any_name(tmp_path: Path) -> None:
     table = '[runners.big]\nscheduler = "slurm"\ndirectives = ["--wait"]\n'
     done = projects.quick(projects.make(tmp_path / "project", projects.CONFIG + table), "run", "noise=1")
-    assert (done.returncode, "directive '--wait' of 'big' can't be added: SIERRA follows" in done.stderr) == (2, True)
+    assert (done.returncode, "directive '--wait' of 'big' cannot be added: SIERRA waits" in done.stderr) == (2, True)
 
 
 @pytest.mark.parametrize(

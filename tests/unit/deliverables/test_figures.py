@@ -480,10 +480,10 @@ def test_marks_of_all_groups_stay_within_the_plot(first: Axis, count: int) -> No
 @pytest.mark.parametrize(
     ("keys", "complaint"),
     [
-        ({"kind": "box", "times": "linear"}, '"times" goes with kind "timeseries" or "stacked", not \'box\''),
+        ({"kind": "box", "times": "linear"}, '"times" needs kind "timeseries" or "stacked", not \'box\''),
         ({"times": "cubic"}, "figures.f.times should be 'own', 'carry' or 'linear', not \"cubic\""),
-        ({"kind": "box", "threshold": 1.0}, '"threshold" goes with measure = "time_to"'),
-        ({"measure": "mean"}, "measure 'mean' needs another kind, as in: kind = \"summary\""),
+        ({"kind": "box", "threshold": 1.0}, '"threshold" needs measure = "time_to"'),
+        ({"measure": "mean"}, "measure 'mean' needs another kind, such as kind = \"summary\""),
         ({"kind": "box", "measure": "time_to", "threshold": float("nan")}, "should be a finite number"),
     ],
 )

@@ -295,7 +295,7 @@ def test_gc_raw_reports_dropped_files_and_runs_that_need_them_are_executed_again
     rows = project.rows("SELECT * EXCLUDE (row) FROM swarm ORDER BY run, row")
     told = project.said("gc", "--raw", "--dry-run")
     assert "files that became tables: their bytes, not their rows" in told
-    assert "may execute their runs again" in told
+    assert "may then execute their runs again" in told
     assert quick(project.root, "gc", "--yes").returncode == 0
     kept = "SELECT count(*) FROM all_artifacts a JOIN objects USING (sha256) WHERE a.kind = 'table'"
     assert project.value(kept) == 2 * RUNS

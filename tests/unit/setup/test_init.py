@@ -174,7 +174,7 @@ def test_the_first_query_has_values_around_the_one_in_the_template(folder: Path,
 
 def test_other_seeds_are_named_as_they_do_not_change(folder: Path) -> None:
     (folder / "arena.xml").write_text('<a count="2"><random seed="0"/><noise seed="5"/></a>')
-    assert "note: these stay as they are in the template, in all runs: //noise/@seed" in quick(folder, "init", "-y").stderr
+    assert "note: these seeds keep the template's value in all runs: //noise/@seed" in quick(folder, "init", "-y").stderr
 
 
 # What is said by options
@@ -187,19 +187,19 @@ def test_what_is_given_wrongly_is_said_and_nothing_is_written(folder: Path) -> N
         (["--command", "python3 nope.py {input}"], "there is no nope.py"),
         (["--command", "python3 sim.py {inptu}"], "unknown placeholder {inptu}"),
         (["--command", "python3 'sim.py"], "No closing quotation"),
-        (["--command", " "], "a command is not empty"),
+        (["--command", " "], "the command is empty"),
         (["--seed", "//sede"], "//sede matches nothing in arena.xml"),
-        (["--variable", "x"], "write a variable as NAME=XPATH"),
-        (["--variable", "//swarm/@count='1'"], "write a variable as NAME=XPATH"),
+        (["--variable", "x"], "give a variable as NAME=XPATH"),
+        (["--variable", "//swarm/@count='1'"], "give a variable as NAME=XPATH"),
         (["--variable", "x=//nope"], "//nope matches nothing in arena.xml"),
         (["--variable", "x=//["], "is not an XPath"),
         (["--variable", "ü=//noise"], "is not a name of letters, digits and _"),
         (["--variable", "my speed=//noise"], "is not a name of letters, digits and _"),
         (["--variable", "my.speed=//noise"], "is not a name of letters, digits and _"),
         (["--variable", "experiment=//noise"], "is a column of the store"),
-        (["--variable", "controller=//noise"], "take another name, as in my_controller"),
-        (["--variable", "x=//noise", "--variable", "X=//swarm/@count"], "there is one of that name already"),
-        (["--variable", "x=//random/@seed"], "is where the seed goes"),
+        (["--variable", "controller=//noise"], "use another name, such as my_controller"),
+        (["--variable", "x=//noise", "--variable", "X=//swarm/@count"], "this name is used already"),
+        (["--variable", "x=//random/@seed"], "gets the seed; vary something else"),
         (["--source", "../p"], "there is no '../p'"),
         (["--source", "srcc"], "there is no 'srcc'"),
     ):
@@ -262,11 +262,11 @@ def test_a_module_of_the_project_is_found_from_where_runs_start(folder: Path) ->
 @pytest.mark.parametrize(
     ("command", "said"),
     [
-        ("./sim {input}", "the program './sim' is not there yet"),
-        ("./arena.xml {input}", "is no program; name its interpreter"),
-        ("python3 sim.py {input} > out.csv", "no shell reads the command, so that '>' is given to the program"),
-        ("python3 sim.py", "the command does not name {input}"),
-        ("python3 sim.py {input} maps", "'maps' is a folder here"),
+        ("./sim {input}", "the program './sim' does not exist yet"),
+        ("./arena.xml {input}", "is not executable; add its interpreter to the command"),
+        ("python3 sim.py {input} > out.csv", "no shell starts the command, so the program gets '>' as an argument"),
+        ("python3 sim.py", "the command does not contain {input}"),
+        ("python3 sim.py {input} maps", "'maps' is a folder here, but each run starts in its own folder"),
     ],
 )
 def test_a_command_that_is_hardly_meant_is_written_with_a_note(folder: Path, command: str, said: str) -> None:
@@ -402,11 +402,11 @@ def test_without_an_answer_nothing_is_written(folder: Path) -> None:
 
 def test_without_a_terminal_what_is_not_clear_names_its_option(tmp_path: Path) -> None:
     for files, said in (
-        ([], "say which with --template FILE"),
-        (["a.xml", "b.xml"], "several could be the template (a.xml, b.xml); say which with --template FILE"),
-        (["template.xml"], "no program; say how it is started with --command"),
-        (["Makefile"], "no program; build it first, or say how it is started with --command"),
-        (["c.py", "d.py"], "several could be the simulator: c.py, d.py; say how it is started with --command"),
+        ([], "give the template with --template FILE"),
+        (["a.xml", "b.xml"], "several files could be the template (a.xml, b.xml); give the template with --template FILE"),
+        (["template.xml"], "no program found; give the command that starts it with --command"),
+        (["Makefile"], "no program found; build it first, or give the command that starts it with --command"),
+        (["c.py", "d.py"], "several files could be the simulator: c.py, d.py; give the command that starts it with --command"),
     ):
         for name in files:
             (tmp_path / name).write_text(TEMPLATE if name.endswith("xml") else "")
@@ -420,7 +420,7 @@ def test_a_project_file_is_never_written_over(folder: Path) -> None:
     (folder / "sierra.toml").write_text("mine")
     ended = quick(folder, "init", "-y")
     assert ended.returncode == 2
-    assert "is there already, and is never written over; change it with an editor, or remove it first" in ended.stderr
+    assert "exists already and is never overwritten; change it with an editor, or remove it first" in ended.stderr
     assert (folder / "sierra.toml").read_text() == "mine"
     (folder / "sierra.toml").unlink()
     (folder / "pyproject.toml").write_text('[tool.sierra]\ntemplate = "arena.xml"\n')
@@ -436,7 +436,7 @@ def test_a_folder_that_is_none_or_may_not_be_written_to_is_said(folder: Path, mo
     ended = quick(folder, "init", "-y")
     assert (ended.returncode, ended.stderr) == (
         3,
-        "sierra: . may not be written to; get the right to, or name another folder\n",
+        "sierra: . is not writable; change its permissions, or use another folder\n",
     )
 
 
@@ -454,6 +454,6 @@ def test_the_example_is_copied_into_new_folders_only(tmp_path: Path) -> None:
     assert (tmp_path / "demo" / "sierra.toml").is_file()
     again = quick(tmp_path, "init", "--example", "swarm", "demo")
     assert (again.returncode, again.stderr.count("\n")) == (2, 1)
-    assert "is not empty; name a new folder" in again.stderr
+    assert "is not empty; use a new folder" in again.stderr
     assert "no example 'swram'" in quick(tmp_path, "init", "--example", "swram", "other").stderr
     assert not (tmp_path / "other").exists()

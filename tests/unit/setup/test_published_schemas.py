@@ -109,9 +109,9 @@ def test_each_key_stands_on_a_line_of_its_own_after_a_sentence_with_its_type(ref
     lines = reference.splitlines()
     for needed in (
         ["# runs per experiment (whole number above 0; default 10)", "#runs = 10"],
-        ["# the XML file that every run's input is made from (text; required)", '#template = "template.xml"'],
-        ["# seconds between SIGTERM and SIGKILL (number above 0; default 5.0)", "#grace = 5.0"],
-        ["# whether the template's visualization is kept (true or false; default false)", "#visualization = false"],
+        ["# the XML file from which the inputs of all runs are generated (text; required)", '#template = "template.xml"'],
+        ["# time between SIGTERM and SIGKILL, in seconds (number above 0; default 5.0)", "#grace = 5.0"],
+        ["# whether to keep the template's visualization (true or false; default false)", "#visualization = false"],
     ):
         assert lines[lines.index(needed[1]) - 1 : lines.index(needed[1]) + 1] == needed
     flowing = " ".join(line.removeprefix("# ") for line in lines)

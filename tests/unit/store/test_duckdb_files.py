@@ -169,10 +169,14 @@ def test_a_folder_that_took_the_place_of_another_is_read(tmp_path: Path) -> None
 
 
 def test_a_store_is_refused_where_its_files_cannot_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(Missing, match=r"p\\xff/.sierra: no store can be in a folder whose name is no UTF-8; rename it"):
+    with pytest.raises(
+        Missing, match=r"p\\xff/.sierra: a store cannot be in a folder whose name is not UTF-8; rename the folder"
+    ):
         Store.create(Path(os.fsdecode(bytes(tmp_path) + b"/p\xff/.sierra")))
     monkeypatch.setattr(duckdb_files, "OPEN", str(tmp_path / "nowhere"))
-    with pytest.raises(Missing, match=r"\[x\]/.sierra: cannot be read under this name here; rename what has one of"):
+    with pytest.raises(
+        Missing, match=r"\[x\]/.sierra: cannot be read under this name here; rename files or folders that have one of"
+    ):
         Store.create(tmp_path / "[x]" / ".sierra")
     assert list(tmp_path.iterdir()) == []
 

@@ -250,7 +250,7 @@ def test_nothing_is_overwritten_and_all_else_is_written(project: Path, tmp_path:
     assert ended.returncode == 1
     assert "30 files of 4 runs" in ended.stdout
     assert sorted(ended.stderr.splitlines()) == [
-        f"sierra: {first['experiment'][:10]}/0/{name}: something of that name is there already, and is not overwritten"
+        f"sierra: {first['experiment'][:10]}/0/{name}: a file or folder of that name exists already, and is not overwritten"
         for name in ("output/empty", "stdout")
     ]
     assert (place / "output" / "empty").read_text() == "mine"
@@ -265,7 +265,7 @@ def test_a_link_in_the_folder_is_not_followed(project: Path, tmp_path: Path) -> 
     (tmp_path / "out" / listed(project, run)[0]["experiment"][:10]).symlink_to(elsewhere)
     ended = quick(project, "files", run, "--to", str(tmp_path / "out"))
     assert ended.returncode == 1
-    assert ended.stderr.count("is a link, which is not followed") == 8
+    assert ended.stderr.count("is a symbolic link, and links are not followed") == 8
     assert list(elsewhere.iterdir()) == []
 
 
@@ -323,10 +323,10 @@ def test_a_damaged_file_is_said_and_all_else_is_written(tmp_path: Path) -> None:
     _damage(folder, digest)
     ended = quick(folder, "files", batch_of(folder), "--to", str(tmp_path / "out"))
     assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
-    assert f"/0/stdout: the store has other content than was recorded (SHA-256 {digest})" in ended.stderr
+    assert f"/0/stdout: its content in the store differs from the record (SHA-256 {digest})" in ended.stderr
     assert "15 files of 2 runs" in ended.stdout
     assert len(written(tmp_path / "out")) == 15
-    refused(quick(folder, "files", run, STDOUT), 1, "stdout: the store has other content")
+    refused(quick(folder, "files", run, STDOUT), 1, "stdout: its content in the store differs from the record")
 
 
 @pytest.mark.integration
@@ -341,7 +341,7 @@ def test_a_table_that_is_not_what_was_recorded_is_not_written(tmp_path: Path) ->
         pq.write_table(pq.read_table(path).slice(1), path)
     ended = quick(folder, "files", batch_of(folder), "*.csv", "--to", str(tmp_path / "out"))
     assert ended.returncode == 1
-    assert ended.stderr.count("(table 'swarm') is not what was recorded") == 1  # the other run's rows are still its own
+    assert ended.stderr.count("(table 'swarm') differs from the record") == 1  # the other run's rows are still its own
     assert ended.stderr.count("1 of its 2 rows can be read in table 'odd'") == 1
     assert not any(name.endswith("odd.csv") for name in written(tmp_path / "out"))
     assert len(written(tmp_path / "out")) == 1

@@ -250,5 +250,5 @@ def test_a_figure_whose_columns_are_misspelt_is_said(tmp_path: Path) -> None:
         '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tik"\n[figures.a]\ncolumn = "coverage"\n[figures.b]\ncolumn = "coverge"\n'
     )
     notes = sierra.open(projects.make(tmp_path, projects.CONFIG + wrong)).run("population_size=1,2").notes
-    assert "figure a: output 'swarm' has no column 'tik' to be its time ([outputs.swarm] time); did you mean 'tick'?" in notes
+    assert "figure a: output 'swarm' has no column 'tik' for its time ([outputs.swarm] time); did you mean 'tick'?" in notes
     assert any(note.startswith("figure b: no output has 'coverge' as numeric columns") for note in notes)

@@ -381,7 +381,7 @@ def test_a_damaged_object_is_noticed(tmp_path: Path) -> None:
     writer = store.writer(tmp_path / "s" / "work" / "w", "ab" * 32)
     writer.rows("objects", [{"sha256": "a" * 64, "part": 0, "size": 1, "content": b"x"}])
     store.publish(writer)
-    with pytest.raises(Damaged, match="other content"):
+    with pytest.raises(Damaged, match="differs from the record"):
         store.object("a" * 64)
     with pytest.raises(NotFound, match="no recorded file"):
         store.object("b" * 64)

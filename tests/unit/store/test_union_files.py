@@ -65,7 +65,7 @@ def test_over_all_batches_numbers_stay_numbers_and_texts_stand_beside(two: tuple
 
 def test_that_a_column_is_not_of_one_type_is_said(two: tuple[Project, list[str]]) -> None:
     project, (numbers, _) = two
-    told = "note: column 'v' of t holds numbers in some runs, and other things in others: these are in 'v_text'\n"
+    told = "note: column 'v' of t has numbers in some runs and other values in others; the other values are in 'v_text'\n"
     asked = projects.quick(project.root, "sql", "SELECT max(v) FROM t")
     assert (asked.returncode, asked.stderr) == (0, told)
     assert projects.quick(project.root, "sql", "-b", numbers[:12], "SELECT max(v) FROM t").stderr == ""
@@ -77,12 +77,12 @@ def test_that_a_column_is_not_of_one_type_is_said(two: tuple[Project, list[str]]
 def test_texts_in_one_experiment_of_a_batch_leave_the_numbers_of_others_alone(tmp_path: Path) -> None:
     project, [batch] = _made(tmp_path / "p", CELLS, "population_size=1,2")
     assert project.sql("SELECT max(v) AS m FROM t", within=batch).to_pylist() == [{"m": 100000.0}]
-    with pytest.raises(UsageError, match="'v' of output 't' holds numbers in some runs, and other things in others"):
+    with pytest.raises(UsageError, match="'v' of output 't' has numbers in some runs and other values in others"):
         project.statistics(batch, "t", "v")
     files, notes = project.draw(batch)
     assert not [file for file in files if "_v_" in file.name]
     assert [note for note in notes if "'v'" in note] == [
-        "no figure of column 'v' of output 't': it holds numbers in some runs, and other things in others"
+        "no figure of column 'v' of output 't': it has numbers in some runs and other values in others"
     ]
 
 
