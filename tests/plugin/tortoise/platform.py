@@ -1,4 +1,4 @@
-"""The platform `tortoise`: a simulator whose configuration contains `steps`, `seed` and `tortoises`."""
+"""The platform `tortoise`: a simulator whose configuration has the names `steps`, `seed` and `tortoises`."""
 
 from __future__ import annotations
 

@@ -37,5 +37,5 @@ class Niced(Local):
         if job.client is not None:
             return replace(job, client=replace(job.client, argv=(*first, *job.client.argv)))
         if shutil.which(job.argv[0], path=job.environment["PATH"]) is None:
-            return job  # the worker then reports the missing program
+            return job  # so that the worker reports that there is no such program
         return replace(job, argv=(*first, *job.argv))
