@@ -71,7 +71,7 @@ class Gated:
 
     def until_told(self, count: int) -> None:
         """Wait until this number of runs has begun, and array tasks have recorded it."""
-        until(lambda: len(packed(self.root, Started)) >= count, f"{count} runs are told of")
+        until(lambda: len(packed(self.root, Started)) >= count, f"the start of {count} runs is recorded")
 
     def job(self) -> str:
         """Return the id of the only job."""

@@ -177,7 +177,7 @@ class Slurm:
         self._until_slurmd(node)
 
     def _until_slurmd(self, node: str) -> None:
-        until(lambda: self._slurmd(node), f"slurmd of {node} is there; see {self.root}/log")
+        until(lambda: self._slurmd(node), f"slurmd of {node} runs; see {self.root}/log")
 
     def kill_controller(self, *, saved: bool = False) -> None:
         """Kill the controller; with `saved`, after it has saved its state of jobs, else it may reuse ids."""
@@ -191,7 +191,7 @@ class Slurm:
         before = file.stat().st_mtime_ns if file.exists() else 0
         job = self.command("squeue", "-h", "-a", "-o", "%A").split()[0]
         self.command("scontrol", "update", f"jobid={job}", "AdminComment=saved")
-        until(lambda: file.stat().st_mtime_ns != before, "the controller saves what it knows")
+        until(lambda: file.stat().st_mtime_ns != before, "the controller saves its state")
 
     def start_controller(self) -> None:
         """Start the controller; return when it answers."""
@@ -212,7 +212,7 @@ class Slurm:
             waiting = self.command("squeue", "-h", "-a", "-r", "-t", "PENDING", "-o", "%i %r").splitlines()
             return [line.split()[0] for line in waiting if line.endswith("BeginTime")]
 
-        until(lambda: len(requeued()) >= count, f"{count} elements are requeued")
+        until(lambda: len(requeued()) >= count, f"{count} array tasks are requeued")
         for one in requeued():
             self.command("scontrol", "update", f"jobid={one}", "StartTime=now")
 

@@ -99,7 +99,7 @@ def require() -> Callable[..., str]:
         if program is not None if there is None else there:
             return program or what
         if os.environ.get("SIERRA_REQUIRE_ALL") == "1" and what != os.environ.get("SIERRA_REQUIRE_ALL_BUT"):
-            pytest.fail(f"needs {what}, and SIERRA_REQUIRE_ALL=1 forbids to skip", pytrace=False)
+            pytest.fail(f"needs {what}, and SIERRA_REQUIRE_ALL=1 forbids skipping", pytrace=False)
         pytest.skip(f"needs {what}")
 
     return require

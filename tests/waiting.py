@@ -10,14 +10,14 @@ PATIENCE_S = 300.0
 """Longer than any wait on a busy machine; a longer wait shows a fault."""
 
 
-def until(there: Callable[[], Any], what: Any = "it is so", seconds: float = PATIENCE_S) -> None:
+def until(there: Callable[[], Any], what: Any = "the condition is true", seconds: float = PATIENCE_S) -> None:
     """Wait until a condition is true; `what` describes it, or is called to describe the actual state.
 
     A file or a process that appears or disappears during the check counts as missing.
     """
     give_up = time.monotonic() + seconds
     while not _quietly(there):
-        assert time.monotonic() < give_up, f"waited in vain until {what() if callable(what) else what}"
+        assert time.monotonic() < give_up, f"gave up waiting until {what() if callable(what) else what}"
         time.sleep(0.02)
 
 

@@ -74,7 +74,7 @@ def packed(folder: Path, runs: int) -> None:
         ours, whole, loop, bare = (statistics.median(times) for times in zip(*taken, strict=True))
         say(f"{runs} runs of true, {elements} x {cpus} cores / xargs -P2, with folders", ours, loop, "at most 1.5")
         say(f"{runs} runs of true, {elements} x {cpus} cores / xargs -P2, nothing more", ours, bare, "at most 1.5")
-        print(f"  all of sierra run: {whole:.2f} s", flush=True)
+        print(f"  the whole sierra run: {whole:.2f} s", flush=True)
 
 
 def looped(folder: Path, script: str, runs: int) -> float:
@@ -151,7 +151,7 @@ def many(folder: Path, runs: int) -> None:
     while subprocess.run(["squeue", "--noheader"], capture_output=True, check=True).stdout:
         time.sleep(2)
     executed = time.time() - began - whole
-    print(f"  executed in {executed:.0f} s; files beside the project's own: {files(here) - own}  (at most 100)")
+    print(f"  executed in {executed:.0f} s; files in addition to the project's own: {files(here) - own}  (at most 100)")
     began = time.time()
     peak = peak_of([SIERRA, "attach", session.name, "--no-figures"], here)
     recorded = time.time() - began

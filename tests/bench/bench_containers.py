@@ -43,7 +43,7 @@ def main() -> None:
             shared = contained(folder / "shared", f'[container]\nimage = "{containers.python(folder)}"\nisolation = "worker"\n')
             plain = project(folder / "plain", command="true {input}")
             both = in_turn(seconds_of(lambda: ask(shared, 10 * runs)), seconds_of(lambda: ask(plain, 10 * runs)))
-            say(f"{10 * runs} runs of true, a container a slot / none", *both, "at most 3")
+            say(f"{10 * runs} runs of true, one container per slot / none", *both, "at most 3")
 
 
 def contained(folder: Path, container: str) -> Path:

@@ -111,7 +111,7 @@ def check(root: Path, wanted: Wanted, before: AbstractSet[str] = frozenset(), *,
     """
     done = sierra(root, *QUERY)
     if done.code != 0:
-        raise Differs(f"finishing the query ended with {done.code}: {done.out}{done.err}")
+        raise Differs(f"completing the query ended with exit code {done.code}: {done.out}{done.err}")
     found = content(root)
     for name, rows in wanted.items():
         if found[name] != rows and name != but:
@@ -119,7 +119,7 @@ def check(root: Path, wanted: Wanted, before: AbstractSet[str] = frozenset(), *,
     if lost := before - recorded(root):
         raise Differs(f"{len(lost)} recorded executions are lost: {sorted(lost)[:3]}")
     if left := left_over(root):
-        raise Differs(f"left over: {left[:3]}")
+        raise Differs(f"sessions or processes are left: {left[:3]}")
     fsck = sierra(root, "fsck")
     if fsck.code != 0:
         raise Differs(f"fsck ended with {fsck.code}: {fsck.out}{fsck.err}")

@@ -139,7 +139,7 @@ def flipped_bit(place: Place, wanted: Wanted) -> str:
     found = sierra(root, "fsck")
     expect(found, 1)
     if file.parent.name not in found.out + found.err:
-        raise Differs(f"{told}: fsck does not name it: {found.out}")
+        raise Differs(f"{told}: fsck does not report it: {found.out}")
     repaired = expect(sierra(root, "fsck", "--repair"), 0, 1)
     for query in (QUERY, OTHER):
         expect(sierra(root, *query), 0)
@@ -210,7 +210,7 @@ def jumping_clock(place: Place, wanted: Wanted, days: int = 0) -> str:
     path = {"PATH": f"{other.parent}{os.pathsep}{os.environ['PATH']}"}
     expect(sierra(root, *QUERY, prefix=(faketime, "-f", f"{days:+d}d"), environment=path), 0)
     if content(root)["swarm"] == wanted["swarm"]:
-        raise Differs("the other Python has given the same values")
+        raise Differs("the other Python gave the same values")
     check(root, wanted, recorded(root))
     return f"a clock {days:+d} days off"
 
@@ -276,7 +276,7 @@ def _until_gone(root: Path) -> None:
     end = time.monotonic() + faults.LONGEST_S
     while _processes(root):
         if time.monotonic() > end:
-            raise Differs(f"these live on: {left_over(root)}")
+            raise Differs(f"processes still run after a kill: {left_over(root)}")
         time.sleep(0.05)
 
 

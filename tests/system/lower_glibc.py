@@ -40,7 +40,7 @@ class Version(NamedTuple):
 def lowered(data: bytearray) -> bool:
     """Change a file's bytes; return whether they changed. Raise ValueError if the file can't be changed."""
     if data[:6] != b"\x7fELF\x02\x01":
-        raise ValueError("no ELF file of 64 bits, little-endian")
+        raise ValueError("not a 64-bit little-endian ELF file")
     sections = _sections(data)
     found = {section.kind: section for section in sections}
     if VERNEED not in found:

@@ -350,7 +350,7 @@ def test_walls_are_recognized_by_position_and_not_by_name() -> None:
 
 
 def test_walls_that_do_not_fit_the_template_arena_are_moved_into_it() -> None:
-    """As in a sample where the walls are around 0, and the arena from 0 to 5."""
+    """In such a template, the walls are around 0, and the arena reaches from 0 to 5."""
     made = prepared(instead('center="0,0,1"', 'center="2.5,2.5,1"'), arena="5x5")
     assert one(made, "arena/box[@id='wall_west']/body/@position") == "0.05,2.5,0"
     assert numbers(one(made, f"{UNIFORM}/@min"))[:2] == [0.1, 0.1]

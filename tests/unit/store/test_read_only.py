@@ -51,7 +51,7 @@ def test_a_read_only_store_can_be_read(readonly: Path, words: tuple[str, ...]) -
 
 
 @pytest.mark.integration
-def test_a_replay_works_with_a_read_only_store_and_no_record(readonly: Path) -> None:
+def test_a_replay_of_a_read_only_store_needs_the_option_no_record(readonly: Path) -> None:
     batch = sierra.open(readonly).batches[0]["batch"]
     refused = projects.quick(readonly, "replay", batch)
     assert (refused.returncode, refused.stderr.count("\n")) == (3, 1)

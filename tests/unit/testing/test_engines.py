@@ -56,7 +56,7 @@ def test_the_engine_none_conforms(tmp_path: Path) -> None:
 @pytest.mark.real
 @pytest.mark.integration
 @pytest.mark.parametrize("name", ["podman", "apptainer"])
-def test_podman_and_apptainer_conform_as_root(name: str, archive: Path, tmp_path: Path, require: Callable[..., str]) -> None:
+def test_podman_and_apptainer_conform(name: str, archive: Path, tmp_path: Path, require: Callable[..., str]) -> None:
     require(name)
     conforms(name, None, archive, tmp_path)
 

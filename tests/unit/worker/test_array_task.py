@@ -745,7 +745,7 @@ def cpu_of_children() -> float:
 
 
 @pytest.mark.integration
-def test_an_array_task_uses_little_more_cpu_than_its_worker(folder: Folder, tmp_path: Path) -> None:
+def test_the_cpu_time_of_an_array_task_is_limited_relative_to_its_worker(folder: Folder, tmp_path: Path) -> None:
     folder.deal(many(300, "true"))
     began = cpu_of_children()
     assert folder.run()[0] == 0

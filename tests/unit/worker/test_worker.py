@@ -775,7 +775,7 @@ def test_the_worker_needs_only_python_3_8_and_the_standard_library() -> None:
 # ---------------------------------------------------------------- time
 
 
-def test_the_wall_time_of_a_run_is_never_less_than_its_cpu_time(start: Callable[..., Worker]) -> None:
+def test_the_wall_time_of_a_single_threaded_run_is_at_least_its_cpu_time(start: Callable[..., Worker]) -> None:
     worker = start()
     worker.send(*(job("true", name=f"run {number}") for number in range(40)))
     assert worker.finish() == 0

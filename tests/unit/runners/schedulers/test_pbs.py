@@ -630,9 +630,9 @@ while not os.path.exists({gate!r}):
 
 
 def begun(server: pbs.Server, root: Path) -> int:
-    """Let jobs begin, once the elements of a batch are there; the number of their job.
+    """Let jobs begin after the array tasks of a batch were submitted; return the number of their job.
 
-    Not before: they wait for a probe, which may have been before them, and to be forgotten.
+    Not earlier: they depend on a probe, which could end and be forgotten before their submission.
     """
     until(lambda: [job for job in sent(root) if job])
     server.begin()
