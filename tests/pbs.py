@@ -4,7 +4,7 @@ No server runs: each command reads and writes one file, under a lock. Scripts re
 command, in the user's home folder, with the few variables that PBS sets. It uses only the standard library, because the
 commands run this file. It has these properties of a real PBS:
 
-- an array of one index is refused (OpenPBS), and so is a script on standard input;
+- an array of one index is refused (OpenPBS), and so is an empty script on standard input (here: any script there);
 - ended jobs are unknown (153), or, with a history, reported as ended (35); Torque shows them for a while, as C;
 - ended array tasks of a running array are X; the array's exit status is 0 (or 1) for any status of its tasks, and
   without a history the tasks show it, too;
