@@ -1,4 +1,4 @@
-"""Batches on a real SLURM: one that is held up by a gate, and what must hold of any in the end."""
+"""Batches on a real SLURM: a project whose runs wait for a gate, and checks at the end of a batch."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ with open({log!r}, "a") as log:
 while not os.path.exists({gate!r}) and not os.path.exists({gate!r} + "." + os.environ["SIERRA_RUN_ID"]):
     time.sleep(0.02)
 """
-"""A simulator that says that it has begun, and goes on once a gate is open."""
+"""A simulator that reports its start, and continues after a gate is open."""
 
 
 @dataclass
 class Gated:
-    """A project whose runs end once a gate is open."""
+    """A project whose runs wait until a gate is open."""
 
     root: Path
     slurm: Slurm
@@ -44,7 +44,7 @@ class Gated:
 
     @classmethod
     def make(cls, root: Path, slurm: Slurm, table: str = "", *, simulator: str = WAITING) -> Gated:
-        """Such a project in a folder that is made; `table` is added to what it says of the cluster."""
+        """Make such a project in a new folder; `table` is added to its settings of the cluster."""
         text = simulator.format(log=str(root.with_name("log")), gate=str(root.with_name("gate")))
         return cls(projects.make(root, projects.CONFIG + CLUSTER + table, simulator=text), slurm)
 
@@ -53,11 +53,11 @@ class Gated:
         return self.root.with_name("gate")
 
     def open(self, run: str = "") -> None:
-        """Let all runs end, or that one."""
+        """Let all runs end, or the given one."""
         (self.gate.with_name(f"gate.{run}") if run else self.gate).touch()
 
     def begun(self) -> list[str]:
-        """The runs that were begun, each as often as it was."""
+        """Return the runs that were begun, each as often as it was begun."""
         log = self.root.with_name("log")
         return log.read_text().split() if log.exists() else []
 
@@ -70,17 +70,17 @@ class Gated:
         until(lambda: len(self.begun()) >= count, f"{count} runs begin")
 
     def until_told(self, count: int) -> None:
-        """Wait until so many runs have begun, and elements have recorded that."""
-        until(lambda: len(packed(self.root, Started)) >= count, f"{count} runs are told of")
+        """Wait until this number of runs has begun, and array tasks have recorded it."""
+        until(lambda: len(packed(self.root, Started)) >= count, f"the start of {count} runs is recorded")
 
     def job(self) -> str:
-        """The id of the one job that is there."""
+        """Return the id of the only job."""
         listed = self.slurm.command("squeue", "-h", "-t", "PENDING,RUNNING", "-o", "%F %j").splitlines()
         [job] = {line.split()[0] for line in listed if " sierra-" in line}
         return job
 
     def node(self) -> str:
-        """A node that executes an element."""
+        """Return a node that executes an array task."""
         return self.slurm.command("squeue", "-h", "-r", "-t", "RUNNING", "-j", self.job(), "-o", "%N").split()[0]
 
     @property
@@ -88,7 +88,7 @@ class Gated:
         return sierra.open(self.root)
 
     def close(self) -> None:
-        """Let the runs end, and end who asked."""
+        """Let the runs end, and end the sessions."""
         self.open()
         for asking in self.asked:
             asking.kill()
@@ -96,7 +96,7 @@ class Gated:
 
 
 def ended(process: subprocess.Popen[str], code: int = 0) -> str:
-    """What a command printed on standard error, once it has ended as it should."""
+    """Wait for a command, check its exit code, and return its standard error."""
     out, err = process.communicate(timeout=200)
     assert "Traceback" not in err, err
     assert "fault in SIERRA" not in err, err
@@ -105,7 +105,7 @@ def ended(process: subprocess.Popen[str], code: int = 0) -> str:
 
 
 def packed(root: Path, kind: type[Any]) -> list[Any]:
-    """What elements have packed so far of one kind, in the sessions of a project."""
+    """Return the events of one kind that array tasks have packed so far, in the sessions of a project."""
     packs = map(Pack, sorted(root.glob(".sierra/work/*/results/[0-9]*.pack")))
     return [event for pack in packs for event in pack.read() if isinstance(event, kind)]
 
@@ -116,7 +116,7 @@ def rows(project: Project, text: str) -> list[dict[str, Any]]:
 
 
 def is_whole(project: Project, runs: int = 8, executions: int | None = None) -> None:
-    """Every run has one good execution that counts, no run was executed more often, and nothing is left of a session."""
+    """Check that every run has one effective execution, no run was executed more often, and no session is left."""
     [found] = rows(project, "SELECT count(*) AS runs, count(*) FILTER (status = 'ok') AS good FROM runs")
     assert found == {"runs": runs, "good": runs}
     [found] = rows(project, "SELECT count(*) AS n, count(DISTINCT execution) AS d FROM executions WHERE purpose = 'run'")
@@ -125,7 +125,7 @@ def is_whole(project: Project, runs: int = 8, executions: int | None = None) -> 
 
 
 def at_rest(slurm: Slurm, project: Project) -> None:
-    """Nothing runs on: neither jobs nor processes."""
+    """Wait until no jobs and no processes are running."""
     until(lambda: set(slurm.states().values()) & {"PENDING", "RUNNING", "COMPLETING"} == set(), "no job is left")
     sessions = {row["session"] for row in rows(project, "SELECT DISTINCT session FROM executions")}
     until(lambda: not marked_processes.marked({f"SIERRA_SESSION={one}".encode() for one in sessions}), "no process is left")

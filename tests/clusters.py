@@ -1,8 +1,8 @@
-"""A real SLURM in one folder, to be thrown away: for root on one Linux host, without systemd, control groups, files in /etc.
+"""A temporary real SLURM in one folder: for root on one Linux host, without systemd, control groups, files in /etc.
 
-Each node is a slurmd in PID, mount and host-name namespaces of its own, so that `hostname` is the node's there, and killing
-its first process is a power cut: slurmd, and all that jobs have left, die at once. The controller, munged and the nodes end
-with the process that started them, also where that is killed. Debian: see `make system`.
+Each node is a slurmd in its own PID, mount and host-name namespaces: `hostname` returns the node's name there, and killing
+its first process is a power cut: slurmd, and all processes of jobs, die immediately. The controller, munged and the nodes end
+with the process that started them, even if it is killed. Debian: see `make system`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tests.waiting import PATIENCE_S, until
 SBIN = ":/usr/sbin:/sbin"
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "unshare", "nsenter", "setpriv")
 LONGEST = 100
-"""Letters that the path of a unix socket may have, roughly."""
+"""The approximate maximum length of the path of a Unix socket."""
 
 SETTINGS = {
     "ClusterName": "sierratest",
@@ -32,16 +32,16 @@ SETTINGS = {
     "AuthType": "auth/munge",
     "CredType": "cred/munge",
     "MailProg": "/bin/true",
-    # nothing of the host is needed: no control groups, no affinity, no PMIx
+    # use no features of the host: no control groups, no affinity, no PMIx
     "ProctrackType": "proctrack/linuxproc",
     "TaskPlugin": "task/none",
     "JobAcctGatherType": "jobacct_gather/none",
     "MpiDefault": "none",
     "SwitchType": "switch/none",
-    # a node may claim more cores than the host has
+    # a node may have more cores than the host
     "SlurmdParameters": "config_overrides",
     "ReturnToService": "2",
-    # notice quickly; by default 120, 300 and 30
+    # detect failures quickly; defaults: 120, 300 and 30
     "SlurmctldTimeout": "30",
     "SlurmdTimeout": "10",
     "KillWait": "2",
@@ -66,9 +66,9 @@ PARTITIONS = (
 
 
 class Slurm:
-    """One cluster. `settings` replace those above, `partitions` those above; `pbs` has jobs see the variables of PBS too.
+    """One cluster. `settings` and `partitions` replace those above; with `pbs`, jobs see the variables of PBS too.
 
-    Nodes are called n1, n2, …; each has `cpus` cores, 4000 MiB, 2 processors of graphics and the feature `fast`.
+    Nodes are named n1, n2, …; each has `cpus` cores, 4000 MiB, 2 GPUs and the feature `fast`.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Slurm:
         self.root = root
         self.names = [f"n{number + 1}" for number in range(nodes)]
         self.environment = {"SLURM_CONF": str(root / "slurm.conf")}
-        """What makes the commands of SLURM speak to this cluster."""
+        """The environment with which the commands of SLURM use this cluster."""
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._ports = free_ports(nodes + 1)
         self._write(cpus, settings or {}, partitions, pbs=pbs)
@@ -95,7 +95,7 @@ class Slurm:
         for name in ("state", "log", "key"):
             (root / name).mkdir(parents=True)
         root.chmod(0o755)
-        (root / "key").chmod(0o700)  # munged refuses any other
+        (root / "key").chmod(0o700)  # munged refuses other modes
         own = {
             "SlurmctldHost": f"{host}(127.0.0.1)",
             "SlurmctldPort": str(self._ports[0]),
@@ -124,7 +124,7 @@ class Slurm:
         key.chmod(0o600)
 
     def start(self) -> None:
-        """Start all of it; returns when every node is idle."""
+        """Start all daemons; return when every node is idle."""
         key = self.root / "key"
         files = (f"--pid-file={key}/pid", f"--log-file={key}/log", f"--seed-file={key}/seed")
         munge = self.root / "munge.sock"
@@ -136,7 +136,7 @@ class Slurm:
         self.until_idle()
 
     def stop(self) -> None:
-        """End all of it; jobs that run die."""
+        """End all daemons and running jobs."""
         for name in sorted(self._processes, key=lambda name: (name not in self.names, name == "munged")):
             self._kill(name, signal.SIGKILL if name in self.names else signal.SIGTERM)
 
@@ -151,73 +151,73 @@ class Slurm:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    # what may befall it
+    # faults
 
     def power_cut(self, node: str) -> None:
-        """All that is on a node dies. SLURM notices after half a minute, if it isn't told: see `declare_down`."""
+        """Kill all processes of a node. SLURM detects it after half a minute, or immediately with `declare_down`."""
         self._kill(node)
 
     def start_node(self, node: str) -> None:
-        """A node as it is after it was switched on."""
-        script = 'hostname "$1"; slurmd -D -N "$1" & sleep infinity & wait'  # a shell as the first process: it reaps
+        """Start a node."""
+        script = 'hostname "$1"; slurmd -D -N "$1" & sleep infinity & wait'  # the first process is a shell, which reaps zombies
         self._spawn(node, "unshare", "--pid", "--fork", "--kill-child", "--mount-proc", "--uts", "sh", "-c", script, "sh", node)
         self._until_slurmd(node)
 
     def kill_slurmd(self, node: str) -> None:
-        """The daemon alone dies: the node's jobs live on, and SLURM will think that they are lost."""
+        """Kill only the daemon: the node's jobs continue, and SLURM considers them lost."""
         for pid in self._slurmd(node):
             os.kill(pid, signal.SIGKILL)
         until(lambda: not self._slurmd(node), f"slurmd of {node} has ended")
 
     def start_slurmd(self, node: str) -> None:
-        """The daemon alone comes back, on a node that is on."""
+        """Start only the daemon, on a running node."""
         [shell] = _children(self._processes[node].pid)
         enter = ("nsenter", f"--target={shell}", "--pid", "--uts", "--mount", "slurmd", "-D", "-N", node)
         self._spawn(f"slurmd of {node}", *enter)
         self._until_slurmd(node)
 
     def _until_slurmd(self, node: str) -> None:
-        until(lambda: self._slurmd(node), f"slurmd of {node} is there; see {self.root}/log")
+        until(lambda: self._slurmd(node), f"slurmd of {node} runs; see {self.root}/log")
 
     def kill_controller(self, *, saved: bool = False) -> None:
-        """`saved`: not before it has saved what it knows of jobs; else it may give ids twice."""
+        """Kill the controller; with `saved`, after it has saved its state of jobs, else it may reuse ids."""
         if saved:
             self._until_saved()
         self._kill("slurmctld")
 
     def _until_saved(self) -> None:
-        """Change a job, and wait for the file of all jobs, which is written again within five seconds."""
+        """Change a job, and wait until the file of all jobs is rewritten, which takes up to five seconds."""
         file = self.root / "state" / "job_state"
         before = file.stat().st_mtime_ns if file.exists() else 0
         job = self.command("squeue", "-h", "-a", "-o", "%A").split()[0]
         self.command("scontrol", "update", f"jobid={job}", "AdminComment=saved")
-        until(lambda: file.stat().st_mtime_ns != before, "the controller saves what it knows")
+        until(lambda: file.stat().st_mtime_ns != before, "the controller saves its state")
 
     def start_controller(self) -> None:
-        """Returns when it answers."""
+        """Start the controller; return when it answers."""
         self._start("slurmctld", "slurmctld", "-D")
 
     def declare_down(self, node: str) -> None:
-        """Have SLURM take a node for lost, at once. One that is on comes back by itself within seconds."""
+        """Declare a node down in SLURM. A running node returns to service within seconds."""
         self.command("scontrol", "update", f"nodename={node}", "state=down", "reason=test")
 
     def resume(self, node: str) -> None:
-        """Have SLURM use a node again that was declared down."""
+        """Make SLURM use a node again after it was declared down."""
         self.command("scontrol", "update", f"nodename={node}", "state=resume")
 
     def release_requeued(self, count: int = 1) -> None:
-        """Have elements that were requeued start again now, not only after two minutes; returns once so many wait."""
+        """Start requeued array tasks immediately instead of after two minutes; wait until `count` are queued."""
 
         def requeued() -> list[str]:
             waiting = self.command("squeue", "-h", "-a", "-r", "-t", "PENDING", "-o", "%i %r").splitlines()
             return [line.split()[0] for line in waiting if line.endswith("BeginTime")]
 
-        until(lambda: len(requeued()) >= count, f"{count} elements are requeued")
+        until(lambda: len(requeued()) >= count, f"{count} array tasks are requeued")
         for one in requeued():
             self.command("scontrol", "update", f"jobid={one}", "StartTime=now")
 
     def heal(self) -> None:
-        """No jobs, and all nodes idle, whatever was done to it."""
+        """Restore a cluster without jobs and with idle nodes after any fault."""
         if self._gone("slurmctld"):
             self.start_controller()
         if jobs := self.command("squeue", "-h", "-a", "-o", "%F").split():
@@ -229,10 +229,10 @@ class Slurm:
                 self.start_slurmd(node)
         self.until_idle()
 
-    # what it says
+    # queries
 
     def command(self, *argv: str) -> str:
-        """What one of SLURM's commands prints."""
+        """Run a command of SLURM; return its output."""
         done = subprocess.run(
             argv, cwd=self.root, env=self._environment(), check=False, timeout=60, capture_output=True, text=True
         )
@@ -240,16 +240,16 @@ class Slurm:
         return done.stdout.strip()
 
     def nodes(self) -> dict[str, str]:
-        """The state of each node."""
+        """Return the state of each node."""
         return dict(line.split() for line in self.command("sinfo", "-h", "-N", "-o", "%N %t").splitlines())
 
     def states(self, job: str = "") -> dict[str, str]:
-        """The state of each element of a job, or of all jobs, by its id."""
+        """Return the state of each array task of a job, or of all jobs, by its id."""
         asked = ("squeue", "-h", "-a", "-r", "-t", "all", *(["-j", job] if job else []), "-o", "%i %T")
         return dict(line.split() for line in self.command(*asked).splitlines())
 
     def until_idle(self) -> None:
-        """Wait until no node has anything to do; nodes that were declared down are used again."""
+        """Wait until all nodes are idle; use nodes again that were declared down."""
 
         def seen() -> str:
             told = (self.command("sinfo", "-N", "-h", "-o", "%N %T %E"), self.command("squeue", "-h", "-a", "-r", "-t", "all"))
@@ -260,12 +260,12 @@ class Slurm:
     def _is_idle(self) -> bool:
         states = self.nodes()
         for node in (node for node, state in states.items() if state.startswith(("down", "drain")) and not self._gone(node)):
-            with contextlib.suppress(AssertionError):  # it is no longer down
+            with contextlib.suppress(AssertionError):  # the node is no longer down
                 self.resume(node)
         return set(states.values()) == {"idle"}
 
     def until(self, job: str, *states: str, element: int | None = None, seconds: float = PATIENCE_S) -> None:
-        """Wait until all elements of a job (or that one) are in one of these states."""
+        """Wait until all array tasks of a job (or the given one) are in one of these states."""
 
         def reached() -> bool:
             one = None if element is None else f"{job}_{element}"
@@ -283,13 +283,13 @@ class Slurm:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                cwd=self.root,  # for what they leave when they crash
+                cwd=self.root,  # for core dumps
                 env=self._environment(),
                 start_new_session=True,
             )
 
     def _start(self, name: str, *argv: str) -> None:
-        """Start the controller; it is asked only once it listens, as its clients try for seconds otherwise."""
+        """Start a daemon; wait until the controller listens, because its clients retry for seconds otherwise."""
         self._spawn(name, *argv)
         until(lambda: listens(self._ports[0]) or self._gone(name), f"{name} listens")
         assert not self._gone(name), f"{name} has ended; see {self.root}/log"
@@ -307,7 +307,7 @@ class Slurm:
         return name not in self._processes or self._processes[name].poll() is not None
 
     def _slurmd(self, node: str) -> list[int]:
-        """The processes of a node's daemon; not those of its jobs."""
+        """Return the processes of a node's daemon, without those of its jobs."""
         found = []
         for process in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
@@ -326,9 +326,9 @@ class Slurm:
 
 @contextlib.contextmanager
 def folder() -> Iterator[Path]:
-    """A folder with a short path, for a cluster; gone afterwards."""
+    """Yield a folder with a short path for a cluster; remove it afterwards."""
     path = Path(tempfile.mkdtemp(prefix="sierra-", dir="/tmp"))
-    path.chmod(0o755)  # munged refuses to listen where not everybody may come
+    path.chmod(0o755)  # munged requires a folder that everybody can access
     try:
         yield path / "c"
     finally:
@@ -336,19 +336,19 @@ def folder() -> Iterator[Path]:
 
 
 def needed(require: Callable[..., str]) -> None:
-    """Skip, or fail, where a cluster can't be started."""
+    """Skip the test, or fail, if a cluster can't be started."""
     require("root, to start a cluster", there=os.geteuid() == 0)
     programs(require, PROGRAMS)
 
 
 def programs(require: Callable[..., str], names: Iterable[str]) -> None:
-    """Skip, or fail, where a program is not there, which may be one for root alone."""
+    """Skip the test, or fail, if a program is missing; also find programs that only root has on the PATH."""
     for program in names:
         require(program, there=shutil.which(program, path=os.environ["PATH"] + SBIN) is not None)
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports that nobody uses now, below those that Linux gives to connections: one of these may take what is not bound yet."""
+    """Return unused ports, below those that Linux gives to outgoing connections, which could take an unbound port."""
     ports: list[int] = []
     with contextlib.ExitStack() as stack:
         while len(ports) < count:

@@ -1,4 +1,4 @@
-"""What every test may use."""
+"""Fixtures and helpers for all tests."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sierra.store.store import Store
 from tests import clusters, projects, stores, tiers
 from tests.waiting import PATIENCE_S, until
 
-# A shell that starts the tests in the background makes them, and all that they start, ignore these.
+# If a shell starts the tests in the background, they and their child processes ignore these signals.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 for number in (signal.SIGQUIT, signal.SIGHUP, signal.SIGTERM):
     signal.signal(number, signal.SIG_DFL)
@@ -39,7 +39,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True, scope="session")
 def no_progress() -> Iterator[None]:
-    """What tests look for on standard error does not depend on how long something takes, where it takes it in this process."""
+    """Turn off progress messages of this process: standard error must not depend on durations."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sierra.cli.progress.FIRST_S", 1e9)
         patch.setattr("sierra.cli.progress.LAST_S", 1e9)
@@ -48,7 +48,7 @@ def no_progress() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def no_early_segments() -> Iterator[None]:
-    """Into how many segments this process records does not depend on how long runs take."""
+    """Make the number of segments that this process records independent of the duration of runs."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sierra.ingest.recorder.SOON_S", 1e9)
         patch.setattr("sierra.ingest.recorder.LATE_S", 1e9)
@@ -57,7 +57,7 @@ def no_early_segments() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Tests remember nothing of other days."""
+    """Give the tests a new cache folder."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
@@ -66,7 +66,7 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def direct_python() -> Iterator[None]:
-    """`python3` is the interpreter itself: a version manager's script before it on the PATH takes longer than a simulator."""
+    """Make `python3` the interpreter itself: the script of a version manager takes longer than a simulator."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PATH", f"{Path(sys.base_prefix, 'bin')}{os.pathsep}{os.environ['PATH']}")
         yield
@@ -74,7 +74,7 @@ def direct_python() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The project of `stores.make`, outside git, made once for all tests, in however many processes; nobody changes it."""
+    """Return the project of `stores.make`, outside git, made once for all test processes; tests only read it."""
     base = tmp_path_factory.getbasetemp()
     root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "recorded" / "project"
     root.parent.mkdir(exist_ok=True)
@@ -88,10 +88,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def require() -> Callable[..., str]:
-    """Say what a test needs: `require("podman")`, or `require("a slurm cluster", there=cluster.answers())`.
+    """Declare a requirement of a test: `require("podman")`, or `require("a slurm cluster", there=cluster.answers())`.
 
-    Returns the path of a program that is found by name. What is missing skips the test, or fails it where
-    SIERRA_REQUIRE_ALL=1 says that everything has to be there (all but what SIERRA_REQUIRE_ALL_BUT names).
+    Return the path of a program that is found by name. A missing requirement skips the test, or fails it if
+    SIERRA_REQUIRE_ALL=1 is set (except for the requirements in SIERRA_REQUIRE_ALL_BUT).
     """
 
     def require(what: str, *, there: bool | None = None) -> str:
@@ -99,7 +99,7 @@ def require() -> Callable[..., str]:
         if program is not None if there is None else there:
             return program or what
         if os.environ.get("SIERRA_REQUIRE_ALL") == "1" and what != os.environ.get("SIERRA_REQUIRE_ALL_BUT"):
-            pytest.fail(f"needs {what}, and SIERRA_REQUIRE_ALL=1 forbids to skip", pytrace=False)
+            pytest.fail(f"needs {what}, and SIERRA_REQUIRE_ALL=1 forbids skipping", pytrace=False)
         pytest.skip(f"needs {what}")
 
     return require
@@ -107,7 +107,7 @@ def require() -> Callable[..., str]:
 
 @pytest.fixture
 def disk(require: Callable[..., str]) -> Iterator[Callable[[Path, str], Path]]:
-    """Makes a folder a disk of a size (`1m`), empty and in memory, until the test ends; or gives that disk another size."""
+    """Yield a function that mounts an empty disk in memory of a size (`1m`) on a folder, or resizes this disk."""
     made: list[Path] = []
 
     def disk(folder: Path, size: str) -> Path:
@@ -125,7 +125,7 @@ def disk(require: Callable[..., str]) -> Iterator[Callable[[Path, str], Path]]:
 
 @pytest.fixture(scope="session")
 def running_slurm() -> Iterator[clusters.Slurm]:
-    """A cluster that each process of tests starts once, when it is first asked for; take `slurm`."""
+    """Yield a cluster that each test process starts once, on first use; tests use `slurm`."""
     with clusters.folder() as folder, clusters.Slurm(folder, pbs=True) as cluster:
         yield cluster
 
@@ -134,7 +134,7 @@ def running_slurm() -> Iterator[clusters.Slurm]:
 def slurm(
     require: Callable[..., str], request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[clusters.Slurm]:
-    """A real SLURM of three nodes, that is idle, and that the commands of SLURM (and of PBS, over it) speak to."""
+    """Yield an idle real SLURM of three nodes, which the commands of SLURM (and its wrapper for PBS) use."""
     clusters.needed(require)
     cluster: clusters.Slurm = request.getfixturevalue("running_slurm")
     for name, value in cluster.environment.items():
@@ -145,17 +145,17 @@ def slurm(
 
 
 PRINTS = r"printf 't,v\n1,1\n2,4\n' > swarm.csv"
-"""What a simulator does in shell to have a result."""
+"""A shell command with which a simulator writes a result."""
 
 
 def held(count: int, script: str = PRINTS) -> str:
-    """A simulator of which about so many runs end (fewer by at most the slots); those that begin later wait for the gate."""
+    """Return a simulator of which about `count` runs end (up to the slots fewer); later runs wait for the gate."""
     begun, gate = (f'"${{0%/*}}/../{name}"' for name in ("executed", "gate"))
     return f'[ "$(wc -l < {begun})" -le {count} ] || until [ -e {gate} ]; do sleep 0.02; done\n{script}'
 
 
 class Simulated:
-    """A project whose simulator is a shell script that says, in a file outside, which run it executes."""
+    """A project whose simulator is a shell script that logs its run in a file outside the project."""
 
     def __init__(self, folder: Path, script: str) -> None:
         self.folder = folder
@@ -173,19 +173,19 @@ class Simulated:
         )
 
     def open(self) -> None:
-        """Let all go on that waits for the gate: see `held`."""
+        """Open the gate for all waiting runs: see `held`."""
         self.folder.with_name("gate").touch()
 
     def start(self, *words: str, **more: Any) -> subprocess.Popen[str]:
-        """`sierra WORDS`, begun."""
+        """Start `sierra WORDS`."""
         return projects.start(self.folder, *words, **more)
 
     def ask(self, *words: str) -> subprocess.CompletedProcess[str]:
-        """`sierra WORDS`, to its end; what it says has no traceback in it."""
+        """Run `sierra WORDS` to its end; check that its output has no traceback."""
         return self.end_of(self.start(*words))
 
     def quick(self, *words: str) -> subprocess.CompletedProcess[str]:
-        """The same within this process: see `projects.quick`."""
+        """Run `sierra WORDS` within this process: see `projects.quick`."""
         done = projects.quick(self.folder, *words)
         assert "fault in SIERRA" not in done.stderr
         return done
@@ -201,28 +201,28 @@ class Simulated:
         return rows
 
     def executed(self) -> Counter[str]:
-        """How often each run has been begun."""
+        """Return how often each run was begun."""
         return Counter(self._executed.read_text().split())
 
     def until_executed(self, count: int, process: subprocess.Popen[str] | None = None) -> None:
-        """Wait until so many runs have been begun, or the process has ended."""
+        """Wait until this number of runs was begun, or the process has ended."""
         begun = self.executed
         until(lambda: begun().total() >= count or (process and process.poll() is not None), f"{count} runs begin")
 
     def work(self) -> list[Path]:
-        """The sessions that have left something."""
+        """Return the session folders that are left."""
         return sorted(path for path in self.folder.glob(".sierra/work/*") if path.name not in ("lock", "mark"))
 
     def journals(self) -> list[dict[str, Any]]:
-        """What the journals of these sessions say."""
+        """Return the events in the journals of these sessions."""
         texts = []
         for path in self.folder.glob(".sierra/work/*/journal.jsonl"):
-            with contextlib.suppress(FileNotFoundError):  # what it says has been recorded meanwhile
+            with contextlib.suppress(FileNotFoundError):  # the session has been recorded meanwhile
                 texts.append(path.read_text())
         return [json.loads(line) for text in texts for line in text.split("\n")[:-1]]
 
     def left_running(self) -> list[int]:
-        """Processes that belong to this project: workers and runs."""
+        """Return the processes of this project: workers and runs."""
         found = []
         for process in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
@@ -232,7 +232,7 @@ class Simulated:
         return found
 
     def worker(self) -> int | None:
-        """The process id of the worker, if one is there."""
+        """Return the process id of the worker; None without a worker."""
         for pid in self.left_running():
             with contextlib.suppress(OSError):
                 if b"SIERRA_RUN_ID=" not in Path(f"/proc/{pid}/environ").read_bytes():
@@ -247,7 +247,7 @@ class Simulated:
 
 @pytest.fixture
 def simulate(tmp_path: Path) -> Iterator[Callable[..., Simulated]]:
-    """Makes a project with a simulator that does what a shell script does; ends what it has left."""
+    """Yield a function that makes a project with a shell script as simulator; end its processes afterwards."""
     made: list[Simulated] = []
 
     def simulate(script: str = f"sleep 0.03; {PRINTS}", *, name: str = "a project's") -> Simulated:

@@ -1,4 +1,4 @@
-"""Images of this machine's own programs, made in a second and without a registry; and projects whose runs execute in them."""
+"""Images with programs of this machine, made quickly and without a registry, and projects whose runs use them."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ for tick in 0 1 2; do echo $tick,$((count * tick + seed % 100)) >> swarm.csv; do
 
 
 def busybox(folder: Path) -> Path:
-    """An archive of an image with a shell and the usual tools; 2 MB."""
+    """Make an archive of an image with a shell and the usual tools; 2 MB."""
     applets = subprocess.run([BUSYBOX, "--list"], capture_output=True, text=True, check=True).stdout.split()
     links = [(f"bin/{name} -> busybox", "") for name in applets if name != "busybox"]
     return _archive(folder / "busybox.tar", ("bin/busybox", BUSYBOX.read_bytes()), *links)
 
 
 def python(folder: Path) -> Path:
-    """The same with the system's Python: its program, its library, and what the loader gives them."""
+    """Make an archive of an image with the system's Python: its program and its libraries."""
     real = PYTHON.resolve()
     library = Path("/usr/lib") / real.name
     files = [path for path in library.rglob("*") if path.is_file() and not LEFT_OUT.search(str(path))]
@@ -45,7 +45,7 @@ def python(folder: Path) -> Path:
 
 
 def furnish(root: Path, *applets: str) -> None:
-    """Make a folder the root of an image with these of busybox's tools."""
+    """Make a folder the root of an image with these tools of busybox."""
     for name in (*FOLDERS, "bin"):
         (root / name).mkdir(parents=True, exist_ok=True)
     shutil.copy(BUSYBOX, root / "bin" / "busybox")
@@ -54,7 +54,7 @@ def furnish(root: Path, *applets: str) -> None:
 
 
 def host(folder: Path, *programs: Path) -> Path:
-    """An image of just these programs of the machine's, where they are here, with their libraries."""
+    """Make an image with only these programs of the machine, at the same paths, and their libraries."""
     loaded = {path for program in programs for path in _loaded(program.resolve())}
     members = [(str(path).lstrip("/"), path.resolve().read_bytes()) for path in (*programs, *sorted(loaded))]
     return _archive(folder / "host.tar", *members)
@@ -72,7 +72,7 @@ def _loaded(program: Path) -> tuple[Path, ...]:
 
 
 def make(folder: Path, image: Path | str, *more: str, command: str = "sh sim.sh {input}", simulator: str = SIMULATOR) -> Path:
-    """A project whose runs execute in an image, which is pinned; `more` are further lines of [container]; the folder."""
+    """Make a project whose runs use a pinned image; `more` are further lines of [container]. Return its folder."""
     config = projects.CONFIG.replace("python3 sim.py {input}", command)
     container = "\n".join(("[container]", f'image = "{image}"', *more))
     projects.make(folder, f"{config}{container}\n")
@@ -84,7 +84,7 @@ def make(folder: Path, image: Path | str, *more: str, command: str = "sh sim.sh 
 
 
 def left(folder: Path) -> list[str]:
-    """The containers that podman has for a project's runs, running or not."""
+    """Return the containers of podman for a project's runs, running or not."""
     listed = subprocess.run(["podman", "ps", "--all", "--quiet"], capture_output=True, text=True, check=True).stdout.split()
     told = subprocess.run(["podman", "container", "inspect", *listed], capture_output=True, text=True, check=False)
     known = json.loads(told.stdout or "[]") if listed else []
@@ -92,7 +92,7 @@ def left(folder: Path) -> list[str]:
 
 
 def sleepers(mark: str) -> Iterator[int]:
-    """The processes of this machine, in containers and out of them, that have a word among their arguments."""
+    """Yield the processes of this machine, inside and outside containers, with a given argument."""
     for process in Path("/proc").glob("[0-9]*"):
         try:
             if mark.encode() in (process / "cmdline").read_bytes().split(b"\0"):

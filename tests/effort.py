@@ -1,4 +1,4 @@
-"""How much work something is, whatever the machine: in multiples of a fixed piece of work, measured beside it."""
+"""Measure computing time independently of the machine: in multiples of a fixed piece of work."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ TRIES = 3
 
 
 def effort(call: Callable[[], object]) -> float:
-    """Return the computing time of a call in units; one takes about 0.05 s, and more where the machine is slow or busy.
+    """Return the computing time of a call in units; one takes about 0.05 s, and more if the machine is slow or busy.
 
-    The least of some tries counts: what others do meanwhile only adds to it.
+    Return the minimum of several measurements: other processes only increase the time.
     """
     return min(_seconds(call) / _seconds(_unit) for _ in range(TRIES))
 

@@ -3,7 +3,7 @@
 Starting `sierra` takes half a second of computing, nearly all of it for imports. A fork of a process that has imported
 everything takes 10 ms. Each process of tests starts one server, when it first needs it. To callers, a forked child is what
 `subprocess.Popen` returns: it has its own process id, working directory, environment, streams and signals. It differs from the
-real program in what the kernel says of it (`/proc/PID/cmdline`, `/proc/PID/environ`) and in the time that imports take.
+real program in the kernel's information (`/proc/PID/cmdline`, `/proc/PID/environ`) and in the time of imports.
 
 Forking is safe because the server has one thread, opens no database and calls nothing that starts a pool of threads; it
 checks the number of its threads.
@@ -33,7 +33,7 @@ from typing import Any, TextIO
 SIERRA = Path(sys.executable).with_name("sierra")
 ENDING = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP, signal.SIGTERM)
 READ_AT_START = ("PYTHON", "LANG", "LC_", "LD_", "MPL", "OPENBLAS", "OMP_", "ARROW_", "JE_")
-"""How the names of the variables begin that an interpreter or a library reads only when it starts."""
+"""Prefixes of variables that an interpreter or a library reads only when it starts."""
 
 NUMBER = struct.Struct("!i")
 NOT_IMPORTED = ("sierra.setup.examples", "sierra.testing", "sierra.worker")
@@ -52,11 +52,11 @@ LIBRARIES = (
     "pydantic.type_adapter",
     "rich.progress",
 )
-"""What commands and libraries import only when they need it."""
+"""Modules that commands and libraries import only when they need them."""
 
 
 class Popen(subprocess.Popen[str]):
-    """A process `sierra WORDS`, forked from the server; started as usual if the server cannot give what is wanted."""
+    """A process `sierra WORDS`, forked from the server, or started as usual if a fork does not meet the request."""
 
     _forked: socket.socket | None = None
 
@@ -104,7 +104,7 @@ class Popen(subprocess.Popen[str]):
 
 
 def _number(server: socket.socket) -> int:
-    """Return the number that the server sends next: a child's id, then how it ended."""
+    """Return the next number that the server sends: the id of a child, then its exit code."""
     data = server.recv(NUMBER.size)
     assert data, "the fork server has ended before its child"
     return int(NUMBER.unpack(data)[0])
@@ -125,8 +125,8 @@ def run(
 
 
 def _can_fork(args: Any, cwd: Any, environment: Mapping[str, str] | None) -> bool:
-    """Return whether a fork is as good as the program started anew."""
-    if not hasattr(os, "pidfd_open") or isinstance(args, str | bytes):  # only Linux has the one
+    """Return whether a fork behaves like a new process of the program."""
+    if not hasattr(os, "pidfd_open") or isinstance(args, str | bytes):  # only Linux has pidfd_open
         return False
     if Path(os.fspath(args[0])) != SIERRA or (cwd and not Path(os.fspath(cwd)).is_dir()):
         return False
@@ -144,7 +144,7 @@ def _umask() -> int:
 
 
 class _Server:
-    """The server, as its client sees it."""
+    """The client's side of the server."""
 
     def __init__(self) -> None:
         self.environment = dict(os.environ)
@@ -159,7 +159,7 @@ class _Server:
         atexit.register(self._end)
 
     def ask(self, request: Mapping[str, Any], streams: list[int]) -> socket.socket:
-        """Make the server fork; return the socket on which it says the child's id, and its exit code when it has ended."""
+        """Make the server fork; return the socket on which it sends the child's id and, after its end, its exit code."""
         ours, theirs = socket.socketpair()
         text = json.dumps(request).encode()
         with self._lock, theirs:
@@ -182,12 +182,12 @@ def _server() -> _Server:
     return _SERVER
 
 
-# What follows happens in the server.
+# The following functions run in the server.
 
 
 def serve(control: socket.socket) -> None:
-    """Fork a child for each request, and report how each ended, until nobody is there who could ask."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # a child that gets one before it is ready gets it then
+    """Fork a child for each request and report its exit code, until all clients have ended."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # signals are delivered to a child when it is ready
     _import_all()
     watched = selectors.DefaultSelector()
     watched.register(control, selectors.EVENT_READ)
@@ -253,7 +253,7 @@ def _report(pidfd: int, child: int, answer: socket.socket) -> None:
 
 
 def _become(request: Mapping[str, Any], descriptors: list[int]) -> None:
-    """Be the program `sierra` with these words, from the start of its interpreter to its end."""
+    """Act as the program `sierra` with these words, from the start of its interpreter to its end."""
     for own, theirs in enumerate(descriptors[1:]):
         os.dup2(theirs, own)
     os.closerange(3, max(int(path.name) for path in Path("/proc/self/fd").iterdir()) + 1)

@@ -1,4 +1,4 @@
-"""Container images made by hand: layers, archives of all forms, SIFs; and a storage of podman's that only one test has."""
+"""Container images made by hand: layers, archives of all formats, and SIFs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from typing import Any
 from sierra.containers.images.image import machine
 
 Member = tuple[str, str | bytes] | tarfile.TarInfo
-"""A path and what a file there holds; a folder ends with a slash; `->` in the path makes a link, `=>` a hard one."""
+"""A path and the content of the file; a folder ends with a slash; `->` in the path makes a link, `=>` a hard link."""
 
 
 def layer(*members: Member) -> bytes:
-    """A tar of these members."""
+    """Return a tar archive of these members."""
     out = io.BytesIO()
     with tarfile.open(fileobj=out, mode="w", format=tarfile.PAX_FORMAT) as tar:
         for member in members:
@@ -51,7 +51,7 @@ def device(path: str) -> tarfile.TarInfo:
 
 
 def config(layers: Iterable[bytes], **more: Any) -> bytes:
-    """An OCI configuration of these layers."""
+    """Return an OCI configuration of these layers."""
     diff_ids = ["sha256:" + sha256(one) for one in layers]
     made = {"architecture": machine(), "os": "linux", "rootfs": {"type": "layers", "diff_ids": diff_ids}, **more}
     return json.dumps(made).encode()
@@ -64,7 +64,7 @@ def sha256(data: bytes) -> str:
 def docker_archive(
     path: Path, layers: Sequence[bytes], configuration: bytes | None = None, *, tag: str = "", **changed: bytes | None
 ) -> Path:
-    """A docker-archive; `changed` replaces its files, or leaves them out: `config`, `manifest`, `layer0`, …"""
+    """Write a docker-archive; `changed` replaces or omits its files: `config`, `manifest`, `layer0`, …"""
     configuration = config(layers) if configuration is None else configuration
     names = [f"{sha256(one)}.tar" for one in layers]
     manifest = [{"Config": f"{sha256(configuration)}.json", "RepoTags": [tag] if tag else None, "Layers": names}]
@@ -85,7 +85,7 @@ def oci_archive(
     said: Mapping[str, Any] | None = None,
     **changed: bytes | None,
 ) -> Path:
-    """An oci-archive, its layers packed; `said` changes what the manifest says of its first layer."""
+    """Write an oci-archive with compressed layers; `said` changes the manifest's description of its first layer."""
     configuration = config(layers) if configuration is None else configuration
     packed = [pack(one) for one in layers]
     described = [_descriptor("layer.v1.tar+gzip", one) for one in packed]
@@ -118,7 +118,7 @@ def _written(path: Path, files: Mapping[str, tuple[str, bytes]], changed: Mappin
 def sif(
     path: Path, system: bytes, *, architecture: bytes = b"02", kind: int = 1, partitions: int = 1, overlays: int = 0
 ) -> Path:
-    """A SIF with a file system, laid out as apptainer does it: header, descriptors, data."""
+    """Write a SIF with a file system, in the layout of apptainer: header, descriptors, data."""
     offset = 4096
     header = struct.pack(
         "<32s10s3s3s16s8q", b"#!/usr/bin/env run-singularity\n", b"SIF_MAGIC\0", b"01", architecture, bytes(16),

@@ -1,19 +1,19 @@
-"""A small PBS in one folder: `qsub`, `qstat` and `qdel` that behave as those of OpenPBS 23.06, or of Torque 6, were seen to.
+"""A small PBS in one folder: `qsub`, `qstat` and `qdel` with the observed behaviour of OpenPBS 23.06, or of Torque 6.
 
 No server runs: each command reads and writes one file, under a lock. Scripts really execute, in processes that outlive the
-command, in the user's home folder, with the few variables that PBS gives. On the standard library alone, for it is what the
-commands are, too. What is as it is there:
+command, in the user's home folder, with the few variables that PBS sets. It uses only the standard library, because the
+commands run this file. It has these properties of a real PBS:
 
-- an array of one index is refused (OpenPBS), and so is a script on the standard input of none (here: at all);
-- of what has ended, nothing is known (153); with a history, that it has ended (35); Torque shows it for a while, as C;
-- the elements of a living array that have ended are X; the array's own exit status is 0 (or 1) whatever theirs are, and
-  without a history it is what the elements show, too;
-- only the array is held, or waits for others, and not its elements;
-- a job whose time is over is asked to end, and nobody says so afterwards but a history;
-- what a job printed is copied to the host of `qsub`, also where that is `/dev/null`, which may take long; until then it is E;
-- text is folded, by a line feed and a tab; JSON may be broken by a quote;
-- jobs that wait for others are held by the system; where those fail, they are deleted; and so are those that wait for one
-  that OpenPBS does not know (any more): it takes them all the same.
+- an array of one index is refused (OpenPBS), and so is an empty script on standard input (here: any script there);
+- ended jobs are unknown (153), or, with a history, reported as ended (35); Torque shows them for a while, as C;
+- ended array tasks of a running array are X; the array's exit status is 0 (or 1) for any status of its tasks, and
+  without a history the tasks show it, too;
+- only the array is held, or waits for others, and not its array tasks;
+- a job at its time limit gets a signal to end, and only a history reports this later;
+- the output of a job is copied to the host of `qsub`, even to `/dev/null`, which may take long; until then its state is E;
+- long lines of text are wrapped by a line feed and a tab; a quotation mark may make the JSON invalid;
+- jobs that wait for others are held by the system; if those fail, they are deleted; and so are jobs that wait for one
+  that OpenPBS does not know (any more): it accepts them nevertheless.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ DEFAULTS: dict[str, Any] = {
 
 
 class Server:
-    """What tests hold: its folder of commands is to be put first on the PATH."""
+    """The server as tests use it: its folder of commands must be first on the PATH."""
 
     def __init__(self, folder: Path, dialect: str) -> None:
         self._folder = folder
@@ -73,34 +73,34 @@ class Server:
             program.chmod(0o755)
 
     def set(self, **settings: Any) -> None:
-        """As an administrator does."""
+        """Change settings, as an administrator does."""
         with opened(self._folder) as state:
             state.update(settings)
 
     def change(self, number: int, **attributes: Any) -> None:
-        """Give attributes to a job (`comment`, `hold`), as a scheduler or an administrator does."""
+        """Set attributes of a job (`comment`, `hold`), as a scheduler or an administrator does."""
         with opened(self._folder) as state:
             state["jobs"][str(number)].update(attributes)
 
     def calls(self) -> list[list[str]]:
-        """The commands that were called since this was last asked."""
+        """Return the commands that were called since the last call of this method."""
         log = self._folder / "calls"
         lines = log.read_text().splitlines() if log.exists() else []
         log.write_text("")
         return [json.loads(line) for line in lines]
 
     def waiting(self) -> None:
-        """Let nothing begin."""
+        """Keep all jobs queued."""
         self.set(slots=0)
 
     def begin(self) -> None:
-        """Let what waits begin."""
+        """Let queued jobs begin."""
         with opened(self._folder) as state:
             state["slots"] = 8
             schedule(self._folder, state)
 
     def end(self) -> None:
-        """End all that runs."""
+        """End all running jobs."""
         with opened(self._folder) as state:
             state["slots"] = 0
             for job in state["jobs"].values():
@@ -110,7 +110,7 @@ class Server:
 
 @contextlib.contextmanager
 def opened(folder: Path) -> Iterator[dict[str, Any]]:
-    """What the server knows, alone, and written again."""
+    """Yield the server's state under a lock, and write it back."""
     with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         file = folder / "state.json"
@@ -196,7 +196,7 @@ def qsub(folder: Path, state: dict[str, Any], words: list[str]) -> None:
 
 
 def directives(text: str) -> list[str]:
-    """What the script says, up to its first command."""
+    """Return the directives of a script, up to its first command."""
     words: list[str] = []
     for line in text.splitlines():
         if line.startswith("#PBS "):
@@ -239,7 +239,7 @@ def check(state: dict[str, Any], dialect: str, options: dict[str, list[str]], pl
 
 
 def never(state: dict[str, Any], options: dict[str, list[str]]) -> str:
-    """What the scheduler says of a request that no node satisfies."""
+    """Return the scheduler's comment on a request that no node satisfies."""
     asked = [int(cores) for words in options.get("l", []) for cores in re.findall(r"(?:ncpus|ppn)=(\d+)", words)]
     if max(asked, default=1) <= state["cpus"]:
         return ""
@@ -248,7 +248,7 @@ def never(state: dict[str, Any], options: dict[str, list[str]]) -> str:
 
 
 def wall(options: dict[str, list[str]]) -> float | None:
-    """Seconds that a job may take."""
+    """Return the time limit of a job in seconds."""
     found = re.search(r"walltime=(\d+):(\d+):(\d+)", " ".join(options.get("l", [])))
     return int(found[1]) * 3600 + int(found[2]) * 60 + int(found[3]) if found else None
 
@@ -258,7 +258,7 @@ def identity(number: str, job: dict[str, Any], place: str = "") -> str:
 
 
 def found(state: dict[str, Any], text: str) -> tuple[str, str] | None:
-    """The number of a job that is known, and the place of the element that is meant."""
+    """Return the number of a known job, and the position of the array task."""
     match = re.fullmatch(r"(\d+)(?:\[(\d*)\])?(?:\.\S+)?", text)
     job = state["jobs"].get(match[1]) if match else None
     return None if not match or job is None or not known(state, job) else (match[1], match[2] or "")
@@ -273,7 +273,7 @@ def alive(job: dict[str, Any]) -> bool:
 
 
 def schedule(folder: Path, state: dict[str, Any]) -> None:
-    """Begin what has a slot; jobs that wait for one that failed are deleted."""
+    """Begin jobs that have a slot; delete jobs that wait for a failed one."""
     free = state["slots"] - sum(task["state"] in "RE" for job in state["jobs"].values() for task in job["tasks"].values())
     for number, job in state["jobs"].items():
         waits = job["depend"] and after(state, job)
@@ -294,7 +294,7 @@ def after(state: dict[str, Any], job: dict[str, Any]) -> bool:
 
 def begin(folder: Path, number: str, place: str, job: dict[str, Any], task: dict[str, Any], *, torque: bool) -> None:
     home = os.environ.get("HOME", "/")
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # until who executes it can heed it
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # until its executor can handle it
     environment = {
         "HOME": home,
         "PATH": "/usr/bin:/bin",
@@ -319,12 +319,12 @@ def begin(folder: Path, number: str, place: str, job: dict[str, Any], task: dict
         start_new_session=True,
     )
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
-    process.returncode = 0  # it is left alone; init takes it over
+    process.returncode = 0  # no wait: init reaps it
     task.update(state="R", pid=process.pid)
 
 
 def execute(folder: str, number: str, place: str, shell: str, script: str) -> None:
-    """What PBS has on a node: it executes one task and tells the server of its end. It ends with its task's process group."""
+    """Execute one task, as PBS on a node does, and report its end to the server; end with the task's process group."""
     task: subprocess.Popen[bytes] | None = None
     asked = False
 
@@ -332,12 +332,12 @@ def execute(folder: str, number: str, place: str, shell: str, script: str) -> No
         nonlocal asked
         asked = True
         if task is not None:
-            with contextlib.suppress(ProcessLookupError):  # it has ended by itself
+            with contextlib.suppress(ProcessLookupError):  # the task has ended by itself
                 os.killpg(task.pid, signal.SIGTERM)
 
     signal.signal(signal.SIGTERM, end)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
-    with opened(Path(folder)) as state:  # not before the server has noted that it was begun
+    with opened(Path(folder)) as state:  # wait until the server has recorded its start
         limit = state["jobs"][number]["wall"]
     spool = Path(folder) / f"{number}.{place}.OU"
     with spool.open("w") as output:
@@ -362,7 +362,7 @@ def execute(folder: str, number: str, place: str, shell: str, script: str) -> No
 
 
 def deliver(spool: Path, job: dict[str, Any], place: str, *, torque: bool) -> None:
-    """Copy what a task printed where the job wants it; Torque adds an element's index, even to /dev/null."""
+    """Copy a task's output to the path of the job; Torque adds the index of an array task, even to /dev/null."""
     target = job["output"].removeprefix("localhost:") + (f"-{place}" if torque and place else "")
     if target != "/dev/null":
         spool.replace(target if not target.startswith("/dev/") else spool.with_name("undelivered"))
@@ -434,7 +434,7 @@ def qstat(folder: Path, state: dict[str, Any], words: list[str]) -> None:
 
 
 def listed(state: dict[str, Any], ids: list[str], *, torque: bool) -> tuple[int, dict[str, dict[str, Any]]]:
-    """Of these jobs, or of all that have not ended (in Torque: of all), the records; and the exit status."""
+    """Return the exit status and records of these jobs, or of all that have not ended (in Torque: of all)."""
     numbers, status = list(state["jobs"]), 0
     if ids:
         numbers = []

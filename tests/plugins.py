@@ -1,4 +1,4 @@
-"""Packages with plug-ins: the one in tests/plugin, really installed, and small ones that are written for a test."""
+"""Packages with plug-ins: the installed package of tests/plugin, and small ones that are written for a test."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PIP = ("-m", "pip", "--quiet", "--disable-pip-version-check", "install", "--no-d
 
 
 def install(folder: Path) -> Path:
-    """Build the package in tests/plugin and install it; the folder that belongs on Python's path."""
+    """Build the package in tests/plugin and install it; return the folder for Python's path."""
     source = shutil.copytree(SOURCE, folder / "source")
     target = folder / "installed"
     subprocess.run([sys.executable, *PIP, "--target", str(target), str(source)], check=True, timeout=300)
@@ -21,7 +21,7 @@ def install(folder: Path) -> Path:
 
 
 def project(folder: Path, *more: str) -> Path:
-    """Copy the project of the package, with further lines in its sierra.toml; its folder."""
+    """Copy the project of the package, with further lines in its sierra.toml; return its folder."""
     shutil.copytree(SOURCE / "project", folder)
     with (folder / "sierra.toml").open("a") as file:
         file.writelines(f"{line}\n" for line in more)
@@ -29,7 +29,7 @@ def project(folder: Path, *more: str) -> Path:
 
 
 def write(folder: Path, name: str, points: Mapping[str, str], code: str = "", version: str = "1") -> Path:
-    """Write an installed package with one module; `points` are its entry points, as `GROUP NAME` and the class; the folder."""
+    """Write an installed package with one module; return its folder. `points` maps `GROUP NAME` to a class."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{name}.py").write_text(code)
     info = folder / f"{name}-{version}.dist-info"

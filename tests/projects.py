@@ -1,4 +1,4 @@
-"""A tiny project for tests: a simulator that reads one XML and writes one CSV, and how the command line is called."""
+"""A tiny project for tests: a simulator that reads one XML and writes one CSV, and calls of the command line."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from sierra.util import signals
 from tests import forkserver
 
 typer.main.get_command = functools.cache(typer.main.get_command)
-"""Else each command within this process would make all commands anew, which takes as long as what many of them do."""
+"""Cached, because each call within this process would build all commands again, which is slow."""
 
 SIERRA = forkserver.SIERRA
-"""The program itself; `sierra` and `start` do not start it, but fork a process that has imported it: see `forkserver`."""
+"""The program itself; `sierra` and `start` do not start it but fork a process that has imported it: see `forkserver`."""
 
 SIMULATOR = """\
 import sys
@@ -61,7 +61,7 @@ noise = "//noise"
 
 
 def make(folder: Path, config: str = CONFIG, *, simulator: str = SIMULATOR, template: str = TEMPLATE) -> Path:
-    """Write a project into a folder, which is made; the folder."""
+    """Write a project into a new folder; return the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "sim.py").write_text(simulator)
     (folder / "arena.xml").write_text(template)
@@ -70,9 +70,9 @@ def make(folder: Path, config: str = CONFIG, *, simulator: str = SIMULATOR, temp
 
 
 def commit(folder: Path, message: str = "first") -> Path:
-    """Commit all that is there, in a git repository that is made if there is none; the folder.
+    """Commit all files, in a new git repository if there is none; return the folder.
 
-    The same content at the same place in a history is the same commit, whenever it is made.
+    The same content with the same history gives the same commit at any time.
     """
     environment = os.environ | dict.fromkeys(("GIT_AUTHOR_DATE", "GIT_COMMITTER_DATE"), "2026-01-01T00:00:00Z")
     author = ("-c", "user.name=a", "-c", "user.email=a@b")
@@ -84,18 +84,18 @@ def commit(folder: Path, message: str = "first") -> Path:
 def sierra(
     folder: Path, *words: str, stdin: str = "", environment: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
-    """Call the command line in a folder, as a user does, without a terminal."""
+    """Run the command line in a folder, as a user does, without a terminal."""
     return forkserver.run(*words, cwd=folder, stdin=stdin, environment={**os.environ, **(environment or {})}, timeout=200)
 
 
 def start(folder: Path, *words: str, **more: Any) -> forkserver.Popen:
-    """Begin a call of the command line in a folder; `more` is what `subprocess.Popen` takes."""
+    """Start the command line in a folder; `more` are arguments of `subprocess.Popen`."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     return forkserver.Popen([SIERRA, *words], cwd=folder, **{**pipes, **more})
 
 
 def quick(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """The same within this process, where that it is one of its own is not the subject: no time goes into starting Python."""
+    """Run the command line within this process, without the time to start Python."""
     out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.StringIO()
     before = sys.argv, sys.stdin
     handlers = {number: signal.getsignal(number) for number in signals.ENDING}

@@ -1,6 +1,6 @@
-"""A SLURM with accounting: a slurmdbd, and a MariaDB of its own, in the cluster's folder. Debian: see `make system`.
+"""A SLURM with accounting: a slurmdbd and its own MariaDB in the cluster's folder. Debian: see `make system`.
 
-All who may submit have the account `physics`, and the QOS `normal` (without limits) or `small`, which is the default.
+All users have the account `physics`, and the QOS `normal` (without limits) or `small`, which is the default.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from tests.waiting import until
 
 PROGRAMS = ("slurmdbd", "sacctmgr", "mariadbd", "mariadb-install-db")
 SMALL = ("MaxSubmitJobsPerUser=5", "MaxWall=00:20:00")
-"""What the QOS `small` allows."""
+"""The limits of the QOS `small`."""
 
 
 class Accounted(Slurm):
-    """One cluster, with accounting that is enforced."""
+    """One cluster with enforced accounting."""
 
     def __init__(self, root: Path) -> None:
         self._database, self._daemon = clusters.free_ports(2)
@@ -46,7 +46,7 @@ class Accounted(Slurm):
         }
         configuration = root / "slurmdbd.conf"
         configuration.write_text("".join(f"{name}={value}\n" for name, value in lines.items()))
-        configuration.chmod(0o600)  # slurmdbd refuses any other
+        configuration.chmod(0o600)  # slurmdbd refuses other modes
 
     def start(self) -> None:
         super().start()
@@ -60,7 +60,7 @@ class Accounted(Slurm):
         self._account("modify", "user", *where, "set", "DefaultQOS=small")
 
     def stop(self) -> None:
-        for name in ("slurmctld", "slurmdbd", "mariadbd"):  # each would wait for the next
+        for name in ("slurmctld", "slurmdbd", "mariadbd"):  # each waits for the next one
             if name in self._processes:
                 self._kill(name)
         super().stop()
@@ -91,6 +91,6 @@ class Accounted(Slurm):
 
 
 def needed(require: Callable[..., str]) -> None:
-    """Skip, or fail, where accounting can't be had."""
+    """Skip the test, or fail, if accounting is not available."""
     clusters.needed(require)
     clusters.programs(require, PROGRAMS)

@@ -28,11 +28,11 @@ print("complained", file=sys.stderr)
 
 
 IRRELEVANT = (".git/index", ".git/hooks/", ".git/logs/")
-"""Files of a repository that differ though commits and what is checked out are the same."""
+"""Files of a repository that differ although commits and checked-out files are equal."""
 
 
 def make(folder: Path) -> Path:
-    """A project with three batches, two of which share runs, and a replay; its folder."""
+    """Make a project with three batches, two of which share runs, and a replay; return its folder."""
     root = projects.make(folder, simulator=SIMULATOR)
     project = sierra.open(root)
     first = project.run("population_size=1,2", figures=False).batch
@@ -43,14 +43,14 @@ def make(folder: Path) -> Path:
 
 
 def ask(root: Path, *query: str, **more: Any) -> str:
-    """The batch that answers a query. Where an equal project was asked the same before, its store is copied."""
+    """Run a query; return its batch. The store is copied if an equal project has run the same query before."""
     files = {str(path.relative_to(root)): path.read_bytes() for path in sorted(root.rglob("*")) if path.is_file()}
     if any(name.startswith(".sierra/") for name in files):
         return _asked(root, query, more)
     for name in [name for name in files if name.startswith(IRRELEVANT)]:
         del files[name]
     key = hashlib.sha256(repr((files, query, more)).encode()).hexdigest()
-    kept = Path(os.environ["XDG_CACHE_HOME"], "asked", key)  # the tests' own: see conftest
+    kept = Path(os.environ["XDG_CACHE_HOME"], "asked", key)  # a cache of the tests: see conftest
     if kept.exists():
         shutil.copytree(kept / ".sierra", root / ".sierra", symlinks=True)
     else:
@@ -65,12 +65,12 @@ def _asked(root: Path, query: Sequence[str], more: Mapping[str, Any]) -> str:
 
 
 def copy(root: Path, target: Path) -> Path:
-    """The same project elsewhere."""
+    """Copy a project to another folder."""
     shutil.copytree(root, target, symlinks=True)
     return target
 
 
 def state(root: Path) -> dict[str, bytes]:
-    """Every file of a store, by its path in it."""
+    """Return every file of a store by its path in the store."""
     store = root / ".sierra"
     return {str(path.relative_to(store)): path.read_bytes() for path in sorted(store.rglob("*")) if path.is_file()}

@@ -1,4 +1,4 @@
-"""Users without rights, and functions that are called as one of them: with what containers can do for such a user."""
+"""Users without privileges, functions that are called as such a user, and their settings for containers."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from pathlib import Path
 
 IDS = "100000-165535"
 STORAGE = '[storage]\ndriver = "overlay"\n[storage.options.overlay]\nignore_chown_errors = "true"\n'
-"""Without it, users without /dev/fuse get copies of whole images; and users without ids of their own get nothing."""
+"""Without it, users without /dev/fuse get copies of whole images, and users without a range of ids no image."""
 
 
 @dataclass(frozen=True, slots=True)
 class User:
-    """A user without rights, and their home."""
+    """A user without privileges, and their home."""
 
     name: str
     home: Path
@@ -29,7 +29,7 @@ class User:
 
 @contextlib.contextmanager
 def a_user(name: str, *, ids: bool) -> Iterator[User]:
-    """A user who is gone afterwards, with all that they left running; with or without a range of ids. For root alone."""
+    """Yield a new user, with or without a range of ids; remove the user and their processes at the end. Needs root."""
     home = Path(tempfile.mkdtemp(prefix=f"{name}-"))
     _system("useradd", "--no-create-home", "--home-dir", str(home), "--shell", "/bin/sh", name)
     try:
@@ -59,16 +59,16 @@ def _end_all_of(user: int) -> None:
 
 
 def called_as(user: User | None, function: Callable[[], None]) -> None:
-    """Call a function as a user, in a process of its own, with nothing of this one's environment but PATH.
+    """Call a function as a user, in a separate process, with only PATH of this environment.
 
-    Raises AssertionError with what went wrong. None is whoever runs the tests, in this process.
+    Raise AssertionError with the error. None stands for the user who runs the tests, in this process.
     """
     if user is None:
         function()
         return
     ear, mouth = os.pipe()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of forking beside threads: the child only needs its own
+        warnings.simplefilter("ignore", DeprecationWarning)  # about forking with threads: the child needs only its own
         child = os.fork()
     if child == 0:
         os.close(ear)
@@ -81,7 +81,7 @@ def called_as(user: User | None, function: Callable[[], None]) -> None:
 
 
 def _become(user: User, function: Callable[[], None], mouth: int) -> None:
-    """Be that user until the end, and say through a pipe what went wrong."""
+    """Become that user until the end, and report errors through a pipe."""
     try:
         os.set_inheritable(mouth, False)
         entry = pwd.getpwnam(user.name)

@@ -1,4 +1,4 @@
-"""Waiting for what another process will have done."""
+"""Waiting for conditions that other processes fulfil."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Callable
 from typing import Any
 
 PATIENCE_S = 300.0
-"""Longer than anything takes on a busy machine; who waits so long has found a fault."""
+"""Longer than any wait on a busy machine; a longer wait shows a fault."""
 
 
-def until(there: Callable[[], Any], what: Any = "it is so", seconds: float = PATIENCE_S) -> None:
-    """Wait for something to come true; `what` says what it is, or is called to say how things are instead.
+def until(there: Callable[[], Any], what: Any = "the condition is true", seconds: float = PATIENCE_S) -> None:
+    """Wait until a condition is true; `what` describes it, or is called to describe the actual state.
 
-    A file or a process that comes or goes while it is looked at is not there yet.
+    A file or a process that appears or disappears during the check counts as missing.
     """
     give_up = time.monotonic() + seconds
     while not _quietly(there):
-        assert time.monotonic() < give_up, f"waited in vain until {what() if callable(what) else what}"
+        assert time.monotonic() < give_up, f"gave up waiting until {what() if callable(what) else what}"
         time.sleep(0.02)
 
 

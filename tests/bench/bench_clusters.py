@@ -1,11 +1,11 @@
-"""Clusters: what packing saves and costs, on a real SLURM with one node of two cores.
+"""Clusters: the costs and savings of packing runs, on a real SLURM with one node of two cores.
 
     python tests/bench/bench_clusters.py [runs] [--slow]
 
-The jobs that SIERRA is compared with are written by hand, and loop over the same program with xargs: one makes a folder and two
-files for each run, one does nothing beside. All are measured from their submission, SIERRA's to the last run's record, the jobs
-to their last line. Beside that, the same as an array of one element a run, though with six times as many slots. `--slow`: what
-100,000 runs take, from asking to the last record.
+The compared jobs are written by hand, and loop over the same program with xargs: one makes a folder and two
+files for each run, one does nothing else. All times begin at submission; SIERRA's end at the last run's record, the jobs'
+at their last line. Another job is an array of one task for each run, with six times as many slots. `--slow`: the time and
+memory for 100,000 runs, from submission to the last record.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="?", type=int, default=1000)
-    parser.add_argument("--slow", action="store_true", help="what takes long, instead of the others")
+    parser.add_argument("--slow", action="store_true", help="only the slow benchmarks")
     arguments = parser.parse_args()
     if os.geteuid() != 0 or not all(shutil.which(name, path=os.environ["PATH"] + clusters.SBIN) for name in clusters.PROGRAMS):
         print("clusters: a SLURM can't be started here (as root, on Debian: make system)")
         return
     with clusters.folder() as folder, clusters.Slurm(folder, nodes=1, cpus=2) as cluster:
         os.environ.update(cluster.environment, XDG_CACHE_HOME=str(folder / "cache"))
-        asked(clustered(folder / "first", "array_tasks = 1\ncpus = 2\n"), 4)  # a day's first batch has nodes looked at before
+        asked(clustered(folder / "first", "array_tasks = 1\ncpus = 2\n"), 4)  # the first batch of a day probes nodes
         if arguments.slow:
             many(folder, 100 * arguments.runs)
             return
@@ -67,29 +67,29 @@ def main() -> None:
 
 
 def packed(folder: Path, runs: int) -> None:
-    """A batch of runs that do nothing, on two slots, against one job that loops over them."""
+    """Compare a batch of runs that do nothing, on two slots, with one job that loops over them."""
     for elements, cpus in ((1, 2), (2, 1)):
         here = clustered(folder / f"{elements}x{cpus}", f"array_tasks = {elements}\ncpus = {cpus}\n")
         taken = [(*asked(here, runs), *(looped(folder, script, runs) for script in (LOOP, BARE))) for _ in range(TIMES)]
         ours, whole, loop, bare = (statistics.median(times) for times in zip(*taken, strict=True))
         say(f"{runs} runs of true, {elements} x {cpus} cores / xargs -P2, with folders", ours, loop, "at most 1.5")
         say(f"{runs} runs of true, {elements} x {cpus} cores / xargs -P2, nothing more", ours, bare, "at most 1.5")
-        print(f"  all of sierra run: {whole:.2f} s", flush=True)
+        print(f"  the whole sierra run: {whole:.2f} s", flush=True)
 
 
 def looped(folder: Path, script: str, runs: int) -> float:
-    """Seconds that a job takes which loops."""
+    """Return the seconds of a job that loops over runs."""
     return submitted(folder / "loop", script % runs, "-c2")
 
 
 def array(folder: Path, runs: int) -> None:
-    """What is not to be done: an element for each run."""
+    """Measure an array with one task for each run, which is bad practice."""
     one = submitted(folder / "array", ARRAY, "-c1", f"--array=0-{runs - 1}", count=runs)
     say(f"{runs} runs of true, an array on 12 slots / xargs -P2, with folders", one, looped(folder, LOOP, runs), "over 40 s")
 
 
 def asked(here: Path, runs: int) -> tuple[float, float]:
-    """Seconds from the submission of a batch that nobody has asked for yet to its last record, and those of all of it."""
+    """Return the seconds from the submission of a new batch to its last record, and the seconds of the whole command."""
     shutil.rmtree(here / ".sierra", ignore_errors=True)
     began = time.time()
     with subprocess.Popen(words(runs), cwd=here, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
@@ -107,7 +107,7 @@ def words(runs: int, *more: str) -> list[str]:
 
 
 def handed(here: Path) -> float | None:
-    """When a job was handed over, as far as that was yet."""
+    """Return the time of submission of a job; None before it."""
     return next((file.stat().st_mtime for file in here.glob(".sierra/work/*/sent/0.json")), None)
 
 
@@ -118,7 +118,7 @@ def wait(there: Callable[[], float | None], process: subprocess.Popen[bytes]) ->
 
 
 def submitted(folder: Path, script: str, *options: str, count: int = 1) -> float:
-    """Seconds from the submission of a job to its last line, or to that of the last of so many elements."""
+    """Return the seconds from the submission of a job to its last line, or to that of the last of `count` array tasks."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     began = time.time()
@@ -138,7 +138,7 @@ def say(what: str, ours: float, theirs: float, promise: str) -> None:
 
 
 def many(folder: Path, runs: int) -> None:
-    """What submitting so many runs takes, and recording them; and what lies on the shared side in between."""
+    """Measure submission and recording of many runs, and the files on the shared disk in between."""
     here = clustered(folder / "many", "cpus = 2\n")
     own = files(here)
     began = time.time()
@@ -151,7 +151,7 @@ def many(folder: Path, runs: int) -> None:
     while subprocess.run(["squeue", "--noheader"], capture_output=True, check=True).stdout:
         time.sleep(2)
     executed = time.time() - began - whole
-    print(f"  executed in {executed:.0f} s; files beside the project's own: {files(here) - own}  (at most 100)")
+    print(f"  executed in {executed:.0f} s; files in addition to the project's own: {files(here) - own}  (at most 100)")
     began = time.time()
     peak = peak_of([SIERRA, "attach", session.name, "--no-figures"], here)
     recorded = time.time() - began
@@ -161,7 +161,7 @@ def many(folder: Path, runs: int) -> None:
 
 
 def counted_by_sql(here: Path) -> str:
-    """What is recorded: how many executions, of how many runs; and of how many each, and how many good."""
+    """Describe the records: numbers of executions, of runs, of executions per run, and of successful ones."""
     text = (
         "SELECT count(*) AS executions, count(DISTINCT execution) AS different, count(DISTINCT run) AS of_runs, "
         "count(*) FILTER (status = 'ok') AS good, (SELECT count(*) FROM batch_runs) AS asked FROM executions"
@@ -171,7 +171,7 @@ def counted_by_sql(here: Path) -> str:
 
 
 def idle(folder: Path) -> None:
-    """What following costs while nothing begins: questions to the scheduler, and time of a core."""
+    """Measure the costs of following queued jobs: queries to the scheduler, and CPU time."""
     subprocess.run(["sbatch", "--quiet", "-c2", "--output=/dev/null", "--wrap=sleep 1000"], check=True)
     here = clustered(folder / "idle", "")
     log = counted(folder / "counted")
@@ -190,7 +190,7 @@ def idle(folder: Path) -> None:
 
 
 def counted(folder: Path) -> Path:
-    """Commands of SLURM that write down each call; the file that they write to."""
+    """Write wrappers of SLURM's commands that log each call; return the log file."""
     folder.mkdir()
     log = folder / "calls"
     log.touch()
@@ -201,13 +201,13 @@ def counted(folder: Path) -> Path:
 
 
 def cpu_of(pid: int) -> float:
-    """Seconds of a core that a process, and what it has waited for, have used."""
+    """Return the CPU seconds of a process and of the children that it has waited for."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return sum(int(field) for field in fields[11:15]) / os.sysconf("SC_CLK_TCK")
 
 
 def peak_of(argv: list[str], here: Path) -> float:
-    """MB that a command has taken at most; it has to end well."""
+    """Return the peak memory of a command in MB; it must succeed."""
     process = subprocess.Popen(argv, cwd=here, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     if status != 0:

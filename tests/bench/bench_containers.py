@@ -1,9 +1,9 @@
-"""Containers: what SIERRA costs beyond the bare engine, and what a container that is shared saves.
+"""Containers: the overhead of SIERRA over the bare engine, and the savings of a shared container.
 
     python tests/bench/bench_containers.py [runs]
 
-The engine's loop is `xargs -P2` over the very command that SIERRA starts a run with, in folders made likewise. The targets are
-1.1 times that loop, and for 1,000 runs in shared containers 3 times those without any.
+The engine's loop is `xargs -P2` over the command with which SIERRA starts a run, in equal folders. The targets are
+1.1 times that loop, and for 1,000 runs in shared containers 3 times the time without containers.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def main() -> None:
             shared = contained(folder / "shared", f'[container]\nimage = "{containers.python(folder)}"\nisolation = "worker"\n')
             plain = project(folder / "plain", command="true {input}")
             both = in_turn(seconds_of(lambda: ask(shared, 10 * runs)), seconds_of(lambda: ask(plain, 10 * runs)))
-            say(f"{10 * runs} runs of true, a container a slot / none", *both, "at most 3")
+            say(f"{10 * runs} runs of true, one container per slot / none", *both, "at most 3")
 
 
 def contained(folder: Path, container: str) -> Path:
@@ -53,7 +53,7 @@ def contained(folder: Path, container: str) -> Path:
 
 
 def ask(here: Path, runs: int) -> None:
-    """A batch that nobody has asked for yet; what is known of the image stays."""
+    """Execute a new batch; keep the cached information about the image."""
     for entry in (here / ".sierra").glob("*"):
         if entry.is_dir() and entry.name != "images":
             shutil.rmtree(entry)
@@ -64,7 +64,7 @@ def ask(here: Path, runs: int) -> None:
 
 
 def loop(here: Path, engine: str, runs: int, folder: Path) -> Callable[[], float]:
-    """The same runs without SIERRA: a folder each, with an input file."""
+    """Return a function that executes the same runs without SIERRA, each in a folder with an input file."""
     import sierra
     from sierra.containers import session_isolation
     from sierra.execution import commands
@@ -105,7 +105,7 @@ def seconds_of(what: Callable[[], None]) -> Callable[[], float]:
 
 
 def in_turn(ours: Callable[[], float], theirs: Callable[[], float]) -> tuple[float, float]:
-    """The medians of two things that take turns."""
+    """Return the medians of two measurements that alternate."""
     measured = [(ours(), theirs()) for _ in range(TIMES)]
     return statistics.median(one for one, _ in measured), statistics.median(other for _, other in measured)
 

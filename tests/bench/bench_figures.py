@@ -1,9 +1,9 @@
-"""Figures: `sierra.deliverables.figures` against a script that draws the same from the same aggregates, in three formats.
+"""Figures: `sierra.deliverables.figures` compared with a script that draws the same aggregates in three formats.
 
     python tests/bench/bench_figures.py [experiments] [times] [figures]
 
-Both draw a time series with bands and a summary with intervals for each of several columns; each in processes of its
-own, which say their CPU seconds (import included) and how many the drawing took. The target is a ratio of at most 1.3.
+Both draw a time series with bands and a summary with intervals for each of several columns, each in separate
+processes, which print their CPU seconds with imports and those of drawing. The target is a ratio of at most 1.3.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ REPEATS = 5
 
 
 def aggregates(experiments: int, times: int) -> tuple[Any, Any]:
-    """A table over time and one over the axis, as statistics in SQL give them."""
+    """Return a table over time and a table over the axis, as statistics in SQL compute them."""
     import numpy as np
     import pyarrow as pa
 
@@ -35,7 +35,7 @@ def aggregates(experiments: int, times: int) -> tuple[Any, Any]:
 
 
 def ours(experiments: int, times: int, figures: int, folder: Path) -> float:
-    """CPU seconds that SIERRA takes."""
+    """Return the CPU seconds of SIERRA."""
     from sierra.config.project_file import Figure
     from sierra.deliverables.figures.base import Drawing, draw
     from sierra.model import Axis
@@ -52,7 +52,7 @@ def ours(experiments: int, times: int, figures: int, folder: Path) -> float:
 
 
 def by_hand(experiments: int, times: int, figures: int, folder: Path) -> float:
-    """CPU seconds that a script as people write it takes."""
+    """Return the CPU seconds of a typical script written by hand."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -93,7 +93,7 @@ def _finish(figure: Any, plot: Any, xlabel: str, path: Path) -> None:
 
 
 def main(experiments: int = 8, times: int = 500, figures: int = 5) -> None:
-    """Both in turn, several times; the fastest of each counts, since only that is free of what else the machine does."""
+    """Run both alternately, several times; compare the fastest of each, which other processes disturbed least."""
     best: dict[str, tuple[float, float]] = {}
     for _ in range(REPEATS):
         for name in ("ours", "by_hand"):

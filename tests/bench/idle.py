@@ -1,4 +1,4 @@
-"""The project that is measured: its simulator does nothing."""
+"""The project for measurements: its simulator does nothing."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TEMPLATE = '<experiment seed="1"><swarm count="3"/></experiment>\n'
 
 
 def project(folder: Path, more: str = "", *, command: str = "/bin/true {input}") -> Path:
-    """Such a project in a folder that is made, unless it is there; `more` is added to its sierra.toml."""
+    """Make the project in a folder, unless it exists; `more` is added to its sierra.toml."""
     folder.mkdir(exist_ok=True)
     (folder / "sierra.toml").write_text(TOML.replace("/bin/true {input}", command) + more)
     (folder / "template.xml").write_text(TEMPLATE)

@@ -1,11 +1,11 @@
-"""What SIERRA itself costs, as ratios to something else, measured in one go: `make bench`.
+"""Measure the overhead of SIERRA as ratios to other programs: `make bench`.
 
-Every figure is the median of several measurements, and SIERRA and what it is compared with take turns, so that a
-busy machine spoils both alike. Nothing is asserted; the promise beside each ratio is what README says.
+Every figure is the median of several measurements. SIERRA and the compared program alternate, so that a
+busy machine affects both equally. Nothing is asserted; each ratio is printed with its target.
 
-    make bench                 all but the slow ones
+    make bench                 all but the slow benchmarks
     .venv/bin/python tests/bench/run.py runs recording     some of them
-    .venv/bin/python tests/bench/run.py --slow             what takes long, too
+    .venv/bin/python tests/bench/run.py --slow             also the slow ones
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SIERRA = str(Path(sys.executable).with_name("sierra"))
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("which", nargs="*", help=f"some of: {', '.join(BENCHES)}")
-    parser.add_argument("--slow", action="store_true", help="100,000 runs too, and what else takes long")
+    parser.add_argument("--slow", action="store_true", help="also the slow benchmarks, such as 100,000 runs")
     arguments = parser.parse_args()
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     for name, bench in BENCHES.items():
@@ -43,12 +43,12 @@ def main() -> None:
 
 
 def say(what: str, ours: float, theirs: float, promise: str) -> None:
-    """One line: our time, the other's, the ratio, and what is promised."""
+    """Print one line: the time of SIERRA, the other time, the ratio, and the target."""
     print(f"{what:58} {ours:8.2f} s  {theirs:8.2f} s  ratio {ours / theirs:5.2f}  ({promise})", flush=True)
 
 
 def in_turn(times: int, ours: Callable[[], None], theirs: Callable[[], None]) -> tuple[float, float]:
-    """The medians of two things that take turns."""
+    """Return the medians of two measurements that alternate."""
     measured: tuple[list[float], list[float]] = ([], [])
     for _ in range(times):
         for place, what in enumerate((ours, theirs)):
@@ -59,14 +59,14 @@ def in_turn(times: int, ours: Callable[[], None], theirs: Callable[[], None]) ->
 
 
 def quietly(*argv: str, cwd: Path | None = None, code: int = 0) -> None:
-    """A command that must end so; its output is thrown away."""
+    """Run a command, check its exit code, and discard its output."""
     done = subprocess.run(argv, cwd=cwd, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False)
     if done.returncode != code:
         sys.exit(f"{' '.join(argv)}: exit status {done.returncode}: {done.stderr.decode()}")
 
 
 def xargs(folder: Path, count: int) -> None:
-    """The same processes without SIERRA: a folder each, two files written in it."""
+    """Run the same processes without SIERRA, each in a folder with two files."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     script = f"seq {count} | xargs -P2 -I@ sh -c 'mkdir @ && cd @ && /bin/true @ >stdout 2>stderr'"
@@ -74,7 +74,7 @@ def xargs(folder: Path, count: int) -> None:
 
 
 def runs(folder: Path) -> None:
-    """1,000 runs of a program that does nothing, all recorded."""
+    """Measure 1,000 recorded runs of a program that does nothing."""
     here = project(folder / "project")
 
     def ours() -> None:
@@ -109,7 +109,7 @@ print(*(f"{what}={after - before}" for (_, before), (what, after) in zip(parts, 
 
 
 def provenance(folder: Path) -> None:
-    """What source, programs, versions and environment cost a batch of 1,000 runs; nothing of it is done per run."""
+    """Measure the costs of source, programs, versions and environment for a batch of 1,000 runs; none is per run."""
     here = project(folder / "project")
     quietly("git", "init", "-q", str(here))
     began = time.perf_counter()
@@ -132,14 +132,14 @@ def provenance(folder: Path) -> None:
 
 
 def capture(here: Path, cache: Path) -> dict[str, float]:
-    """The seconds of each part of it, in a process of its own."""
+    """Return the seconds of each part, measured in a separate process."""
     around = {**os.environ, "XDG_CACHE_HOME": str(cache)}
     done = subprocess.run((sys.executable, "-c", CAPTURE), cwd=here, env=around, capture_output=True, text=True, check=True)
     return {part: float(seconds) for part, seconds in (word.split("=") for word in done.stdout.split())}
 
 
 def linear(folder: Path) -> None:
-    """10,000 runs; and asking for them again."""
+    """Measure 10,000 runs, and the repetition of their query."""
     here = project(folder / "project")
     ask = (SIERRA, "run", "population_size=1,2,3,4", "--runs", "2500", "-j2", "--no-figures")
     say(
@@ -158,7 +158,7 @@ def linear(folder: Path) -> None:
 
 
 def many(folder: Path) -> None:
-    """100,000 runs: how much memory SIERRA takes."""
+    """Measure the memory of SIERRA for 100,000 runs."""
     here = project(folder / "project")
     began = time.perf_counter()
     quietly(SIERRA, "run", "population_size=1,2,3,4", "--runs", "25000", "-j2", "--no-figures", cwd=here)
@@ -167,7 +167,7 @@ def many(folder: Path) -> None:
 
 
 def recording(folder: Path) -> None:
-    """1,000 CSV files of 1,000 rows and 5 columns."""
+    """Measure the recording of 1,000 CSV files of 1,000 rows and 5 columns."""
     import duckdb
     import pyarrow as pa
     import pyarrow.csv
@@ -208,7 +208,7 @@ def recording(folder: Path) -> None:
 
 
 def start(folder: Path) -> None:
-    """How quickly the command line answers."""
+    """Measure the start time of the command line."""
     small = folder / "small.py"
     small.write_text(
         "import typer\napp = typer.Typer()\n\n@app.command()\ndef one(x: int = 1) -> None: ...\n\n"
@@ -222,7 +222,7 @@ def start(folder: Path) -> None:
 
 
 def listing(folder: Path) -> None:
-    """`sierra ls` over 1,000 batches and 1,000,000 runs."""
+    """Measure `sierra ls` with 1,000 batches and 1,000,000 runs."""
     from sierra.store.store import Store
 
     here = project(folder / "project")
@@ -252,7 +252,7 @@ def listing(folder: Path) -> None:
 
 
 def fill(store: object, *, batches: int, runs: int) -> None:
-    """Records of batches that nobody executed, as `sierra run` writes them."""
+    """Write records of batches without execution, in the form of `sierra run`."""
     from datetime import UTC, datetime
 
     import pyarrow as pa
@@ -286,7 +286,7 @@ def fill(store: object, *, batches: int, runs: int) -> None:
 
 
 def snapshot(folder: Path) -> None:
-    """The working tree of a repository of 50,000 files, and git alone on the same."""
+    """Measure snapshots of a repository with 50,000 files, compared with git alone."""
     from sierra.provenance import source
 
     here = folder / "repository"
@@ -328,7 +328,7 @@ def snapshot(folder: Path) -> None:
 
 
 def median_of(times: int, prepare: Callable[[], object], what: Callable[[], None]) -> float:
-    """The median of what is measured each time after something that is not."""
+    """Return the median time of a function, each time after a preparation that is not measured."""
     measured = []
     for _ in range(times):
         prepare()
@@ -339,7 +339,7 @@ def median_of(times: int, prepare: Callable[[], object], what: Callable[[], None
 
 
 def fsck(folder: Path) -> None:
-    """Checking a store of 400 MB of recorded files, and one of many small runs."""
+    """Measure fsck for a store with 400 MB of recorded files, and for one with many small runs."""
     here = project(folder / "large")
     toml = (here / "sierra.toml").read_text()
     (here / "sierra.toml").write_text(toml.replace("/bin/true {input}", "dd if=/dev/urandom of=noise bs=1M count=10"))
@@ -353,29 +353,29 @@ def fsck(folder: Path) -> None:
 
 
 def figures(folder: Path) -> None:
-    """Figures in three formats, by SIERRA and by a script written by hand."""
+    """Measure figures in three formats, by SIERRA and by a script written by hand."""
     del folder
     subprocess.run([sys.executable, str(HERE / "bench_figures.py")], check=True)
 
 
 def containers(folder: Path) -> None:
-    """Runs in containers against the bare engine, and shared containers against none; in a process of their own."""
+    """Compare runs in containers with the bare engine, and shared containers with none, in a separate process."""
     subprocess.run([sys.executable, str(HERE / "bench_containers.py")], check=True)
 
 
 def clusters(folder: Path, *more: str) -> None:
-    """Batches on a SLURM of its own against jobs written by hand; in a process of their own."""
+    """Compare batches on a separate SLURM with jobs written by hand, in a separate process."""
     del folder
     subprocess.run([sys.executable, str(HERE / "bench_clusters.py"), *more], check=True)
 
 
 def large_clusters(folder: Path) -> None:
-    """What takes long of that: an array without packing, and 100,000 runs."""
+    """Run the slow benchmarks of clusters: an array without packing, and 100,000 runs."""
     clusters(folder, "--slow")
 
 
 def schema_of(table: str) -> tuple[list[str], list[object]]:
-    """A recorded table's columns and their types."""
+    """Return the columns of a recorded table and their types."""
     from sierra.store.schema import arrow_schema
 
     schema = arrow_schema(table)

@@ -1,4 +1,4 @@
-"""What was recorded is the same elsewhere: in a second checkout, at another path, for another user with another home."""
+"""Records are valid elsewhere: in a second checkout, at another path, for another user with another home."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ AS_ANOTHER = ("unshare", "--user", "--map-user=1234", "--map-group=1234")
 
 
 def as_another(folder: Path, *words: str) -> tuple[int, dict[str, Any]]:
-    """Call the command line as somebody else: another name and home, and where the kernel allows it another user id."""
+    """Run the command as somebody else: another name and home, and, if the kernel allows it, another user id."""
     allowed = shutil.which("unshare") and not subprocess.run([*AS_ANOTHER, "true"], check=False, capture_output=True).returncode
     home = folder.parent / "another's home"
     home.mkdir(exist_ok=True)
@@ -36,7 +36,7 @@ def as_another(folder: Path, *words: str) -> tuple[int, dict[str, Any]]:
 
 
 def clone(root: Path, to: Path) -> Path:
-    """A second checkout, with a copy of the store."""
+    """Return a second checkout with a copy of the store."""
     subprocess.run(["git", "clone", "--quiet", "--no-local", str(root), str(to)], check=True)
     shutil.copytree(root / ".sierra", to / ".sierra")
     return to
@@ -44,7 +44,7 @@ def clone(root: Path, to: Path) -> Path:
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> tuple[Path, str]:
-    """A committed project with a recorded batch."""
+    """Return a committed project with a recorded batch."""
     root = projects.commit(projects.make(tmp_path / "first" / "project"))
     batch: str = sierra.open(root).run("population_size=1,2", figures=False).batch
     return root, batch
@@ -60,7 +60,7 @@ def test_a_second_checkout_has_the_same_ids_and_replays_identically(recorded: tu
     assert (code, said["batch"], said["executed"], said["reused"]) == (0, batch, 0, 4)
 
 
-def test_without_the_store_a_second_checkout_gives_the_same_batch_and_the_same_results(
+def test_a_second_checkout_without_the_store_gives_the_same_batch_and_results(
     recorded: tuple[Path, str], tmp_path: Path
 ) -> None:
     root, batch = recorded
@@ -72,7 +72,7 @@ def test_without_the_store_a_second_checkout_gives_the_same_batch_and_the_same_r
 
 
 @pytest.mark.nightly
-def test_an_old_commit_replays_in_a_second_checkout_that_has_gone_on(recorded: tuple[Path, str], tmp_path: Path) -> None:
+def test_an_old_commit_replays_in_a_second_checkout_with_newer_commits(recorded: tuple[Path, str], tmp_path: Path) -> None:
     root, batch = recorded
     (root / "sim.py").write_text(projects.SIMULATOR.replace("count * tick", "count * tick + 1"))
     projects.commit(root, "second")
@@ -82,7 +82,7 @@ def test_an_old_commit_replays_in_a_second_checkout_that_has_gone_on(recorded: t
     assert as_another(second, "run", "population_size=1,2", "--no-figures")[1]["batch"] != batch
 
 
-def test_what_was_never_committed_is_missing_elsewhere_and_named(recorded: tuple[Path, str], tmp_path: Path) -> None:
+def test_code_that_was_never_committed_is_reported_as_missing_elsewhere(recorded: tuple[Path, str], tmp_path: Path) -> None:
     root, _ = recorded
     (root / "sim.py").write_text(projects.SIMULATOR.replace("count * tick", "count * tick + 1"))
     batch = sierra.open(root).run("population_size=1,2", figures=False).batch

@@ -30,7 +30,7 @@ def quick_(*arguments: str, cwd: Path) -> str:
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """The example, copied out, with one query answered."""
+    """Return a copy of the example after one query, and the output of that query."""
     folder = tmp_path_factory.mktemp("demo") / "swarm"
     sierra_("init", "--example", "swarm", str(folder), cwd=folder.parent)
     return folder, json.loads(sierra_("run", "population_size=1,4", "--runs", "3", "--json", cwd=folder))
@@ -43,14 +43,14 @@ def _mujoco(require: Any) -> None:
     require("mujoco", there=find_spec("mujoco") is not None)
 
 
-def test_the_example_is_a_project() -> None:
+def test_the_example_is_a_valid_project() -> None:
     project = project_file.parse(tomllib.loads((EXAMPLE / "sierra.toml").read_text()), "swarm")
     assert {"random_walk", "pheromone"} <= project.controllers.keys()
     assert {"open", "cluttered"} <= project.scenarios.keys()
     assert "scalability" in project.queries
 
 
-def test_every_run_is_executed_and_good(demo: tuple[Path, dict[str, Any]]) -> None:
+def test_every_run_is_executed_successfully(demo: tuple[Path, dict[str, Any]]) -> None:
     _, answer = demo
     assert {name: answer[name] for name in ("experiments", "runs", "executed", "reused", "failed")} == {
         "experiments": 2,
@@ -78,26 +78,26 @@ def test_figures_are_drawn_in_three_formats(demo: tuple[Path, dict[str, Any]]) -
     assert all(Path(path).stat().st_size > 1000 for path in answer["figures"])
 
 
-def test_figures_drawn_again_are_the_same_bytes(demo: tuple[Path, dict[str, Any]]) -> None:
+def test_figures_that_are_drawn_again_are_byte_identical(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, answer = demo
     before = {path: Path(path).read_bytes() for path in answer["figures"]}
     again = json.loads(quick_("figures", answer["batch"][:12], "--json", cwd=folder))
     assert {path: Path(path).read_bytes() for path in again} == before
 
 
-def test_asking_again_executes_nothing(demo: tuple[Path, dict[str, Any]]) -> None:
+def test_repeating_the_query_executes_no_runs(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, answer = demo
     again = json.loads(quick_("run", "population_size=1,4", "--runs", "3", "--json", "--no-figures", cwd=folder))
     assert (again["batch"], again["executed"], again["reused"]) == (answer["batch"], 0, 6)
 
 
-def test_more_runs_execute_only_what_is_new(demo: tuple[Path, dict[str, Any]]) -> None:
+def test_more_runs_per_experiment_execute_only_the_new_runs(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, _ = demo
     more = json.loads(quick_("run", "population_size=1,4", "--runs", "4", "--json", "--no-figures", cwd=folder))
     assert (more["executed"], more["reused"]) == (2, 6)
 
 
-def test_two_variables_make_all_combinations_and_a_heat_map(demo: tuple[Path, dict[str, Any]]) -> None:
+def test_two_variables_give_all_combinations(demo: tuple[Path, dict[str, Any]]) -> None:
     folder, _ = demo
     asked = ("run", "controller=random_walk,pheromone", "population_size=1,4", "--runs", "1", "--json")
     answer = json.loads(quick_(*asked, cwd=folder))
@@ -113,7 +113,7 @@ def test_two_variables_make_all_combinations_and_a_heat_map(demo: tuple[Path, di
     }
 
 
-def test_twenty_runs_replay_identically_whatever_becomes_of_the_code(tmp_path: Path) -> None:
+def test_twenty_runs_replay_identically_after_changes_of_the_code(tmp_path: Path) -> None:
     folder = tmp_path / "swarm"
     quick_("init", "--example", "swarm", str(folder), cwd=tmp_path)
     projects.commit(folder)

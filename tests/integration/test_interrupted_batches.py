@@ -1,4 +1,4 @@
-"""Whatever ends SIERRA, its worker or its runs: asking again finishes the batch, and nothing is lost, doubled or left."""
+"""After any end of SIERRA, its worker or its runs, the same command completes the batch without loss or duplicates."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Disk = Callable[[Path, str], Path]
 
 
 def assert_complete(project: Any, runs: int = RUNS) -> None:
-    """Every run has one good execution, its table is there once, and nothing is left of the askings."""
+    """Check that every run has one successful execution and one table, and that no session is left."""
     assert project.sql("SELECT count(*) AS n, count(DISTINCT run) AS runs FROM executions WHERE status = 'ok'") == [
         {"n": runs, "runs": runs}
     ]
@@ -44,7 +44,7 @@ def assert_complete(project: Any, runs: int = RUNS) -> None:
 
 
 def ended_well(project: Any) -> set[str]:
-    """Runs whose end is recorded in the store or stands in a journal."""
+    """Return the runs whose end is recorded in the store or in a journal."""
     ends = {e["run"] for e in project.journals() if e["event"] == "end" and e["exit_code"] == 0 and not e["stopped"]}
     if (project.folder / ".sierra" / "format").exists():
         ends |= {row["run"] for row in project.sql("SELECT run FROM executions WHERE status = 'ok'")}
@@ -58,7 +58,7 @@ def kill(pid: int | None) -> None:
 
 
 @pytest.mark.nightly
-def test_a_run_that_stops_itself_is_told_of_and_goes_on_when_it_is_continued(simulate: Simulate) -> None:
+def test_a_run_that_stops_itself_is_reported_and_can_be_continued(simulate: Simulate) -> None:
     project = simulate(f"kill -STOP $$; {PRINTS}")
     asking = project.start("run", "size=1", "-j", "1", "--runs", "1", "--no-figures")
     said = next(line for line in asking.stderr if "makes no progress: a signal stopped its processes" in line)
@@ -81,7 +81,7 @@ def strike(victim: str, project: Any, sierra: subprocess.Popen[str]) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("repetition", range(16))
-def test_asking_again_after_a_kill_at_any_moment_finishes_the_batch(simulate: Simulate, repetition: int) -> None:
+def test_the_same_command_completes_the_batch_after_a_kill_at_any_time(simulate: Simulate, repetition: int) -> None:
     chance = random.Random(repetition)
     victim = ("sierra", "worker", "both", "everything")[repetition % 4]
     project = simulate()
@@ -102,7 +102,7 @@ def test_asking_again_after_a_kill_at_any_moment_finishes_the_batch(simulate: Si
     assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
 
 
-def test_a_joiner_records_what_a_killed_session_had_finished(simulate: Simulate) -> None:
+def test_a_second_session_records_the_finished_runs_of_a_killed_one(simulate: Simulate) -> None:
     project = simulate(held(12))
     one = project.start(*ASKED)
     project.until_executed(3, one)
@@ -120,7 +120,7 @@ def test_a_joiner_records_what_a_killed_session_had_finished(simulate: Simulate)
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, number: int) -> None:
+def test_an_interrupted_session_keeps_finished_runs(simulate: Simulate, number: int) -> None:
     project = simulate(held(12))
     sierra = project.start(*ASKED)
     project.until_executed(8, sierra)
@@ -136,7 +136,7 @@ def test_an_interrupted_asking_keeps_what_had_finished(simulate: Simulate, numbe
     assert {run for run, n in project.executed().items() if n > 1} & good == set()
 
 
-def test_an_asking_whose_terminal_is_closed_keeps_what_had_finished(simulate: Simulate) -> None:
+def test_a_session_whose_terminal_is_closed_keeps_finished_runs(simulate: Simulate) -> None:
     project = simulate(held(12))
     terminal, theirs = pty.openpty()
     words = ["setsid", "--ctty", str(projects.SIERRA), *ASKED]
@@ -150,7 +150,7 @@ def test_an_asking_whose_terminal_is_closed_keeps_what_had_finished(simulate: Si
     assert 6 <= counted["good"] == counted["n"] < RUNS
 
 
-def test_interrupting_twice_does_not_wait_for_the_grace_time(simulate: Simulate) -> None:
+def test_a_second_interrupt_ends_the_session_without_grace_time(simulate: Simulate) -> None:
     said = 'touch "${0%/*}/../asked"'
     project = simulate(f"""trap '{said}' TERM; {said.replace("asked", "deaf")}; for n in 1 2 3; do sleep 60 & wait; done""")
     config = project.folder / "sierra.toml"
@@ -168,7 +168,7 @@ def test_interrupting_twice_does_not_wait_for_the_grace_time(simulate: Simulate)
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("repetition", range(4))
-def test_signals_at_any_moment_tear_nothing_apart(simulate: Simulate, repetition: int) -> None:
+def test_signals_at_any_time_do_not_damage_the_batch(simulate: Simulate, repetition: int) -> None:
     chance = random.Random(repetition)
     project = simulate()
     sierra = project.start(*ASKED)
@@ -182,7 +182,7 @@ def test_signals_at_any_moment_tear_nothing_apart(simulate: Simulate, repetition
     assert_complete(project)
 
 
-def test_failed_runs_are_results_and_the_rest_goes_on(simulate: Simulate) -> None:
+def test_failed_runs_are_recorded_and_the_other_runs_continue(simulate: Simulate) -> None:
     project = simulate('grep -q size=.2 "$1" && { echo "no room" >&2; exit 9; }\nprintf "t,v\\n1,1\\n" > swarm.csv')
     done = project.quick("run", "size.Log4", "--runs", "3", "--no-figures")
     assert done.returncode == 1
@@ -197,7 +197,7 @@ def test_failed_runs_are_results_and_the_rest_goes_on(simulate: Simulate) -> Non
     assert sorted(project.executed().values()) == [1] * 6 + [2] * 3
 
 
-def test_the_first_failure_ends_all_if_asked_for(simulate: Simulate) -> None:
+def test_the_first_failure_ends_the_batch_with_fail_fast(simulate: Simulate) -> None:
     project = simulate('grep -q size=.1 "$1" && { sleep 0.2; exit 1; }\nsleep 600')
     done = project.quick("run", "size=1,2", "--runs", "3", "-j", "4", "--fail-fast", "--no-figures")
     assert done.returncode == 1
@@ -205,7 +205,7 @@ def test_the_first_failure_ends_all_if_asked_for(simulate: Simulate) -> None:
     assert (project.work(), project.left_running()) == ([], [])
 
 
-def test_a_killed_worker_is_said_in_one_line(simulate: Simulate) -> None:
+def test_a_killed_worker_is_reported_in_one_line(simulate: Simulate) -> None:
     project = simulate(held(8, f"setsid -f sleep 60; {PRINTS}"))
     sierra = project.start(*ASKED)
     project.until_executed(6, sierra)
@@ -220,7 +220,7 @@ def test_a_killed_worker_is_said_in_one_line(simulate: Simulate) -> None:
     assert_complete(project)
 
 
-def test_a_worker_asked_to_end_is_replaced(simulate: Simulate) -> None:
+def test_a_worker_that_gets_sigterm_is_replaced(simulate: Simulate) -> None:
     project = simulate(held(12))
     sierra = project.start(*ASKED)
     project.until_executed(6, sierra)
@@ -232,7 +232,7 @@ def test_a_worker_asked_to_end_is_replaced(simulate: Simulate) -> None:
     assert_complete(project)
 
 
-def test_half_written_files_of_a_killed_session_stop_nobody(simulate: Simulate) -> None:
+def test_incomplete_files_of_a_killed_session_do_not_block_others(simulate: Simulate) -> None:
     project = simulate()
     half = (("context.json", '{"sess'), ("claims.json", '["ab'), ("journal.jsonl", '{"event":"end"}\n{"ev'), ("owner.0", ""))
     for number, (name, text) in enumerate(half):
@@ -245,7 +245,7 @@ def test_half_written_files_of_a_killed_session_stop_nobody(simulate: Simulate) 
     assert_complete(project)
 
 
-def test_a_full_disk_is_said_and_what_had_finished_is_kept(simulate: Simulate, disk: Disk) -> None:
+def test_a_full_disk_is_reported_and_finished_runs_are_kept(simulate: Simulate, disk: Disk) -> None:
     project = simulate("head -c 150000 /dev/urandom > noise.bin; printf 't,v\\n1,1\\n2,4\\n' > swarm.csv")
     store = disk(project.folder / ".sierra", "3m")
     done = project.quick(*ASKED)
@@ -262,7 +262,7 @@ def test_a_full_disk_is_said_and_what_had_finished_is_kept(simulate: Simulate, d
     assert {run: n for run, n in project.executed().items() if n > 1 and run in finished} == {}
 
 
-def test_a_program_that_does_not_notice_a_full_disk_has_made_no_result(simulate: Simulate, disk: Disk) -> None:
+def test_a_program_that_ignores_a_full_disk_gives_no_result(simulate: Simulate, disk: Disk) -> None:
     project = simulate("printf 't,v\\n1,1\\n2,4\\n' > swarm.csv; head -c 2000000 /dev/zero 2> /dev/null > noise.bin || true")
     store = disk(project.folder / ".sierra", "1500k")
     done = project.quick(*ASKED)
@@ -276,7 +276,7 @@ def test_a_program_that_does_not_notice_a_full_disk_has_made_no_result(simulate:
     assert found == {"n": RUNS, "least": 2_000_000}
 
 
-def test_what_a_run_puts_in_place_of_its_folder_is_never_followed(simulate: Simulate, tmp_path: Path) -> None:
+def test_a_link_instead_of_a_runs_folder_is_never_followed(simulate: Simulate, tmp_path: Path) -> None:
     foreign = tmp_path / "foreign"
     for name in ("home", "tmp", "output"):
         (foreign / name).mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""After a fault of any kind, the next `sierra run` makes the store that an undisturbed run makes. See tests/soak."""
+"""After any fault, the next `sierra run` completes the store as an undisturbed run does. See tests/soak."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ KILLED = (
     "driver os.remove lock 1",
     "driver os.rmdir .sierra/work/# 1",
 )
-"""Points at which SIERRA or its worker is killed; `python -m tests.soak --points` lists all that there are."""
+"""Points at which SIERRA or its worker is killed; `python -m tests.soak --points` lists all points."""
 
 REFUSED: tuple[tuple[str, Action], ...] = (
     ("driver os.mkdir .sierra/work/# 1", "EACCES"),
@@ -52,7 +52,7 @@ REFUSED: tuple[tuple[str, Action], ...] = (
     ("driver os.remove swarm.csv 1", "EIO"),
     ("driver os.rename .sierra/segments/#-# 1", "interrupt"),
 )
-"""Points at which the system refuses what is done, or the user presses Ctrl-C."""
+"""Points at which the system refuses an operation, or the user presses Ctrl-C."""
 
 TIDYING = (
     ("gc", "driver os.mkdir .sierra/work/#/old 1"),
@@ -67,30 +67,30 @@ TIDYING = (
 
 @pytest.fixture
 def wanted(tmp_path_factory: pytest.TempPathFactory) -> Wanted:
-    """The content of the store after undisturbed runs."""
+    """Return the content of the store after undisturbed runs."""
     return undisturbed(tmp_path_factory.getbasetemp() / "soak")
 
 
 @pytest.fixture
 def place(tmp_path: Path) -> Place:
-    """A folder for a step, with chances that are always the same."""
+    """Return a folder for a step, with a fixed random seed."""
     return Place(tmp_path, Random(1), " two  blanks ")
 
 
 @pytest.mark.parametrize("point", [*KILLED[1::12], *at_night(set(KILLED) - set(KILLED[1::12]))])
-def test_a_kill_at_any_point_of_a_run_loses_nothing(place: Place, wanted: Wanted, point: str) -> None:
+def test_a_kill_at_any_point_of_a_run_loses_no_results(place: Place, wanted: Wanted, point: str) -> None:
     assert "not reached" not in steps.fault_at_a_point(place, wanted, point, "kill")
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("point", "action"), REFUSED)
-def test_an_operation_that_is_refused_loses_nothing(place: Place, wanted: Wanted, point: str, action: Action) -> None:
+def test_a_refused_operation_loses_no_results(place: Place, wanted: Wanted, point: str, action: Action) -> None:
     assert "not reached" not in steps.fault_at_a_point(place, wanted, point, action)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("command", "point"), TIDYING)
-def test_a_kill_while_the_store_is_rewritten_loses_nothing(place: Place, wanted: Wanted, command: str, point: str) -> None:
+def test_a_kill_while_the_store_is_rewritten_loses_no_results(place: Place, wanted: Wanted, command: str, point: str) -> None:
     done = steps.fault_in_maintenance(place, wanted, (command, "--yes"), point, "kill")
     assert "not reached" not in done
 
@@ -100,7 +100,7 @@ def test_a_kill_while_the_store_is_rewritten_loses_nothing(place: Place, wanted:
 @pytest.mark.parametrize(
     "step", [steps.flipped_bit, steps.fuzzed_calls, steps.fuzzed_settings, steps.full_disk, steps.many_at_once]
 )
-def test_the_store_stays_sound_after(
+def test_the_store_stays_sound_after_each_step(
     step: Callable[[Place, Wanted], str], seed: int, tmp_path: Path, wanted: Wanted, require: Any
 ) -> None:
     require("the right to mount a disk", there="left out" not in step(Place(tmp_path, Random(seed)), wanted))
@@ -108,6 +108,6 @@ def test_the_store_stays_sound_after(
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("days", [-400, 2])
-def test_a_clock_that_was_wrong_decides_nothing(place: Place, wanted: Wanted, days: int, require: Any) -> None:
+def test_a_wrong_clock_does_not_change_results(place: Place, wanted: Wanted, days: int, require: Any) -> None:
     require("faketime")
     steps.jumping_clock(place, wanted, days)

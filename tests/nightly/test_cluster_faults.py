@@ -1,4 +1,4 @@
-"""What may go wrong on a real SLURM beside: memory, disks, clocks, time limits, preemption, locks, and who submits."""
+"""More faults on a real SLURM: memory, disks, clocks, time limits, preemption, locks, and submitters."""
 
 from __future__ import annotations
 
@@ -52,11 +52,11 @@ with open("noise", "wb") as file:
 with open({log!r}, "a") as log:
     print(os.environ["SIERRA_RUN_ID"], file=log, flush=True)
 """
-"""A simulator that leaves much."""
+"""A simulator with large outputs."""
 
 
 def why(gated: Gated) -> str:
-    """What `sierra why` says of the last batch."""
+    """Return the output of `sierra why` for the last batch."""
     done = projects.sierra(gated.root, "why", gated.project.batches[-1]["batch"])
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -64,7 +64,7 @@ def why(gated: Gated) -> str:
 
 @pytest.fixture
 def gate(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[..., Gated]]:
-    """Makes a project whose runs end once a gate is open; `table` is added to what it says of the cluster."""
+    """Yield a function that makes a project whose runs wait for a gate; `table` extends its settings of the cluster."""
     made: list[Gated] = []
 
     def gate(table: str = "", *, on: Slurm | None = None, root: Path = tmp_path / "project", simulator: str = WAITING) -> Gated:
@@ -78,7 +78,7 @@ def gate(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[..
 
 @pytest.fixture
 def start(require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Slurm]]:
-    """Starts a cluster of the test's own."""
+    """Yield a function that starts a separate cluster."""
     clusters.needed(require)
     with contextlib.ExitStack() as stack:
 
@@ -93,7 +93,7 @@ def start(require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> Itera
 
 @pytest.fixture
 def instead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
-    """Puts a script in the place of a program, for one of its calls; `"$real"` is the program."""
+    """Return a function that replaces a program by a script for one of its calls; `"$real"` is the program."""
 
     def instead(name: str, script: str, call: int = 1) -> Path:
         folder = tmp_path / "programs"
@@ -103,7 +103,7 @@ def instead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Pa
         (folder / name).write_text(f"#!/bin/sh\nreal={shutil.which(name)}\n{passed}\n{script}\n")
         (folder / name).chmod(0o755)
         monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
-        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # so that there is a probe
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # force a probe
         return folder / f"call {call}"
 
     return instead
@@ -115,10 +115,10 @@ WATCHED = {
     "JobAcctGatherParams": "OverMemoryKill",
     "SelectTypeParameters": "CR_CPU_Memory",
 }
-"""Settings of a SLURM that kills what takes more memory than was asked for."""
+"""Settings of a SLURM that kills tasks over their requested memory."""
 
 
-def test_a_run_over_its_limit_of_memory_fails_on_a_node_and_no_other_does(gate: Callable[..., Gated]) -> None:
+def test_only_runs_over_their_memory_limit_fail_on_a_node(gate: Callable[..., Gated]) -> None:
     gated = gate('[limits]\nmemory = "200 MB"\n', simulator=HUNGRY)
     told = ended(gated.ask(), 1)
     assert "Traceback" not in told
@@ -128,7 +128,7 @@ def test_a_run_over_its_limit_of_memory_fails_on_a_node_and_no_other_does(gate: 
     at_rest(gated.slurm, gated.project)
 
 
-def test_what_slurm_kills_for_its_memory_has_failed_and_takes_nothing_with_it(
+def test_runs_that_slurm_kills_for_their_memory_fail_and_others_complete(
     gate: Callable[..., Gated], start: Callable[..., Slurm]
 ) -> None:
     gated = gate('memory = "200 MB"\nattempts = 2\n', on=start(settings=WATCHED), simulator=HUNGRY)
@@ -148,7 +148,7 @@ def test_what_slurm_kills_for_its_memory_has_failed_and_takes_nothing_with_it(
     at_rest(gated.slurm, gated.project)
 
 
-def test_what_takes_its_element_down_is_found_and_the_runs_beside_it_complete(
+def test_a_run_that_ends_its_array_task_is_identified_and_the_others_complete(
     gate: Callable[..., Gated], start: Callable[..., Slurm]
 ) -> None:
     slow = HUNGRY.replace("if count == 4:", "time.sleep(1 + count)\nif count == 4:")
@@ -166,7 +166,7 @@ def test_what_takes_its_element_down_is_found_and_the_runs_beside_it_complete(
     at_rest(gated.slurm, gated.project)
 
 
-def test_a_full_disk_of_a_node_is_said_and_room_completes_the_batch(
+def test_a_full_disk_of_a_node_is_reported_and_free_space_completes_the_batch(
     gate: Callable[..., Gated], start: Callable[..., Slurm], disk: Callable[[Path, str], Path], tmp_path: Path
 ) -> None:
     scratch = disk(tmp_path / "node's own", "500k")
@@ -185,7 +185,7 @@ def test_a_full_disk_of_a_node_is_said_and_room_completes_the_batch(
     assert list(scratch.iterdir()) == []
 
 
-def test_a_full_shared_disk_is_said_and_room_completes_the_batch(
+def test_a_full_shared_disk_is_reported_and_free_space_completes_the_batch(
     gate: Callable[..., Gated], start: Callable[..., Slurm], disk: Callable[[Path, str], Path], tmp_path: Path
 ) -> None:
     shared = disk(tmp_path / "shared", "5m")
@@ -198,7 +198,7 @@ def test_a_full_shared_disk_is_said_and_room_completes_the_batch(
     at_rest(gated.slurm, gated.project)
 
 
-def test_a_disk_that_is_full_when_results_are_recorded_loses_none(
+def test_a_disk_that_is_full_during_recording_loses_no_results(
     gate: Callable[..., Gated], start: Callable[..., Slurm], disk: Callable[[Path, str], Path], tmp_path: Path
 ) -> None:
     shared = disk(tmp_path / "shared", "20m")
@@ -234,7 +234,7 @@ int clock_gettime(clockid_t clock, struct timespec *told)
 """A clock that is an hour ahead."""
 
 
-def test_times_of_a_node_whose_clock_is_wrong_are_right(
+def test_times_from_a_node_with_a_wrong_clock_are_corrected(
     gate: Callable[..., Gated], tmp_path: Path, require: Callable[..., str]
 ) -> None:
     source, library, python = tmp_path / "ahead.c", tmp_path / "ahead.so", tmp_path / "python"
@@ -255,7 +255,7 @@ def test_times_of_a_node_whose_clock_is_wrong_are_right(
         assert before - 1 < row["started"] <= row["ended"] < after + 1
 
 
-def test_an_element_at_its_time_limit_is_continued_by_another(gate: Callable[..., Gated]) -> None:
+def test_runs_of_an_array_task_at_its_time_limit_continue_in_another(gate: Callable[..., Gated]) -> None:
     gated = gate()
     asking = gated.ask()
     gated.until_begun(3)
@@ -272,10 +272,10 @@ def test_an_element_at_its_time_limit_is_continued_by_another(gate: Callable[...
 
 
 QUICK_FIRST = WAITING.replace("while not", "while count > 1 and not")
-"""A simulator whose runs end at once with the first value, and wait for the gate with others."""
+"""A simulator whose runs end immediately with the first value, and wait for the gate with others."""
 
 
-def test_an_element_that_nobody_follows_goes_on_after_its_time_limit(gate: Callable[..., Gated]) -> None:
+def test_a_detached_array_task_requeues_itself_before_its_time_limit(gate: Callable[..., Gated]) -> None:
     gated = gate("wall = 60\n", simulator=QUICK_FIRST)
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text().replace("array_tasks = 3", "array_tasks = 1"))
@@ -294,7 +294,9 @@ def test_an_element_that_nobody_follows_goes_on_after_its_time_limit(gate: Calla
     ]
 
 
-def test_what_is_preempted_goes_on_where_it_was(gate: Callable[..., Gated], start: Callable[..., Slurm]) -> None:
+def test_preempted_array_tasks_continue_with_their_remaining_runs(
+    gate: Callable[..., Gated], start: Callable[..., Slurm]
+) -> None:
     partitions = (
         "PartitionName=low Nodes=ALL Default=YES MaxTime=60 State=UP PriorityTier=1 PreemptMode=REQUEUE",
         "PartitionName=high Nodes=ALL MaxTime=60 State=UP PriorityTier=9 PreemptMode=OFF",
@@ -320,7 +322,7 @@ def test_what_is_preempted_goes_on_where_it_was(gate: Callable[..., Gated], star
 
 @pytest.mark.parametrize("when", ["before", "after"])
 @pytest.mark.parametrize("call", [1, 2], ids=["the probe", "the batch"])
-def test_a_submitter_that_is_killed_around_sbatch_leaves_nothing_behind(
+def test_a_submitter_killed_around_sbatch_leaves_no_lost_or_duplicate_runs(
     gate: Callable[..., Gated], instead: Callable[..., Path], when: str, call: int
 ) -> None:
     gated = gate()
@@ -336,7 +338,7 @@ def test_a_submitter_that_is_killed_around_sbatch_leaves_nothing_behind(
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
-def test_a_controller_that_dies_while_jobs_are_submitted_loses_none(
+def test_a_controller_that_crashes_during_submission_loses_no_jobs(
     gate: Callable[..., Gated], start: Callable[..., Slurm], instead: Callable[..., Path], when: str
 ) -> None:
     gated = gate(on=start())
@@ -360,7 +362,7 @@ def test_a_controller_that_dies_while_jobs_are_submitted_loses_none(
     assert len(gated.begun()) == 8
 
 
-def test_two_login_nodes_that_ask_at_once_submit_once(gate: Callable[..., Gated]) -> None:
+def test_two_concurrent_sessions_with_the_same_query_submit_once(gate: Callable[..., Gated]) -> None:
     gated = gate()
     askings = [gated.ask(), gated.ask()]
     gated.until_begun(3)
@@ -372,7 +374,7 @@ def test_two_login_nodes_that_ask_at_once_submit_once(gate: Callable[..., Gated]
     at_rest(gated.slurm, gated.project)
 
 
-def test_who_waits_for_another_goes_on_where_that_one_is_killed(gate: Callable[..., Gated]) -> None:
+def test_a_session_that_waits_for_a_killed_one_continues_its_batch(gate: Callable[..., Gated]) -> None:
     gated = gate()
     first = gated.ask()
     gated.until_begun(3)
@@ -387,7 +389,7 @@ def test_who_waits_for_another_goes_on_where_that_one_is_killed(gate: Callable[.
     at_rest(gated.slurm, gated.project)
 
 
-def test_a_session_folder_that_is_removed_by_hand_ends_what_runs(gate: Callable[..., Gated]) -> None:
+def test_removing_a_session_folder_by_hand_ends_its_processes_and_jobs(gate: Callable[..., Gated]) -> None:
     gated = gate()
     asking = gated.ask()
     gated.until_begun(3)
@@ -412,7 +414,7 @@ main()
 """
 
 
-def test_what_is_detached_on_a_file_system_without_locks_is_joined(gate: Callable[..., Gated], tmp_path: Path) -> None:
+def test_a_detached_batch_is_joined_on_a_file_system_without_locks(gate: Callable[..., Gated], tmp_path: Path) -> None:
     gated = gate()
     program = tmp_path / "without_locks.py"
     program.write_text(WITHOUT_LOCKS)
@@ -432,7 +434,9 @@ def test_what_is_detached_on_a_file_system_without_locks_is_joined(gate: Callabl
     at_rest(gated.slurm, gated.project)
 
 
-def test_who_asks_at_once_without_locks_executes_twice_and_why_says_so(gate: Callable[..., Gated], tmp_path: Path) -> None:
+def test_why_reports_duplicate_executions_of_concurrent_sessions_without_locks(
+    gate: Callable[..., Gated], tmp_path: Path
+) -> None:
     gated = gate()
     program = tmp_path / "without_locks.py"
     program.write_text(WITHOUT_LOCKS)

@@ -1,4 +1,4 @@
-"""The wheel, installed with its own dependencies alone, runs the demo."""
+"""The wheel, installed with only its dependencies, runs the demo."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def run(*argv: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def bare(tmp_path: Path, require: Callable[..., str]) -> Path:
-    """A virtual environment with the wheel and what the wheel depends on."""
+    """Return a virtual environment with the wheel and its dependencies."""
     source = Path(__file__).parents[2]
     built = run(sys.executable, "-m", "build", "--no-isolation", "--wheel", "--outdir", str(tmp_path / "dist"), cwd=source)
     assert built.returncode == 0, built.stderr
@@ -35,7 +35,7 @@ def bare(tmp_path: Path, require: Callable[..., str]) -> Path:
     return tmp_path / "venv" / "bin"
 
 
-def test_the_demo_runs_from_the_wheel_once_its_requirement_is_installed(bare: Path, tmp_path: Path) -> None:
+def test_the_demo_runs_from_the_wheel_after_its_requirement_is_installed(bare: Path, tmp_path: Path) -> None:
     python, program = str(bare / "python"), str(bare / "sierra")
     listed = json.loads(run(python, "-m", "pip", "list", "--format", "json", cwd=tmp_path).stdout)
     assert not EXTRAS & {one["name"].lower() for one in listed}

@@ -1,5 +1,5 @@
-"""Faults of every kind, one after the other; after each, the store must be that of an undisturbed run.
+"""Faults of all kinds, one after the other; after each, the store must equal that of an undisturbed run.
 
-`make soak MINUTES=10 SEED=…` takes random steps until the time is over. What failed can be repeated by the command that is
-printed. tests/integration/test_soak_steps.py takes a fixed list of steps, with faults at named points instead of at times.
+`make soak MINUTES=10 SEED=…` executes random steps until the time is over. A failed step can be repeated by the printed
+command. tests/integration/test_soak_steps.py executes a fixed list of steps, with faults at named points instead of at times.
 """

@@ -1,4 +1,4 @@
-"""`make soak`: random steps, one after the other, until the time is over. Each that fails is printed with how to repeat it."""
+"""`make soak`: random steps until the time is over. Each failed step is printed with the command that repeats it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,13 @@ from tests.soak.steps import STEPS, Place, passed, undisturbed
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
-    parser.add_argument("--minutes", type=float, default=10.0, help="how long to go on")
-    parser.add_argument("--seed", type=int, default=None, help="the first step's seed; the next one's is one more")
-    parser.add_argument("--steps", type=int, default=None, help="end after so many steps")
-    parser.add_argument("--only", choices=[step.__name__ for step in STEPS], help="take no other kind of step")
-    parser.add_argument("--points", action="store_true", help="list the points at which a run can meet a fault, and end")
+    parser.add_argument("--minutes", type=float, default=10.0, help="duration in minutes")
+    parser.add_argument("--seed", type=int, default=None, help="seed of the first step; each next step adds one")
+    parser.add_argument("--steps", type=int, default=None, help="end after this number of steps")
+    parser.add_argument("--only", choices=[step.__name__ for step in STEPS], help="execute only this kind of step")
+    parser.add_argument(
+        "--points", action="store_true", help="list the points at which a fault can be placed in a run, and end"
+    )
     arguments = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="sierra-soak-"))
     os.environ.update(XDG_CACHE_HOME=str(folder / "cache"), XDG_STATE_HOME=str(folder / "state"))
@@ -39,7 +41,7 @@ def main() -> int:
 
 
 def soak(folder: Path, arguments: argparse.Namespace) -> int:
-    """Take steps until the time is over."""
+    """Execute steps until the time is over; return the exit code."""
     first = secrets.randbelow(1_000_000) if arguments.seed is None else arguments.seed
     end = time.monotonic() + 60 * arguments.minutes
     wanted, failed, taken = undisturbed(folder), 0, 0

@@ -1,4 +1,4 @@
-"""Commands that meet a fault at a named point: see hook/sitecustomize.py for what a point is."""
+"""Commands with a fault at a named point; hook/sitecustomize.py defines points."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Ended:
     out: str
     err: str
     struck: bool = False
-    """Whether the fault came."""
+    """True if the fault happened."""
 
 
 def sierra(
@@ -39,7 +39,7 @@ def sierra(
     prefix: tuple[str, ...] = (),
     environment: Mapping[str, str] | None = None,
 ) -> Ended:
-    """Call `sierra WORDS` in a project, with a fault at `point` where one is named; `prefix` is what starts it, as faketime."""
+    """Run `sierra WORDS` in a project, with an optional fault at `point`; `prefix` is a command such as faketime."""
     with tempfile.TemporaryDirectory(prefix="sierra-soak-") as folder:
         struck = Path(folder, "struck")
         setting = {"root": str(root), "point": point, "action": action, "struck": str(struck)}
@@ -49,7 +49,7 @@ def sierra(
 
 
 def points(root: Path, *words: str) -> list[str]:
-    """The points that `sierra WORDS` passes, in their order."""
+    """Return the points that `sierra WORDS` passes, in order."""
     with tempfile.TemporaryDirectory(prefix="sierra-soak-") as folder:
         log = Path(folder, "points")
         setting = {"root": str(root), "log": str(log)}

@@ -1,4 +1,4 @@
-"""The project that faults happen to, and what its store holds when nothing has disturbed it."""
+"""The project for faults, and the content of its store after undisturbed runs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests import projects
 from tests.soak.faults import sierra
 
 Wanted = Mapping[str, list[dict[str, Any]]]
-"""The content of an undisturbed store, by what it is."""
+"""The content of an undisturbed store, by its kind."""
 QUERY = ("run", "population_size.Log4", "--runs", "4", "-j", "2", "--no-figures")
 RUNS = 12
 
@@ -45,7 +45,7 @@ NAMES = (
     "back\\slash",
     "%d{uuid}",
 )
-"""Folders that a project may lie in."""
+"""Folders that may contain a project."""
 
 
 def make(parent: Path, name: str = "plain") -> Path:
@@ -54,7 +54,7 @@ def make(parent: Path, name: str = "plain") -> Path:
 
 
 def content(root: Path) -> dict[str, list[dict[str, Any]]]:
-    """Everything in the store that does not depend on when, where and how often the query was run."""
+    """Return the content of the store that does not depend on time, place and number of executions of the query."""
     store = Store(root / ".sierra")
     return {name: store.rows(text) for name, text in CONTENT.items()}
 
@@ -80,14 +80,14 @@ CONTENT = {
 
 
 def recorded(root: Path) -> set[str]:
-    """The executions that the store has, good ones only."""
+    """Return the successful executions in the store."""
     if not (root / ".sierra" / "format").exists():
         return set()
     return {row["execution"] for row in Store(root / ".sierra").rows("SELECT execution FROM executions WHERE status = 'ok'")}
 
 
 def left_over(root: Path) -> list[str]:
-    """Sessions that are still there, and processes that belong to one."""
+    """Return the remaining sessions and their processes."""
     sessions = [str(path) for path in root.glob(".sierra/work/*") if path.is_dir()]
     found = []
     for process in Path("/proc").glob("[0-9]*"):
@@ -101,17 +101,17 @@ def left_over(root: Path) -> list[str]:
 
 
 class Differs(AssertionError):
-    """Something is not as it is after an undisturbed run."""
+    """A difference from the state after an undisturbed run."""
 
 
 def check(root: Path, wanted: Wanted, before: AbstractSet[str] = frozenset(), *, but: str = "") -> None:
-    """Finish the query, and compare the store with an undisturbed one; `before` are executions that must not be lost.
+    """Complete the query, and compare the store with an undisturbed one; executions in `before` must not be lost.
 
-    The content called `but` may be another.
+    The content named `but` may differ.
     """
     done = sierra(root, *QUERY)
     if done.code != 0:
-        raise Differs(f"finishing the query ended with {done.code}: {done.out}{done.err}")
+        raise Differs(f"completing the query ended with exit code {done.code}: {done.out}{done.err}")
     found = content(root)
     for name, rows in wanted.items():
         if found[name] != rows and name != but:
@@ -119,7 +119,7 @@ def check(root: Path, wanted: Wanted, before: AbstractSet[str] = frozenset(), *,
     if lost := before - recorded(root):
         raise Differs(f"{len(lost)} recorded executions are lost: {sorted(lost)[:3]}")
     if left := left_over(root):
-        raise Differs(f"left over: {left[:3]}")
+        raise Differs(f"sessions or processes are left: {left[:3]}")
     fsck = sierra(root, "fsck")
     if fsck.code != 0:
         raise Differs(f"fsck ended with {fsck.code}: {fsck.out}{fsck.err}")

@@ -1,4 +1,4 @@
-"""What may happen to a store, one function for each: it returns what it did, and raises Differs where that did harm."""
+"""Events that may happen to a store, one function each: it returns a description, and raises Differs after damage."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CODES = (0, 1, 2, 3, 130)
 
 
 class Place:
-    """A folder for one step, its chances, and what undisturbed runs leave."""
+    """A folder for one step, its random numbers, and the results of undisturbed runs."""
 
     def __init__(self, folder: Path, chance: Random, name: str = "") -> None:
         self.chance = chance
@@ -34,7 +34,7 @@ class Place:
         self.name = name or chance.choice(NAMES)
 
     def project(self) -> Path:
-        """Make the project, in a folder of an odd name."""
+        """Make the project in a folder with an odd name."""
         return make(self.folder, self.name)
 
     def recorded(self) -> Path:
@@ -48,7 +48,7 @@ class Place:
 
 @functools.cache
 def undisturbed(folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """The store's content after the query alone; made once for each folder."""
+    """Return the store's content after only the query; computed once for each folder."""
     root = make(folder, "undisturbed")
     expect(sierra(root, *QUERY), 0)
     return content(root)
@@ -56,7 +56,7 @@ def undisturbed(folder: Path) -> dict[str, list[dict[str, Any]]]:
 
 @functools.cache
 def passed(folder: Path, *words: str) -> tuple[str, ...]:
-    """The points that a command passes: the query in an empty store, others where two batches are recorded."""
+    """Return the points that a command passes: the query in an empty store, other commands with two recorded batches."""
     root = make(folder, "points " + "-".join(re.sub(r"\W", "", word) for word in words))
     if words != QUERY:
         expect(sierra(root, *QUERY), 0)
@@ -65,7 +65,7 @@ def passed(folder: Path, *words: str) -> tuple[str, ...]:
 
 
 def expect(ended: Ended, *codes: int) -> Ended:
-    """Check how a command has ended: with one of these exit statuses, and without a fault of SIERRA's own."""
+    """Check the end of a command: one of these exit statuses, and no internal error of SIERRA."""
     if ended.code not in codes:
         raise Differs(f"sierra {' '.join(ended.words)} ended with {ended.code}: {ended.out[-600:]}{ended.err[-600:]}")
     for sign in ("Traceback", "fault in SIERRA"):
@@ -75,7 +75,7 @@ def expect(ended: Ended, *codes: int) -> Ended:
 
 
 def batch_of(root: Path, words: Sequence[str]) -> str:
-    """The id of the batch that a call of `sierra run` made."""
+    """Return the id of the batch of a `sierra run` command."""
     from sierra.store.store import Store
 
     [row] = Store(root / ".sierra").rows("SELECT batch FROM batches WHERE starts_with(query, $q)", q=words[1])
@@ -83,7 +83,7 @@ def batch_of(root: Path, words: Sequence[str]) -> str:
 
 
 def fault_at_a_point(place: Place, wanted: Wanted, point: str = "", action: Action | None = None) -> str:
-    """A run of the query meets a fault at a point."""
+    """Execute the query with a fault at a point."""
     root = place.project()
     point = point or place.chance.choice(passed(place.folder.parent / "points", *QUERY))
     action = action or place.chance.choice(get_args(Action))
@@ -94,7 +94,7 @@ def fault_at_a_point(place: Place, wanted: Wanted, point: str = "", action: Acti
 
 
 def kill_at_a_time(place: Place, wanted: Wanted) -> str:
-    """SIERRA, its worker, or all of it is killed at some time."""
+    """Kill SIERRA, its worker, or all its processes at a random time."""
     root, victim, wait = place.project(), place.chance.choice(("driver", "worker", "all")), place.chance.uniform(0, 1.2)
     process = subprocess.Popen([projects.SIERRA, *QUERY], cwd=root, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     time.sleep(wait)
@@ -109,7 +109,7 @@ def kill_at_a_time(place: Place, wanted: Wanted) -> str:
 def fault_in_maintenance(
     place: Place, wanted: Wanted, words: Sequence[str] = (), point: str = "", action: Action | None = None
 ) -> str:
-    """A command that rewrites the store meets a fault at a point; then it is called again."""
+    """Run a command that rewrites the store with a fault at a point; then run it again."""
     root = place.recorded()
     words = words or place.chance.choice((("gc", "--yes"), ("rm", "--yes")))
     point = point or place.chance.choice(passed(place.folder.parent / "points", *words) or ("",))
@@ -128,7 +128,7 @@ def fault_in_maintenance(
 
 
 def flipped_bit(place: Place, wanted: Wanted) -> str:
-    """A bit of a recorded file is flipped: fsck must notice, and repair so that the query can be finished."""
+    """Flip a bit of a recorded file: fsck must detect it, and repair the store so that the query can be completed."""
     root = place.recorded()
     file = place.chance.choice(_files_of_segments(root))
     bytes_ = bytearray(file.read_bytes())
@@ -139,7 +139,7 @@ def flipped_bit(place: Place, wanted: Wanted) -> str:
     found = sierra(root, "fsck")
     expect(found, 1)
     if file.parent.name not in found.out + found.err:
-        raise Differs(f"{told}: fsck does not name it: {found.out}")
+        raise Differs(f"{told}: fsck does not report it: {found.out}")
     repaired = expect(sierra(root, "fsck", "--repair"), 0, 1)
     for query in (QUERY, OTHER):
         expect(sierra(root, *query), 0)
@@ -149,7 +149,7 @@ def flipped_bit(place: Place, wanted: Wanted) -> str:
 
 
 def fuzzed_calls(place: Place, wanted: Wanted) -> str:
-    """Commands that nobody would call."""
+    """Run commands with random arguments."""
     root = place.recorded()
     lines = []
     for _ in range(25):
@@ -166,7 +166,7 @@ def fuzzed_calls(place: Place, wanted: Wanted) -> str:
 
 
 def fuzzed_settings(place: Place, wanted: Wanted) -> str:
-    """A sierra.toml or a template of which some characters are others."""
+    """Change some characters of sierra.toml or of the template."""
     root = place.recorded()
     for file in (root / "sierra.toml", root / "arena.xml"):
         text = file.read_text()
@@ -181,7 +181,7 @@ def fuzzed_settings(place: Place, wanted: Wanted) -> str:
 
 
 def full_disk(place: Place, wanted: Wanted) -> str:
-    """The project lies on a disk that is full before the query has ended."""
+    """Execute the query on a disk that becomes full."""
     disk = place.folder / "disk"
     disk.mkdir()
     size = place.chance.choice((300, 500, 800, 1200))
@@ -198,7 +198,7 @@ def full_disk(place: Place, wanted: Wanted) -> str:
 
 
 def jumping_clock(place: Place, wanted: Wanted, days: int = 0) -> str:
-    """The query is run with another Python and a clock that is wrong, then as always: the values of the last run count."""
+    """Execute the query with another Python and a wrong clock, then as usual: the last results are effective."""
     faketime = shutil.which("faketime")
     if faketime is None:
         return "needs faketime: left out"
@@ -210,13 +210,13 @@ def jumping_clock(place: Place, wanted: Wanted, days: int = 0) -> str:
     path = {"PATH": f"{other.parent}{os.pathsep}{os.environ['PATH']}"}
     expect(sierra(root, *QUERY, prefix=(faketime, "-f", f"{days:+d}d"), environment=path), 0)
     if content(root)["swarm"] == wanted["swarm"]:
-        raise Differs("the other Python has given the same values")
+        raise Differs("the other Python gave the same values")
     check(root, wanted, recorded(root))
     return f"a clock {days:+d} days off"
 
 
 def many_at_once(place: Place, wanted: Wanted) -> str:
-    """Several commands at once, on one store."""
+    """Run several commands concurrently on one store."""
     root = place.recorded()
     choices = (
         QUERY,
@@ -272,11 +272,11 @@ def _kill(pid: int) -> None:
 
 
 def _until_gone(root: Path) -> None:
-    """Wait for what a killed process has left: its worker ends itself, and so do its runs."""
+    """Wait for the processes of a killed session: its worker and its runs end by themselves."""
     end = time.monotonic() + faults.LONGEST_S
     while _processes(root):
         if time.monotonic() > end:
-            raise Differs(f"these live on: {left_over(root)}")
+            raise Differs(f"processes still run after a kill: {left_over(root)}")
         time.sleep(0.05)
 
 
@@ -324,7 +324,7 @@ def _nonsense(chance: Random) -> list[str]:
 
 
 def _mutated(text: str, chance: Random) -> str:
-    """The text with one to three places changed."""
+    """Return the text with one to three changes."""
     for _ in range(chance.randint(1, 3)):
         at = chance.randrange(len(text))
         end = min(len(text), at + chance.randint(0, 6))

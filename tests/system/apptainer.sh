@@ -1,18 +1,19 @@
 #!/bin/sh
-# Install apptainer on Debian 12, for tests only: its releases have none. As root.
+# Install apptainer on Debian 12, for tests only: Debian 12 has no such package. Needs root.
 #
-# Debian's unstable has one that needs a newer C library for two names alone, which are aliases of older ones: the package is
-# fetched through apt, with an index of its own (so signatures are checked, and nothing else of the machine changes), these two
-# names are looked up as the older ones (lower_glibc.py, which refuses all else), and the package is made again and installed.
+# Debian unstable has a package that needs a newer C library only for two names, which are aliases of older ones. This script
+# fetches the package through apt with a separate index, so that signatures are checked and nothing else of the machine changes.
+# Then it replaces the two names by the older ones (lower_glibc.py, which refuses any other change), and rebuilds and installs
+# the package.
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 
 if command -v apptainer >/dev/null; then
-	echo "$(apptainer --version) is there"
+	echo "$(apptainer --version) is installed"
 	exit 0
 fi
 for program in apt-get dpkg-deb python3; do
-	command -v "$program" >/dev/null || { echo "apptainer.sh: $program is needed: this is for Debian" >&2; exit 3; }
+	command -v "$program" >/dev/null || { echo "apptainer.sh: $program is missing: this script needs Debian" >&2; exit 3; }
 done
 test "$(id -u)" -eq 0 || { echo "apptainer.sh: only root can install packages" >&2; exit 3; }
 
@@ -21,7 +22,7 @@ trap 'rm -rf "$work"' EXIT
 mkdir -p "$work/lists/partial" "$work/cache/archives/partial" "$work/empty" "$work/sources"
 : >"$work/status"
 archive=$(sed -n 's/^URIs: *\([^ ]*\).*/\1/p' /etc/apt/sources.list.d/debian.sources 2>/dev/null | head -n 1)
-test -n "$archive" || { echo "apptainer: no archive of Debian's is named in debian.sources" >&2; exit 1; }
+test -n "$archive" || { echo "apptainer: debian.sources names no archive of Debian" >&2; exit 1; }
 cat >"$work/sources/unstable.sources" <<END
 Types: deb
 URIs: $archive

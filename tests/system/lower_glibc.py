@@ -1,11 +1,11 @@
-"""Let programs that were built for a C library newer than 2.36 run with that one, where the difference is two names.
+"""Make programs for a newer C library run with version 2.36, if they differ only in two names.
 
     lower_glibc.py FILE...
 
-Since glibc 2.38, C23's strtol and strtoul are called __isoc23_strtol and __isoc23_strtoul, and differ in reading binary
-literals alone. In each file (ELF, 64 bits, little-endian) a needed symbol of such a name becomes the one after the prefix, of
-the oldest version of the library, and the record of the newer version repeats that of 2.34. All is done in place; a file that
-needs anything else of a newer library is refused, and none is written then. Format: the System V ABI, and the Linux Standard
+Since glibc 2.38, C23's strtol and strtoul are named __isoc23_strtol and __isoc23_strtoul, and differ only in reading binary
+literals. In each file (ELF, 64 bits, little-endian) a needed symbol of such a name becomes the one without the prefix, of
+the oldest version of the library, and the record of the newer version repeats that of 2.34. Files are changed in place; if a
+file needs anything else of a newer library, no file is written. Format: the System V ABI, and the Linux Standard
 Base on symbol versions (https://refspecs.linuxfoundation.org).
 """
 
@@ -32,15 +32,15 @@ class Section(NamedTuple):
 class Version(NamedTuple):
     name: str
     record: int
-    """Where it is in the file."""
+    """The offset in the file."""
     hash: int
     text: int
 
 
 def lowered(data: bytearray) -> bool:
-    """Change a file's bytes; whether there was anything to change. Raises ValueError for what can't be."""
+    """Change a file's bytes; return whether they changed. Raise ValueError if the file can't be changed."""
     if data[:6] != b"\x7fELF\x02\x01":
-        raise ValueError("no ELF file of 64 bits, little-endian")
+        raise ValueError("not a 64-bit little-endian ELF file")
     sections = _sections(data)
     found = {section.kind: section for section in sections}
     if VERNEED not in found:
@@ -76,7 +76,7 @@ def _sections(data: bytearray) -> list[Section]:
 
 
 def _versions(data: bytearray, needed: Section, names: Section) -> dict[int, Version]:
-    """The versions that a file needs, by the index that its symbols have them by."""
+    """Return the versions that a file needs, by the index that its symbols use."""
     found, at = {}, needed.offset
     for _ in range(needed.count):
         _, count, _, first, following = struct.unpack_from("<HHIII", data, at)

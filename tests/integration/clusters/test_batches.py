@@ -1,4 +1,4 @@
-"""Batches on a real SLURM: they are answered as on this machine, whatever befalls the cluster meanwhile."""
+"""Batches on a real SLURM: they give the same results as on this machine, despite faults of the cluster."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def gated(tmp_path: Path, slurm: Slurm) -> Iterator[Gated]:
     made.close()
 
 
-def test_a_batch_on_slurm_is_what_it_is_here(tmp_path: Path, slurm: Slurm) -> None:
+def test_a_batch_on_slurm_has_the_same_results_as_a_local_one(tmp_path: Path, slurm: Slurm) -> None:
     here = projects.make(tmp_path / "here")
     there = projects.make(tmp_path / "there", projects.CONFIG + CLUSTER)
     done = projects.sierra(there, "run", "population_size.Log8", "--on", "slurm")
@@ -45,15 +45,15 @@ def test_a_batch_on_slurm_is_what_it_is_here(tmp_path: Path, slurm: Slurm) -> No
 
 
 def completed(slurm: Slurm, project: Project) -> None:
-    """SLURM says of every task of a project that it has ended well, and so do attempts."""
+    """Check that SLURM and the recorded attempts report success for every task of a project."""
     attempts = rows(project, "SELECT job, state, error FROM attempts")
     jobs = {row["job"].partition("_")[0] for row in attempts}
     assert {(row["state"], row["error"]) for row in attempts} == {("finished", None)}
     assert {state for job in jobs for state in slurm.states(job).values()} == {"COMPLETED"}
 
 
-def test_tasks_that_have_done_their_work_are_never_cancelled(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
-    """The last run of an element is recorded before its task has ended."""
+def test_finished_array_tasks_are_never_cancelled(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+    """The last run of an array task is recorded before the task has ended."""
     made = simulate()
     config = made.folder / "sierra.toml"
     config.write_text(config.read_text() + "[runners.slurm]\narray_tasks = 4\n")
@@ -64,7 +64,7 @@ def test_tasks_that_have_done_their_work_are_never_cancelled(simulate: Callable[
     completed(slurm, sierra.open(made.folder))
 
 
-def test_attempts_say_where_and_with_what_runs_were_executed(tmp_path: Path, slurm: Slurm) -> None:
+def test_attempts_record_node_resources_and_state(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER + "cpus = 2\nmemory = '100 MB'\n")
     assert projects.quick(root, "run", "population_size.Log8", "--on", "slurm").returncode == 0
     found = rows(sierra.open(root), "SELECT * FROM attempts ORDER BY array_task")
@@ -79,7 +79,7 @@ def test_attempts_say_where_and_with_what_runs_were_executed(tmp_path: Path, slu
     assert rows(sierra.open(root), same) == [{"n": 8}]
 
 
-def test_runs_see_the_devices_that_are_allotted_to_their_slot(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+def test_runs_see_the_devices_of_their_slot(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     made = simulate('printf "t,v,w\\n1,$CUDA_VISIBLE_DEVICES,$ROCR_VISIBLE_DEVICES\\n" > swarm.csv; sleep 1')
     config = made.folder / "sierra.toml"
     text = config.read_text() + '[environment.set]\nROCR_VISIBLE_DEVICES = "7"\n'
@@ -97,7 +97,7 @@ def test_runs_see_the_devices_that_are_allotted_to_their_slot(simulate: Callable
 
 
 @pytest.mark.nightly
-def test_code_may_change_while_runs_wait(gated: Gated) -> None:
+def test_code_may_change_while_runs_are_queued(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
     (gated.root / "sim.py").write_text("raise SystemExit(1)\n")
@@ -107,7 +107,7 @@ def test_code_may_change_while_runs_wait(gated: Gated) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
-def test_what_is_submitted_lives_on_without_its_submitter(gated: Gated, number: signal.Signals) -> None:
+def test_submitted_jobs_continue_without_their_submitter(gated: Gated, number: signal.Signals) -> None:
     asking = gated.ask()
     gated.until_begun(3)
     asking.send_signal(number)
@@ -119,7 +119,7 @@ def test_what_is_submitted_lives_on_without_its_submitter(gated: Gated, number: 
     at_rest(gated.slurm, gated.project)
 
 
-def test_a_submitter_that_died_before_it_knew_the_job_finds_it_by_its_name(gated: Gated) -> None:
+def test_a_job_whose_id_was_not_recorded_is_found_by_its_name(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
     asking.kill()
@@ -133,7 +133,7 @@ def test_a_submitter_that_died_before_it_knew_the_job_finds_it_by_its_name(gated
 
 
 @pytest.mark.nightly
-def test_a_submitter_that_died_before_anything_was_handed_over_is_followed_by_another(gated: Gated) -> None:
+def test_a_batch_of_a_submitter_that_died_before_submission_is_completed(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
     asking.kill()
@@ -147,7 +147,7 @@ def test_a_submitter_that_died_before_anything_was_handed_over_is_followed_by_an
     is_whole(gated.project)
 
 
-def test_two_that_ask_for_the_same_execute_it_once(gated: Gated) -> None:
+def test_two_sessions_with_the_same_query_execute_it_once(gated: Gated) -> None:
     first = gated.ask()
     gated.until_begun(3)
     second = gated.ask()
@@ -161,7 +161,7 @@ def test_two_that_ask_for_the_same_execute_it_once(gated: Gated) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("which", ["one element", "all"])
-def test_what_somebody_cancels_ends_the_session(gated: Gated, which: str) -> None:
+def test_jobs_cancelled_by_somebody_else_end_the_session(gated: Gated, which: str) -> None:
     asking = gated.ask()
     gated.until_begun(3)
     job = gated.job()
@@ -177,7 +177,7 @@ def test_what_somebody_cancels_ends_the_session(gated: Gated, which: str) -> Non
 
 
 @pytest.mark.nightly
-def test_what_somebody_cancels_while_nobody_follows_is_not_submitted_again_either(gated: Gated) -> None:
+def test_jobs_cancelled_while_detached_are_not_submitted_again(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_told(3)
     gated.until_begun(3)
@@ -194,8 +194,10 @@ def test_what_somebody_cancels_while_nobody_follows_is_not_submitted_again_eithe
 
 
 @pytest.mark.nightly
-def test_a_probe_that_somebody_cancels_ends_the_session(gated: Gated, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # so that there is a probe
+def test_a_probe_cancelled_by_somebody_else_ends_the_session(
+    gated: Gated, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # force a probe
     gated.slurm.command("scontrol", "update", f"nodename={','.join(gated.slurm.names)}", "state=drain", "reason=test")
     asking = gated.ask()
     listed = ("squeue", "-h", "-t", "PENDING", "-o", "%F %j")
@@ -211,7 +213,7 @@ def test_a_probe_that_somebody_cancels_ends_the_session(gated: Gated, monkeypatc
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("which", ["one element", "all"])
-def test_what_somebody_cancels_is_submitted_again_where_the_project_wants_that(gated: Gated, which: str) -> None:
+def test_cancelled_jobs_are_submitted_again_if_the_project_configures_it(gated: Gated, which: str) -> None:
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text() + 'cancelled = "resubmit"\n')
     asking = gated.ask()
@@ -226,7 +228,7 @@ def test_what_somebody_cancels_is_submitted_again_where_the_project_wants_that(g
     at_rest(gated.slurm, gated.project)
 
 
-def test_a_node_that_loses_power_costs_what_was_in_flight(gated: Gated) -> None:
+def test_runs_on_a_node_that_loses_power_are_executed_again(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
     node = gated.node()
@@ -241,7 +243,7 @@ def test_a_node_that_loses_power_costs_what_was_in_flight(gated: Gated) -> None:
 
 
 @pytest.mark.nightly
-def test_two_copies_of_an_element_are_one_result_and_a_comparison(gated: Gated) -> None:
+def test_two_copies_of_an_array_task_give_one_result_and_a_comparison(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
     node = gated.node()
@@ -261,7 +263,7 @@ def test_two_copies_of_an_element_are_one_result_and_a_comparison(gated: Gated) 
     assert "executed twice" in told
 
 
-def test_a_controller_that_dies_loses_nothing(gated: Gated) -> None:
+def test_a_batch_completes_after_a_crash_of_the_controller(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
     gated.slurm.kill_controller(saved=True)
@@ -275,7 +277,7 @@ def test_a_controller_that_dies_loses_nothing(gated: Gated) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("again", ["status", "cancel", "run"])
-def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: Gated, again: str) -> None:
+def test_the_next_command_cancels_jobs_that_could_not_be_cancelled(gated: Gated, again: str) -> None:
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text().replace("array_tasks = 3", 'array_tasks = 8\ndirectives = ["--exclusive"]'))
     ended(gated.ask("population_size.Log8", "--detach"))
@@ -302,12 +304,12 @@ def test_what_cannot_be_cancelled_now_is_cancelled_by_whoever_looks_next(gated: 
 
 
 @pytest.mark.nightly
-def test_a_follower_that_cannot_cancel_says_so_and_another_does(gated: Gated) -> None:
+def test_a_failed_cancellation_is_reported_and_the_next_command_completes_it(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)
     gated.slurm.kill_controller(saved=True)
     [session] = [path for path in (gated.root / ".sierra" / "work").iterdir() if path.is_dir()]
-    (session / "cancelled").touch()  # as who chooses to cancel has it
+    (session / "cancelled").touch()  # as a cancelling process leaves it
     told = ended(asking, 3)
     assert "are not cancelled yet" in told.splitlines()[-1]
     gated.slurm.start_controller()
@@ -320,7 +322,7 @@ def test_a_follower_that_cannot_cancel_says_so_and_another_does(gated: Gated) ->
 
 
 @pytest.mark.nightly
-def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
+def test_a_requeued_array_task_continues_with_its_remaining_runs(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_told(3)
     job = gated.job()
@@ -335,7 +337,7 @@ def test_an_element_that_is_requeued_goes_on_where_it_was(gated: Gated) -> None:
 
 
 @pytest.mark.nightly
-def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> None:
+def test_a_run_whose_array_task_is_cut_off_at_every_attempt_fails(gated: Gated) -> None:
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text() + 'attempts = 2\ncancelled = "resubmit"\n')
     asking = gated.ask("population_size=1", "--runs", "2")
@@ -354,7 +356,7 @@ def test_a_run_that_outlives_its_element_every_time_has_failed(gated: Gated) -> 
 
 
 @pytest.mark.nightly
-def test_jobs_that_end_well_without_having_done_anything_are_not_believed(gated: Gated) -> None:
+def test_jobs_that_succeed_without_executing_runs_are_an_error(gated: Gated) -> None:
     lazy = gated.root.with_name("lazy")
     lazy.write_text('#!/bin/sh\ncase "$*" in *--probe*) exec python3 "$@" ;; esac\n')
     lazy.chmod(0o755)
@@ -368,7 +370,7 @@ def test_jobs_that_end_well_without_having_done_anything_are_not_believed(gated:
     is_whole(gated.project)
 
 
-def test_a_probe_that_says_nothing_ends_all_before_anything_begins(gated: Gated) -> None:
+def test_a_probe_without_output_ends_the_session_before_any_run(gated: Gated) -> None:
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text() + 'python = "true"\n')
     told = ended(gated.ask(), 3)
@@ -388,7 +390,7 @@ def test_a_probe_that_says_nothing_ends_all_before_anything_begins(gated: Gated)
         ('scratch = "/nowhere/runs"', "scratch = /nowhere/runs: there is no folder to make it in"),
     ],
 )
-def test_what_the_site_does_not_have_is_said_in_a_line(gated: Gated, line: str, words: str) -> None:
+def test_settings_that_the_site_cannot_satisfy_are_refused_in_one_line(gated: Gated, line: str, words: str) -> None:
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text() + f"{line}\nattempts = 1\n")
     asking = gated.ask()
@@ -403,7 +405,9 @@ def test_what_the_site_does_not_have_is_said_in_a_line(gated: Gated, line: str, 
 
 
 @pytest.mark.nightly
-def test_forgotten_jobs_are_no_lost_runs(tmp_path: Path, require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_of_jobs_that_slurm_forgot_are_recorded(
+    tmp_path: Path, require: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     from tests import clusters
 
     clusters.needed(require)
@@ -419,7 +423,7 @@ def test_forgotten_jobs_are_no_lost_runs(tmp_path: Path, require: Callable[..., 
     assert rows(sierra.open(root), "SELECT count(*) AS n FROM attempts") == [{"n": 3}]
 
 
-def test_the_secrets_of_the_submitters_shell_do_not_travel(
+def test_secrets_of_the_submitters_shell_do_not_reach_runs(
     tmp_path: Path, slurm: Slurm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MY_SECRET_THING", "leak")
@@ -435,7 +439,7 @@ def test_the_secrets_of_the_submitters_shell_do_not_travel(
     assert not any(b"leak" in text for text in texts)
 
 
-def test_a_replay_on_slurm_of_runs_from_here_is_identical_and_the_other_way_round(tmp_path: Path, slurm: Slurm) -> None:
+def test_local_runs_replay_identically_on_slurm_and_vice_versa(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
     projects.commit(root)
     here = projects.quick(root, "run", "population_size=1,2")
@@ -450,7 +454,7 @@ def test_a_replay_on_slurm_of_runs_from_here_is_identical_and_the_other_way_roun
 
 
 @pytest.mark.nightly
-def test_what_has_finished_can_be_recorded_by_a_job_too(gated: Gated) -> None:
+def test_a_cluster_job_can_attach_and_record_a_batch(gated: Gated) -> None:
     left = projects.quick(gated.root, "run", "population_size.Log8", "--on", "slurm", "--detach")
     assert left.returncode == 0, left.stderr
     [batch] = gated.project.batches

@@ -1,4 +1,4 @@
-"""Runs that go first, on a real SLURM, where nobody knows how long runs take."""
+"""First runs on a real SLURM, which are timed if the duration of runs is unknown."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def once(self, request):
 Slurm.submit = once
 sierra.open(".").run("size=1,2", runs=12, runner="slurm", figures=False)
 """
-"""A submitter that dies when it is about to hand over what comes after the first runs."""
+"""A submitter that dies just before it submits the runs after the first ones."""
 
 
 @pytest.fixture
 def waiting(simulate: Callable[..., Simulated], slurm: Slurm, tmp_path: Path) -> Simulated:
-    """A project whose runs end once there is a gate."""
+    """Return a project whose runs wait until a gate file exists."""
     return simulate(f'while [ ! -e "{tmp_path}/gate" ]; do sleep 0.02; done; {PRINTS}')
 
 
@@ -55,33 +55,33 @@ def opened(project: Simulated) -> None:
 
 
 def sent(project: Simulated) -> list[list[int]]:
-    """The elements of each job that was handed over, while the session is there."""
+    """Return the array tasks of each submitted job, while the session exists."""
     [session] = project.work()
     files = sorted((session / "sent").glob("*.json"), key=lambda file: int(file.stem))
     return [json.loads(file.read_text())["elements"] for file in files]
 
 
 def elements(project: Simulated) -> dict[int, int]:
-    """The runs of each element, as they were executed."""
+    """Return the number of executed runs of each array task."""
     rows = project.sql("SELECT array_task, sum(runs) AS runs FROM attempts GROUP BY array_task ORDER BY array_task")
     return {row["array_task"]: int(row["runs"]) for row in rows}
 
 
 def is_whole(project: Simulated) -> None:
-    """Every run was executed once, and is good."""
+    """Check that every run was executed once, with success."""
     assert project.sql("SELECT count(*) AS n FROM executions WHERE status = 'ok'") == [{"n": RUNS}]
     assert sorted(project.executed().values()) == [1] * RUNS
     assert project.work() == []
 
 
 def asked(project: Simulated, say: Callable[[str], None] = lambda text: None) -> Summary:
-    """The batch, answered in this process."""
+    """Execute the batch in this process."""
     here = sierra.open(project.folder)
     return here.execute(here.plan("size=1,2", runs=12), runner="slurm", figures=False, observer=Observing(notice=say))
 
 
 @pytest.mark.parametrize("runner", ["slurm", pytest.param("pbs", marks=pytest.mark.nightly)])
-def test_the_first_and_the_last_run_tell_how_the_others_are_dealt_out(
+def test_the_first_and_last_run_are_timed_to_distribute_the_others(
     simulate: Callable[..., Simulated], slurm: Slurm, runner: str
 ) -> None:
     project = simulate()
@@ -109,7 +109,9 @@ def test_runs_with_values_that_were_never_timed_go_first(simulate: Callable[...,
     assert [tuple(row.values()) for row in pair] == [(30, 0), (60, 7)]
 
 
-def test_long_runs_get_many_elements(simulate: Callable[..., Simulated], slurm: Slurm, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_runs_are_distributed_to_many_array_tasks(
+    simulate: Callable[..., Simulated], slurm: Slurm, monkeypatch: pytest.MonkeyPatch
+) -> None:
     project = simulate(f"sleep 0.4; {PRINTS}")
     monkeypatch.setattr(sizing, "ELEMENT_S", 1.0)
     assert asked(project).missing == 0
@@ -124,7 +126,9 @@ def test_long_runs_get_many_elements(simulate: Callable[..., Simulated], slurm: 
 
 
 @pytest.mark.nightly
-def test_a_run_that_lasts_as_long_as_an_element_tells_enough(waiting: Simulated, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_first_run_that_takes_as_long_as_an_array_task_is_not_waited_for(
+    waiting: Simulated, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sizing, "ELEMENT_S", 1.0)
     monkeypatch.setattr(calibrate, "ELEMENT_S", 1.0)
     said: list[str] = []
@@ -141,7 +145,9 @@ def test_a_run_that_lasts_as_long_as_an_element_tells_enough(waiting: Simulated,
 
 
 @pytest.mark.nightly
-def test_no_node_is_waited_for_for_long(waiting: Simulated, slurm: Slurm, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_first_runs_without_a_free_node_are_not_waited_for(
+    waiting: Simulated, slurm: Slurm, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(calibrate, "PATIENCE_S", 1.0)
     slurm.command("scontrol", "update", f"nodename={','.join(slurm.names)}", "state=drain", "reason=test")
     said: list[str] = []
@@ -158,7 +164,7 @@ def test_no_node_is_waited_for_for_long(waiting: Simulated, slurm: Slurm, monkey
     is_whole(waiting)
 
 
-def test_who_leaves_has_the_others_handed_over(waiting: Simulated, slurm: Slurm) -> None:
+def test_the_other_runs_are_submitted_when_the_user_detaches(waiting: Simulated, slurm: Slurm) -> None:
     process = waiting.start(*ASKED)
     waiting.until_executed(1, process)
     process.send_signal(signal.SIGINT)
@@ -172,7 +178,7 @@ def test_who_leaves_has_the_others_handed_over(waiting: Simulated, slurm: Slurm)
 
 
 @pytest.mark.nightly
-def test_who_detaches_at_once_has_no_run_go_first(waiting: Simulated, slurm: Slurm) -> None:
+def test_no_runs_go_first_with_the_option_detach(waiting: Simulated, slurm: Slurm) -> None:
     told = waiting.quick(*ASKED, "--detach")
     assert "go first" not in told.stderr
     assert sent(waiting) == [list(range(16))]
@@ -183,7 +189,9 @@ def test_who_detaches_at_once_has_no_run_go_first(waiting: Simulated, slurm: Slu
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("between", ["ask", "status"])
-def test_what_a_killed_submitter_held_back_is_handed_over_by_the_next(waiting: Simulated, slurm: Slurm, between: str) -> None:
+def test_the_next_command_submits_the_runs_that_a_killed_submitter_held_back(
+    waiting: Simulated, slurm: Slurm, between: str
+) -> None:
     process = waiting.start(*ASKED)
     waiting.until_executed(1, process)
     process.kill()
@@ -200,20 +208,20 @@ def test_what_a_killed_submitter_held_back_is_handed_over_by_the_next(waiting: S
 
 
 @pytest.mark.nightly
-def test_a_submitter_may_die_between_dealing_out_and_handing_over(waiting: Simulated, slurm: Slurm) -> None:
+def test_a_submitter_may_die_between_distribution_and_submission(waiting: Simulated, slurm: Slurm) -> None:
     opened(waiting)
     died = subprocess.run([sys.executable, "-c", SECOND], cwd=waiting.folder, check=False, timeout=100)
     assert died.returncode == 9
     [session] = waiting.work()
     assert json.loads((session / "submission.json").read_text())["counts"] == [2, 22]
-    (session / "sent" / "1.json").unlink()  # as if it had died before it wrote that too
+    (session / "sent" / "1.json").unlink()  # as if it had died before it wrote this file
     done = waiting.quick(*ASKED)
     assert done.returncode == 0, done.stderr
     is_whole(waiting)
 
 
 @pytest.mark.nightly
-def test_what_is_cancelled_while_runs_go_first_goes_no_further(waiting: Simulated, slurm: Slurm) -> None:
+def test_cancelling_during_the_first_runs_submits_no_more(waiting: Simulated, slurm: Slurm) -> None:
     process = waiting.start(*ASKED)
     waiting.until_executed(1, process)
     [batch] = {row["batch"] for row in json.loads(waiting.quick("status", "--json").stdout)}
@@ -228,7 +236,7 @@ def test_what_is_cancelled_while_runs_go_first_goes_no_further(waiting: Simulate
 
 
 @pytest.mark.nightly
-def test_runs_that_fail_tell_nothing(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+def test_failed_first_runs_give_no_time_estimate(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     project = simulate("exit 7")
     done = project.quick(*ASKED)
     assert done.returncode == 1
@@ -236,17 +244,17 @@ def test_runs_that_fail_tell_nothing(simulate: Callable[..., Simulated], slurm: 
     assert sorted(project.executed().values()) == [1] * RUNS
     fast = simulate("exit 7", name="fast")
     assert fast.quick(*ASKED, "--fail-fast").returncode == 1
-    assert fast.executed().total() - RUNS <= 2  # both say it in one file
+    assert fast.executed().total() - RUNS <= 2  # both projects log to one file
 
 
 @pytest.mark.nightly
-def test_a_controller_that_is_gone_meanwhile_loses_nothing(waiting: Simulated, slurm: Slurm) -> None:
+def test_a_controller_that_is_down_during_first_runs_loses_no_runs(waiting: Simulated, slurm: Slurm) -> None:
     process = waiting.start(*ASKED)
     waiting.until_executed(1, process)
     slurm.kill_controller(saved=True)
     opened(waiting)
     until(lambda: len(sent(waiting)) == 2, "the others are dealt out")
-    time.sleep(1)  # nobody takes them
+    time.sleep(1)  # no controller accepts them
     slurm.start_controller()
     done = waiting.end_of(process, 100)
     assert done.returncode == 0, done.stderr
@@ -254,7 +262,7 @@ def test_a_controller_that_is_gone_meanwhile_loses_nothing(waiting: Simulated, s
 
 
 @pytest.mark.nightly
-def test_first_runs_that_lose_their_node_go_again(waiting: Simulated, slurm: Slurm) -> None:
+def test_first_runs_that_lose_their_node_are_executed_again(waiting: Simulated, slurm: Slurm) -> None:
     process = waiting.start(*ASKED)
     until(lambda: packed(waiting.folder, Started), "the element tells that a run has begun")
     [node] = slurm.command("squeue", "-h", "-r", "-t", "RUNNING", "-o", "%N").split()
@@ -267,7 +275,7 @@ def test_first_runs_that_lose_their_node_go_again(waiting: Simulated, slurm: Slu
     assert waiting.executed().total() == RUNS + 1
 
 
-def test_a_dry_run_says_that_runs_go_first(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+def test_a_dry_run_reports_first_runs(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     project = simulate()
     told = project.quick(*ASKED, "-n", "--explain")
     assert re.search(r"^first runs +2 +nobody knows yet how long runs take: these tell$", told.stdout, re.MULTILINE)

@@ -1,4 +1,4 @@
-"""Clusters as their users meet them: what is submitted is left, found again, followed and cancelled from any shell."""
+"""Commands for clusters: batches are submitted, detached, found, attached and cancelled from any shell."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NOWHERE = {"SLURM_CONF": "/nowhere/slurm.conf"}
 
 
 class Waiting:
-    """A project whose runs end once a gate is open, and the cluster that it has."""
+    """A project whose runs wait until a gate is open, and its cluster."""
 
     def __init__(self, simulated: Simulated, gate: Path, slurm: Slurm) -> None:
         self.project, self.gate, self.slurm = simulated, gate, slurm
@@ -41,7 +41,7 @@ class Waiting:
         self.gate.touch()
 
     def submit(self, *words: str) -> dict[str, Any]:
-        """Submit, and leave it; what was left."""
+        """Submit a query detached; return its status."""
         done = self.project.quick("run", *(words or QUERY), "--on", "slurm", "--detach", "--json")
         assert done.returncode == 0, done.stderr
         [left] = json.loads(done.stdout)["detached"]
@@ -49,7 +49,7 @@ class Waiting:
         return found
 
     def follow(self, *words: str, **more: Any) -> subprocess.Popen[str]:
-        """Ask and follow, begun; all three elements have begun a run."""
+        """Start a query that follows its jobs; wait until all three array tasks have begun a run."""
         asking = self.project.start("run", *QUERY, "--on", "slurm", "--no-figures", *words, **more)
         self.project.until_executed(3, asking)
         return asking
@@ -65,7 +65,7 @@ class Waiting:
         return str(row["batch"])[:8]
 
     def alive(self) -> int:
-        """How many tasks the cluster has, with those that are about to have ended."""
+        """Return the number of tasks on the cluster, including those that are ending."""
         return sum(state in ("PENDING", "RUNNING", "COMPLETING") for state in self.slurm.states().values())
 
     def good(self) -> int:
@@ -81,10 +81,10 @@ def waiting(simulate: Callable[..., Simulated], tmp_path: Path, slurm: Slurm) ->
     return Waiting(project, gate, slurm)
 
 
-# leaving and coming back
+# detaching and attaching
 
 
-def test_detached_it_returns_at_once_and_says_how_to_go_on(waiting: Waiting) -> None:
+def test_a_detached_run_returns_immediately_and_names_the_next_commands(waiting: Waiting) -> None:
     done = waiting.project.ask("run", *QUERY, "--on", "slurm", "--detach")
     batch = waiting.batch()
     assert done.returncode == 0
@@ -94,7 +94,7 @@ def test_detached_it_returns_at_once_and_says_how_to_go_on(waiting: Waiting) -> 
     assert f"sierra cancel {batch}" in done.stdout
 
 
-def test_what_was_left_is_followed_to_its_end_by_another(waiting: Waiting) -> None:
+def test_attach_follows_a_detached_batch_to_its_end(waiting: Waiting) -> None:
     waiting.submit()
     waiting.open()
     done = waiting.project.quick("attach", waiting.batch())
@@ -108,7 +108,7 @@ def test_what_was_left_is_followed_to_its_end_by_another(waiting: Waiting) -> No
 
 
 @pytest.mark.nightly
-def test_a_session_is_named_by_the_beginning_of_its_own_id(waiting: Waiting) -> None:
+def test_attach_accepts_the_prefix_of_a_session_id(waiting: Waiting) -> None:
     left = waiting.submit()
     waiting.open()
     done = waiting.project.quick("attach", left["session"][:6], "--json", "--no-figures")
@@ -116,7 +116,7 @@ def test_a_session_is_named_by_the_beginning_of_its_own_id(waiting: Waiting) -> 
 
 
 @pytest.mark.nightly
-def test_failures_of_what_is_followed_are_told_with_their_logs(waiting: Waiting) -> None:
+def test_attach_reports_failed_runs_with_their_logs(waiting: Waiting) -> None:
     script = waiting.project.folder / "sim.sh"
     script.write_text(script.read_text() + "echo the arena is too small >&2; exit 4\n")
     waiting.submit()
@@ -127,7 +127,7 @@ def test_failures_of_what_is_followed_are_told_with_their_logs(waiting: Waiting)
     assert "the arena is too small" in done.stdout
 
 
-def test_status_says_how_it_stands_and_records_what_has_finished(waiting: Waiting) -> None:
+def test_status_shows_progress_and_records_finished_runs(waiting: Waiting) -> None:
     left = waiting.submit()
     until(lambda: len(packed(waiting.project.folder, Started)) == 3, "elements tell that runs have begun")
     [now] = waiting.status()
@@ -144,14 +144,14 @@ def test_status_says_how_it_stands_and_records_what_has_finished(waiting: Waitin
     assert "is on a cluster now; sierra status shows what is, sierra ls what is recorded" in late.stderr
 
 
-def test_nothing_on_a_cluster_is_said_and_no_error(waiting: Waiting) -> None:
+def test_status_without_cluster_jobs_is_not_an_error(waiting: Waiting) -> None:
     done = waiting.project.quick("status")
     assert (done.returncode, done.stdout) == (0, "nothing is on a cluster\n")
     assert not (waiting.project.folder / ".sierra").exists()
 
 
 @pytest.mark.nightly
-def test_a_scheduler_out_of_reach_leaves_the_rest_of_status(waiting: Waiting) -> None:
+def test_status_works_with_an_unreachable_scheduler(waiting: Waiting) -> None:
     waiting.submit()
     done = waiting.project.end_of(waiting.project.start("status", env={**os.environ, **NOWHERE}))
     assert done.returncode == 0
@@ -160,7 +160,7 @@ def test_a_scheduler_out_of_reach_leaves_the_rest_of_status(waiting: Waiting) ->
 
 
 @pytest.mark.nightly
-def test_what_will_never_begin_is_told_in_the_scheduler_s_words(waiting: Waiting) -> None:
+def test_status_reports_jobs_that_never_begin_with_the_schedulers_reason(waiting: Waiting) -> None:
     waiting.submit("size=1", "--runs", "1")
     [job] = waiting.status()[0]["jobs"]
     waiting.project.until_executed(1)
@@ -172,7 +172,7 @@ def test_what_will_never_begin_is_told_in_the_scheduler_s_words(waiting: Waiting
 @pytest.mark.parametrize(
     "command", [("run", *QUERY, "--on", "slurm"), ("attach", "{batch}"), ("status",), ("cancel", "{batch}")]
 )
-def test_what_cannot_be_read_now_is_not_thrown_away(waiting: Waiting, command: tuple[str, ...]) -> None:
+def test_results_that_cannot_be_read_are_not_deleted(waiting: Waiting, command: tuple[str, ...]) -> None:
     waiting.submit()
     waiting.open()
     until(lambda: waiting.alive() == 0, "the jobs end")
@@ -190,7 +190,7 @@ def test_what_cannot_be_read_now_is_not_thrown_away(waiting: Waiting, command: t
 # interrupted
 
 
-def test_off_a_terminal_an_interrupt_leaves_what_runs(waiting: Waiting) -> None:
+def test_an_interrupt_without_a_terminal_detaches(waiting: Waiting) -> None:
     asking = waiting.follow()
     asking.send_signal(signal.SIGINT)
     done = waiting.project.end_of(asking)
@@ -202,7 +202,7 @@ def test_off_a_terminal_an_interrupt_leaves_what_runs(waiting: Waiting) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("answer", "stays"), [("\n", True), ("d\n", True), ("c\n", False), ("^C", True)])
-def test_on_a_terminal_it_asks_whether_to_detach_or_to_cancel(waiting: Waiting, answer: str, stays: bool) -> None:
+def test_an_interrupt_on_a_terminal_asks_to_detach_or_cancel(waiting: Waiting, answer: str, stays: bool) -> None:
     process, said = on_a_terminal(waiting, answer)
     assert process == 130, said
     assert "detach or cancel? [D/c]" in said
@@ -212,7 +212,7 @@ def test_on_a_terminal_it_asks_whether_to_detach_or_to_cancel(waiting: Waiting, 
 
 
 def on_a_terminal(waiting: Waiting, answer: str) -> tuple[int, str]:
-    """Follow on a terminal, interrupt once runs have begun, and answer (or interrupt again); exit code, and what was said."""
+    """Follow on a terminal, interrupt after runs have begun, answer or interrupt again; return exit code and output."""
     terminal, theirs = pty.openpty()
     asking = waiting.project.start("run", *QUERY, "--on", "slurm", "--no-figures", stdin=theirs, stdout=theirs, stderr=theirs)
     os.close(theirs)
@@ -236,7 +236,7 @@ def on_a_terminal(waiting: Waiting, answer: str) -> tuple[int, str]:
 
 
 @pytest.mark.nightly
-def test_what_another_process_follows_is_not_taken_from_it(waiting: Waiting) -> None:
+def test_attach_refuses_a_batch_that_another_process_follows(waiting: Waiting) -> None:
     asking = waiting.follow()
     [now] = waiting.status()
     assert f"process {asking.pid} on " in now["attended"]
@@ -251,7 +251,7 @@ def test_what_another_process_follows_is_not_taken_from_it(waiting: Waiting) -> 
 
 
 @pytest.mark.nightly
-def test_what_another_process_follows_is_cancelled_all_the_same(waiting: Waiting) -> None:
+def test_cancel_ends_a_batch_that_another_process_follows(waiting: Waiting) -> None:
     asking = waiting.follow()
     done = waiting.project.quick("cancel", waiting.batch())
     assert done.returncode == 0, done.stderr
@@ -265,7 +265,7 @@ def test_what_another_process_follows_is_cancelled_all_the_same(waiting: Waiting
 # cancelling
 
 
-def test_cancelling_keeps_what_had_finished(waiting: Waiting) -> None:
+def test_cancel_keeps_finished_runs(waiting: Waiting) -> None:
     left = waiting.submit()
     waiting.project.until_executed(3)
     for run in waiting.project.executed():
@@ -282,7 +282,7 @@ def test_cancelling_keeps_what_had_finished(waiting: Waiting) -> None:
 
 
 @pytest.mark.parametrize("command", ["attach", "cancel"])
-def test_an_id_that_nothing_on_a_cluster_has_is_an_error(waiting: Waiting, command: str) -> None:
+def test_an_id_without_cluster_jobs_is_an_error(waiting: Waiting, command: str) -> None:
     waiting.open()
     waiting.project.quick("run", "size=1", "--runs", "1", "--no-figures")
     for named in (waiting.batch(), "abcdef"):
@@ -294,7 +294,7 @@ def test_an_id_that_nothing_on_a_cluster_has_is_an_error(waiting: Waiting, comma
 # before anything is submitted
 
 
-def test_a_dry_run_shows_the_script_that_is_submitted_then(waiting: Waiting) -> None:
+def test_a_dry_run_shows_the_script_that_is_submitted_later(waiting: Waiting) -> None:
     waiting.project.quick("status")
     told = json.loads(waiting.project.quick("run", *QUERY, "--on", "slurm", "--detach", "-n", "--json").stdout)["proposal"]
     assert not (waiting.project.folder / ".sierra").exists()
@@ -315,7 +315,7 @@ def test_a_dry_run_shows_the_script_that_is_submitted_then(waiting: Waiting) -> 
 
 
 @pytest.mark.nightly
-def test_a_dry_run_estimates_from_what_runs_took_before(waiting: Waiting) -> None:
+def test_a_dry_run_estimates_from_the_times_of_earlier_runs(waiting: Waiting) -> None:
     waiting.open()
     first = waiting.project.quick("run", "size=1", "--runs", "1", "--on", "slurm", "--dry-run").stdout
     assert "core-hours: nobody knows yet how long runs take" in first
@@ -333,7 +333,7 @@ def test_a_dry_run_estimates_from_what_runs_took_before(waiting: Waiting) -> Non
 
 
 @pytest.mark.parametrize("cluster", ["slurm", "pbs"])
-def test_a_dry_run_needs_no_scheduler_but_says_what_it_does_not_know(tmp_path: Path, cluster: str) -> None:
+def test_a_dry_run_works_without_a_scheduler_and_reports_unknown_limits(tmp_path: Path, cluster: str) -> None:
     root = projects.make(tmp_path / "project")
     tools = tmp_path / "bin"
     tools.mkdir()
@@ -345,16 +345,16 @@ def test_a_dry_run_needs_no_scheduler_but_says_what_it_does_not_know(tmp_path: P
     assert "what the site allows is not known" in done.stderr
 
 
-# what is asked for wrongly
+# invalid requests
 
 
-def test_what_is_executed_here_cannot_be_left(tmp_path: Path) -> None:
+def test_local_runs_cannot_be_detached(tmp_path: Path) -> None:
     done = projects.quick(projects.make(tmp_path / "project"), "run", "population_size.Log8", "--detach")
     assert done.returncode == 2
     assert "'local'" in done.stderr
 
 
-def test_a_runner_that_is_not_there_is_an_error_that_names_those_that_are(tmp_path: Path) -> None:
+def test_the_error_for_an_unknown_runner_names_the_known_ones(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + '[runners.big]\nscheduler = "slurm"\n')
     for more in ((), ("--dry-run",)):
         done = projects.quick(root, "run", "population_size.Log8", "--on", "bog", *more)

@@ -1,4 +1,4 @@
-"""Runs in containers on the nodes of a real SLURM: the same as here, from the same image, checked on the node."""
+"""Runs in containers on nodes of a real SLURM: same results as locally, from the same image, checked on the node."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def project(tmp_path: Path, slurm: Slurm, require: Callable[..., str]) -> Path:
     return folder
 
 
-def test_a_batch_in_apptainer_on_nodes_is_the_same_as_here(project: Path) -> None:
+def test_a_batch_in_apptainer_on_nodes_replays_identically_here(project: Path) -> None:
     there = projects.quick(project, "run", "population_size=1,2", "--on", "slurm")
     assert there.returncode == 0, there.stderr
     store = sierra.open(project)
@@ -37,7 +37,7 @@ def test_a_batch_in_apptainer_on_nodes_is_the_same_as_here(project: Path) -> Non
 
 
 @pytest.mark.nightly
-def test_one_container_for_all_runs_of_a_slot_works_on_nodes_too(project: Path, tmp_path: Path) -> None:
+def test_runs_of_a_slot_can_share_a_container_on_nodes(project: Path, tmp_path: Path) -> None:
     python = containers.python(tmp_path)
     config = project / "sierra.toml"
     config.write_text(
@@ -50,7 +50,7 @@ def test_one_container_for_all_runs_of_a_slot_works_on_nodes_too(project: Path, 
     assert sierra.open(project).sql(modes).to_pylist() == [{"mode": "worker"}]
 
 
-def test_an_image_that_is_another_on_the_node_never_runs(project: Path, slurm: Slurm, tmp_path: Path) -> None:
+def test_an_image_that_differs_on_the_node_is_never_executed(project: Path, slurm: Slurm, tmp_path: Path) -> None:
     held = tmp_path / "python"
     change = f'echo x >> "$(ls {project}/.sierra/images/*/rootfs.sqfs)"'
     held.write_text(f'#!/bin/sh\ncase "$*" in *--probe*) ;; *) {change} ;; esac\nexec python3 "$@"\n')

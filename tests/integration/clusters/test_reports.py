@@ -1,4 +1,4 @@
-"""What a user sees of a batch that is, or was, on a cluster: by every command that speaks of it."""
+"""Reports of all commands about a batch that is or was on a cluster."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ def waiting(simulate: Callable[..., Simulated], tmp_path: Path, slurm: Slurm) ->
 
 
 def later(waiting: Waiting) -> None:
-    """Have jobs wait: for an hour, as SLURM is told."""
+    """Make jobs wait in SLURM for an hour."""
     config = waiting.project.folder / "sierra.toml"
     config.write_text(config.read_text() + 'directives = ["--begin=now+1hour"]\n')
 
 
-# while it is there
+# while the batch is on the cluster
 
 
-def test_status_says_why_elements_wait_in_the_scheduler_s_words(waiting: Waiting) -> None:
+def test_status_shows_the_schedulers_reason_for_queued_array_tasks(waiting: Waiting) -> None:
     later(waiting)
     waiting.submit()
     until(lambda: waiting.status()[0]["waits"].endswith("BeginTime"), "nodes have been tried out")
@@ -47,7 +47,7 @@ def test_status_says_why_elements_wait_in_the_scheduler_s_words(waiting: Waiting
     assert re.search(r"  3 queued \((.*: )?BeginTime\)  ", waiting.project.quick("status").stdout)
 
 
-def test_reasons_are_told_in_short_and_the_most_frequent_first() -> None:
+def test_reasons_are_shortened_and_the_most_frequent_are_first() -> None:
     comment = "Not Running: Insufficient amount of resource: ncpus (R: 48 A: 12 T: 4096) on any of the hosts"
     reasons = ["Priority", comment, "Resources", comment, "", "Licenses"]
     told = submission_record.waits(Task("1", place, State.QUEUED, reason) for place, reason in enumerate(reasons))
@@ -56,7 +56,7 @@ def test_reasons_are_told_in_short_and_the_most_frequent_first() -> None:
 
 
 @pytest.mark.nightly
-def test_who_follows_is_told_why_elements_wait(waiting: Waiting) -> None:
+def test_progress_messages_say_why_array_tasks_are_queued(waiting: Waiting) -> None:
     later(waiting)
     asking = waiting.project.start("run", *QUERY, "--on", "slurm", stdin=subprocess.DEVNULL)
     said = ""
@@ -68,7 +68,7 @@ def test_who_follows_is_told_why_elements_wait(waiting: Waiting) -> None:
     assert re.fullmatch(r"0/6 runs, [13] elements? queued \(BeginTime\)\n", said)
 
 
-def test_what_is_on_a_cluster_is_told_by_all_that_speak_of_the_batch(waiting: Waiting) -> None:
+def test_why_ls_show_and_dry_runs_report_runs_on_a_cluster(waiting: Waiting) -> None:
     left = waiting.submit()
     waiting.project.until_executed(6)
     where = rf"on slurm now, job {left['jobs'][0]} \(session {left['session'][:8]}\): 3 running"
@@ -93,7 +93,7 @@ def test_what_is_on_a_cluster_is_told_by_all_that_speak_of_the_batch(waiting: Wa
     assert len(waiting.project.work()) == 1, "nothing is recorded, or taken over, by who only asks"
 
 
-def test_a_dry_run_does_not_propose_what_is_on_a_cluster_already(waiting: Waiting) -> None:
+def test_a_dry_run_does_not_propose_runs_that_are_on_a_cluster(waiting: Waiting) -> None:
     waiting.submit()
     told = json.loads(waiting.project.quick("run", "size=1,2,3,4", "--runs", "2", "--on", "slurm", "-n", "--json").stdout)
     assert (told["runs"], told["to_execute"], told["on_clusters"], told["reused"]) == (8, 2, 6, 0)
@@ -104,7 +104,7 @@ def test_a_dry_run_does_not_propose_what_is_on_a_cluster_already(waiting: Waitin
 
 
 @pytest.mark.nightly
-def test_a_dry_run_speaks_of_the_probe_where_there_will_be_one(
+def test_a_dry_run_reports_a_probe_only_if_one_is_needed(
     waiting: Waiting, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -115,11 +115,11 @@ def test_a_dry_run_speaks_of_the_probe_where_there_will_be_one(
         waiting.project.quick("run", *QUERY, "--on", "slurm", "--no-figures")
 
 
-# once it is recorded
+# after the batch is recorded
 
 
 @pytest.mark.parametrize("detached", [False, True])
-def test_how_many_runs_went_at_a_time_is_what_was_asked_for_there(waiting: Waiting, detached: bool) -> None:
+def test_the_recorded_number_of_slots_is_that_of_the_submission(waiting: Waiting, detached: bool) -> None:
     waiting.open()
     words = ("run", *QUERY, "--on", "slurm", "--no-figures", "-j", "7")
     assert waiting.project.quick(*words, *["--detach"] * detached).returncode == 0
@@ -131,7 +131,7 @@ def test_how_many_runs_went_at_a_time_is_what_was_asked_for_there(waiting: Waiti
 
 
 @pytest.mark.nightly
-def test_show_says_where_runs_were_executed_and_how_often_that_was_cut_off(waiting: Waiting) -> None:
+def test_show_lists_attempts_including_those_that_were_cut_off(waiting: Waiting) -> None:
     asking = waiting.follow()
     until(lambda: len(packed(waiting.project.folder, Started)) == 6, "elements tell that runs have begun")
     [job] = {name.partition("_")[0] for name, state in waiting.slurm.states().items() if state == "RUNNING"}

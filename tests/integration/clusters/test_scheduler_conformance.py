@@ -1,4 +1,4 @@
-"""The shipped schedulers hold to the conformance suite, over a real SLURM; and the suite notices what breaks its claims."""
+"""The shipped schedulers pass the conformance suite over a real SLURM, and the suite detects violations."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ pytestmark = pytest.mark.real
 
 
 @pytest.mark.parametrize("name", ["slurm", "pbs"])
-def test_it_conforms(name: str, slurm: clusters.Slurm, tmp_path: Path) -> None:
+def test_shipped_schedulers_conform_over_slurm(name: str, slurm: clusters.Slurm, tmp_path: Path) -> None:
     runners.check(schedulers.find(name)(ClusterTable()), tmp_path)
 
 
 @pytest.mark.nightly
-def test_it_conforms_without_rights(slurm: clusters.Slurm, require: Callable[..., str]) -> None:
+def test_slurm_conforms_for_a_user_without_privileges(slurm: clusters.Slurm, require: Callable[..., str]) -> None:
     require("useradd")
     with a_user(f"sierra-test-{os.getpid()}", ids=False) as user:
 
@@ -40,42 +40,42 @@ def test_it_conforms_without_rights(slurm: clusters.Slurm, require: Callable[...
 
 
 class Splitting(Slurm):
-    """A scheduler that takes a command for a line of a shell."""
+    """A scheduler that interprets a command as a line of a shell."""
 
     def submit(self, request: Request) -> str:
         return super().submit(replace(request, command=("sh", "-c", " ".join(request.command))))
 
 
 class Counting(Slurm):
-    """A scheduler that counts elements from 0, whatever they are called."""
+    """A scheduler that counts array tasks from 0, for any indices."""
 
     def submit(self, request: Request) -> str:
         return super().submit(replace(request, elements=tuple(range(len(request.elements)))))
 
 
 class Leaking(Slurm):
-    """A scheduler whose scripts have a secret in them."""
+    """A scheduler whose scripts contain a secret."""
 
     def script(self, request: Request) -> str:
         return super().script(request) + f"# {os.environ.get(runners.CANARY)}\n"
 
 
 class Forgetting(Slurm):
-    """A scheduler that does not find what it submitted."""
+    """A scheduler that does not find its submitted jobs."""
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         return ()
 
 
 class Remembering(Slurm):
-    """A scheduler for which what has ended still waits."""
+    """A scheduler that reports ended tasks as queued."""
 
     def look(self, name: str) -> tuple[Task, ...] | None:
         return tuple(replace(task, state=State.QUEUED) for task in super().look(name) or ())
 
 
 class Ruthless(Slurm):
-    """A scheduler that cancels all where some are to be."""
+    """A scheduler that cancels all array tasks instead of some."""
 
     def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
         super().cancel(name)
@@ -92,7 +92,7 @@ class Ruthless(Slurm):
         (Ruthless, runners.cancels_some, "after element 1 was cancelled"),
     ],
 )
-def test_the_suite_notices(
+def test_the_suite_detects_violations_of_its_claims(
     scheduler: type[Slurm],
     claim: Callable[[Trial], None],
     complaint: str,

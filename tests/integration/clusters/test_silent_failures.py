@@ -1,4 +1,4 @@
-"""What could go silently wrong on a cluster, each as a claim: mostly over a scheduler that misbehaves when it is told to."""
+"""Faults of clusters that could stay unnoticed, mostly with a scheduler that misbehaves on request."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ PRINTS = r"printf 't,v\n1,1\n2,4\n' > swarm.csv"
 
 
 class Here:
-    """A scheduler whose only node is this host, and that can be told to misbehave."""
+    """A scheduler whose only node is this host, and that misbehaves on request."""
 
     name = "here"
     Options: ClassVar[type[ClusterTable]] = ClusterTable
@@ -58,18 +58,18 @@ class Here:
     requests: ClassVar[list[Request]] = []
     numbers: ClassVar[Iterator[int]] = itertools.count(1)
     full: ClassVar[int] = 0
-    """How many more submissions it has no room for, of all but the first element."""
+    """The number of further submissions that it refuses as full, except for the first array task."""
     walls: ClassVar[list[float | None]] = []
-    """What each element may take, in seconds, by job."""
+    """The time limits of array tasks in seconds, by job."""
     word: ClassVar[str] = "ENDED"
-    """How it says that elements ended."""
+    """The word with which it reports the end of array tasks."""
     tells: ClassVar[dict[str, bool]] = {"CANCELLED": True}
-    """Whether an element was cancelled, by the word for its end; of other words it does not know that."""
+    """A map from the word for an end to whether the array task was cancelled; unknown for other words."""
     cancelled: ClassVar[Callable[[], None] | None] = None
-    """What is done instead of ending what is cancelled."""
+    """The action instead of ending cancelled array tasks."""
 
     held: ClassVar[int] = 0
-    """How many more jobs it cannot begin, but for probes."""
+    """The number of further jobs, except probes, that it cannot begin."""
     stuck: ClassVar[set[str]] = set()
 
     def __init__(self, table: ClusterTable) -> None:
@@ -137,7 +137,7 @@ class Here:
 
 
 def cut_off(process: subprocess.Popen[bytes]) -> None:
-    """Take its node away from an element, unless it has ended: it may, at any time, and be waited for by who looks."""
+    """Cut off an array task from its node, unless it has ended, which may happen at any time."""
     if process.poll() is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
@@ -145,7 +145,7 @@ def cut_off(process: subprocess.Popen[bytes]) -> None:
 
 @dataclass
 class Clustered:
-    """A project that has this cluster."""
+    """A project with this cluster."""
 
     simulated: Simulated
     gate: Path
@@ -169,7 +169,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[type[Here]]:
     monkeypatch.setattr(Here, "word", "ENDED")
     monkeypatch.setattr(Here, "cancelled", None)
     monkeypatch.setattr(Here, "held", 0)
-    for name, seconds in (("FIRST_POLL_S", 0.1), ("LAST_POLL_S", 1.0), ("QUIET_S", 0.1)):  # it knows all at once
+    for name, seconds in (("FIRST_POLL_S", 0.1), ("LAST_POLL_S", 1.0), ("QUIET_S", 0.1)):  # it answers immediately
         monkeypatch.setattr(runner, name, seconds)
     yield Here
     for _, _, _, process in Here.tasks:
@@ -194,10 +194,10 @@ def clustered(simulate: Callable[..., Simulated], here: type[Here], tmp_path: Pa
 WAITS = 'while [ ! -e "{gate}" ] && [ ! -e "{gate}.$SIERRA_RUN_ID" ]; do sleep 0.02; done; ' + PRINTS
 
 
-# leaving
+# detaching
 
 
-def test_who_detaches_on_a_terminal_is_not_asked_whether_to(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
+def test_the_option_detach_asks_no_question_on_a_terminal(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     project = simulate()
     terminal, theirs = pty.openpty()
     process = project.start(
@@ -215,10 +215,10 @@ def test_who_detaches_on_a_terminal_is_not_asked_whether_to(simulate: Callable[.
     assert process.wait(PATIENCE_S) == 0
 
 
-# nothing is thrown away
+# no results are deleted
 
 
-def test_a_session_whose_scheduler_is_not_installed_here_is_kept(
+def test_a_session_whose_scheduler_is_not_installed_is_kept(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = clustered(WAITS)
@@ -234,7 +234,9 @@ def test_a_session_whose_scheduler_is_not_installed_here_is_kept(
     assert made.project.attach(session.name, figures=False).missing == 0
 
 
-def test_what_ends_while_it_is_cancelled_is_kept(clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_runs_that_end_during_cancellation_are_kept(
+    clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = clustered(WAITS)
     submit, look = Here.submit, Here.look
 
@@ -260,7 +262,7 @@ def test_what_ends_while_it_is_cancelled_is_kept(clustered: Callable[..., Cluste
     assert (done.kept, done.missing) == (3, 0)
 
 
-def test_what_another_user_has_submitted_is_theirs(require: Callable[..., str]) -> None:
+def test_sessions_of_another_user_are_not_taken_over(require: Callable[..., str]) -> None:
     require("root, to be another user", there=os.geteuid() == 0)
     require("useradd")
     with a_user(f"sierra-test-{os.getpid()}", ids=False) as user:
@@ -277,7 +279,7 @@ def test_what_another_user_has_submitted_is_theirs(require: Callable[..., str]) 
         called_as(user, check)
 
 
-def test_half_of_a_session_that_is_removed_is_no_submission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_partially_removed_session_is_not_a_submission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     session = Session(Store.create(tmp_path / "store").paths)
     for number in range(8):
         (session.paths.root / f"folder{number}").mkdir()
@@ -294,7 +296,7 @@ def test_half_of_a_session_that_is_removed_is_no_submission(tmp_path: Path, monk
     assert not session.paths.submission.exists()
 
 
-def test_what_cannot_be_read_is_cancelled_all_the_same(clustered: Callable[..., Clustered]) -> None:
+def test_a_session_with_unreadable_results_is_cancelled(clustered: Callable[..., Clustered]) -> None:
     from sierra.worker import array_task
 
     made = clustered(WAITS)
@@ -308,10 +310,10 @@ def test_what_cannot_be_read_is_cancelled_all_the_same(clustered: Callable[..., 
     assert session.exists()
 
 
-# what is executed, and how often
+# executed runs, and how often
 
 
-def test_a_site_without_room_makes_no_run_fail(clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_queue_does_not_make_runs_fail(clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch) -> None:
     which = 'if [ "$SIERRA_RUN_ID" = "$(cat "{gate}.which")" ] && [ ! -e "{gate}" ]; then touch "{gate}"; sleep 60; fi; '
     made = clustered(which + PRINTS, elements=2)
     made.gate.with_name("gate.which").write_text(made.project.plan(*QUERY, runs=1).batch.runs[1].id)
@@ -329,7 +331,7 @@ def test_a_site_without_room_makes_no_run_fail(clustered: Callable[..., Clustere
     assert (summary.failed, summary.executed) == (0, 3), summary.failures
 
 
-def test_where_a_guess_at_their_time_was_too_short_elements_are_given_more(
+def test_array_tasks_get_more_time_if_the_estimate_was_too_short(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = clustered(WAITS)
@@ -356,7 +358,7 @@ def test_where_a_guess_at_their_time_was_too_short_elements_are_given_more(
     assert longer == [2 * least, 4 * least]
 
 
-def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_time(
+def test_resubmitted_jobs_with_more_time_are_found_by_the_scheduler(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = clustered(WAITS, elements=2)
@@ -366,7 +368,7 @@ def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_
     monkeypatch.setattr(Here, "word", "TIMEOUT")
     submit, look = Here.submit, Here.look
     looks: Counter[int] = Counter()
-    """How often it was asked for the elements, by how many there were."""
+    """The number of queries for array tasks, by their count."""
 
     def forgets(self: Here, request: Request) -> str:
         self.__dict__.pop(request.name, None)
@@ -394,7 +396,7 @@ def test_a_scheduler_that_is_asked_for_the_jobs_that_lived_sees_those_with_more_
     assert [request.elements for request in Here.requests if request.name.startswith("sierra-")] == [(0, 1), (0,)]
 
 
-def test_what_could_not_be_begun_is_submitted_again_and_that_is_said(
+def test_array_tasks_that_could_not_begin_are_submitted_again_with_a_notice(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Here, "held", 1)
@@ -408,7 +410,7 @@ def test_what_could_not_be_begun_is_submitted_again_and_that_is_said(
 
 
 def gives_back(project: Project) -> Callable[[Progress], None]:
-    """Has another session claim a run of the query's, and give it back once that is waited for."""
+    """Let another session claim a run of the query, and release it when it is waited for."""
     other = Session(Store.create(project.paths.store).paths)
     other.claim({project.plan(*QUERY, runs=1).batch.runs[0].id})
 
@@ -419,7 +421,7 @@ def gives_back(project: Project) -> Callable[[Progress], None]:
     return watch
 
 
-def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustered]) -> None:
+def test_runs_that_another_session_releases_are_executed(clustered: Callable[..., Clustered]) -> None:
     made = clustered()
     project = made.project
     summary = project.run(*QUERY, runs=1, runner="here", observer=Observing(gives_back(project)), figures=False)
@@ -427,7 +429,7 @@ def test_what_others_give_back_is_executed_too(clustered: Callable[..., Clustere
     assert made.simulated.work() == []
 
 
-def test_what_is_said_of_a_job_before_is_not_of_what_was_given_back(
+def test_a_failed_earlier_job_does_not_affect_released_runs(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Here, "word", "FAILED")
@@ -439,7 +441,7 @@ def test_what_is_said_of_a_job_before_is_not_of_what_was_given_back(
     assert (summary.executed, summary.failed, summary.missing) == (3, 0, 0)
 
 
-def test_a_copy_is_recorded_once_however_often_it_is_read(clustered: Callable[..., Clustered]) -> None:
+def test_a_duplicate_run_is_recorded_once(clustered: Callable[..., Clustered]) -> None:
     made = clustered(WAITS)
     project = made.project
     project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
@@ -458,7 +460,7 @@ def test_a_copy_is_recorded_once_however_often_it_is_read(clustered: Callable[..
     assert made.rows("SELECT 1 FROM duplicates c JOIN executions e USING (execution) WHERE c.attempt = e.attempt") == []
 
 
-def test_a_program_that_changes_under_way_has_made_no_result(clustered: Callable[..., Clustered]) -> None:
+def test_a_program_that_changes_during_the_batch_gives_no_result(clustered: Callable[..., Clustered]) -> None:
     made = clustered()
     tool = made.simulated.folder.with_name("tool.sh")
     tool.write_text(WAITS.replace("{gate}", str(made.gate)))
@@ -480,10 +482,10 @@ def test_a_program_that_changes_under_way_has_made_no_result(clustered: Callable
 
 
 @pytest.mark.parametrize(("tells", "ended"), [({"FAILED": False}, False), ({}, True)])
-def test_what_the_scheduler_knows_nobody_cancelled_is_submitted_again(
+def test_failed_array_tasks_that_nobody_cancelled_are_submitted_again(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch, tells: dict[str, bool], ended: bool
 ) -> None:
-    """SLURM says FAILED of an element that a requeue has asked to end, if that ended late."""
+    """SLURM reports FAILED for an array task that ends late after a requeue."""
     monkeypatch.setattr(Here, "word", "FAILED")
     monkeypatch.setattr(Here, "tells", tells)
     made = clustered(WAITS)
@@ -497,7 +499,7 @@ def test_what_the_scheduler_knows_nobody_cancelled_is_submitted_again(
     assert (summary.interrupted, summary.missing > 0) == (ended, ended)
 
 
-def test_a_replay_that_is_cancelled_from_elsewhere_is_no_verdict(clustered: Callable[..., Clustered]) -> None:
+def test_a_replay_cancelled_by_another_process_gives_no_verdict(clustered: Callable[..., Clustered]) -> None:
     made = clustered(WAITS)
     made.gate.touch()
     batch = made.project.run(*QUERY, runs=1, figures=False).batch
@@ -512,7 +514,7 @@ def test_a_replay_that_is_cancelled_from_elsewhere_is_no_verdict(clustered: Call
     assert made.rows("SELECT * FROM replays") == []
 
 
-def test_what_a_replay_leaves_is_kept_from_another_file_system(
+def test_files_of_a_replay_are_kept_across_file_systems(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = clustered()
@@ -528,7 +530,7 @@ def test_what_a_replay_leaves_is_kept_from_another_file_system(
 # code
 
 
-def test_what_git_ignores_and_nobody_names_is_said_to_be_missing(clustered: Callable[..., Clustered]) -> None:
+def test_a_note_reports_ignored_files_that_nodes_do_not_get(clustered: Callable[..., Clustered]) -> None:
     made = clustered('cat "$1/built" > /dev/null && ' + PRINTS)
     folder = made.simulated.folder
     config = folder / "sierra.toml"
@@ -547,7 +549,7 @@ def test_what_git_ignores_and_nobody_names_is_said_to_be_missing(clustered: Call
     assert note.startswith("git ignores big.npy, maps/ in the project: nodes have of these only what the command")
 
 
-def test_what_changes_before_it_is_copied_for_nodes_is_named(clustered: Callable[..., Clustered]) -> None:
+def test_files_that_change_before_they_are_copied_for_nodes_are_named(clustered: Callable[..., Clustered]) -> None:
     made = clustered()
     log = made.simulated.folder / "asked.log"
     log.write_text("")
@@ -560,7 +562,7 @@ def test_what_changes_before_it_is_copied_for_nodes_is_named(clustered: Callable
     assert made.project.run(*QUERY, runs=1, runner="here", figures=False).executed == 3
 
 
-def test_the_program_that_was_checked_is_the_one_that_executes(clustered: Callable[..., Clustered]) -> None:
+def test_nodes_execute_the_program_that_was_checked(clustered: Callable[..., Clustered]) -> None:
     made = clustered('tr "\\0" "\\n" < /proc/$$/cmdline | head -n 1 > called; ' + PRINTS)
     assert '["sh", "sim.sh"' in (made.simulated.folder / "sierra.toml").read_text()
     summary = made.project.run(*QUERY, runs=1, runner="here", figures=False)
@@ -587,7 +589,7 @@ def contained(here: type[Here], tmp_path: Path, require: Callable[..., str]) -> 
     return make
 
 
-def test_what_is_mounted_is_there_on_nodes_too(contained: Callable[..., Project], tmp_path: Path) -> None:
+def test_mounts_are_available_on_nodes(contained: Callable[..., Project], tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "map").write_text("5\n")
     project = contained(containers.busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}')
@@ -595,7 +597,7 @@ def test_what_is_mounted_is_there_on_nodes_too(contained: Callable[..., Project]
     assert (summary.executed, summary.failed) == (2, 0)
 
 
-def test_links_in_what_is_mounted_are_what_they_say_on_nodes_too(contained: Callable[..., Project], tmp_path: Path) -> None:
+def test_links_in_mounts_are_accepted_on_nodes(contained: Callable[..., Project], tmp_path: Path) -> None:
     (tmp_path / "maps" / "old").mkdir(parents=True)
     (tmp_path / "maps" / "latest").symlink_to("old")
     (tmp_path / "maps" / "gone").symlink_to("nowhere")
@@ -605,7 +607,7 @@ def test_links_in_what_is_mounted_are_what_they_say_on_nodes_too(contained: Call
 
 
 @pytest.mark.parametrize("isolation", ["run", "worker"])
-def test_nothing_of_sierra_is_needed_on_nodes_by_containers(contained: Callable[..., Project], isolation: str) -> None:
+def test_containers_on_nodes_need_no_files_of_sierra(contained: Callable[..., Project], isolation: str) -> None:
     project = contained(containers.python, f'isolation = "{isolation}"')
     project.run("population_size=1", runner="here", detach=True, figures=False)
     [jobs] = project.paths.store.glob("work/*/elements/0.jobs")
@@ -615,7 +617,7 @@ def test_nothing_of_sierra_is_needed_on_nodes_by_containers(contained: Callable[
     assert project.attach(jobs.parent.parent.name, figures=False).failed == 0
 
 
-def test_nodes_say_themselves_that_they_lack_a_device(contained: Callable[..., Project]) -> None:
+def test_nodes_report_a_missing_device(contained: Callable[..., Project]) -> None:
     if Path("/proc/driver/nvidia").exists():
         pytest.skip("there is a driver of NVIDIA's here")
     project = contained(containers.busybox, "gpu = true")
@@ -624,7 +626,7 @@ def test_nodes_say_themselves_that_they_lack_a_device(contained: Callable[..., P
     assert project.store.rows("SELECT * FROM executions") == []
 
 
-# what is held back until first runs tell how long runs take
+# runs that are held back until the first runs are timed
 
 
 DIES = """
@@ -636,16 +638,16 @@ SCHEDULERS.shipped["here"] = "tests.integration.clusters.test_silent_failures:He
 Here.submit = lambda self, request: os._exit(9)
 sierra.open(".").run("size=1,2,3", runs=8, runner="here", figures=False)
 """
-"""A submitter that dies when it is about to hand over the first runs."""
+"""A submitter that dies just before it submits the first runs."""
 PACKS = '"${gate%/*}"/*/.sierra/work/*/results/*.pack'
 TOLD = f'gate="{{gate}}"; until grep -aqs "start.*$SIERRA_EXECUTION" {PACKS}; do sleep 0.02; done; '
-"""Waits until the element has told that the run has begun."""
+"""A script that waits until the array task has reported the start of the run."""
 KILLS = 'case "$(cat "{gate}.which")" in *$SIERRA_RUN_ID*) ' + TOLD + "kill -9 $(ps -o ppid= $PPID);; esac; " + PRINTS
 
 
 @pytest.fixture
 def untold(clustered: Callable[..., Clustered]) -> Callable[..., Clustered]:
-    """A project whose runs go first, as nobody knows how long they take."""
+    """Return a function that makes a project whose first runs are timed, because their duration is unknown."""
 
     def make(script: str, settings: str = "") -> Clustered:
         made = clustered(script)
@@ -672,7 +674,7 @@ def refuse(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Here, "submit", refused)
 
 
-def test_who_leaves_hears_what_is_refused_and_nothing_is_cancelled(
+def test_a_refused_submission_while_detaching_is_reported_and_cancels_no_runs(
     untold: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = untold(WAITS)
@@ -691,7 +693,7 @@ def test_who_leaves_hears_what_is_refused_and_nothing_is_cancelled(
     assert sorted(made.simulated.executed().values()) == [1] * 24
 
 
-def test_what_a_dead_submitter_had_not_handed_over_is_given_back_where_it_is_refused(
+def test_runs_of_a_dead_submitter_are_released_if_their_submission_is_refused(
     untold: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = untold(PRINTS)
@@ -711,7 +713,7 @@ def test_what_a_dead_submitter_had_not_handed_over_is_given_back_where_it_is_ref
     assert sorted(made.simulated.executed().values()) == [1] * 24
 
 
-def test_runs_that_take_their_node_down_hold_nothing_up(untold: Callable[..., Clustered]) -> None:
+def test_first_runs_that_crash_their_node_do_not_block_the_batch(untold: Callable[..., Clustered]) -> None:
     made = untold(KILLS, "attempts = 1\n")
     runs = made.project.plan(*QUERY, runs=8).batch.runs
     made.gate.with_name("gate.which").write_text(f"{runs[0].id} {runs[-1].id}")
@@ -720,12 +722,12 @@ def test_runs_that_take_their_node_down_hold_nothing_up(untold: Callable[..., Cl
 
 
 def track(path: Path, node: str, started: float, ahead: float) -> collect.Track:
-    """What is known of an attempt at element 0, on a node whose clock is ahead."""
+    """Return the state of an attempt at array task 0, on a node whose clock is ahead."""
     attempt = Attempt(node, "s", 0, "1_0", node, started, 1, 1, None, None, {}, {}, {}, "3.11", ahead)
     return collect.Track(Pack(path), 0, attempt, ahead=ahead)
 
 
-def test_the_last_attempt_is_the_last_though_a_node_before_had_a_clock_ahead(tmp_path: Path) -> None:
+def test_the_last_attempt_is_found_although_an_earlier_node_had_a_fast_clock(tmp_path: Path) -> None:
     before, after = track(tmp_path / "a", "n1", 5000.0, 3600.0), track(tmp_path / "b", "n2", 2000.0, 0.0)
     assert collect.last_of([before, after], 0) is after
     assert collect.last_of([after, before], 0) is after

@@ -1,4 +1,4 @@
-"""Accounting that is really there: what a slurmdbd allows is kept to."""
+"""Real accounting: the limits of a slurmdbd are obeyed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def project(
     simulate: Callable[..., Simulated],
     monkeypatch: pytest.MonkeyPatch,
 ) -> Callable[[str], Simulated]:
-    """Makes a project that speaks to that cluster."""
+    """Return a function that makes a project for that cluster."""
     slurmdbd.needed(require)
     cluster: Accounted = request.getfixturevalue("cluster")
     for name, value in cluster.environment.items():
@@ -45,7 +45,7 @@ def project(
     return make
 
 
-def test_the_default_qos_is_kept_to(project: Callable[[str], Simulated]) -> None:
+def test_limits_of_the_default_qos_are_obeyed(project: Callable[[str], Simulated]) -> None:
     asked = project("array_tasks = 30")
     told = asked.ask(*ASKED, "-n", "--explain").stdout
     assert re.search(r"^elements +4 +the jobs that the site allows \(MaxSubmitJobsPerUser of QOS small\)$", told, re.MULTILINE)
@@ -60,7 +60,9 @@ def test_the_default_qos_is_kept_to(project: Callable[[str], Simulated]) -> None
 
 
 @pytest.mark.nightly
-def test_accounting_has_good_work_as_completed(project: Callable[[str], Simulated], request: pytest.FixtureRequest) -> None:
+def test_successful_tasks_are_completed_in_the_accounting(
+    project: Callable[[str], Simulated], request: pytest.FixtureRequest
+) -> None:
     cluster: Accounted = request.getfixturevalue("cluster")
     asked = project("array_tasks = 4")
     for runs in ("10", "20", "30"):
@@ -83,7 +85,7 @@ def test_another_qos_has_other_limits(project: Callable[[str], Simulated]) -> No
 
 
 @pytest.mark.nightly
-def test_a_site_that_takes_fewer_than_it_said_gets_them_by_and_by(
+def test_array_tasks_are_submitted_gradually_if_the_site_accepts_fewer(
     project: Callable[[str], Simulated], request: pytest.FixtureRequest
 ) -> None:
     cluster: Accounted = request.getfixturevalue("cluster")
@@ -106,9 +108,7 @@ def test_a_site_that_takes_fewer_than_it_said_gets_them_by_and_by(
         ("wall = 1800", "more than the site allows, 1200 s (MaxWall of QOS small)"),
     ],
 )
-def test_what_is_not_the_users_is_one_line_before_anything_is_lost(
-    project: Callable[[str], Simulated], table: str, words: str
-) -> None:
+def test_a_foreign_account_or_qos_is_refused_in_one_line(project: Callable[[str], Simulated], table: str, words: str) -> None:
     asked = project(table)
     done = asked.ask(*ASKED)
     assert done.returncode == 2

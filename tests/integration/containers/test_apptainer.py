@@ -1,4 +1,4 @@
-"""Runs in apptainer: the same as in podman, from the same image, however they end."""
+"""Runs in apptainer: same results and ends as in podman, from the same image."""
 
 from __future__ import annotations
 
@@ -36,7 +36,9 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return containers.python(tmp_path_factory.mktemp("python"))
 
 
-def test_a_batch_of_podmans_is_the_same_in_apptainer(tmp_path: Path, busybox: Path, require: Callable[..., str]) -> None:
+def test_a_batch_of_podman_is_reused_and_replays_identically_in_apptainer(
+    tmp_path: Path, busybox: Path, require: Callable[..., str]
+) -> None:
     require("podman")
     folder = containers.make(tmp_path / "a project, with 'blanks' and: colons", busybox)
     assert "4 executed" in says(folder, *RUN)
@@ -60,7 +62,7 @@ def test_runs_are_isolated_as_in_podman(tmp_path: Path, python: Path, isolation:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("isolation", ["run", "worker"])
-def test_each_way_to_end_is_told_apart(tmp_path: Path, python: Path, isolation: str) -> None:
+def test_all_kinds_of_ends_of_runs_are_distinguished(tmp_path: Path, python: Path, isolation: str) -> None:
     mark = f"61.{os.getpid()}"
     simulator = ENDS.replace("{mark}", mark)
     folder = containers.make(tmp_path / "project", python, ENGINE, f'isolation = "{isolation}"', simulator=simulator)
@@ -78,7 +80,7 @@ def test_each_way_to_end_is_told_apart(tmp_path: Path, python: Path, isolation: 
 
 @pytest.fixture
 def sleeping(tmp_path: Path, busybox: Path) -> Iterator[tuple[Path, subprocess.Popen[str], str]]:
-    """A batch whose two runs sleep in containers, and what marks their processes."""
+    """Yield a batch whose two runs sleep in containers, and the mark of their processes."""
     mark = f"63.{os.getpid()}"
     folder = containers.make(tmp_path / "project", busybox, ENGINE, simulator=f"{containers.SIMULATOR}sleep {mark}\n")
     words = [str(SIERRA), "run", "population_size=1", "--no-figures", "-j2"]
@@ -91,7 +93,7 @@ def sleeping(tmp_path: Path, busybox: Path) -> Iterator[tuple[Path, subprocess.P
 
 
 def of(folder: Path, what: str) -> list[int]:
-    """The processes of a batch on the host: its worker, or the parents of its containers."""
+    """Return the processes of a batch on the host: its worker, or the parents of its containers."""
     found = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
@@ -108,7 +110,7 @@ def of(folder: Path, what: str) -> list[int]:
 @pytest.mark.parametrize(
     "killed", ["sierra", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("clients", "worker", "interrupted"))]
 )
-def test_whatever_is_killed_no_container_is_left(sleeping: tuple[Path, subprocess.Popen[str], str], killed: str) -> None:
+def test_no_container_survives_a_kill_of_any_process(sleeping: tuple[Path, subprocess.Popen[str], str], killed: str) -> None:
     folder, asking, mark = sleeping
     if killed in ("sierra", "interrupted"):
         asking.send_signal(signal.SIGKILL if killed == "sierra" else signal.SIGINT)
@@ -124,10 +126,10 @@ def test_whatever_is_killed_no_container_is_left(sleeping: tuple[Path, subproces
 
 
 @pytest.mark.nightly
-def test_what_all_have_lost_is_ended_by_the_next_asking(sleeping: tuple[Path, subprocess.Popen[str], str]) -> None:
+def test_the_next_run_command_ends_orphaned_containers(sleeping: tuple[Path, subprocess.Popen[str], str]) -> None:
     folder, asking, mark = sleeping
     lost = (asking.pid, *of(folder, "worker"))
-    for number in (signal.SIGSTOP, signal.SIGKILL):  # so that neither sees the other's end
+    for number in (signal.SIGSTOP, signal.SIGKILL):  # neither process sees the end of the other
         for pid in lost:
             os.kill(pid, number)
     asking.wait()
@@ -137,7 +139,7 @@ def test_what_all_have_lost_is_ended_by_the_next_asking(sleeping: tuple[Path, su
     assert list(containers.sleepers(mark)) == []
 
 
-def test_a_squashfs_that_was_changed_is_never_run(tmp_path: Path, busybox: Path) -> None:
+def test_a_changed_squashfs_is_never_executed(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, ENGINE)
     assert "4 executed" in says(folder, *RUN)
     [made] = folder.glob(".sierra/images/*/rootfs.sqfs")
@@ -148,7 +150,7 @@ def test_a_squashfs_that_was_changed_is_never_run(tmp_path: Path, busybox: Path)
     assert made.read_bytes() == good
 
 
-def test_a_sif_executes_as_it_is_and_not_when_it_was_changed(tmp_path: Path, busybox: Path) -> None:
+def test_a_sif_is_executed_unchanged_and_refused_after_a_change(tmp_path: Path, busybox: Path) -> None:
     folder = tmp_path / "project"
     folder.mkdir()
     built = ["apptainer", "--silent", "build", str(folder / "sim.sif"), f"docker-archive:{busybox}"]
@@ -166,7 +168,7 @@ def test_a_sif_executes_as_it_is_and_not_when_it_was_changed(tmp_path: Path, bus
     assert "sim.sif is not the pinned one" in says(folder, "run", "population_size=3", "--no-figures", code=3)
 
 
-def test_what_ran_while_the_file_of_its_image_was_replaced_is_not_the_images(tmp_path: Path) -> None:
+def test_runs_fail_if_the_file_of_their_image_is_replaced_meanwhile(tmp_path: Path) -> None:
     for word in ("pinned", "other"):
         containers.furnish(tmp_path / word, "sh", "sleep", "cat", "test")
         (tmp_path / word / "etc" / "word").write_text(word)
@@ -186,7 +188,7 @@ def test_what_ran_while_the_file_of_its_image_was_replaced_is_not_the_images(tmp
 
 
 @pytest.mark.nightly
-def test_the_variables_of_a_squashfs_are_those_that_it_sets(tmp_path: Path) -> None:
+def test_variables_of_a_squashfs_come_from_the_image_and_not_from_the_lock(tmp_path: Path) -> None:
     containers.furnish(tmp_path / "root", "sh")
     sets = tmp_path / "root" / ".singularity.d" / "env" / "10-docker2singularity.sh"
     sets.parent.mkdir(parents=True)
@@ -196,7 +198,7 @@ def test_the_variables_of_a_squashfs_are_those_that_it_sets(tmp_path: Path) -> N
     folder = containers.make(tmp_path / "project", tmp_path / "sim.sqfs", ENGINE, simulator=writes)
     lock = folder / "sierra.lock"
     lock.write_text(lock.read_text().replace("9.81", "1.62"))
-    for _ in range(2):  # what is found out about an image at first is not what the lock says either
+    for _ in range(2):  # also on the first inspection of the image
         assert "the variables of" in says(folder, *RUN, code=3)
     says(folder, "image", "pin")
     says(folder, *RUN)
@@ -204,7 +206,7 @@ def test_the_variables_of_a_squashfs_are_those_that_it_sets(tmp_path: Path) -> N
 
 
 @pytest.mark.nightly
-def test_what_an_administrator_gives_to_all_containers_is_not_there(
+def test_mounts_that_an_administrator_configured_are_not_in_the_container(
     tmp_path: Path, busybox: Path, apptainer: str, require: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     require("root", there=os.geteuid() == 0)
@@ -228,7 +230,7 @@ def test_what_an_administrator_gives_to_all_containers_is_not_there(
 
 
 @pytest.mark.nightly
-def test_limits_that_hold_and_those_that_were_asked_for_are_recorded(tmp_path: Path, busybox: Path) -> None:
+def test_requested_and_enforced_limits_are_recorded(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, ENGINE, "cpus = 1.0", "pids = 60")
     said = says(folder, *RUN)
     [row] = rows(folder, "SELECT limits_asked, limits_enforced, rootless FROM isolations")

@@ -1,4 +1,4 @@
-"""Images with the real programs: built twice, carried between storages of podman's, moved behind a tag, built by apptainer."""
+"""Images with the real programs: repeated builds, transfer between podman storages, moved tags, apptainer builds."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ LAYERS = [
 
 
 class Storages:
-    """Storages of podman's that nobody else uses; one of them is chosen at a time."""
+    """Separate storages of podman; one of them is selected at a time."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self._patch = patch
-        self._folder = Path(tempfile.mkdtemp(dir="/tmp"))  # podman's sockets need short paths
+        self._folder = Path(tempfile.mkdtemp(dir="/tmp"))  # sockets of podman need short paths
 
     def choose(self, name: str) -> None:
         folder = self._folder / name
@@ -66,7 +66,7 @@ class Storages:
 
 @pytest.fixture
 def storages(monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]) -> Iterator[Storages]:
-    """Begins with a storage of its own, which is empty."""
+    """Yield storages; the selected one is new and empty."""
     require("podman")
     found = Storages(monkeypatch)
     found.choose("here")
@@ -83,7 +83,7 @@ def project(tmp_path: Path) -> Project:
 
 @pytest.fixture
 def busybox(project: Project, storages: Storages, require: Callable[..., str]) -> Project:
-    """A project that has the recipe of busybox, and what is needed to build it."""
+    """Return a project with the recipe of busybox; require the programs that build it."""
     require("apt-get")
     shutil.copytree(RECIPES / "busybox", project.root / "containers" / "busybox")
     return project
@@ -92,7 +92,7 @@ def busybox(project: Project, storages: Storages, require: Callable[..., str]) -
 BUSYBOX = "containers/busybox"
 
 
-def test_two_builds_give_one_image(busybox: Project, storages: Storages) -> None:
+def test_two_builds_give_the_same_image(busybox: Project, storages: Storages) -> None:
     before = os.umask(0o077)
     try:
         shutil.copytree(busybox.root / BUSYBOX, busybox.root / "elsewhere" / "busybox")
@@ -112,7 +112,7 @@ def test_two_builds_give_one_image(busybox: Project, storages: Storages) -> None
 
 
 @pytest.mark.nightly
-def test_a_recipe_that_was_edited_since_is_noticed(busybox: Project) -> None:
+def test_a_recipe_that_changed_since_its_build_is_reported(busybox: Project) -> None:
     with (busybox.root / "sierra.toml").open("a") as file:
         file.write(f'[container]\nimage = "{BUSYBOX}"\n')
     busybox.build_image(BUSYBOX)
@@ -125,7 +125,7 @@ def test_a_recipe_that_was_edited_since_is_noticed(busybox: Project) -> None:
 
 
 @pytest.mark.nightly
-def test_an_exported_image_is_the_same_elsewhere(busybox: Project, storages: Storages, tmp_path: Path) -> None:
+def test_an_exported_image_has_the_same_id_after_import(busybox: Project, storages: Storages, tmp_path: Path) -> None:
     built = busybox.build_image(BUSYBOX)
     busybox.pin(BUSYBOX)
     digests = set()
@@ -144,7 +144,7 @@ def test_an_exported_image_is_the_same_elsewhere(busybox: Project, storages: Sto
     images.verify(busybox.root, images.pinned(busybox.root, BUSYBOX))
 
 
-def test_a_damaged_archive_does_not_get_into_podman(project: Project, storages: Storages) -> None:
+def test_a_damaged_archive_is_not_imported_into_podman(project: Project, storages: Storages) -> None:
     path = made.docker_archive(project.root / "sim.tar", LAYERS, layer1=LAYERS[0])
     done = quick(project.root, "image", "import", str(path), "--name", "localhost/images-bad:1")
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
@@ -154,7 +154,7 @@ def test_a_damaged_archive_does_not_get_into_podman(project: Project, storages: 
 
 
 @pytest.mark.nightly
-def test_an_archive_moves_no_tag(project: Project, storages: Storages) -> None:
+def test_importing_an_archive_moves_no_tag(project: Project, storages: Storages) -> None:
     tag = "localhost/images-mine:1"
     mine = project.import_image(made.docker_archive(project.root / "mine.tar", LAYERS[:1], tag=tag)).image
     assert (mine.name, podman_images.identify(tag)) == (tag, mine.id)
@@ -164,8 +164,8 @@ def test_an_archive_moves_no_tag(project: Project, storages: Storages) -> None:
     assert project.pin(other.name).image.id == other.id
 
 
-def test_podman_gets_the_image_that_was_checked(project: Project, storages: Storages) -> None:
-    """An archive may hold two images, one by each format's index, and a reader takes the one it knows."""
+def test_podman_imports_the_image_that_was_checked(project: Project, storages: Storages) -> None:
+    """An archive may contain two images, one for each format; a reader takes the one of the format that it knows."""
     good = made.oci_archive(project.root / "good.tar", LAYERS).read_bytes()
     evil = made.docker_archive(project.root / "evil.tar", LAYERS[:1]).read_bytes()
     (project.root / "both.tar").write_bytes(evil[: len(evil.rstrip(b"\0")) // 512 * 512 + 512] + good)
@@ -175,7 +175,7 @@ def test_podman_gets_the_image_that_was_checked(project: Project, storages: Stor
     assert listed.stdout.split() == [image.id]
 
 
-def test_a_tag_that_moved_is_noticed(project: Project, storages: Storages) -> None:
+def test_a_tag_that_moved_is_detected(project: Project, storages: Storages) -> None:
     tag = "localhost/images-moving:1"
     made.docker_archive(project.root / "first.tar", LAYERS[:1])
     made.docker_archive(project.root / "second.tar", LAYERS)
@@ -194,7 +194,7 @@ def test_a_tag_that_moved_is_noticed(project: Project, storages: Storages) -> No
 
 
 @pytest.mark.nightly
-def test_a_tag_that_is_gone_can_still_be_run_by_its_id(project: Project, storages: Storages) -> None:
+def test_an_image_whose_tag_was_removed_can_be_executed_by_its_id(project: Project, storages: Storages) -> None:
     tag = "localhost/images-gone:1"
     image = project.import_image(made.docker_archive(project.root / "sim.tar", LAYERS), tag).image
     pinned = project.pin(tag).image
@@ -213,7 +213,7 @@ def test_a_tag_that_is_gone_can_still_be_run_by_its_id(project: Project, storage
 
 
 @pytest.mark.nightly
-def test_a_podman_that_does_not_work_is_no_harm_to_what_does_not_need_it(
+def test_a_broken_podman_does_not_affect_commands_without_podman(
     project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
 ) -> None:
     require("mksquashfs")
@@ -240,19 +240,19 @@ def test_an_archive_is_loaded_for_podman_by_its_content(project: Project, storag
 
 
 @pytest.mark.nightly
-def test_to_identify_an_unchanged_image_starts_no_podman(
+def test_identifying_an_unchanged_image_does_not_start_podman(
     project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tag = "localhost/images-still:1"
     project.import_image(made.docker_archive(project.root / "sim.tar", LAYERS), tag)
     project.pin(tag)
-    time.sleep(2.1)  # what was changed just now is asked for again
+    time.sleep(2.1)  # recent changes are queried again
     with monkeypatch.context() as patch:
-        patch.setenv("PATH", str(tmp_path))  # where there is none
+        patch.setenv("PATH", str(tmp_path))  # no podman is on this path
         images.verify(project.root, images.pinned(project.root, tag))
 
 
-def test_layers_come_to_what_podman_makes_of_them(project: Project, storages: Storages, tmp_path: Path) -> None:
+def test_merged_layers_equal_the_file_system_of_podman(project: Project, storages: Storages, tmp_path: Path) -> None:
     path = made.docker_archive(tmp_path / "sim.tar", LAYERS)
     identity = project.import_image(path).image.id.removeprefix("sha256:")
     made_of_it = subprocess.run(
@@ -273,7 +273,7 @@ def test_layers_come_to_what_podman_makes_of_them(project: Project, storages: St
 
 
 @pytest.mark.nightly
-def test_a_recipe_that_fails_is_said_in_a_line_and_leaves_nothing(
+def test_a_failed_recipe_is_reported_in_one_line_and_leaves_no_files(
     project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "temporary").mkdir()
@@ -319,7 +319,7 @@ def test_a_recipe_that_fails_is_said_in_a_line_and_leaves_nothing(
 
 
 @pytest.mark.nightly
-def test_what_is_recorded_of_an_image_goes_with_the_last_run_in_it(busybox: Project) -> None:
+def test_the_record_of_an_image_is_removed_with_its_last_run(busybox: Project) -> None:
     (busybox.root / "sim.sh").write_text('printf "t,v\\n1,2\\n" > "$1/swarm.csv"\n')
     config = projects.CONFIG.replace("python3 sim.py {input}", "sh {project}/sim.sh {output}")
     (busybox.root / "sierra.toml").write_text(f'{config}\n[container]\nimage = "{BUSYBOX}"\n')
@@ -345,7 +345,7 @@ def test_what_is_recorded_of_an_image_goes_with_the_last_run_in_it(busybox: Proj
     [("setsid sleep {0}1 & sleep {0}2", "FROM scratch\n"), ("", "FROM localhost/sierra/busybox\nRUN sleep {0}1\n")],
     ids=["rootfs", "RUN"],
 )
-def test_an_interrupted_build_leaves_nothing(
+def test_an_interrupted_build_leaves_no_files_and_containers(
     busybox: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rootfs: str, containerfile: str
 ) -> None:
     (tmp_path / "temporary").mkdir()
@@ -374,7 +374,7 @@ def test_an_interrupted_build_leaves_nothing(
 
 
 @pytest.mark.nightly
-def test_a_build_that_is_interrupted_as_it_starts_leaves_nothing(busybox: Project) -> None:
+def test_a_build_that_is_interrupted_at_its_start_leaves_no_processes(busybox: Project) -> None:
     folder = busybox.root / "containers" / "sim"
     folder.mkdir()
     (folder / "Containerfile").write_text("FROM scratch\n")
@@ -387,7 +387,7 @@ def test_a_build_that_is_interrupted_as_it_starts_leaves_nothing(busybox: Projec
 
 
 @pytest.mark.nightly
-def test_a_full_disk_while_building_is_said(
+def test_a_full_disk_during_a_build_is_reported(
     project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]
 ) -> None:
     small = tmp_path / "small"
@@ -411,7 +411,7 @@ def test_a_full_disk_while_building_is_said(
 
 
 @pytest.mark.nightly
-def test_apptainer_builds_another_sif_each_time_and_that_is_noticed(
+def test_a_rebuilt_sif_of_apptainer_differs_and_is_detected(
     project: Project, tmp_path: Path, require: Callable[..., str]
 ) -> None:
     apptainer = require("apptainer")
@@ -436,7 +436,7 @@ def test_apptainer_builds_another_sif_each_time_and_that_is_noticed(
 
 
 @pytest.mark.nightly
-def test_the_recipes_of_python_and_of_the_example_build(
+def test_the_recipes_of_python_and_of_the_example_can_be_built(
     project: Project, storages: Storages, require: Callable[..., str]
 ) -> None:
     require("mmdebstrap")
@@ -454,7 +454,7 @@ def test_the_recipes_of_python_and_of_the_example_build(
 
 
 @pytest.mark.nightly
-def test_the_example_s_image_has_what_is_locked() -> None:
-    """So that `make lock` does not leave the recipe behind."""
+def test_the_image_of_the_example_has_the_locked_requirements() -> None:
+    """The recipe must be updated together with `make lock`."""
     lock = set((RECIPES.parent / "requirements.lock").read_text().split())
     assert set((RECIPES / "swarm" / "requirements.txt").read_text().partition("\n")[2].split()) <= lock

@@ -1,4 +1,4 @@
-"""Runs in containers, by real podman: the same bits, isolated, ended whatever happens, and recorded as they were."""
+"""Runs in containers with real podman: identical results, isolation, reliable ends, and correct records."""
 
 from __future__ import annotations
 
@@ -51,17 +51,17 @@ def rows(folder: Path, statement: str) -> list[dict[str, Any]]:
 
 
 def says(folder: Path, *words: str, code: int = 0) -> str:
-    """What a command prints, which must end so."""
+    """Run a command; check its exit code and return its output."""
     done = quick(folder, *words)
     assert done.returncode == code, done.stdout + done.stderr
     assert "fault in SIERRA" not in done.stderr
     return done.stdout + done.stderr
 
 
-# ---------------------------------------------------------------- what runs, and what is recorded
+# ---------------------------------------------------------------- execution and records
 
 
-def test_a_batch_executes_in_its_image_and_says_so_in_sql(tmp_path: Path, busybox: Path) -> None:
+def test_a_batch_executes_in_its_image_and_sql_reports_it(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "a project, with 'blanks' and: colons", busybox)
     assert "4 runs: 4 executed" in says(folder, *RUN)
     assert "0 executed, 4 reused" in says(folder, *RUN)
@@ -101,7 +101,7 @@ ls "$HOME" | wc -l | sed 's/^/home,/'
 
 
 def what_is_told(folder: Path) -> dict[str, Any]:
-    """What a run of a project whose simulator is TOLD sees."""
+    """Return the surroundings that a run of the simulator TOLD reports."""
     with (folder / "sierra.toml").open("a") as file:
         file.write('[environment.set]\nPROJECT = "{project}"\nVALUE = \'a=b "c" $HOME\'\n[outputs.told]\nfile = "told.csv"\n')
     assert "2 executed" in says(folder, "run", "population_size=1", "--no-figures", "-j1")
@@ -109,7 +109,7 @@ def what_is_told(folder: Path) -> dict[str, Any]:
 
 
 def isolated(isolation: str) -> dict[str, Any]:
-    """What it is to see, but for how many folders of the host's names there are."""
+    """Return the expected surroundings, except the number of folders with names of the host."""
     return {
         "interfaces": "1",
         "host": "run",
@@ -139,13 +139,13 @@ def test_runs_are_isolated_by_default(tmp_path: Path, python: Path, isolation: s
     assert (row["mode"], row["host"] != "run") == (isolation, True)
 
 
-def test_an_image_without_python_can_not_be_shared_and_that_is_said(tmp_path: Path, busybox: Path) -> None:
+def test_runs_do_not_share_a_container_of_an_image_without_python(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, 'isolation = "worker"')
     assert "each run has a container of its own" in says(folder, *RUN)
     assert rows(folder, "SELECT mode FROM isolations") == [{"mode": "run"}]
 
 
-def test_outputs_belong_to_the_caller_and_nothing_is_left_of_the_work(tmp_path: Path, busybox: Path) -> None:
+def test_outputs_belong_to_the_caller_and_work_folders_are_removed(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, simulator=SIMULATOR_LOCKED)
     says(folder, *RUN)
     assert sorted(path.name for path in (folder / ".sierra" / "work").iterdir()) == ["lock", "mark"]
@@ -183,11 +183,11 @@ ENDED = {
     7: ("timeout", None, 9),
     9: ("ok", 0, None),
 }
-"""Status, exit status and signal of each of these (of the eighth, that it had too much memory)."""
+"""The status, exit status and signal of each run (for the eighth, the memory limit)."""
 
 
 @pytest.mark.parametrize("isolation", ["run", "worker"])
-def test_each_way_to_end_is_told_apart(tmp_path: Path, python: Path, isolation: str) -> None:
+def test_all_kinds_of_ends_of_runs_are_distinguished(tmp_path: Path, python: Path, isolation: str) -> None:
     mark = f"61.{os.getpid()}"
     simulator = ENDS.replace("{mark}", mark)
     folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=simulator)
@@ -209,7 +209,7 @@ BURNS = "python3 -c 'import time; x = b\"1\" * 60000000\nwhile time.process_time
 
 
 @pytest.mark.parametrize("isolation", ["run", "worker"])
-def test_what_a_run_has_used_is_the_programs_and_not_the_engines(tmp_path: Path, python: Path, isolation: str) -> None:
+def test_the_recorded_cpu_time_and_memory_exclude_the_engine(tmp_path: Path, python: Path, isolation: str) -> None:
     folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=BURNS)
     says(folder, "run", "population_size=1", "--runs", "1", "--no-figures")
     [used] = rows(folder, "SELECT user_s + system_s AS cpu, max_rss_bytes FROM executions")
@@ -217,20 +217,20 @@ def test_what_a_run_has_used_is_the_programs_and_not_the_engines(tmp_path: Path,
     assert 60e6 < used["max_rss_bytes"] < 90e6
 
 
-def test_a_command_that_is_not_in_the_image_is_found_out_before_anything_runs(tmp_path: Path, busybox: Path) -> None:
+def test_a_command_missing_from_the_image_is_reported_before_any_run_executes(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, command="simulate {input}")
     assert "the program 'simulate' is not in the image" in says(folder, *RUN, code=3)
     assert rows(folder, "SELECT count(*) AS n FROM executions") == [{"n": 0}]
 
 
-# ---------------------------------------------------------------- what is killed
+# ---------------------------------------------------------------- killed processes
 
 SLEEPS = containers.SIMULATOR + "sleep {mark}\n"
 
 
 @pytest.fixture
 def sleeping(tmp_path: Path, python: Path, request: pytest.FixtureRequest) -> Iterator[tuple[Path, subprocess.Popen[str], str]]:
-    """A batch whose two runs sleep in containers, and what marks their processes."""
+    """Yield a batch whose two runs sleep in containers, and the mark of their processes."""
     mark = f"62.{os.getpid()}"
     folder = containers.make(
         tmp_path / "project", python, f'isolation = "{request.param}"', simulator=SLEEPS.replace("{mark}", mark)
@@ -247,7 +247,7 @@ def sleeping(tmp_path: Path, python: Path, request: pytest.FixtureRequest) -> It
 
 
 def of(folder: Path, what: str) -> list[int]:
-    """The processes of a batch on the host: its worker, or the clients of its containers."""
+    """Return the processes of a batch on the host: its worker, or the clients of its containers."""
     found = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
@@ -275,7 +275,7 @@ def await_none(folder: Path, mark: str, seconds: float = PATIENCE_S / 2) -> None
     ],
     indirect=["sleeping"],
 )
-def test_whatever_is_killed_no_container_is_left_and_the_batch_can_be_finished(
+def test_no_container_survives_a_kill_and_the_batch_can_be_completed(
     sleeping: tuple[Path, subprocess.Popen[str], str], killed: str
 ) -> None:
     folder, asking, mark = sleeping
@@ -297,11 +297,11 @@ def test_whatever_is_killed_no_container_is_left_and_the_batch_can_be_finished(
 
 
 @pytest.mark.parametrize("sleeping", ["run"], indirect=True)
-def test_where_all_that_could_end_it_was_killed_a_container_is_ended_by_the_next_asking(
+def test_the_next_run_command_ends_orphaned_containers(
     sleeping: tuple[Path, subprocess.Popen[str], str],
 ) -> None:
     folder, asking, mark = sleeping
-    os.kill(asking.pid, signal.SIGSTOP)  # else it, or the worker once it is gone, may end the runs before they are killed too
+    os.kill(asking.pid, signal.SIGSTOP)  # else it, or the worker after its end, may end the runs before they are killed
     for pid in (*of(folder, "worker"), *of(folder, "clients"), asking.pid):
         os.kill(pid, signal.SIGKILL)
     asking.wait()
@@ -329,7 +329,7 @@ cd "$SIERRA_RUN_DIR/output"
 """
 
 
-def test_runs_that_share_a_container_have_no_say_in_what_is_recorded_of_others(tmp_path: Path, python: Path) -> None:
+def test_runs_that_share_a_container_cannot_change_records_of_others(tmp_path: Path, python: Path) -> None:
     mark = f"of-nobody-{os.getpid()}"
     meddles = MEDDLES.replace("{mark}", mark) + containers.SIMULATOR
     folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=meddles)
@@ -344,7 +344,7 @@ def test_runs_that_share_a_container_have_no_say_in_what_is_recorded_of_others(t
 
 
 @pytest.mark.parametrize("engine", ["podman", "apptainer"])
-def test_what_a_run_leaves_in_a_container_is_not_there_for_the_next(
+def test_files_that_a_run_leaves_in_a_shared_container_are_removed(
     tmp_path: Path, python: Path, engine: str, require: Callable[..., str]
 ) -> None:
     require(engine)
@@ -363,7 +363,7 @@ echo 1,none,0 >> swarm.csv
     assert rows(folder, "SELECT DISTINCT place FROM swarm") == [{"place": "none"}]
 
 
-def test_a_run_that_found_no_room_in_a_container_has_failed(tmp_path: Path, python: Path) -> None:
+def test_a_run_fails_if_its_container_has_no_space_left(tmp_path: Path, python: Path) -> None:
     fills = 'grep -q \'count="1"\' "$1" && cat /dev/zero 2>/dev/null > /dev/shm/full\n' + containers.SIMULATOR
     folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=fills)
     says(folder, "run", "population_size=1,2", "--runs", "1", "--no-figures", "-j1", code=1)
@@ -373,7 +373,7 @@ def test_a_run_that_found_no_room_in_a_container_has_failed(tmp_path: Path, pyth
 
 
 @pytest.mark.nightly
-def test_a_run_that_stops_the_worker_in_its_container_is_ended_all_the_same(tmp_path: Path, python: Path) -> None:
+def test_a_run_that_stops_the_worker_in_its_container_is_ended(tmp_path: Path, python: Path) -> None:
     simulator = 'grep -q \'count="1"\' "$1" && kill -STOP $PPID && sleep 100\n' + containers.SIMULATOR
     folder = containers.make(tmp_path / "project", python, 'isolation = "worker"', simulator=simulator)
     with (folder / "sierra.toml").open("a") as file:
@@ -388,14 +388,14 @@ def test_a_run_that_stops_the_worker_in_its_container_is_ended_all_the_same(tmp_
 
 
 def ids(folder: Path, *words: str) -> set[str]:
-    """The runs of a batch that would execute."""
+    """Return the ids of the runs of a batch that would execute."""
     import sierra as package
 
     plan = package.open(folder).plan("population_size=1,2", **dict(zip(words[::2], words[1::2], strict=True)))
     return {run.id for run in plan.batch.runs}
 
 
-def test_what_may_change_a_result_is_part_of_a_runs_identity_and_what_may_not_is_none(tmp_path: Path, busybox: Path) -> None:
+def test_only_container_settings_that_may_change_results_are_part_of_the_identity(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox)
     (folder / "data").mkdir()
     (folder / "data" / "map").write_text("1")
@@ -411,7 +411,7 @@ def test_what_may_change_a_result_is_part_of_a_runs_identity_and_what_may_not_is
         assert ids(folder) == plain
 
 
-def test_a_mount_is_read_only_and_what_is_in_it_counts(tmp_path: Path, busybox: Path) -> None:
+def test_a_mount_is_read_only_and_changes_of_its_content_execute_runs_again(tmp_path: Path, busybox: Path) -> None:
     writes = 'echo tick,coverage > swarm.csv; echo "0,$(cat /data/map)" >> swarm.csv\n'
     simulator = f"touch /data/x 2>/dev/null && exit 9\n{writes}"
     folder = containers.make(tmp_path / "project", busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}', simulator=simulator)
@@ -426,7 +426,7 @@ def test_a_mount_is_read_only_and_what_is_in_it_counts(tmp_path: Path, busybox: 
 
 
 @pytest.mark.parametrize("engine", ["podman", "apptainer"])
-def test_another_file_system_below_the_project_is_read_only_too(
+def test_another_file_system_below_the_project_is_read_only(
     tmp_path: Path, busybox: Path, engine: str, require: Callable[..., str]
 ) -> None:
     require(engine)
@@ -443,7 +443,7 @@ def test_another_file_system_below_the_project_is_read_only_too(
 
 
 @pytest.mark.nightly
-def test_of_a_mount_also_the_place_of_a_file_counts_and_where_a_link_leads(tmp_path: Path, busybox: Path) -> None:
+def test_moved_files_and_changed_links_of_a_mount_execute_runs_again(tmp_path: Path, busybox: Path) -> None:
     writes = 'echo tick,coverage > swarm.csv; echo "0,$(cat /data/latest/map)" >> swarm.csv\n'
     folder = containers.make(tmp_path / "project", busybox, f'mounts = {{ "/data" = "{tmp_path}/maps" }}', simulator=writes)
     old, new = tmp_path / "maps" / "old", tmp_path / "maps" / "new"
@@ -463,12 +463,12 @@ def test_of_a_mount_also_the_place_of_a_file_counts_and_where_a_link_leads(tmp_p
     assert rows(folder, "SELECT DISTINCT coverage FROM swarm") == [{"coverage": 1}]
 
 
-def test_a_path_out_of_the_project_is_no_path_in_a_container(tmp_path: Path, busybox: Path) -> None:
+def test_a_path_out_of_the_project_is_refused_in_a_container(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, command="sh {project}/../sim.sh {input}")
     assert "[container] mounts" in says(folder, *RUN, code=2)
 
 
-def test_the_variables_of_an_image_are_those_that_it_sets_whatever_they_look_like(tmp_path: Path) -> None:
+def test_variables_of_an_image_are_used_literally_and_checked_against_the_lock(tmp_path: Path) -> None:
     shell = [("bin/busybox", containers.BUSYBOX.read_bytes()), ("bin/sh -> busybox", ""), ("bin/env -> busybox", "")]
     layer = images.layer(*((name, "") for name in containers.FOLDERS), *shell)
     archive = images.docker_archive(
@@ -484,9 +484,7 @@ def test_the_variables_of_an_image_are_those_that_it_sets_whatever_they_look_lik
 
 
 @pytest.mark.parametrize("engine", ["podman", "apptainer"])
-def test_a_folder_that_an_image_calls_a_volume_is_read_only_as_all_of_it(
-    tmp_path: Path, engine: str, require: Callable[..., str]
-) -> None:
+def test_a_volume_of_an_image_is_read_only(tmp_path: Path, engine: str, require: Callable[..., str]) -> None:
     require(engine)
     shell = [("bin/busybox", containers.BUSYBOX.read_bytes()), ("bin/sh -> busybox", "")]
     layer = images.layer(*((name, "") for name in (*containers.FOLDERS, "data/")), *shell)
@@ -499,7 +497,7 @@ def test_a_folder_that_an_image_calls_a_volume_is_read_only_as_all_of_it(
     assert rows(folder, "SELECT DISTINCT kept FROM swarm") == [{"kept": 0}]
 
 
-def test_what_podman_would_give_to_all_containers_is_refused(
+def test_volumes_that_podman_gives_to_all_containers_are_refused(
     tmp_path: Path, busybox: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "seen").mkdir()
@@ -531,7 +529,7 @@ def test_a_batch_is_replayed_in_its_image_and_on_a_host_with_the_same_programs(t
     assert rows(folder, "SELECT count(*) AS n FROM isolations") == [{"n": 1}]
 
 
-def test_a_host_with_other_programs_can_be_tried_and_says_which(tmp_path: Path, busybox: Path) -> None:
+def test_a_replay_on_a_host_with_other_programs_names_them(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox)
     says(folder, *RUN)
     [batch] = rows(folder, "SELECT batch FROM batches")
@@ -542,7 +540,7 @@ def test_a_host_with_other_programs_can_be_tried_and_says_which(tmp_path: Path, 
     assert rows(folder, "SELECT engine, verdict FROM replays") == [{"engine": "none", "verdict": "identical"}]
 
 
-def test_an_image_that_is_gone_is_named(tmp_path: Path, busybox: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_image_is_named(tmp_path: Path, busybox: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     archive = shutil.copy(busybox, tmp_path / "image.tar")
     folder = containers.make(tmp_path / "project", archive)
     says(folder, *RUN)
@@ -550,13 +548,13 @@ def test_an_image_that_is_gone_is_named(tmp_path: Path, busybox: Path, monkeypat
     assert str(archive) in says(folder, *RUN, code=3)
 
 
-def test_podman_is_asked_for_where_it_is_not_there(tmp_path: Path, busybox: Path) -> None:
+def test_a_missing_podman_is_reported_in_one_line(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox)
     done = sierra(folder, *RUN, environment={"PATH": str(tmp_path)})
     assert (done.returncode, "podman" in done.stderr, len(done.stderr.splitlines())) == (3, True, 1), done.stderr
 
 
-def test_two_at_once_share_the_work(tmp_path: Path, busybox: Path) -> None:
+def test_two_concurrent_sessions_share_the_runs(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, simulator=containers.SIMULATOR + "sleep 0.5\n")
     words = [str(SIERRA), "run", "population_size=1,2,3,4", "--no-figures", "-j2", "--json"]
     both = [subprocess.Popen(words, cwd=folder, text=True, stdout=subprocess.PIPE) for _ in range(2)]
@@ -566,16 +564,14 @@ def test_two_at_once_share_the_work(tmp_path: Path, busybox: Path) -> None:
     assert containers.left(folder) == []
 
 
-def test_a_batch_in_an_image_is_sound(tmp_path: Path, busybox: Path) -> None:
+def test_fsck_finds_a_batch_in_an_image_sound(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox)
     says(folder, *RUN)
     assert says(folder, "fsck").startswith("sound")
 
 
 @pytest.mark.parametrize(("asked", "lacking"), [('devices = ["/dev/nothing"]', "/dev/nothing"), ("gpu = true", "NVIDIA")])
-def test_a_device_that_is_not_there_is_said_before_anything_runs(
-    tmp_path: Path, busybox: Path, asked: str, lacking: str
-) -> None:
+def test_a_missing_device_is_reported_before_any_run_executes(tmp_path: Path, busybox: Path, asked: str, lacking: str) -> None:
     if Path("/proc/driver/nvidia").exists():
         pytest.skip("needs a machine without NVIDIA's driver")
     folder = containers.make(tmp_path / "project", busybox, asked)

@@ -1,4 +1,4 @@
-"""What is recorded of containers is shown, compared, and kept: images by what is in them, and how executions were isolated."""
+"""Records of containers: images by their content, and the isolation of executions, are shown, compared and kept."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ IGNORED = Capabilities("podman 2, runc 1", enforced=frozenset({"pids"}), user="r
 
 
 def image(folder: Path, name: str) -> Path:
-    """A shell, and packages as Debian writes them down."""
+    """Make an image with a shell, and a list of packages in the format of Debian."""
     links = [(f"bin/{applet} -> busybox", "") for applet in ("sh", "sed", "cat")]
     shell = images.layer(*((one, "") for one in containers.FOLDERS), ("bin/busybox", containers.BUSYBOX.read_bytes()), *links)
     status = "".join(
@@ -40,7 +40,7 @@ def image(folder: Path, name: str) -> Path:
 
 
 def configure(root: Path, name: str, *more: str) -> None:
-    """Let the project's runs execute in this image; `more` are lines of [container]."""
+    """Make the project's runs execute in this image; `more` are lines of [container]."""
     before = (root / "sierra.toml").read_text().partition("[container]")[0]
     container = "\n".join(("[container]", f'image = "../{name}.tar"', *more))
     (root / "sierra.toml").write_text(f"{before}{container}\n")
@@ -58,7 +58,7 @@ def ask(root: Path, *words: str) -> str:
 
 
 def make(folder: Path) -> Path:
-    """A project with the batches `old`, `new` in another image, and `reaching` in that one with more that it reaches."""
+    """Make a project with the batches `old`, `new` in another image, and `reaching` in that image with more host access."""
     for name in VERSIONS:
         image(folder, name)
     root = projects.make(folder / "project", projects.CONFIG.replace("python3 sim.py {input}", "sh sim.sh {input}") + LIMITS)
@@ -85,7 +85,7 @@ def make(folder: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Path]:
-    """Makes that, once: where it is asked for, it is known that all is there that it needs."""
+    """Return a function that makes this project once; callers have checked its requirements."""
     folder = tmp_path_factory.mktemp("contained")
 
     def once() -> Path:
@@ -96,7 +96,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Path]:
 
 @pytest.fixture
 def root(tmp_path: Path, made: Callable[[], Path], require: Callable[..., str]) -> Path:
-    """A copy of it, which a test may change."""
+    """Return a copy of this project, which a test may change."""
     require("busybox-static, as /bin/busybox", there=containers.BUSYBOX.exists())
     require("podman")
     return stores.copy(made(), tmp_path / "copy") / "project"
@@ -119,7 +119,7 @@ def execution(root: Path, batch: str) -> str:
 
 
 def forge(root: Path, table: str, change: Mapping[str, Any]) -> None:
-    """Write all rows of a table anew, changed, so that all hashes of files are right."""
+    """Rewrite all rows of a table with changes and with correct hashes of files."""
     for path in sorted(root.glob(f".sierra/segments/*/{table}.parquet")):
         found = pq.read_table(path)
         pq.write_table(pa.Table.from_pylist([{**row, **change} for row in found.to_pylist()], schema=found.schema), path)
@@ -130,7 +130,7 @@ def forge(root: Path, table: str, change: Mapping[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("kind", ["batch", "execution"])
-def test_the_image_and_how_it_was_contained_are_shown(root: Path, batches: Mapping[str, str], kind: str) -> None:
+def test_show_displays_the_image_and_the_isolation(root: Path, batches: Mapping[str, str], kind: str) -> None:
     identity = batches["old"] if kind == "batch" else execution(root, batches["old"])
     shown = said(root, "show", identity)
     assert shown["image"]["packages"] == {"dpkg": ["libc6==2.36-9", "tzdata==1"]}
@@ -146,7 +146,7 @@ def test_the_image_and_how_it_was_contained_are_shown(root: Path, batches: Mappi
 
 
 @pytest.mark.nightly
-def test_a_limit_that_was_only_ignored_stands_out(root: Path, batches: Mapping[str, str]) -> None:
+def test_show_highlights_ignored_limits(root: Path, batches: Mapping[str, str]) -> None:
     text = succeed(root, "show", batches["new"])
     assert [line.split() for line in text.splitlines() if "IGNORED" in line] == [["LIMITS", "IGNORED", "cpus", "1"]]
     assert "limits watched   memory 64 MB" in text
@@ -154,15 +154,15 @@ def test_a_limit_that_was_only_ignored_stands_out(root: Path, batches: Mapping[s
     assert (isolation["limits_watched"], isolation["limits_ignored"]) == ({"memory": 64_000_000}, {"cpus": 1.0})
 
 
-def test_what_runs_reach_is_shown(root: Path, batches: Mapping[str, str]) -> None:
+def test_show_displays_the_host_access_of_runs(root: Path, batches: Mapping[str, str]) -> None:
     text = succeed(root, "show", execution(root, batches["reaching"]))
     assert "mount /maps, network" in text
     assert "/maps from /" in text
 
 
 @pytest.mark.nightly
-def test_an_execution_in_no_container_is_shown_as_such(root: Path, batches: Mapping[str, str]) -> None:
-    """As a replay on the host itself leaves it."""
+def test_show_reports_an_execution_without_a_container(root: Path, batches: Mapping[str, str]) -> None:
+    """A replay on the host itself leaves such a record."""
     one = execution(root, batches["old"])
     forge(root, "isolations", {"isolation": "0" * 64})
     assert "engine  not recorded" in succeed(root, "show", one)
@@ -177,7 +177,7 @@ def differences(root: Path, *words: str) -> dict[tuple[str, str], dict[str, Any]
     return {(one["kind"], one["name"]): one for one in said(root, "diff", *words)["differences"]}
 
 
-def test_images_are_compared_by_what_is_in_them(root: Path, batches: Mapping[str, str]) -> None:
+def test_images_are_compared_by_their_content(root: Path, batches: Mapping[str, str]) -> None:
     found = differences(root, batches["old"], batches["new"])
     names = [name for kind, name in found if kind == "image"]
     assert names == ["image", "dpkg", "variables", "files"]
@@ -189,7 +189,7 @@ def test_images_are_compared_by_what_is_in_them(root: Path, batches: Mapping[str
     assert found["image", "files"]["line"].endswith("2 differ: usr/lib/libm.so, var/lib/dpkg/status")
 
 
-def test_isolations_are_compared_by_what_was_enforced(root: Path, batches: Mapping[str, str]) -> None:
+def test_isolations_are_compared_by_enforced_and_ignored_limits(root: Path, batches: Mapping[str, str]) -> None:
     found = differences(root, batches["old"], batches["new"])
     told = {name: one["line"] for (kind, name), one in found.items() if kind == "isolation"}
     assert told == {
@@ -200,7 +200,7 @@ def test_isolations_are_compared_by_what_was_enforced(root: Path, batches: Mappi
 
 
 @pytest.mark.nightly
-def test_what_runs_reach_is_compared(root: Path, batches: Mapping[str, str]) -> None:
+def test_the_host_access_of_runs_is_compared(root: Path, batches: Mapping[str, str]) -> None:
     found = differences(root, batches["new"], batches["reaching"])
     assert [name for kind, name in found if kind == "image"] == ["reach"]
     assert "mount /maps is new, network is new" in found["image", "reach"]["line"]
@@ -208,7 +208,7 @@ def test_what_runs_reach_is_compared(root: Path, batches: Mapping[str, str]) -> 
 
 
 @pytest.mark.nightly
-def test_an_execution_in_a_container_is_compared_with_one_in_none(root: Path, batches: Mapping[str, str]) -> None:
+def test_executions_with_and_without_a_container_are_compared(root: Path, batches: Mapping[str, str]) -> None:
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text().partition("[container]")[0])
     plain = ask(root, "population_size=1")
     found = differences(root, batches["old"], plain)
@@ -217,7 +217,7 @@ def test_an_execution_in_a_container_is_compared_with_one_in_none(root: Path, ba
 
 
 @pytest.mark.nightly
-def test_what_is_in_an_image_is_compared_as_far_as_it_is_recorded(root: Path, batches: Mapping[str, str]) -> None:
+def test_images_without_recorded_content_are_compared_by_id(root: Path, batches: Mapping[str, str]) -> None:
     for path in root.glob(".sierra/segments/*/images.parquet"):
         path.unlink()
     found = differences(root, batches["old"], batches["new"])
@@ -232,7 +232,7 @@ def explained(root: Path) -> str:
     return succeed(root, "run", "population_size=1", "--runs", "1", "--dry-run", "--explain")
 
 
-def test_another_image_makes_runs_new_and_its_packages_are_named(root: Path, batches: Mapping[str, str]) -> None:
+def test_another_image_makes_runs_new_and_changed_packages_are_named(root: Path, batches: Mapping[str, str]) -> None:
     succeed(root, "rm", batches["old"], batches["reaching"], "--yes")
     configure(root, "old")
     text = explained(root)
@@ -242,7 +242,7 @@ def test_another_image_makes_runs_new_and_its_packages_are_named(root: Path, bat
 
 
 @pytest.mark.nightly
-def test_why_tells_what_is_other_in_the_image(root: Path, batches: Mapping[str, str]) -> None:
+def test_why_reports_differences_of_images_and_host_access(root: Path, batches: Mapping[str, str]) -> None:
     text = succeed(root, "why", batches["new"])
     assert "image: ../old.tar (sha256:" in text
     assert "libc6 2.36-9 → 2.36-10" in text
@@ -257,13 +257,13 @@ def test_why_tells_what_is_other_in_the_image(root: Path, batches: Mapping[str, 
         (["network = true", 'devices = ["/dev/null"]'], "device /dev/null is new, mount /maps is gone"),
     ],
 )
-def test_what_runs_reach_makes_them_new(root: Path, lines: list[str], told: str) -> None:
+def test_changed_host_access_makes_runs_new(root: Path, lines: list[str], told: str) -> None:
     configure(root, "new", *lines)
     assert f"what runs reach beyond the image has changed: {told}" in explained(root)
 
 
 @pytest.mark.nightly
-def test_mounted_files_that_changed_are_named(root: Path, batches: Mapping[str, str]) -> None:
+def test_changed_files_in_mounts_are_named(root: Path, batches: Mapping[str, str]) -> None:
     assert "1 runs: reused" in explained(root)
     maps = root.parent / "maps"
     (maps / "town").write_text("2")
@@ -272,7 +272,7 @@ def test_mounted_files_that_changed_are_named(root: Path, batches: Mapping[str, 
 
 
 @pytest.mark.nightly
-def test_mounted_files_that_changed_places_count(root: Path) -> None:
+def test_swapped_files_in_mounts_execute_runs_again(root: Path) -> None:
     one, other = (root.parent / "maps" / folder / "town" for folder in ("a", "b"))
     assert "1 runs: reused" in explained(root)
     one.write_text("b")
@@ -287,13 +287,13 @@ def wrong(root: Path) -> set[Kind]:
     return {finding.kind for finding in sierra.open(root).fsck().findings if not finding.kind.fine}
 
 
-def test_what_is_recorded_of_containers_is_sound(root: Path) -> None:
+def test_fsck_finds_the_records_of_containers_sound(root: Path) -> None:
     assert "sound: " in succeed(root, "fsck")
     assert said(root, "fsck")["findings"] == []
 
 
-def test_how_executions_were_contained_is_recorded_with_them(root: Path) -> None:
-    """As after `kill -9`: what an asking records at its end is not there."""
+def test_the_isolation_is_recorded_together_with_executions(root: Path) -> None:
+    """After `kill -9`, the records that a session writes at its end are missing."""
     for path in root.glob(".sierra/segments/*/sessions.parquet"):
         shutil.rmtree(path.parent)
     found = sierra.open(root).fsck()
@@ -311,7 +311,7 @@ FORGED: dict[str, tuple[str, dict[str, Any], Kind]] = {
 
 
 @pytest.mark.parametrize("what", FORGED)
-def test_a_forged_record_of_containers_is_found(root: Path, what: str) -> None:
+def test_a_forged_record_of_containers_is_detected(root: Path, what: str) -> None:
     table, change, kind = FORGED[what]
     forge(root, table, change)
     assert kind in wrong(root)
@@ -323,7 +323,7 @@ def rows(root: Path, table: str) -> list[dict[str, Any]]:
 
 
 @pytest.mark.nightly
-def test_what_only_a_removed_batch_needs_goes_and_what_others_need_stays(root: Path, batches: Mapping[str, str]) -> None:
+def test_removing_a_batch_removes_only_images_that_no_other_batch_needs(root: Path, batches: Mapping[str, str]) -> None:
     named = {row["name"]: row for row in rows(root, "images")}
     succeed(root, "rm", batches["reaching"], "--yes")
     assert {row["name"] for row in rows(root, "images")} == {"../old.tar", "../new.tar"}
@@ -340,7 +340,7 @@ def test_what_only_a_removed_batch_needs_goes_and_what_others_need_stays(root: P
 
 
 @pytest.mark.nightly
-def test_merged_segments_keep_what_is_recorded_of_containers(root: Path) -> None:
+def test_merged_segments_keep_the_records_of_containers(root: Path) -> None:
     before = {table: sorted(map(str, rows(root, table))) for table in ("images", "isolations")}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sierra.maintenance.gc.MANY", 2)

@@ -1,6 +1,6 @@
 """The engine `direct`: processes of a container are processes of the host, with the container's paths replaced.
 
-It shows the protocol and contains nothing: it reports that the network is not isolated, and that it enforces no limit.
+It shows the protocol and isolates nothing: it reports that the network is not isolated, and that it enforces no limit.
 """
 
 from __future__ import annotations

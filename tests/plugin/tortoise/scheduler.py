@@ -1,7 +1,7 @@
-"""The scheduler `spool`: elements are processes of this machine, and their states are files in a folder.
+"""The scheduler `spool`: array tasks are processes of this machine, and their states are files in a folder.
 
 It is as small as a scheduler can be. A real one calls the commands of a batch system. The files of a job are in
-`SPOOL/NAME/JOB`: `script`, `elements`, and for each element `N.pid` (it has begun), `N.ended` (its exit status) and
+`SPOOL/NAME/JOB`: `script`, `elements`, and for each array task `N.pid` (it has begun), `N.ended` (its exit status) and
 `N.cancelled`.
 """
 
@@ -33,11 +33,11 @@ test -e "$1/$2.cancelled" && exit 1
 sh "$1/script" "$2" >> "$3" 2>&1
 echo $? > "$1/$2.ended.new" && mv "$1/$2.ended.new" "$1/$2.ended"
 """
-"""Executes one element: folder of the job, index, log, folder of the job that must have ended before (or nothing)."""
+"""Executes one array task: folder of the job, index, log, folder of the job that must end before it (or nothing)."""
 
 
 class SpoolTable(ClusterTable):
-    """A cluster that is this machine."""
+    """A cluster that consists of this machine."""
 
     spool: str = Field(pattern="^/", description="folder for the states of jobs; it must exist")
     niceness: int = Field(0, ge=0, le=19, description="how far elements give way to other programs")
@@ -139,7 +139,7 @@ def _pid(element: Path) -> int | None:
 
 
 def _is_alive(group: int) -> bool:
-    """Return True if a process of this group still runs. The process that began it may have ended before the others."""
+    """Return True if a process of this group still runs. Its first process may have ended before the others."""
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
             state, _, found = stat.read_text().rpartition(")")[2].split()[:3]

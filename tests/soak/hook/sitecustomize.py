@@ -1,7 +1,7 @@
 """Place a fault at a named point of a `sierra` process or of its worker. Loaded through PYTHONPATH; see tests/soak/faults.py.
 
 Python reports every change to the file system, lock and started process as an audit event. A point is such an event, the
-path it concerns, and its place among equal ones: `driver os.rename .sierra/segments/# 1`. Nothing in SIERRA knows of this.
+path it concerns, and its number among equal ones: `driver os.rename .sierra/segments/# 1`. No code of SIERRA depends on this.
 """
 
 import errno
@@ -18,7 +18,7 @@ WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 
 def install(role, setting):
-    """Watch this process; end it, stop it or refuse the operation at the point that is asked for."""
+    """Watch this process; kill it, stop it or refuse the operation at the requested point."""
     root, log = setting["root"] + "/", setting.get("log")
     wanted, action = setting.get("point"), setting.get("action")
     counts, here = {}, threading.local()
@@ -45,7 +45,7 @@ def install(role, setting):
 
 
 def _name(role, event, arguments, root):
-    """The point's name without its number; None for what concerns nothing in the project."""
+    """Return the name of the point without its number; None for events outside the project."""
     if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & WRITES):
         return None
     path = arguments[1] if event == "os.rename" else arguments[0]
@@ -64,7 +64,7 @@ def _name(role, event, arguments, root):
 
 def _strike(action, struck, here):
     here.inside = True
-    with open(struck, "w") as file:  # what asked for the fault sees that it came
+    with open(struck, "w") as file:  # report to the test that the fault happened
         file.write(action)
     here.inside = False
     if action == "kill":
@@ -77,7 +77,7 @@ def _strike(action, struck, here):
 
 
 def _watch_workers(setting):
-    """Have workers, which are started without any site, begin with this file."""
+    """Make workers, which start without a site module, begin with this file."""
     start = subprocess.Popen.__init__
 
     def init(self, args, *more, **options):

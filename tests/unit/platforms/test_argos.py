@@ -1,4 +1,4 @@
-"""The platform `argos`, seen through what it makes of a template; ARGoS itself is not needed."""
+"""The platform `argos`: the inputs that it generates from a template; ARGoS itself is not needed."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ QUANTITY = "arena/distribute/entity[foot-bot]/@quantity"
 UNIFORM = "arena/distribute/position[@method='uniform']"
 
 Made = Any
-"""A root element of lxml's."""
+"""A root element of lxml."""
 
 
 def platform(**options: object) -> Argos:
@@ -98,13 +98,13 @@ def instead(old: str, new: str) -> str:
 
 
 def make(changes: tuple[Change, ...], template: str = TEMPLATE, controller: str = "foraging") -> Made:
-    """The template with changes made, as a design does it: the controller's name is among the values."""
+    """Return the changed template, as a design changes it: the controller's name is among the values."""
     values: dict[str, int | float | str] = {"controller": controller, "scenario": "", "seed": 7, "run": 0}
     return etree.fromstring(reader(template).changed(changes, values).render())
 
 
 def prepared(template: str = TEMPLATE, **options: object) -> Made:
-    """What the platform makes of a template, and accepts."""
+    """Return the template that the platform changed and accepted."""
     driven = platform(**options)
     changes = driven.changes(reader(template))
     driven.check(changed(template, changes), reader(template))
@@ -112,13 +112,13 @@ def prepared(template: str = TEMPLATE, **options: object) -> Made:
 
 
 def changed(template: str, changes: tuple[Change, ...]) -> XmlTemplate:
-    """A template to be asked, once changes are made, as a design does it."""
+    """Return a template for queries after the changes, as a design does."""
     values: dict[str, int | float | str] = {"controller": "foraging"}
     return XmlTemplate(reader(template).changed(changes, values).render(), "t.argos")
 
 
 def experiments(criterion: str, template: str = TEMPLATE, **options: object) -> dict[Any, Made]:
-    """What a criterion makes of the template, by the axis' values."""
+    """Return the templates that a criterion generates, by the values of the axis."""
     driven, read = platform(**options), reader(template)
     common = driven.changes(read)
     answer = driven.criterion(grammar.parse(criterion), changed(template, common))
@@ -140,22 +140,22 @@ def numbers(text: str) -> list[float]:
 # The framework
 
 
-def test_the_seed_is_added_where_the_template_has_none() -> None:
+def test_the_seed_is_added_if_the_template_has_no_seed() -> None:
     made = make(platform().seed_changes())
     assert one(made, f"{EXPERIMENT}/@random_seed") == "7"
 
 
-def test_the_seed_replaces_the_templates_own() -> None:
+def test_the_seed_replaces_the_seed_of_the_template() -> None:
     template = instead('ticks_per_second="10"', 'ticks_per_second="10" random_seed="123"')
     assert one(make(platform().seed_changes(), template), f"{EXPERIMENT}/@random_seed") == "7"
 
 
-def test_without_options_length_and_ticks_stay() -> None:
+def test_length_and_ticks_of_the_template_are_kept_by_default() -> None:
     made = prepared()
     assert (one(made, f"{EXPERIMENT}/@length"), one(made, f"{EXPERIMENT}/@ticks_per_second")) == ("60", "10")
 
 
-def test_length_and_ticks_are_options() -> None:
+def test_options_set_length_and_ticks() -> None:
     made = prepared(length=12.5, ticks_per_second=4)
     assert (one(made, f"{EXPERIMENT}/@length"), one(made, f"{EXPERIMENT}/@ticks_per_second")) == ("12.5", "4")
 
@@ -165,27 +165,27 @@ def test_a_whole_length_is_written_without_a_decimal_point() -> None:
 
 
 @pytest.mark.parametrize("length", ['length="0"', 'length="0.05"', 'length="-1"', ""])
-def test_a_template_that_would_run_for_ever_is_refused(length: str) -> None:
+def test_a_template_with_an_endless_experiment_is_refused(length: str) -> None:
     with pytest.raises(TemplateError, match=r"would never end; set length = 300 in \[platforms.argos\]"):
         prepared(instead('length="60"', length))
 
 
-def test_the_option_mends_a_template_that_would_run_for_ever() -> None:
+def test_the_length_option_makes_an_endless_template_valid() -> None:
     assert one(prepared(instead('length="60"', 'length="0"'), length=30), f"{EXPERIMENT}/@length") == "30"
 
 
-def test_a_length_of_less_than_a_tick_is_refused_as_it_is_none() -> None:
+def test_a_length_below_one_tick_is_refused() -> None:
     with pytest.raises(TemplateError, match="less than one tick"):
         prepared(length=0.05)
 
 
-def test_more_ticks_than_argos_counts_are_refused() -> None:
+def test_a_length_with_more_ticks_than_argos_can_count_is_refused() -> None:
     with pytest.raises(TemplateError, match=r"more than the [0-9]+ ticks"):
         prepared(length=1e9)
 
 
 @pytest.mark.parametrize("length", ["ten", "0x10", "1_000", "1e999999999", "9" * 100])
-def test_a_length_that_is_no_number_is_refused(length: str) -> None:
+def test_a_length_that_is_not_a_number_is_refused(length: str) -> None:
     with pytest.raises(TemplateError, match="is not a number"):
         prepared(instead('length="60"', f'length="{length}"'))
 
@@ -200,18 +200,18 @@ def test_a_template_without_ticks_is_refused() -> None:
         prepared(without(' ticks_per_second="10"'))
 
 
-def test_runs_have_no_threads_unless_asked() -> None:
+def test_runs_have_no_threads_unless_the_option_sets_them() -> None:
     assert one(prepared(), "framework/system/@threads") == "0"
     assert one(prepared(threads=3), "framework/system/@threads") == "3"
 
 
-def test_threads_are_added_to_a_template_that_has_no_system() -> None:
+def test_threads_are_added_to_a_template_without_a_system_element() -> None:
     template = without('<system threads="4"/>')
     assert one(prepared(template, threads=2), "framework/system/@threads") == "2"
     assert prepared(template).xpath("framework/system") == []
 
 
-def test_a_threading_method_that_hangs_is_refused_where_there_are_threads() -> None:
+def test_a_threading_method_that_hangs_is_refused_only_with_threads() -> None:
     template = instead('threads="4"', 'threads="4" method="balance_length"')
     with pytest.raises(TemplateError, match="hangs with 2 threads; use balance_quantity"):
         prepared(template, threads=2)
@@ -221,13 +221,13 @@ def test_a_threading_method_that_hangs_is_refused_where_there_are_threads() -> N
 # The controller
 
 
-def test_the_placeholder_becomes_the_controllers_name_wherever_it_stands() -> None:
+def test_the_controller_name_replaces_every_placeholder() -> None:
     made = prepared()
     assert one(made, "controllers/foraging/@id") == one(made, "arena//controller/@config") == "foraging"
     assert b"__CONTROLLER__" not in etree.tostring(made)
 
 
-def test_the_tag_may_be_another_than_the_name() -> None:
+def test_the_controllers_tag_may_differ_from_its_name() -> None:
     made = prepared(label="footbot_foraging_controller")
     assert one(made, "controllers/footbot_foraging_controller/@id") == "foraging"
 
@@ -237,7 +237,7 @@ def test_a_template_without_placeholder_keeps_its_controller() -> None:
     assert one(made, "controllers/mine/@id") == "mine"
 
 
-def test_a_placeholder_within_other_text_is_refused_rather_than_left() -> None:
+def test_a_placeholder_within_other_text_is_refused() -> None:
     with pytest.raises(TemplateError, match="'lib__CONTROLLER__' contains __CONTROLLER__ among other text"):
         prepared(instead('"libforaging"', '"lib__CONTROLLER__"'))
 
@@ -245,15 +245,15 @@ def test_a_placeholder_within_other_text_is_refused_rather_than_left() -> None:
 # Visualization, command and files
 
 
-def test_visualization_is_taken_out() -> None:
+def test_visualization_is_removed_by_default() -> None:
     assert prepared().xpath("visualization") == []
 
 
-def test_a_template_without_visualization_is_fine() -> None:
+def test_a_template_without_visualization_is_accepted() -> None:
     assert prepared(without("<visualization><qt-opengl/></visualization>")).xpath("visualization") == []
 
 
-def test_visualization_is_kept_on_demand() -> None:
+def test_an_option_keeps_the_visualization() -> None:
     assert len(prepared(visualization=True).xpath("visualization/qt-opengl")) == 1
 
 
@@ -261,7 +261,7 @@ def test_argos_is_started_without_colours() -> None:
     assert platform().command() == ("argos3", "-n", "-c", "{input}")
 
 
-def test_the_projects_command_goes_first() -> None:
+def test_the_projects_command_overrides_the_platforms_command() -> None:
     assert platforms.made(Argos, project(command="xvfb-run argos3 -c {input}")).command() == (
         "xvfb-run",
         "argos3",
@@ -270,12 +270,12 @@ def test_the_projects_command_goes_first() -> None:
     )
 
 
-def test_a_command_without_input_is_refused() -> None:
+def test_a_command_without_an_input_placeholder_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"needs \{input\}"):
         platforms.made(Argos, project(command="argos3 -c my.argos"))
 
 
-def test_one_document_is_one_file() -> None:
+def test_one_document_is_written_as_one_file() -> None:
     assert platform().files(b"<a/>") == (("input.argos", b"<a/>"),)
 
 
@@ -294,12 +294,12 @@ def test_one_document_is_one_file() -> None:
         {"label": "a b"},
     ],
 )
-def test_options_that_are_not_right_are_refused(options: dict[str, object]) -> None:
+def test_invalid_options_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match=r"\[platforms.argos\]"):
         platform(**options)
 
 
-def test_a_misspelt_option_is_told_the_right_one() -> None:
+def test_the_error_for_a_misspelt_option_suggests_the_correct_one() -> None:
     with pytest.raises(ConfigError, match="did you mean 'length'"):
         platform(lenght=3)
 
@@ -307,17 +307,17 @@ def test_a_misspelt_option_is_told_the_right_one() -> None:
 # The arena
 
 
-def test_the_arena_gets_the_size_that_is_asked_for_and_keeps_centre_and_height() -> None:
+def test_the_arena_option_sets_the_size_and_keeps_centre_and_height() -> None:
     made = prepared(arena="10x8")
     assert (one(made, "arena/@size"), one(made, "arena/@center")) == ("10,8,2", "0,0,1")
 
 
-def test_a_higher_arena_keeps_its_floor() -> None:
+def test_a_higher_arena_keeps_its_floor_level() -> None:
     made = prepared(arena="10x8x3")
     assert (one(made, "arena/@size"), one(made, "arena/@center")) == ("10,8,3", "0,0,1.5")
 
 
-def test_the_walls_stand_inside_the_arena_on_its_edges() -> None:
+def test_walls_are_moved_to_the_inner_edges_of_the_arena() -> None:
     made = prepared(arena="10x8")
     walls = {one(box, "@id"): (one(box, "@size"), one(box, "body/@position")) for box in made.xpath("arena/box[@id!='crate']")}
     assert walls == {
@@ -328,14 +328,14 @@ def test_the_walls_stand_inside_the_arena_on_its_edges() -> None:
     }
 
 
-def test_what_is_no_part_of_the_shape_stays() -> None:
+def test_objects_that_are_not_walls_stay_in_place() -> None:
     made = prepared(arena="10x8")
     assert one(made, "arena/box[@id='crate']/body/@position") == "1,1,0"
     assert one(made, "arena/light/@position") == "-1,0,1"
     assert one(made, "arena/distribute/position[@method='constant']/@values") == "0,0,0"
 
 
-def test_a_nest_along_one_wall_remains_one() -> None:
+def test_a_nest_along_one_wall_stays_along_that_wall() -> None:
     made = prepared(arena="10x8")
     low, high = numbers(one(made, f"{UNIFORM}/@min")), numbers(one(made, f"{UNIFORM}/@max"))
     assert low == [-4.9, -3.9, 0]
@@ -343,34 +343,34 @@ def test_a_nest_along_one_wall_remains_one() -> None:
     assert high[1:] == [3.9, 0]
 
 
-def test_walls_are_known_by_where_they_stand_not_by_name() -> None:
+def test_walls_are_recognized_by_position_and_not_by_name() -> None:
     template = TEMPLATE.replace("wall_north", "wall_x").replace("wall_east", "wall_north").replace("wall_x", "wall_east")
     made = prepared(template, arena="10x8")
     assert one(made, "arena/box[@id='wall_north']/body/@position") == "4.95,0,0"
 
 
 def test_walls_that_do_not_fit_the_template_arena_are_moved_into_it() -> None:
-    """As in a sample where the walls are around 0, and the arena from 0 to 5."""
+    """In such a template, the walls are around 0, and the arena reaches from 0 to 5."""
     made = prepared(instead('center="0,0,1"', 'center="2.5,2.5,1"'), arena="5x5")
     assert one(made, "arena/box[@id='wall_west']/body/@position") == "0.05,2.5,0"
     assert numbers(one(made, f"{UNIFORM}/@min"))[:2] == [0.1, 0.1]
 
 
 @pytest.mark.parametrize("id", ["wall's", 'wall"', "wall'\"both"])
-def test_walls_may_be_called_anything(id: str) -> None:
+def test_walls_may_have_ids_with_quotation_marks(id: str) -> None:
     quoted = id.replace('"', "&quot;")
     made = prepared(instead('"wall_north"', f'"{quoted}"'), arena="10x8")
     assert [box.get("size") for box in made.xpath("arena/box") if box.get("id") == id] == ["10,0.1,0.5"]
 
 
-def test_an_arena_without_walls_has_robots_up_to_its_edges() -> None:
+def test_robots_are_distributed_to_the_edges_of_an_arena_without_walls() -> None:
     template = TEMPLATE.replace('id="wall_', 'id="block_').replace('min="-2,-2,0"', 'min="-2.5,-2.5,0"')
     made = prepared(template, arena="10x10")
     assert one(made, f"{UNIFORM}/@min") == "-5,-5,0"
     assert one(made, "arena/box[@id='block_north']/@size") == "4,0.1,0.5"
 
 
-def test_other_walls_are_selected_by_an_option() -> None:
+def test_an_option_selects_walls_with_other_names() -> None:
     template = TEMPLATE.replace('id="wall_', 'id="fence_')
     made = prepared(template, arena="10x8", walls="//box[starts-with(@id, 'fence')]")
     assert one(made, "arena/box[@id='fence_north']/@size") == "10,0.1,0.5"
@@ -388,12 +388,12 @@ def test_other_walls_are_selected_by_an_option() -> None:
         ('"4,0.1,0.5"', '"four,0.1,1"'),
     ],
 )
-def test_walls_that_are_not_one_on_each_side_are_refused(old: str, new: str) -> None:
+def test_walls_other_than_one_on_each_side_are_refused(old: str, new: str) -> None:
     with pytest.raises(TemplateError):
         prepared(instead(old, new), arena="10x8")
 
 
-def test_walls_are_looked_at_only_where_the_arena_changes() -> None:
+def test_walls_are_checked_only_if_the_arena_changes() -> None:
     assert one(prepared(instead('id="wall_north"', 'id="gate"')), "arena/@size") == "5, 5, 2"
 
 
@@ -402,7 +402,7 @@ def test_an_arena_smaller_than_its_walls_is_refused() -> None:
         prepared(arena="0.2x0.2")
 
 
-def test_engines_with_boundaries_of_their_own_are_refused() -> None:
+def test_physics_engines_with_their_own_boundaries_are_refused() -> None:
     template = instead('<dynamics2d id="dyn2d"/>', '<dynamics2d id="dyn2d"><boundaries/></dynamics2d>')
     with pytest.raises(TemplateError, match="boundaries would not follow"):
         prepared(template, arena="10x8")
@@ -413,19 +413,19 @@ def test_robots_distributed_outside_the_walls_are_refused() -> None:
         prepared(instead('min="-2,-2,0" max="-1,2,0"', 'min="3,3,0" max="4,4,0"'), arena="10x8")
 
 
-def test_arenas_are_a_criterion() -> None:
+def test_arena_sizes_are_a_criterion() -> None:
     made = experiments("arena=10x10,20x10")
     assert {name: one(root, "arena/@size") for name, root in made.items()} == {"10x10": "10,10,2", "20x10": "20,10,2"}
 
 
 @pytest.mark.parametrize("wrong", ["arena=10,20", "arena.Log8", "arena=big", "arena=10x10,10.0x10", "arena=0x1"])
-def test_arenas_that_are_none_are_refused(wrong: str) -> None:
+def test_invalid_arena_sizes_are_refused(wrong: str) -> None:
     with pytest.raises(QueryError, match="arena"):
         experiments(wrong)
 
 
 @given(st.decimals(1, 1000, places=3), st.decimals(1, 1000, places=3))
-def test_whatever_the_arena_robots_start_between_the_walls_and_these_within_it(x: object, y: object) -> None:
+def test_robots_start_between_the_walls_and_walls_are_inside_an_arena_of_any_size(x: object, y: object) -> None:
     made = prepared(arena=f"{x}x{y}")
     sides = numbers(one(made, "arena/@size"))[:2]
     low, high = numbers(one(made, f"{UNIFORM}/@min")), numbers(one(made, f"{UNIFORM}/@max"))
@@ -440,30 +440,30 @@ def test_whatever_the_arena_robots_start_between_the_walls_and_these_within_it(x
 # Populations
 
 
-def test_population_size_is_the_quantity_of_the_robots() -> None:
+def test_population_size_sets_the_quantity_of_the_robots() -> None:
     made = experiments("population_size.Log8")
     assert [one(root, QUANTITY) for root in made.values()] == ["1", "2", "4", "8"]
     assert {one(root, "arena/distribute/entity[cylinder]/@quantity") for root in made.values()} == {"1"}
 
 
-def test_populations_are_called_so() -> None:
+def test_the_population_axis_has_a_name_and_a_label() -> None:
     answer = platform().criterion(grammar.parse("population_size.Log8"), reader())
     assert answer is not None
     assert (answer[0].name, answer[0].label) == ("population_size", "Population size")
 
 
 @pytest.mark.parametrize("wrong", ["=0.5,1", "=0,1", "=-1,1", "=few,many", "=1:8:5", "=1,4294967296", ".5p0.I16.C4"])
-def test_populations_that_are_no_whole_robots_are_refused(wrong: str) -> None:
+def test_populations_that_are_not_whole_numbers_are_refused(wrong: str) -> None:
     with pytest.raises(QueryError):
         experiments(f"population_size{wrong}")
 
 
-def test_a_count_alone_is_no_population() -> None:
+def test_a_count_without_values_is_not_a_population() -> None:
     with pytest.raises(QueryError, match=r"population_size\.Log8"):
         platform().criterion(Criterion("population_size", MonteCarlo(3)), reader())
 
 
-def test_two_kinds_of_robots_need_to_be_told_apart() -> None:
+def test_a_template_with_two_kinds_of_robots_needs_the_population_option() -> None:
     template = instead("<cylinder ", '<cylinder2><controller config="x"/></cylinder2><cylinder ')
     with pytest.raises(TemplateError, match="set population in"):
         experiments("population_size.Log8", template)
@@ -471,7 +471,7 @@ def test_two_kinds_of_robots_need_to_be_told_apart() -> None:
     assert one(made[8], "arena/distribute/entity[cylinder]/@quantity") == "8"
 
 
-def test_a_robot_placed_by_hand_would_be_one_too_many() -> None:
+def test_a_population_is_refused_if_a_robot_is_placed_by_hand() -> None:
     template = instead("<light ", '<foot-bot id="leader"><controller config="x"/></foot-bot><light ')
     with pytest.raises(TemplateError, match="must have exactly one kind of robots"):
         experiments("population_size.Log8", template)
@@ -482,7 +482,7 @@ def test_a_template_without_robots_has_no_population() -> None:
         experiments("population_size.Log8", without('<controller config="__CONTROLLER__"/>'))
 
 
-def test_a_population_is_an_attribute() -> None:
+def test_the_population_option_must_select_an_attribute() -> None:
     with pytest.raises(ConfigError, match="selects an element"):
         experiments("population_size.Log8", population="//entity[foot-bot]")
 
@@ -490,7 +490,7 @@ def test_a_population_is_an_attribute() -> None:
 # Densities
 
 
-def test_at_constant_density_the_arena_grows_from_the_templates_own() -> None:
+def test_the_arena_grows_from_the_templates_size_at_constant_density() -> None:
     made = experiments("population_constant_density.5p0.I16.C4")
     assert [one(root, "arena/@size") for root in made.values()] == ["5,5,2", "21,21,2", "37,37,2", "53,53,2"]
     assert list(made) == [1, 22, 68, 140]
@@ -504,27 +504,27 @@ def test_walls_and_robots_grow_with_the_arena() -> None:
     assert one(made, f"{UNIFORM}/@min") == "-10.4,-10.4,0"
 
 
-def test_the_arena_may_grow_from_the_options_own() -> None:
+def test_the_arena_grows_from_the_size_of_the_arena_option() -> None:
     made = experiments("population_constant_density.5p0.I5.C2", arena="20x10")
     assert {n: one(root, "arena/@size") for n, root in made.items()} == {10: "20,10,2", 18: "25,15,2"}
 
 
-def test_density_is_exact_percent() -> None:
+def test_populations_are_computed_from_exact_percentages() -> None:
     """In floats 0.29 · 100 is 28.999…"""
     assert list(experiments("population_constant_density.29p0.I1.C1", arena="10x10")) == [29]
 
 
-def test_at_variable_density_the_arena_stays() -> None:
+def test_the_arena_keeps_its_size_at_variable_density() -> None:
     made = experiments("population_variable_density.1p0.5p0.C5", arena="20x20")
     assert list(made) == [4, 8, 12, 16, 20]
     assert {one(root, "arena/@size") for root in made.values()} == {"20,20,2"}
 
 
-def test_densities_may_fall() -> None:
+def test_densities_may_decrease() -> None:
     assert list(experiments("population_variable_density.5p0.1p0.C3", arena="20x20")) == [20, 12, 4]
 
 
-def test_less_than_one_robot_is_refused_with_a_density_that_is_right() -> None:
+def test_the_error_for_less_than_one_robot_suggests_a_valid_density() -> None:
     with pytest.raises(QueryError, match=r"gives 0\.25 robots, less than one; use a density of 4 or more"):
         experiments("population_constant_density.1p0.I16.C4")
     assert next(iter(experiments("population_constant_density.4p0.I16.C4"))) == 1
@@ -532,13 +532,13 @@ def test_less_than_one_robot_is_refused_with_a_density_that_is_right() -> None:
         experiments("population_variable_density.1p0.50p0.C4", arena="5x5")
 
 
-def test_the_same_population_twice_is_refused_with_an_increment_that_is_right() -> None:
+def test_the_error_for_equal_populations_suggests_a_valid_increment() -> None:
     with pytest.raises(QueryError, match=r"two arenas have 1 robots; use an increment of I1p71 or more"):
         experiments("population_constant_density.5p0.I0p5.C4")
     assert len(experiments("population_constant_density.5p0.I1p71.C4")) == 4
 
 
-def test_two_densities_of_one_population_are_refused_with_a_count_that_is_right() -> None:
+def test_the_error_for_two_densities_of_one_population_suggests_a_valid_count() -> None:
     with pytest.raises(QueryError, match="use C5"):
         experiments("population_variable_density.1p0.5p0.C9", arena="10x10")
     assert len(experiments("population_variable_density.1p0.5p0.C5", arena="10x10")) == 5
@@ -550,18 +550,18 @@ def test_a_density_needs_walls_that_bound_the_arena() -> None:
     assert list(experiments("population_variable_density.10p0.50p0.C3", arena="5x5")) == [2, 7, 12]
 
 
-def test_walls_astride_the_edges_bound_the_arena() -> None:
+def test_walls_across_the_edges_bound_the_arena() -> None:
     assert list(experiments("population_variable_density.10p0.50p0.C3", instead('"5, 5, 2"', '"4,4,2"'))) == [1, 4, 8]
 
 
 @pytest.mark.parametrize("name", ["population_constant_density", "population_variable_density"])
-def test_densities_have_scales_of_their_own(name: str) -> None:
+def test_densities_refuse_the_ranges_of_other_criteria(name: str) -> None:
     with pytest.raises(QueryError, match=name):
         experiments(f"{name}.Log8")
 
 
 @pytest.mark.parametrize("size", ["5,5", "a,b,c", "0,5,1", "1/2,1,1", "1e999,1,1"])
-def test_an_arena_without_a_size_has_no_density(size: str) -> None:
+def test_a_density_is_refused_for_an_arena_without_a_valid_size(size: str) -> None:
     with pytest.raises(TemplateError, match="arena/@size"):
         experiments("population_constant_density.5p0.I16.C4", instead('"5, 5, 2"', f'"{size}"'))
 
@@ -570,7 +570,7 @@ DENSITIES = st.decimals("0.01", 1000, places=2)
 
 
 @given(DENSITIES, st.decimals("0.1", 50, places=1), st.integers(1, 8))
-def test_constant_density_is_refused_or_exact(density: object, increment: object, count: int) -> None:
+def test_a_constant_density_is_either_refused_or_exact(density: object, increment: object, count: int) -> None:
     steps = (str(density).replace(".", "p"), "I" + str(increment).replace(".", "p"), f"C{count}")
     criterion = grammar.parse(".".join(("population_constant_density", *steps)))
     answer = None
@@ -590,28 +590,28 @@ def test_constant_density_is_refused_or_exact(density: object, increment: object
     "criterion",
     ["population_variable_density.1p0.5p0.C5", "population_constant_density.5p0.I5.C2", "arena=10x10,20x10"],
 )
-def test_criteria_that_need_or_make_an_arena_set_its_size(criterion: str) -> None:
-    """So that a design can see that two of them contradict each other: they change the same."""
+def test_criteria_that_depend_on_the_arena_set_its_size(criterion: str) -> None:
+    """A design then detects that two of them conflict: they change the same attribute."""
     driven = platform(arena="20x20")
     answer = driven.criterion(grammar.parse(criterion), changed(TEMPLATE, driven.changes(reader())))
     assert answer is not None
     assert all("/argos-configuration/arena/@size" in {c.path for c in point.changes} for point in answer[1])
 
 
-def test_a_size_is_shown_as_it_is_written() -> None:
+def test_a_size_is_displayed_in_the_notation_of_queries() -> None:
     assert str(Size(Fraction(10), Fraction(5, 2), Fraction(1))) == "10x2.5x1"
 
 
 @pytest.mark.parametrize("hostile", ["{", "}", "{seed}", "{{}}", "' or '1'='1", "a&#10;b"])
 @pytest.mark.parametrize("old", ['"5, 5, 2"', '"60"', '"-2,-2,0"', '"0,2,0"', '"4,0.1,0.5"'])
-def test_hostile_texts_in_the_template_are_told_in_one_line(old: str, hostile: str) -> None:
+def test_errors_about_hostile_texts_in_the_template_have_one_line(old: str, hostile: str) -> None:
     with pytest.raises(TemplateError) as told:
         prepared(instead(old, f'"{hostile}"'), arena="10x8")
     assert len(str(told.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize("hostile", ["{", "}", "{seed}", "{{}}", "wall' or '1'='1", "wall&#10;b"])
-def test_hostile_ids_of_walls_are_told_in_one_line_or_fine(hostile: str) -> None:
+def test_hostile_ids_of_walls_are_accepted_or_reported_in_one_line(hostile: str) -> None:
     template = instead('"crate"', f'"wall{hostile}"')
     with pytest.raises(TemplateError, match="set walls in") as told:
         prepared(template, arena="10x8")
@@ -620,7 +620,7 @@ def test_hostile_ids_of_walls_are_told_in_one_line_or_fine(hostile: str) -> None
     assert len(made.xpath("arena/box[@size='10,0.1,0.5']")) == 2
 
 
-# Batches, with a program in ARGoS' place that says what it was given
+# Batches, with a program in place of ARGoS that reports its inputs
 
 SEEN = """\
 import sys
@@ -672,7 +672,7 @@ def argos_project(folder: Path, config: str = CONFIG, template: str = TEMPLATE) 
 
 
 def seen(folder: Path, *words: str) -> list[dict[str, Any]]:
-    """What the runs of a query were given, in the order of its experiments."""
+    """Return the inputs of a query's runs, in the order of its experiments."""
     ran = projects.quick(folder, "run", *words, "--no-figures")
     assert ran.returncode == 0, ran.stderr + ran.stdout
     asked = projects.quick(folder, "sql", "--json", "SELECT x, y, robots, length, walls FROM seen ORDER BY robots, x, length")
@@ -682,7 +682,7 @@ def seen(folder: Path, *words: str) -> list[dict[str, Any]]:
 
 
 def refused(folder: Path, *words: str) -> str:
-    """The one line that says why a query is none."""
+    """Return the error line with which a query is refused."""
     ran = projects.quick(folder, "run", *words, "-n")
     assert ran.returncode == 2, ran.stderr + ran.stdout
     assert len(ran.stderr.splitlines()) == 1
@@ -696,47 +696,49 @@ def refused(folder: Path, *words: str) -> str:
         ("population_constant_density.1p0.I10.C2", [(20, 4), (30, 9)]),
     ],
 )
-def test_a_density_is_that_of_the_scenarios_arena(tmp_path: Path, criterion: str, expected: list[tuple[int, int]]) -> None:
+def test_a_density_is_computed_for_the_arena_of_the_scenario(
+    tmp_path: Path, criterion: str, expected: list[tuple[int, int]]
+) -> None:
     rows = seen(argos_project(tmp_path / "p", CONFIG + BIG), criterion, "--scenario", "big")
     assert [(row["x"], row["robots"]) for row in rows] == expected
 
 
-def test_a_density_is_that_of_an_arena_that_is_set_on_the_command_line(tmp_path: Path) -> None:
+def test_a_density_is_computed_for_the_arena_that_the_command_line_sets(tmp_path: Path) -> None:
     template = TEMPLATE.replace('id="wall_', 'id="block_')
     folder = argos_project(tmp_path / "p", CONFIG.replace('arena = "10x10"', ""), template)
     rows = seen(folder, "population_variable_density.1p0.2p0.C2", "--set", "//arena/@size=20,10,2")
     assert [(row["x"], row["y"], row["robots"]) for row in rows] == [(20, 10, 2), (20, 10, 4)]
 
 
-def test_a_growing_arena_takes_its_walls_along(tmp_path: Path) -> None:
+def test_walls_follow_a_growing_arena(tmp_path: Path) -> None:
     rows = seen(argos_project(tmp_path / "p"), "population_constant_density.1p0.I10.C3")
     assert [(row["x"], row["robots"], row["walls"]) for row in rows] == [(10, 1, 4), (20, 4, 4), (30, 9, 4)]
 
 
-def test_a_fixed_arena_contradicts_one_that_grows(tmp_path: Path) -> None:
+def test_a_fixed_arena_conflicts_with_a_growing_one(tmp_path: Path) -> None:
     told = refused(argos_project(tmp_path / "p"), "population_constant_density.1p0.I10.C3", "--set", "//arena/@size=20,20,2")
     assert "does not last: --set //arena/@size changes what it sets" in told
 
 
-def test_a_density_means_one_thing_in_a_batch(tmp_path: Path) -> None:
+def test_a_density_with_different_populations_per_scenario_is_refused(tmp_path: Path) -> None:
     folder = argos_project(tmp_path / "p", CONFIG + BIG)
     told = refused(folder, "scenario=plain,big", "population_variable_density.1p0.3p0.C3")
     assert "population_variable_density is 1, 2, 3 with scenario=plain, but 4, 8, 12 with scenario=big; ask for one" in told
 
 
 @pytest.mark.parametrize("query", [("population_variable_density.1p0.3p0.C3",), ("population_size.Log4",)])
-def test_a_population_that_is_set_otherwise_is_no_axis(tmp_path: Path, query: tuple[str, ...]) -> None:
+def test_a_population_that_another_change_overwrites_is_refused_as_an_axis(tmp_path: Path, query: tuple[str, ...]) -> None:
     told = refused(argos_project(tmp_path / "p"), *query, "--set", "//entity/@quantity=7")
     assert "=1 does not last: --set //entity/@quantity changes what it sets" in told
 
 
-def test_two_axes_may_not_set_the_same_by_different_paths(tmp_path: Path) -> None:
+def test_two_axes_that_set_one_attribute_by_different_paths_are_refused(tmp_path: Path) -> None:
     told = refused(argos_project(tmp_path / "p"), "length=30,60", "seconds=10,20")
     assert "length=30 does not last: seconds=10 changes what it sets; ask for one of them" in told
 
 
-def test_what_a_later_axis_adds_has_the_value_of_an_earlier_one_only_in_the_right_order(tmp_path: Path) -> None:
-    """Robots that a scenario adds would not have the value that the axis before it sets in all robots."""
+def test_an_axis_before_a_scenario_that_adds_robots_is_refused(tmp_path: Path) -> None:
+    """Robots that a scenario adds would not get the value that the preceding axis sets in all robots."""
     more = """
 speed = "//wheel_turning/@max_speed"
 [scenarios.more]
@@ -757,18 +759,18 @@ def test_other_axes_combine_with_the_platforms_own(tmp_path: Path) -> None:
     assert all(row["walls"] == 4 for row in rows)
 
 
-def test_a_length_may_come_from_the_projects_own_changes(tmp_path: Path) -> None:
+def test_the_projects_changes_may_set_the_length(tmp_path: Path) -> None:
     config = 'changes = [{ set = "//experiment/@length", value = 30 }]\n' + CONFIG
     rows = seen(argos_project(tmp_path / "p", config, instead('length="60"', 'length="0"')), "population_size=1")
     assert rows[0]["length"] == 30
 
 
 @pytest.mark.parametrize("words", [("population_size=1", "--set", "//experiment/@length=0"), ("length=60,0",)])
-def test_whoever_makes_a_run_endless_is_refused(tmp_path: Path, words: tuple[str, ...]) -> None:
+def test_queries_that_make_runs_endless_are_refused(tmp_path: Path, words: tuple[str, ...]) -> None:
     assert "the run would never end" in refused(argos_project(tmp_path / "p"), *words)
 
 
-def test_threads_that_would_hang_are_refused_whoever_asks_for_them(tmp_path: Path) -> None:
+def test_threads_that_would_hang_are_refused_on_the_command_line(tmp_path: Path) -> None:
     template = instead('threads="4"', 'threads="4" method="balance_length"')
     told = refused(argos_project(tmp_path / "p", template=template), "population_size=1", "--set", "//system/@threads=2")
     assert "hangs with 2 threads" in told
@@ -793,20 +795,20 @@ changes = [{ set = "//arena/@size", value = "20,20,2" }]
         ("north=3,6",),
     ],
 )
-def test_whoever_changes_the_arena_alone_is_told_that_its_walls_stay(tmp_path: Path, words: tuple[str, ...]) -> None:
+def test_changing_only_the_arena_is_refused_because_its_walls_stay(tmp_path: Path, words: tuple[str, ...]) -> None:
     told = refused(argos_project(tmp_path / "p", CONFIG + SIZED), *words)
     assert "'wall_" in told
     assert "in [platforms.argos], or use arena=" in told
 
 
-def test_a_size_that_each_run_sets_leaves_no_walls_behind_either(tmp_path: Path) -> None:
+def test_an_arena_size_that_each_run_sets_is_refused_if_walls_stay_behind(tmp_path: Path) -> None:
     run_changes = 'run_changes = [{ set = "//arena/@size", value = "{side},{side},2" }]\nper_run = { side = [10, 20] }\n'
     folder = argos_project(tmp_path / "p", run_changes + CONFIG)
     assert projects.quick(folder, "run", "population_size=1", "--runs", "1", "-n").returncode == 0
     assert "20x20 arena" in refused(folder, "population_size=1", "--runs", "2")
 
 
-def test_walls_that_the_projects_own_changes_move_are_as_good(tmp_path: Path) -> None:
+def test_walls_may_be_moved_by_the_projects_changes(tmp_path: Path) -> None:
     [row] = seen(argos_project(tmp_path / "p", CONFIG + BIG), "population_size=1", "--scenario", "big")
     assert (row["x"], row["walls"]) == (20, 4)
 
@@ -822,19 +824,19 @@ def test_an_arena_that_becomes_higher_keeps_its_walls(tmp_path: Path) -> None:
     assert projects.quick(folder, "run", "population_size=1", "--set", "//arena/@size=5,5,3", "-n").returncode == 0
 
 
-def test_an_arena_without_walls_may_have_any_size(tmp_path: Path) -> None:
+def test_the_size_of_an_arena_without_walls_may_vary(tmp_path: Path) -> None:
     folder = argos_project(tmp_path / "p", CONFIG + SIZED, TEMPLATE.replace('id="wall_', 'id="block_'))
     assert [row["x"] for row in seen(folder, "side=10,20")] == [10, 20]
 
 
-def test_boundaries_of_an_engine_do_not_stay_behind_either(tmp_path: Path) -> None:
+def test_changing_the_arena_is_refused_if_boundaries_of_an_engine_stay_behind(tmp_path: Path) -> None:
     bounded = '<dynamics2d id="dyn2d"><boundaries><top height="2"/></boundaries></dynamics2d>'
     template = instead('<dynamics2d id="dyn2d"/>', bounded).replace('id="wall_', 'id="block_')
     folder = argos_project(tmp_path / "p", CONFIG.replace('arena = "10x10"', ""), template)
     assert "would not follow" in refused(folder, "population_size=1", "--set", "//arena/@size=20,20,2")
 
 
-def test_threads_of_runs_side_by_side_are_not_pinned_to_the_same_cores(tmp_path: Path) -> None:
+def test_pinning_threads_of_parallel_runs_to_the_same_cores_is_refused(tmp_path: Path) -> None:
     template = instead('threads="4"', 'threads="4" pin_threads_to_cores="true"')
     folder = argos_project(tmp_path / "p", template=template)
     assert projects.quick(folder, "run", "population_size=1", "-n").returncode == 0
@@ -843,14 +845,14 @@ def test_threads_of_runs_side_by_side_are_not_pinned_to_the_same_cores(tmp_path:
     assert 'pin_threads_to_cores="false"' in told
 
 
-def test_a_controller_that_is_missing_is_told_how_to_name_it(tmp_path: Path) -> None:
+def test_the_error_for_a_missing_controller_says_how_to_name_it(tmp_path: Path) -> None:
     told = refused(argos_project(tmp_path / "p", CONFIG.replace('controller = "foraging"\n', "")), "population_size=1")
     assert "__CONTROLLER__ in the template needs a controller" in told
     assert '--controller NAME, or controller = "NAME" in sierra.toml' in told
 
 
-def test_an_example_of_argos_own_becomes_this() -> None:
-    """As examples are written: paths from the project's folder, blanks in sizes, no length, a camera."""
+def test_a_typical_argos_example_is_changed_as_expected() -> None:
+    """The example is typical: paths relative to the project's folder, blanks in sizes, no length, a camera."""
     template = """<argos-configuration>
   <framework>
     <system threads="0" />
@@ -908,19 +910,19 @@ def test_an_example_of_argos_own_becomes_this() -> None:
 # Libraries
 
 
-def test_libraries_are_sought_from_the_projects_folder_and_where_they_are_built() -> None:
+def test_libraries_are_searched_in_the_project_and_its_build_folder_by_default() -> None:
     assert platform().environment() == {"ARGOS_PLUGIN_PATH": "{project}:{project}/build"}
     assert platform(libraries=["lib", "a/b"]).environment() == {"ARGOS_PLUGIN_PATH": "{project}:{project}/lib:{project}/a/b"}
 
 
 @pytest.mark.parametrize("folder", ["", ".", "..", "/lib", "a/../..", "a:b", "{seed}", "a,b"])
-def test_libraries_are_below_the_project(folder: str) -> None:
+def test_library_folders_outside_the_project_are_refused(folder: str) -> None:
     with pytest.raises(ConfigError, match=r'libraries: .* is not a folder in the project; use one such as \["build"\]'):
         platform(libraries=[folder])
 
 
 @pytest.mark.integration
-def test_a_library_that_is_built_anew_makes_runs_execute_again_though_git_ignores_it(tmp_path: Path) -> None:
+def test_runs_execute_again_if_a_library_that_git_ignores_is_rebuilt(tmp_path: Path) -> None:
     folder = argos_project(tmp_path / "p")
     subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
     (folder / ".gitignore").write_text("build/\n")

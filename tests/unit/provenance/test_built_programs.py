@@ -1,4 +1,4 @@
-"""Programs that are built in the project, in a folder that git ignores: replayed with what is built now, and said so."""
+"""Programs built in a folder of the project that git ignores: a replay uses the present build, and reports it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def build(root: Path, speed: float, rpath: str = "$ORIGIN") -> None:
 
 
 def made(root: Path, rpath: str = "$ORIGIN") -> Path:
-    """A project whose simulator is built in build/, and was asked once."""
+    """Return a project whose simulator is built in build/, after one query."""
     projects.make(root, CONFIG)
     (root / "sim.c").write_text(SIMULATOR)
     (root / ".gitignore").write_text("build/\n.venv/\n")
@@ -59,7 +59,7 @@ def replayed(root: Path) -> tuple[int, str, str]:
 @pytest.mark.integration
 @compiled
 @pytest.mark.parametrize("place", ["$ORIGIN", "{root}/build"])
-def test_what_was_built_is_found_with_its_libraries(tmp_path: Path, place: str) -> None:
+def test_a_replay_finds_a_built_program_with_its_libraries(tmp_path: Path, place: str) -> None:
     root = made(tmp_path / "p", place.format(root=tmp_path / "p"))
     code, out, err = replayed(root)
     assert (code, err) == (0, "")
@@ -71,7 +71,7 @@ def test_what_was_built_is_found_with_its_libraries(tmp_path: Path, place: str) 
 
 @pytest.mark.integration
 @compiled
-def test_what_was_built_anew_is_said_before_the_verdict(tmp_path: Path) -> None:
+def test_a_replay_reports_a_rebuilt_library_before_the_verdict(tmp_path: Path) -> None:
     root = made(tmp_path / "p")
     build(root, 0.75)
     code, out, err = replayed(root)
@@ -82,7 +82,7 @@ def test_what_was_built_anew_is_said_before_the_verdict(tmp_path: Path) -> None:
 
 @pytest.mark.integration
 @compiled
-def test_a_recorded_batch_is_not_executed_with_what_was_built_anew_without_a_word(tmp_path: Path) -> None:
+def test_executing_a_recorded_batch_with_a_rebuilt_library_is_reported(tmp_path: Path) -> None:
     root = made(tmp_path / "p")
     build(root, 0.75)
     replayed(root)
@@ -94,7 +94,7 @@ def test_a_recorded_batch_is_not_executed_with_what_was_built_anew_without_a_wor
 
 
 @compiled
-def test_what_is_not_built_is_named(tmp_path: Path) -> None:
+def test_a_replay_names_a_program_that_is_not_built(tmp_path: Path) -> None:
     root = made(tmp_path / "p")
     (root / "build" / "sim").unlink()
     code, _, err = replayed(root)
@@ -103,7 +103,7 @@ def test_what_is_not_built_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_the_python_of_a_virtual_environment_in_the_project_sees_what_is_installed_there(tmp_path: Path) -> None:
+def test_a_replay_with_a_virtual_environment_of_the_project_imports_its_packages(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "p", projects.CONFIG.replace("python3", ".venv/bin/python"))
     (root / ".gitignore").write_text(".venv/\n")
     venv.create(root / ".venv", symlinks=True)
@@ -119,7 +119,7 @@ def test_the_python_of_a_virtual_environment_in_the_project_sees_what_is_install
 
 
 @pytest.mark.integration
-def test_what_lies_beside_the_project_is_found_from_where_the_project_is(tmp_path: Path) -> None:
+def test_a_program_next_to_the_project_is_found_relative_to_the_project(tmp_path: Path) -> None:
     config = projects.CONFIG.replace("python3 sim.py", "python3 ../shared/sim.py")
     root = projects.make(tmp_path / "repository" / "experiments", config)
     (tmp_path / "repository" / "shared").mkdir()

@@ -1,4 +1,4 @@
-"""What executes is what was planned: what changes meanwhile is noticed, and nothing is ascribed to what did not make it."""
+"""Changes of code or programs during a batch are detected: no result is ascribed to code that did not produce it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OTHER = r"printf 't,v\n1,1000\n2,4000\n' > swarm.csv"
 
 @pytest.mark.integration
 @pytest.mark.parametrize("git", [True, pytest.param(False, marks=pytest.mark.nightly)])
-def test_runs_that_other_code_than_planned_may_have_made_never_count(simulate: Callable[..., Any], git: bool) -> None:
+def test_runs_that_may_have_used_changed_code_are_never_effective(simulate: Callable[..., Any], git: bool) -> None:
     script = held(1)
     project = simulate(script)
     if git:
@@ -42,7 +42,7 @@ def test_runs_that_other_code_than_planned_may_have_made_never_count(simulate: C
 
 
 @pytest.mark.integration
-def test_notes_that_change_while_runs_execute_are_told_how_to_be_no_code(simulate: Callable[..., Any]) -> None:
+def test_the_error_for_notes_that_change_meanwhile_says_how_to_exclude_them(simulate: Callable[..., Any]) -> None:
     project = simulate(held(1))
     (project.folder / "notes.md").write_text("before")
     (project.folder / "figures").mkdir()
@@ -61,7 +61,7 @@ def test_notes_that_change_while_runs_execute_are_told_how_to_be_no_code(simulat
     assert "0 of 3 runs would execute" in project.quick("run", "size=1,2,3", "--runs", "1", "-n").stdout
 
 
-def test_code_that_changed_is_not_proposed_to_be_left_out(tmp_path: Path) -> None:
+def test_the_advice_never_excludes_code_that_changed(tmp_path: Path) -> None:
     names = ("sim.py", "README", "src/a.py", "data/b", ".gitignore", "lib x/c")
     manifest = listed(Entry("100644", "0" * 40, os.fsencode(name)) for name in names)
     taken = seen(tmp_path, manifest, NOTHING)
@@ -71,7 +71,7 @@ def test_code_that_changed_is_not_proposed_to_be_left_out(tmp_path: Path) -> Non
     assert 'paths = ["lib x", "sim.py", "src"]' in taken.advice([b"README", b"data/b"])
 
 
-def test_a_program_that_is_replaced_while_runs_execute_spoils_them(simulate: Callable[..., Any], tmp_path: Path) -> None:
+def test_runs_fail_if_their_program_is_replaced_while_they_execute(simulate: Callable[..., Any], tmp_path: Path) -> None:
     program = tmp_path / "sim"
     program.write_text(f'#!/bin/sh\nuntil [ -e "{tmp_path}/gate" ]; do sleep 0.02; done; {PRINTS}\n')
     program.chmod(0o755)
@@ -90,7 +90,7 @@ def test_a_program_that_is_replaced_while_runs_execute_spoils_them(simulate: Cal
     assert project.sql("SELECT DISTINCT status FROM executions") == [{"status": "failed"}]
 
 
-def test_what_was_another_for_a_while_and_what_is_only_new(tmp_path: Path) -> None:
+def test_files_changed_and_changed_back_are_detected_and_new_files_are_not(tmp_path: Path) -> None:
     files = {name: tmp_path / name for name in ("a", "b", "sub/c")}
     for file in files.values():
         file.parent.mkdir(exist_ok=True)
@@ -115,7 +115,7 @@ def test_what_was_another_for_a_while_and_what_is_only_new(tmp_path: Path) -> No
         assert f": {name} (" in str(changed(what))
 
 
-def test_a_replay_says_nothing_of_programs_that_were_replaced_meanwhile(simulate: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_replay_fails_if_a_program_is_replaced_meanwhile(simulate: Callable[..., Any], tmp_path: Path) -> None:
     program = tmp_path / "sim"
     program.write_text(f'#!/bin/sh\nuntil [ -e "{tmp_path}/gate" ]; do sleep 0.02; done; {PRINTS}\n')
     program.chmod(0o755)
@@ -135,7 +135,7 @@ def test_a_replay_says_nothing_of_programs_that_were_replaced_meanwhile(simulate
 
 
 @pytest.mark.integration
-def test_what_it_says_itself_is_not_written_into_the_code(simulate: Callable[..., Any]) -> None:
+def test_output_redirected_into_the_project_is_refused_unless_git_ignores_it(simulate: Callable[..., Any]) -> None:
     project = simulate(PRINTS)
     ask = (projects.SIERRA, "run", "size=1", "--runs", "3", "--no-figures")
     log = project.folder / "nohup.out"

@@ -1,4 +1,4 @@
-"""What was around executions: facts that stay, of which nothing is secret."""
+"""The environment of executions: stable facts without secrets."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ CPU part\t: 0xd0c
 RISCV = "processor\t: 0\nisa\t\t: rv64imafdc_zicsr\nuarch\t\t: sifive,u74\n"
 
 
-def test_two_askings_in_a_row_give_one_environment_however_busy_the_machine_is() -> None:
+def test_two_sessions_record_the_same_environment_even_if_the_machine_is_busy() -> None:
     first = environment.capture("1")
     busy = bytearray(50_000_000)
     asked = "from sierra.provenance import environment; print(environment.capture('1')['environment'])"
@@ -46,7 +46,7 @@ def test_two_askings_in_a_row_give_one_environment_however_busy_the_machine_is()
     assert environment.capture("2")["environment"] != first["environment"]
 
 
-def test_it_starts_no_process_and_is_little_work() -> None:
+def test_capturing_the_environment_starts_no_process_and_is_fast() -> None:
     asked = (
         "import sys; from sierra.provenance import environment; from tests.effort import effort; told = []; "
         "sys.addaudithook(lambda event, _: event in ('subprocess.Popen', 'os.fork', 'os.posix_spawn') and told.append(event)); "
@@ -67,7 +67,7 @@ def test_it_starts_no_process_and_is_little_work() -> None:
         ("nonsense", ("", [])),
     ],
 )
-def test_a_processor_is_its_model_and_the_features_that_change_arithmetic(cpuinfo: str, found: tuple[str, list[str]]) -> None:
+def test_a_processor_is_recorded_as_its_model_and_its_arithmetic_features(cpuinfo: str, found: tuple[str, list[str]]) -> None:
     assert machine.processor(cpuinfo) == found
 
 
@@ -85,7 +85,7 @@ def test_known_variables_are_recorded_and_secrets_are_not(monkeypatch: pytest.Mo
     assert "MODEL_ZOO" not in environment.capture("1")["variables"]
 
 
-def test_locale_time_zone_and_modules_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_locale_time_zone_and_modules_are_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LC_ALL", "de_DE.UTF-8")
     monkeypatch.setenv("TZ", "Europe/Zurich")
     monkeypatch.setenv("LOADEDMODULES", "gcc/14.2:openmpi/5.0")
@@ -97,7 +97,7 @@ def test_locale_time_zone_and_modules_are_told(monkeypatch: pytest.MonkeyPatch) 
     )
 
 
-def test_modules_that_a_node_has_loaded_are_told() -> None:
+def test_modules_loaded_on_a_node_are_recorded() -> None:
     here = environment.capture("1")
     node = {"LOADEDMODULES": "gcc/14.2:openmpi/5.0", "LANG": "C.UTF-8", "HOME": "/root"}
     told = {name: value for name, value in node.items() if array_task.is_recorded(name, list(environment.recorded(())))}
@@ -106,7 +106,7 @@ def test_modules_that_a_node_has_loaded_are_told() -> None:
     assert json.loads(there["variables"]) == {"LANG": "C.UTF-8"}
 
 
-def test_limits_are_those_of_ulimit() -> None:
+def test_recorded_limits_equal_those_of_ulimit() -> None:
     shell = subprocess.run(["sh", "-c", "ulimit -n; ulimit -Ss; ulimit -c"], capture_output=True, text=True, check=True)
     files, stack, core = (None if word == "unlimited" else int(word) for word in shell.stdout.split())
     limits = machine.limits()
@@ -115,7 +115,7 @@ def test_limits_are_those_of_ulimit() -> None:
     assert limits["core"][0] == (core and core * 512)
 
 
-def test_what_differs_is_told_by_name_the_most_relevant_first(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_differences_are_reported_by_name_and_the_most_relevant_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OMP_DYNAMIC", raising=False)
     now = {**environment.capture("1"), "host": "here", "cpu_flags": ["avx2"]}
     limits = json.loads(now["limits"])
@@ -144,7 +144,7 @@ def test_what_differs_is_told_by_name_the_most_relevant_first(monkeypatch: pytes
 
 
 @pytest.mark.integration
-def test_it_is_recorded_once_and_as_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_is_recorded_once_with_columns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MODEL_ZOO", "/models")
     config = projects.CONFIG + '[environment]\nrecord = ["MODEL_ZOO"]\n'
     project = sierra.open(projects.make(tmp_path, config))

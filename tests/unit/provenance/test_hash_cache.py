@@ -1,4 +1,4 @@
-"""SHA-256 of files, remembered for as long as they are the same."""
+"""The cache of SHA-256 hashes of files: valid as long as the files are unchanged."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def hashed(path: Path) -> str:
-    """As a process does that begins, hashes, and ends."""
+    """Return the hash of a file, as a new process computes it."""
     found = HashCache()
     digest = found.of(str(path))
     found.save()
@@ -32,13 +32,13 @@ def hashed(path: Path) -> str:
 
 
 def rested(path: Path, content: bytes) -> Path:
-    """A file that nobody has changed for some seconds."""
+    """Write a file that was last changed some seconds ago."""
     path.write_bytes(content)
     time.sleep(2.1)
     return path
 
 
-def test_a_file_at_rest_is_hashed_once_and_again_when_it_changes(tmp_path: Path, cache: Path) -> None:
+def test_an_unchanged_file_is_hashed_once_and_again_when_it_changes(tmp_path: Path, cache: Path) -> None:
     path = rested(tmp_path / "file", LARGE)
     assert hashed(path) == hashlib.sha256(LARGE).hexdigest()
     known = unsealed(cache.read_bytes()) or b""
@@ -50,27 +50,27 @@ def test_a_file_at_rest_is_hashed_once_and_again_when_it_changes(tmp_path: Path,
     assert hashed(path) == hashlib.sha256(LARGE[:-1] + b"y").hexdigest()
 
 
-def test_what_was_just_changed_is_not_trusted(tmp_path: Path, cache: Path) -> None:
+def test_hashes_of_files_that_were_just_changed_are_not_cached(tmp_path: Path, cache: Path) -> None:
     (tmp_path / "file").write_bytes(LARGE)
     hashed(tmp_path / "file")
     assert not cache.exists()
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"PATH": 1}', '{"PATH": []}', "[" * 100_000])
-def test_a_damaged_memory_is_forgotten(tmp_path: Path, cache: Path, content: str) -> None:
+def test_a_damaged_cache_is_ignored(tmp_path: Path, cache: Path, content: str) -> None:
     (tmp_path / "file").write_bytes(LARGE)
     cache.parent.mkdir(parents=True)
     cache.write_text(content.replace("PATH", str(tmp_path / "file")))
     assert hashed(tmp_path / "file") == hashlib.sha256(LARGE).hexdigest()
 
 
-def test_no_cache_folder_is_no_error(tmp_path: Path, cache: Path) -> None:
+def test_hashing_works_without_a_cache_folder(tmp_path: Path, cache: Path) -> None:
     (tmp_path / "cache").write_text("a file where the folder should be")
     path = rested(tmp_path / "file", LARGE)
     assert hashed(path) == hashlib.sha256(LARGE).hexdigest()
 
 
-def test_memory_is_bounded(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cache_has_a_limited_size(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hash_cache, "MOST", 3)
     monkeypatch.setattr(hash_cache, "RACY_NS", -(10**12))
     for number in range(5):
@@ -80,6 +80,6 @@ def test_memory_is_bounded(tmp_path: Path, cache: Path, monkeypatch: pytest.Monk
     assert [str(tmp_path / str(number)) in text for number in range(5)] == [False, False, True, True, True]
 
 
-def test_what_cannot_be_read_is_said(tmp_path: Path, cache: Path) -> None:
+def test_a_file_that_cannot_be_read_is_reported(tmp_path: Path, cache: Path) -> None:
     with pytest.raises(Missing, match="gone cannot be read: No such file"):
         hashed(tmp_path / "gone")

@@ -1,4 +1,4 @@
-"""Commits are named for people, by GitPython, and nothing that the repository configures is executed."""
+"""Commits are described with GitPython, and no program that the repository configures is executed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def git(root: Path, *words: str) -> str:
 
 @pytest.fixture
 def repository(tmp_path: Path) -> Path:
-    """A repository without a commit."""
+    """Return a repository without commits."""
     root = tmp_path / "repository"
     root.mkdir()
     git(root, "init", "-q", "-b", "main")
@@ -33,7 +33,7 @@ def committed(root: Path, subject: str) -> str:
     return git(root, "rev-parse", "HEAD")
 
 
-def test_the_commits_between_are_named_with_author_date_and_subject(repository: Path) -> None:
+def test_commits_between_two_states_are_listed_with_author_date_and_subject(repository: Path) -> None:
     first, second = committed(repository, "Begin"), committed(repository, "Größer: “ein Test”")
     found = history.between(repository, first, second)
     assert (found.on, found.back, found.base, found.missing) == (1, 0, first, ())
@@ -43,7 +43,7 @@ def test_the_commits_between_are_named_with_author_date_and_subject(repository: 
     assert history.between(repository, second, first).log_back == (commit,)
 
 
-def test_histories_that_part_have_a_base_and_unrelated_ones_have_none(repository: Path) -> None:
+def test_diverged_histories_have_a_base_and_unrelated_ones_do_not(repository: Path) -> None:
     base = committed(repository, "Begin")
     left = committed(repository, "Left")
     git(repository, "checkout", "-q", "-b", "other", base)
@@ -62,7 +62,7 @@ def test_at_most_20_commits_are_listed_and_all_are_counted(repository: Path) -> 
     assert (found.on, len(found.log_on), found.log_on[0].subject) == (23, 20, "Change 22")
 
 
-def test_a_commit_is_known_by_its_tag_its_branches_and_its_remote(repository: Path) -> None:
+def test_a_commit_is_described_by_its_tag_branches_and_remote(repository: Path) -> None:
     first = committed(repository, "Begin")
     git(repository, "tag", "v1")
     git(repository, "remote", "add", "origin", "https://ada:secret@example.org/swarm.git?token=secret")
@@ -73,26 +73,26 @@ def test_a_commit_is_known_by_its_tag_its_branches_and_its_remote(repository: Pa
     assert found.remote == "https://example.org/swarm.git"
 
 
-def test_a_repository_with_sha256_has_a_history_too(tmp_path: Path) -> None:
+def test_the_history_of_a_repository_with_sha256_is_read(tmp_path: Path) -> None:
     git(tmp_path, "init", "-q", "--object-format=sha256")
     first, second = committed(tmp_path, "Begin"), committed(tmp_path, "Go on")
     assert [commit.subject for commit in history.between(tmp_path, first, second).log_on] == ["Go on"]
 
 
-def test_a_folder_without_a_repository_knows_no_commit(tmp_path: Path) -> None:
+def test_commits_are_missing_in_a_folder_without_a_repository(tmp_path: Path) -> None:
     assert history.known(tmp_path, "0" * 40) is None
     assert history.between(tmp_path, "0" * 40, "1" * 40).missing == ("0" * 40, "1" * 40)
 
 
 @pytest.mark.parametrize("commit", ["--output=written", "HEAD", "-h", "", "0" * 39])
-def test_what_is_no_hash_never_reaches_git(repository: Path, commit: str) -> None:
+def test_texts_that_are_not_hashes_never_reach_git(repository: Path, commit: str) -> None:
     committed(repository, "Begin")
     assert history.known(repository, commit) is None
     assert history.between(repository, commit, commit).missing == (commit,)
     assert not (repository / "written").exists()
 
 
-def test_the_history_is_the_folders_whatever_git_variables_say(
+def test_git_environment_variables_do_not_redirect_the_history(
     repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = committed(repository, "Begin")
@@ -107,7 +107,7 @@ def test_the_history_is_the_folders_whatever_git_variables_say(
     assert found.commit.subject == "Begin"
 
 
-def test_nothing_that_a_hostile_repository_configures_is_executed(repository: Path, tmp_path: Path) -> None:
+def test_programs_that_a_hostile_repository_configures_are_not_executed(repository: Path, tmp_path: Path) -> None:
     first = committed(repository, "Begin")
     program = tmp_path / "program"
     program.write_text(f"#!/bin/sh\ntouch '{tmp_path}/ran-'$$\nexit 1\n")

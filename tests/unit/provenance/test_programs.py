@@ -1,4 +1,4 @@
-"""Programs by fingerprint: with the libraries that they load, what a Python has installed, and what a template names."""
+"""Programs by fingerprint: with loaded libraries, installed distributions of Python, and files that a template names."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def make(folder: Path, command: str, more: str = "", template: str = '<e seed="0
 
 
 def rows(project: sierra.Project, kind: str) -> dict[str, dict[str, str]]:
-    """What is recorded of one kind, by name."""
+    """Return the recorded programs of one kind, by name."""
     return {row["name"]: row for row in project.sql(f"SELECT * FROM programs WHERE kind = '{kind}'").to_pylist()}
 
 
@@ -40,7 +40,7 @@ def rows(project: sierra.Project, kind: str) -> dict[str, dict[str, str]]:
 
 
 class Built:
-    """A program that is thin: all that it computes, its library `libcore.so` does."""
+    """A small program: its library `libcore.so` does the computation."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -71,7 +71,7 @@ def built(tmp_path: Path, require: Require) -> Built:
 
 
 @pytest.mark.integration
-def test_a_library_that_a_program_loads_is_recorded_and_counts(built: Built, tmp_path: Path) -> None:
+def test_a_loaded_library_is_recorded_and_its_change_executes_runs_again(built: Built, tmp_path: Path) -> None:
     project = make(tmp_path / "p", str(built.program), f"[environment.set]\nLD_LIBRARY_PATH = '{built.library.parent}'\n")
     assert project.run("n=1", figures=False).executed == 1
     assert project.run("n=1", figures=False).reused == 1
@@ -83,25 +83,25 @@ def test_a_library_that_a_program_loads_is_recorded_and_counts(built: Built, tmp
     assert project.sql("SELECT v FROM out").column(0).to_pylist() == [2]
 
 
-def test_a_library_that_is_not_there_is_said_before_anything_executes(built: Built, tmp_path: Path) -> None:
+def test_a_missing_library_is_reported_before_any_run_executes(built: Built, tmp_path: Path) -> None:
     project = make(tmp_path / "p", str(built.program))
     with pytest.raises(Missing, match=r"^sim needs libcore\.so, which is not found; "):
         project.run("n=1", figures=False)
     assert not (tmp_path / "p" / ".sierra").exists()
 
 
-def test_what_env_sets_for_a_program_counts_for_its_libraries(built: Built, tmp_path: Path) -> None:
+def test_variables_that_the_env_command_sets_are_used_to_find_libraries(built: Built, tmp_path: Path) -> None:
     project = make(tmp_path / "p", f"env LD_LIBRARY_PATH={built.library.parent} {built.program}")
     assert project.run("n=1", figures=False).failed == 0
     assert "libcore.so" in rows(project, "library")
 
 
-def test_a_program_behind_another_may_lack_libraries_here(built: Built, tmp_path: Path) -> None:
+def test_a_program_started_by_another_may_lack_libraries(built: Built, tmp_path: Path) -> None:
     found = programs.find(("nice", str(built.program)), {"PATH": SEARCH}, tmp_path)
     assert str(built.program) in {one.path for one in found.all}
 
 
-def test_scripts_and_static_programs_load_nothing(tmp_path: Path, require: Require) -> None:
+def test_scripts_and_static_programs_load_no_libraries(tmp_path: Path, require: Require) -> None:
     require("gcc")
     (tmp_path / "x.c").write_text("int main(void) { return 0; }\n")
     done = subprocess.run(["gcc", "-static", "-o", tmp_path / "static", tmp_path / "x.c"], check=False, capture_output=True)
@@ -112,7 +112,7 @@ def test_scripts_and_static_programs_load_nothing(tmp_path: Path, require: Requi
 
 
 def elf(interpreter: bytes, *, at: int = 120, length: int | None = None) -> bytes:
-    """The beginning of an ELF file that names a loader."""
+    """Return the beginning of an ELF file that names a loader."""
     size = len(interpreter) if length is None else length
     head = b"\x7fELF\x02\x01\x01" + bytes(9) + struct.pack("<HHIQQQIHHHHHH", 2, 62, 1, 0, 64, 0, 0, 64, 56, 1, 0, 0, 0)
     return head + struct.pack("<IIQQQQQQ", 3, 4, at, 0, 0, size, size, 1) + interpreter
@@ -143,13 +143,13 @@ def test_a_loader_that_a_hostile_file_names_is_never_executed(tmp_path: Path) ->
         elf(b"\0"),
     ],
 )
-def test_a_mutilated_program_has_no_loader(tmp_path: Path, content: bytes) -> None:
+def test_a_truncated_or_damaged_program_has_no_loader(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "x").write_bytes(content)
     assert libraries.loaded(str(tmp_path / "x"), {}) == libraries.NONE
 
 
-def test_only_what_is_called_like_a_loader_and_lies_in_the_systems_folders_is_asked(tmp_path: Path) -> None:
-    """As hostile files might name what is there already, or reach it through a link."""
+def test_only_a_loader_by_name_in_the_systems_folders_is_executed(tmp_path: Path) -> None:
+    """Hostile files may name an existing program, or reach it through a link."""
     (tmp_path / "ld-linux.so.2").symlink_to(libraries.interpreter(os.path.realpath("/bin/true")) or "/bin/true")
     hostile = tmp_path / "hostile"
     for loader in ("/usr/lib/os-release", f"/lib/../{tmp_path}/ld-linux.so.2", str(tmp_path / "ld-linux.so.2")):
@@ -164,7 +164,7 @@ def test_only_what_is_called_like_a_loader_and_lies_in_the_systems_folders_is_as
 
 @pytest.fixture
 def python(tmp_path: Path) -> Path:
-    """A Python with nothing installed."""
+    """Return a Python without installed packages."""
     (tmp_path / "p").mkdir()
     venv.create(tmp_path / "env", symlinks=True)
     return tmp_path / "env" / "bin" / "python"
@@ -183,7 +183,7 @@ def seen(python: Path, root: Path, **variables: str) -> Programs:
     return programs.find((str(python),), {**variables, "PATH": SEARCH}, root)
 
 
-def test_the_interpreter_and_what_it_has_installed_are_recorded(python: Path, tmp_path: Path) -> None:
+def test_the_interpreter_and_its_distributions_are_recorded(python: Path, tmp_path: Path) -> None:
     install(python, "numpy", "2.0.1")
     install(python, "Brax_x", "1!0.1+local")
     found = seen(python, tmp_path)
@@ -193,7 +193,7 @@ def test_the_interpreter_and_what_it_has_installed_are_recorded(python: Path, tm
     assert [one.path for one in found.all if one.kind == "program"] == [str(python), real]
 
 
-def test_another_environment_with_the_same_is_the_same(python: Path, tmp_path: Path) -> None:
+def test_environments_with_the_same_distributions_have_the_same_id(python: Path, tmp_path: Path) -> None:
     venv.create(tmp_path / "other", symlinks=True)
     other = tmp_path / "other" / "bin" / "python"
     for one in (python, other):
@@ -203,8 +203,8 @@ def test_another_environment_with_the_same_is_the_same(python: Path, tmp_path: P
     assert seen(python, tmp_path).id != seen(other, tmp_path).id
 
 
-def test_a_python_that_a_script_starts_is_the_one_that_counts(python: Path, tmp_path: Path) -> None:
-    """As the shims of pyenv and asdf do."""
+def test_the_python_that_a_script_starts_is_recorded(python: Path, tmp_path: Path) -> None:
+    """The shims of pyenv and asdf are such scripts."""
     install(python, "numpy", "2.0.1")
     shim = tmp_path / "shims" / "python3"
     shim.parent.mkdir()
@@ -215,7 +215,7 @@ def test_a_python_that_a_script_starts_is_the_one_that_counts(python: Path, tmp_
     assert "python3: interpreter" in {one.name for one in found.all}
 
 
-def test_what_is_called_python_in_the_project_is_not_executed_to_find_out(tmp_path: Path) -> None:
+def test_a_program_of_the_project_named_python_is_not_executed_for_planning(tmp_path: Path) -> None:
     project = make(tmp_path / "p", "bin/python3 {input}")
     (project.root / "bin").mkdir()
     (project.root / "bin" / "python3").write_text(f"#!/bin/sh\ntouch {tmp_path}/executed\n")
@@ -224,7 +224,7 @@ def test_what_is_called_python_in_the_project_is_not_executed_to_find_out(tmp_pa
     assert not (tmp_path / "executed").exists()
 
 
-def test_an_editable_install_counts_by_its_code(python: Path, tmp_path: Path) -> None:
+def test_an_editable_install_is_identified_by_its_code(python: Path, tmp_path: Path) -> None:
     code = tmp_path / "my code"
     for folder in (code, code / ".venv", code / "env"):
         folder.mkdir()
@@ -241,7 +241,7 @@ def test_an_editable_install_counts_by_its_code(python: Path, tmp_path: Path) ->
     assert seen(python, tmp_path / "p").id != first.id
 
 
-def test_what_was_installed_from_a_folder_counts_by_its_record(python: Path, tmp_path: Path) -> None:
+def test_a_package_installed_from_a_folder_is_identified_by_its_record(python: Path, tmp_path: Path) -> None:
     def installed(record: str) -> str:
         install(python, "sim", "0.1", '{"url": "file:///home/me/sim", "dir_info": {}}', record)
         return seen(python, tmp_path).id
@@ -252,12 +252,12 @@ def test_what_was_installed_from_a_folder_counts_by_its_record(python: Path, tmp
 
 
 @pytest.mark.parametrize("direct", ["", "{", "[]", "null", '{"url": 1}', "[" * 100_000])
-def test_a_damaged_record_of_an_install_is_none(python: Path, tmp_path: Path, direct: str) -> None:
+def test_a_damaged_record_of_an_install_is_ignored(python: Path, tmp_path: Path, direct: str) -> None:
     install(python, "sim", "0.1", direct)
     assert "sim==0.1" in [one.version for one in seen(python, tmp_path).all]
 
 
-def test_a_folder_of_pythonpath_counts_and_the_users_own_does_not(python: Path, tmp_path: Path) -> None:
+def test_folders_of_pythonpath_are_recorded_and_the_users_site_packages_are_not(python: Path, tmp_path: Path) -> None:
     (tmp_path / "modules").mkdir()
     (tmp_path / "modules" / "m.py").write_text("x = 1\n")
     first = seen(python, tmp_path / "p", PYTHONPATH=str(tmp_path / "modules"))
@@ -267,10 +267,10 @@ def test_a_folder_of_pythonpath_counts_and_the_users_own_does_not(python: Path, 
     assert seen(python, tmp_path / "p", PYTHONPATH=str(tmp_path / "modules")).id != first.id
 
 
-# ---------------------------------------------------------------- what a template names
+# ---------------------------------------------------------------- files that a template names
 
 
-def test_a_file_that_a_template_names_counts_unless_the_source_holds_it(tmp_path: Path) -> None:
+def test_a_file_that_a_template_names_is_recorded_unless_it_is_in_the_source(tmp_path: Path) -> None:
     mesh = tmp_path / "outside" / "a mesh.stl"
     mesh.parent.mkdir()
     mesh.write_text("one")
@@ -284,7 +284,7 @@ def test_a_file_that_a_template_names_counts_unless_the_source_holds_it(tmp_path
     assert project.run("n=1", figures=False).executed == 1
 
 
-def test_what_an_included_model_names_counts_as_seen_from_its_folder(tmp_path: Path) -> None:
+def test_files_that_an_included_model_names_are_resolved_from_its_folders(tmp_path: Path) -> None:
     project = make(tmp_path / "p", "true", template='<e seed="0" n="0"><include file="models/arm.xml"/></e>')
     for folder in ("models", "models/meshes"):
         (project.root / folder).mkdir()
@@ -296,7 +296,7 @@ def test_what_an_included_model_names_counts_as_seen_from_its_folder(tmp_path: P
     assert list(rows(project, "file")) == ["{project}/models/meshes/hand.stl"]
 
 
-def test_what_a_scenario_puts_into_the_template_counts_whoever_asks_for_it(tmp_path: Path) -> None:
+def test_files_that_a_scenario_names_are_recorded_for_every_query(tmp_path: Path) -> None:
     (tmp_path / "map.pgm").write_text("one")
     scenario = f"[scenarios.s]\nchanges = [{{ add = '//e', xml = '<map file=\"{tmp_path}/map.pgm\"/>' }}]\n"
     project = make(tmp_path / "p", "true", scenario)
@@ -304,7 +304,7 @@ def test_what_a_scenario_puts_into_the_template_counts_whoever_asks_for_it(tmp_p
     assert list(rows(project, "file")) == [f"{tmp_path}/map.pgm"]
 
 
-def test_comments_and_what_sierra_reads_by_meaning_name_nothing(tmp_path: Path) -> None:
+def test_comments_and_files_of_sierra_are_not_recorded_as_referenced_files(tmp_path: Path) -> None:
     template = '<e seed="0" n="0"><!-- <x file="results.csv"/>\n --><doc>sierra.toml t.xml figures/b/x.png</doc></e>'
     project = make(tmp_path / "p", "true", "[outputs.old]\nfile = 'old.csv'\nrequired = false\n", template)
     for name in ("results.csv", "old.csv"):
@@ -314,7 +314,7 @@ def test_comments_and_what_sierra_reads_by_meaning_name_nothing(tmp_path: Path) 
     assert [one.name for one in project.plan("n=1").programs.all if one.kind == "file"] == []
 
 
-def test_tags_and_xpaths_name_nothing(tmp_path: Path) -> None:
+def test_tags_and_xpaths_are_not_recorded_as_referenced_files(tmp_path: Path) -> None:
     """`</x>` is not the file `/x`, and neither is the XPath `/x`."""
     for name in ("path", "value"):
         (tmp_path / f"{name}.pgm").touch()
@@ -327,7 +327,7 @@ def test_tags_and_xpaths_name_nothing(tmp_path: Path) -> None:
     assert [one.name for one in project.plan("n=1").programs.all if one.kind == "file"] == [f"{tmp_path}/value.pgm"]
 
 
-def test_the_end_of_an_element_names_no_file_at_the_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closing_tags_are_not_looked_up_as_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     looked_at: list[Path] = []
     monkeypatch.setattr(referenced_files, "_is", lambda kind, path: looked_at.append(path))
     (tmp_path / "t.xml").write_text('<e><x a="/y/z"></x><w>b.c</w></e>')
@@ -336,7 +336,7 @@ def test_the_end_of_an_element_names_no_file_at_the_root(tmp_path: Path, monkeyp
     assert not {Path("/x"), Path("/e"), Path("/w")} & set(looked_at)
 
 
-def test_a_file_that_only_the_query_names_is_said_not_to_count(tmp_path: Path) -> None:
+def test_a_note_reports_that_files_named_only_by_the_query_are_not_recorded(tmp_path: Path) -> None:
     more = f"[variables.map]\nchanges = [{{ set = '//e/@m', value = '{tmp_path}/maps/{{map}}' }}]\n"
     project = make(tmp_path / "p", "true", more, '<e seed="0" n="0" m=""/>')
     (tmp_path / "maps").mkdir()
@@ -349,7 +349,7 @@ def test_a_file_that_only_the_query_names_is_said_not_to_count(tmp_path: Path) -
     assert not [note for note in project.plan("n=held.pgm").notes if "named by the query" in note]
 
 
-def test_hostile_texts_of_a_template_name_nothing(tmp_path: Path) -> None:
+def test_hostile_texts_of_a_template_are_not_recorded_as_referenced_files(tmp_path: Path) -> None:
     texts = ("a/" * 5000, "/" + "x" * 4000, "/dev/zero", "/proc/kcore", "..", "/", "./" * 2000, "\0/x", "file://nowhere/x")
     (tmp_path / "t.xml").write_text("".join(f'<e a="{text}"/>' for text in texts))
     assert referenced_files.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
@@ -365,7 +365,7 @@ pathlib.Path("out.csv").write_text(included.read_text())
 
 
 @pytest.mark.integration
-def test_a_relative_include_that_runs_do_not_find_is_told_what_to_write(tmp_path: Path) -> None:
+def test_a_note_for_a_failed_relative_include_says_how_to_link_it(tmp_path: Path) -> None:
     project = make(tmp_path / "p", "python3 sim.py {input}", template='<e seed="0" n="0"><include file="parts/arm.xml"/></e>')
     (project.root / "sim.py").write_text(INCLUDES)
     (project.root / "parts").mkdir()
@@ -383,7 +383,7 @@ def test_a_relative_include_that_runs_do_not_find_is_told_what_to_write(tmp_path
     assert not [note for note in mended.notes if "relative path" in note]
 
 
-def test_an_include_is_only_mentioned_where_it_may_be_why_runs_fail(tmp_path: Path) -> None:
+def test_a_relative_include_is_noted_only_if_failed_runs_mention_it(tmp_path: Path) -> None:
     template = '<e seed="0" n="0"><include file="arm.xml"/><other>no/such.xml</other></e>'
     project = make(tmp_path / "p", "sh sim.sh {input}", template=template)
     (project.root / "arm.xml").touch()
@@ -394,7 +394,7 @@ def test_an_include_is_only_mentioned_where_it_may_be_why_runs_fail(tmp_path: Pa
     assert ["'arm.xml'" in note for note in project.run("n=1,2", figures=False).notes if "relative path" in note] == [True]
 
 
-def test_what_is_too_large_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_referenced_file_that_is_too_large_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(referenced_files, "LARGEST", 3)
     (tmp_path / "map.pgm").write_text("four")
     project = make(tmp_path / "p", "true", template=f'<e seed="0" n="0"><map>{tmp_path}/map.pgm</map></e>')
@@ -402,7 +402,7 @@ def test_what_is_too_large_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.integration
-def test_a_replay_looks_at_the_same_files_and_says_which_has_changed(tmp_path: Path) -> None:
+def test_a_replay_reports_changes_of_files_that_the_template_names(tmp_path: Path) -> None:
     (tmp_path / "map.pgm").write_text("one")
     project = make(tmp_path / "p", "sh sim.sh", template=f'<e seed="0" n="0"><map>{tmp_path}/map.pgm</map></e>')
     (project.root / "sim.sh").write_text(f"cat {tmp_path}/map.pgm > out.txt\n")
@@ -415,10 +415,10 @@ def test_a_replay_looks_at_the_same_files_and_says_which_has_changed(tmp_path: P
     assert [note.split(": ")[:2] for note in other.notes] == [["other programs", "map.pgm"]]
 
 
-# ---------------------------------------------------------------- what is told
+# ---------------------------------------------------------------- reports
 
 
-def test_what_is_other_is_told_by_version(tmp_path: Path) -> None:
+def test_changed_programs_are_reported_by_version(tmp_path: Path) -> None:
     def used(version: str, digest: str, numpy: str, library: str) -> Programs:
         return Programs(
             (
@@ -444,8 +444,8 @@ def test_what_is_other_is_told_by_version(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_what_a_batch_and_an_execution_had_around_them_is_shown(tmp_path: Path) -> None:
-    """As text at a glance, as JSON whole."""
+def test_show_displays_the_environment_and_programs_of_batches_and_executions(tmp_path: Path) -> None:
+    """The text is a summary, the JSON is complete."""
     project = make(tmp_path / "p", "true")
     batch = project.run("n=1", figures=False).batch
     [execution] = project.sql("SELECT execution FROM executions").column(0).to_pylist()
@@ -460,7 +460,7 @@ def test_what_a_batch_and_an_execution_had_around_them_is_shown(tmp_path: Path) 
         assert len(whole["environment"]["distributions"]) > 5
 
 
-def test_what_the_simulator_uses_stands_before_what_hardly_matters(tmp_path: Path) -> None:
+def test_packages_that_the_simulator_uses_are_reported_first(tmp_path: Path) -> None:
     (tmp_path / "sim.py").write_text("import sys\nfrom mujoco import MjModel\n")
     words = program.mentioned(("python3", "{project}/sim.py", "{input}"), tmp_path)
     names = ["attrs", "certifi", "glfw", "mujoco", "pip", "setuptools", "numpy"]

@@ -1,4 +1,4 @@
-"""The code, the programs and the machine that a result came from: exactly, and without touching anything."""
+"""The exact code, programs and machine behind a result are recorded without changing anything."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NAMES = ("a.txt", "sub/b.txt", "sub/deeper/c", "größe", "new\nline", "blank na
 
 @pytest.fixture
 def git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Git:
-    """Git in the folder `tmp_path/p`, told nothing by this machine's own settings."""
+    """Git in the folder `tmp_path/p`, without the settings of this machine."""
     monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
     monkeypatch.setenv("GIT_CONFIG_NOSYSTEM", "1")
 
@@ -40,7 +40,7 @@ def git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Git:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Files of all kinds, in no repository."""
+    """Return a folder with files of all kinds, outside a repository."""
     folder = tmp_path / "p"
     for name in NAMES:
         path = folder / name
@@ -63,7 +63,7 @@ def commit(git: Git) -> str:
     return git("rev-parse", "HEAD")
 
 
-def test_the_tree_is_the_one_that_git_writes_inside_and_outside_of_git(folder: Path, git: Git) -> None:
+def test_the_tree_equals_the_tree_of_git_inside_and_outside_a_repository(folder: Path, git: Git) -> None:
     outside = capture(folder)
     commit(git)
     inside = capture(folder)
@@ -74,7 +74,9 @@ def test_the_tree_is_the_one_that_git_writes_inside_and_outside_of_git(folder: P
 
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(names=st.sets(st.text("ab./-0 é\n", min_size=1, max_size=5).filter(lambda n: n.strip("./")), min_size=1, max_size=8))
-def test_any_names_give_the_tree_that_git_writes(tmp_path_factory: pytest.TempPathFactory, git: Git, names: set[str]) -> None:
+def test_the_tree_equals_the_tree_of_git_for_any_file_names(
+    tmp_path_factory: pytest.TempPathFactory, git: Git, names: set[str]
+) -> None:
     folder = tmp_path_factory.mktemp("any")
     for name in names:
         path = folder / os.path.normpath("./" + name.lstrip("/"))
@@ -90,7 +92,7 @@ def test_any_names_give_the_tree_that_git_writes(tmp_path_factory: pytest.TempPa
     assert capture(folder).tree == outside
 
 
-def test_what_sierra_reads_by_meaning_does_not_count(folder: Path, git: Git) -> None:
+def test_files_of_sierra_are_not_part_of_the_source(folder: Path, git: Git) -> None:
     before = capture(folder).tree
     for name in ("sierra.toml", "t.xml", "figures/x.png", ".sierra/format"):
         (folder / name).parent.mkdir(exist_ok=True)
@@ -101,7 +103,7 @@ def test_what_sierra_reads_by_meaning_does_not_count(folder: Path, git: Git) -> 
 
 
 @pytest.mark.parametrize("rule", [".sierra/", "figures", "*.xml", "/sierra.toml"])
-def test_a_repository_may_ignore_what_does_not_count(folder: Path, git: Git, rule: str) -> None:
+def test_a_repository_may_ignore_files_that_are_not_part_of_the_source(folder: Path, git: Git, rule: str) -> None:
     commit(git)
     before = capture(folder).tree
     for name in ("sierra.toml", "t.xml", "figures/x.png", ".sierra/format"):
@@ -111,7 +113,7 @@ def test_a_repository_may_ignore_what_does_not_count(folder: Path, git: Git, rul
     assert capture(folder).tree == before
 
 
-def test_what_does_not_count_may_have_any_name(folder: Path, git: Git) -> None:
+def test_files_that_are_not_part_of_the_source_may_have_any_name(folder: Path, git: Git) -> None:
     commit(git)
     before = capture(folder).tree
     names = ("[a]*.xml", "!x.xml", "b\\?.xml", "sub/[c].xml", "^d.xml", " e.xml", "é\n.xml")
@@ -132,7 +134,7 @@ def test_figures_leave_no_objects_in_the_repository(folder: Path, git: Git) -> N
     assert done.returncode != 0
 
 
-def test_changed_and_untracked_files_count_and_ignored_ones_do_not(folder: Path, git: Git) -> None:
+def test_changed_and_untracked_files_are_part_of_the_source_and_ignored_ones_are_not(folder: Path, git: Git) -> None:
     commit(git)
     clean = capture(folder)
     (folder / ".git" / "info" / "exclude").write_text("*.log\n")
@@ -150,7 +152,7 @@ def test_changed_and_untracked_files_count_and_ignored_ones_do_not(folder: Path,
     assert clean.branch == "main"
 
 
-def test_nothing_of_the_users_is_touched_but_a_ref_is_added(folder: Path, git: Git) -> None:
+def test_the_users_files_index_and_refs_stay_unchanged_and_a_ref_is_added(folder: Path, git: Git) -> None:
     commit(git)
     (folder / "a.txt").write_text("stashed")
     git("stash")
@@ -174,7 +176,7 @@ def test_nothing_of_the_users_is_touched_but_a_ref_is_added(folder: Path, git: G
     assert git("show", f"{tree}:sub/b.txt") == "and changed again"
 
 
-def test_an_empty_repository_and_a_detached_head(folder: Path, git: Git) -> None:
+def test_the_source_is_recorded_in_an_empty_repository_and_at_a_detached_head(folder: Path, git: Git) -> None:
     git("init", "-q", "-b", "main")
     empty = capture(folder)
     assert (empty.commit, empty.branch, empty.dirty) == (None, "main", True)
@@ -185,7 +187,7 @@ def test_an_empty_repository_and_a_detached_head(folder: Path, git: Git) -> None
     assert detached.tree == empty.tree
 
 
-def test_a_linked_worktree_and_a_folder_of_a_repository(folder: Path, git: Git, tmp_path: Path) -> None:
+def test_the_source_is_recorded_in_a_linked_worktree_and_in_a_subfolder(folder: Path, git: Git, tmp_path: Path) -> None:
     commit(git)
     git("worktree", "add", "-q", str(tmp_path / "linked"))
     assert capture(tmp_path / "linked").tree == capture(folder).tree
@@ -195,7 +197,7 @@ def test_a_linked_worktree_and_a_folder_of_a_repository(folder: Path, git: Git, 
     assert capture(folder / "sub") == inside
 
 
-def test_a_submodule_counts_by_its_commit_and_with_its_changes(folder: Path, git: Git, tmp_path: Path) -> None:
+def test_a_submodule_is_recorded_by_its_commit_and_with_its_changes(folder: Path, git: Git, tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.mkdir()
     (other / "f").write_text("f")
@@ -215,7 +217,7 @@ def test_a_submodule_counts_by_its_commit_and_with_its_changes(folder: Path, git
 
 
 @pytest.mark.parametrize("inside", [False, True])
-def test_paths_narrow_the_source(folder: Path, git: Git, inside: bool) -> None:
+def test_paths_limit_the_source_to_the_listed_files(folder: Path, git: Git, inside: bool) -> None:
     if inside:
         commit(git)
     narrow = capture(folder, "./sub/", "a.txt")
@@ -227,7 +229,7 @@ def test_paths_narrow_the_source(folder: Path, git: Git, inside: bool) -> None:
 
 
 @pytest.mark.parametrize("path", ["not there", "..", "empty", "x.log"])
-def test_a_path_that_counts_for_nothing_is_an_error(folder: Path, git: Git, path: str) -> None:
+def test_a_path_without_source_files_is_an_error(folder: Path, git: Git, path: str) -> None:
     commit(git)
     (folder / "empty").mkdir()
     (folder / "x.log").write_text("x")
@@ -244,13 +246,15 @@ def test_a_path_that_counts_for_nothing_is_an_error(folder: Path, git: Git, path
         ("git@host.org:x.git", "git@host.org:x.git"),
     ],
 )
-def test_credentials_are_not_recorded(folder: Path, git: Git, address: str, kept: str) -> None:
+def test_credentials_in_the_remote_are_not_recorded(folder: Path, git: Git, address: str, kept: str) -> None:
     git("init", "-q")
     git("remote", "add", "origin", address)
     assert capture(folder).remote == kept
 
 
-def test_git_says_in_one_line_what_keeps_it(folder: Path, git: Git, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_git_and_a_damaged_repository_are_reported_in_one_line(
+    folder: Path, git: Git, monkeypatch: pytest.MonkeyPatch
+) -> None:
     commit(git)
     with monkeypatch.context() as patch:
         patch.setenv("PATH", "")
@@ -263,7 +267,7 @@ def test_git_says_in_one_line_what_keeps_it(folder: Path, git: Git, monkeypatch:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
-def test_a_repository_of_another_user_is_said_in_one_line(folder: Path, git: Git) -> None:
+def test_a_repository_of_another_user_is_reported_in_one_line(folder: Path, git: Git) -> None:
     commit(git)
     for path in (folder, folder / ".git"):
         os.chown(path, 12345, 12345)
@@ -282,7 +286,7 @@ def program(path: Path, content: str) -> str:
     return str(path)
 
 
-def test_every_program_that_a_command_names_counts(tmp_path: Path) -> None:
+def test_every_program_of_a_command_is_part_of_the_identity(tmp_path: Path) -> None:
     path = program(tmp_path / "bin" / "simulator", "\x7fELF")
     found = programs.find(("nice", "-n", "5", "simulator"), {"PATH": f"{tmp_path}/bin:/usr/bin:/bin"}, tmp_path)
     assert [one.name for one in found.all if one.kind == "program"] == ["nice", "simulator"]
@@ -290,7 +294,7 @@ def test_every_program_that_a_command_names_counts(tmp_path: Path) -> None:
     assert programs.find(("nice", "-n", "5", "simulator"), {"PATH": f"{tmp_path}/bin:/usr/bin:/bin"}, tmp_path).id != found.id
 
 
-def test_the_same_programs_elsewhere_are_the_same(tmp_path: Path) -> None:
+def test_equal_programs_in_other_folders_have_the_same_id(tmp_path: Path) -> None:
     found = [
         programs.find((program(tmp_path / name / "simulator", "\x7fELF"),), {"PATH": ""}, tmp_path).id
         for name in ("one", "two")
@@ -298,7 +302,7 @@ def test_the_same_programs_elsewhere_are_the_same(tmp_path: Path) -> None:
     assert found[0] == found[1]
 
 
-def test_a_scripts_interpreter_and_what_is_installed_beside_it_count(tmp_path: Path) -> None:
+def test_the_interpreter_of_a_script_and_its_distributions_are_part_of_the_identity(tmp_path: Path) -> None:
     python = program(tmp_path / "env" / "bin" / "python3", "\x7fELF")
     script = program(tmp_path / "run", f"#!{python}\n")
     installed = tmp_path / "env" / "lib" / "python3.11" / "site-packages"
@@ -310,13 +314,13 @@ def test_a_scripts_interpreter_and_what_is_installed_beside_it_count(tmp_path: P
     assert programs.find((script,), {"PATH": ""}, tmp_path).id != first.id
 
 
-def test_a_program_that_is_not_there_is_said(tmp_path: Path) -> None:
+def test_a_missing_program_is_reported(tmp_path: Path) -> None:
     with pytest.raises(Missing, match="'simulator' is not there"):
         programs.find(("simulator",), {"PATH": "/bin"}, tmp_path)
 
 
 @pytest.mark.integration
-def test_changed_programs_execute_again_and_the_reason_is_told(tmp_path: Path) -> None:
+def test_changed_programs_execute_runs_again_and_the_reason_is_reported(tmp_path: Path) -> None:
     simulator = program(tmp_path / "bin" / "sim", "#!/bin/sh\necho v > out.csv; echo 1 >> out.csv\n")
     project = make_project(tmp_path / "p", f"{simulator} {{input}}")
     assert project.run("n=1", figures=False).executed == 2
@@ -331,7 +335,7 @@ def test_changed_programs_execute_again_and_the_reason_is_told(tmp_path: Path) -
 
 @pytest.mark.integration
 @pytest.mark.parametrize("link", [False, True])
-def test_a_simulator_outside_the_project_executes_again_when_it_changes(tmp_path: Path, link: bool) -> None:
+def test_runs_execute_again_if_a_simulator_outside_the_project_changes(tmp_path: Path, link: bool) -> None:
     script = tmp_path / "shared" / "sim.sh"
     script.parent.mkdir()
     script.write_text("echo v > out.csv; echo 1 >> out.csv\n")
@@ -353,7 +357,7 @@ def test_a_changed_source_file_is_named(tmp_path: Path) -> None:
     assert "the source has changed: sim.sh" in changes.why_new(project.plan("n=1"), project.store)
 
 
-def test_notes_that_make_runs_new_are_told_how_to_be_no_code(tmp_path: Path) -> None:
+def test_the_advice_for_changed_notes_says_how_to_exclude_them_from_the_source(tmp_path: Path) -> None:
     project = make_project(tmp_path / "p", "sh sim.sh {input}")
     (project.root / "sim.sh").write_text("exit 0\n")
     (project.root / "README.md").write_text("before\n")

@@ -1,4 +1,4 @@
-"""What programs say their version is, and what one does that is asked and has never heard of versions."""
+"""Versions that programs report, and programs that do something else when they are started for their version."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def script(tmp_path: Path) -> Callable[[str], Path]:
-    """Makes a program that does what a shell script says."""
+    """Return a function that writes a program from a shell script."""
 
     def script(text: str) -> Path:
         path = tmp_path / "bin" / "sim"
@@ -36,7 +36,7 @@ def script(tmp_path: Path) -> Callable[[str], Path]:
 
 
 def said(path: Path, table: ProgramsTable | None = None) -> str | None:
-    """What is recorded of a script that is to be asked."""
+    """Return the recorded version of a script that is configured to report one."""
     table = table or ProgramsTable(versions={"sim": ("--version",)})
     project = path.parent.parent / "project"
     project.mkdir(exist_ok=True)
@@ -46,23 +46,25 @@ def said(path: Path, table: ProgramsTable | None = None) -> str | None:
     return next(one.version for one in answered.all if one.path == str(path))
 
 
-def test_the_first_line_is_the_version(script: Callable[[str], Path]) -> None:
+def test_the_first_line_that_is_not_empty_is_the_version(script: Callable[[str], Path]) -> None:
     assert said(script('echo; echo "  sim $1 4.0.1  "; echo more')) == "sim --version 4.0.1"
     assert said(script("echo sim 4 >&2")) == "sim 4"
 
 
-def test_colours_are_no_part_of_a_version(script: Callable[[str], Path]) -> None:
-    """ARGoS writes each piece of its first line in colour, also into a pipe."""
+def test_colours_are_removed_from_a_version(script: Callable[[str], Path]) -> None:
+    """ARGoS writes the parts of its first line in colour, even into a pipe."""
     text = r"printf '\033[1;32mARGOS_VERSION=3.0.0-beta59\033[0m\n\033[1;32mARGOS_INSTALL_PREFIX=/usr\033[0m\n\033[0m'"
     assert said(script(text)) == "ARGOS_VERSION=3.0.0-beta59"
 
 
-def test_it_is_asked_with_what_the_project_says(script: Callable[[str], Path]) -> None:
+def test_the_project_sets_the_arguments_that_report_the_version(script: Callable[[str], Path]) -> None:
     assert said(script('echo "$@"'), ProgramsTable(versions={"sim": ("-v", "a b")})) == "-v a b"
     assert said(script("echo 1"), ProgramsTable(versions={"sim": ()})) is None
 
 
-def test_scripts_and_programs_of_the_project_are_not_asked_by_themselves(tmp_path: Path, script: Callable[[str], Path]) -> None:
+def test_scripts_and_programs_of_the_project_do_not_report_versions_by_default(
+    tmp_path: Path, script: Callable[[str], Path]
+) -> None:
     assert said(script(f"touch {tmp_path}/executed; echo 1"), ProgramsTable()) is None
     assert not (tmp_path / "executed").exists()
     own = tmp_path / "project" / "true"
@@ -93,7 +95,7 @@ def test_scripts_and_programs_of_the_project_are_not_asked_by_themselves(tmp_pat
         "read line || exit 1",
     ],
 )
-def test_a_program_that_does_something_else_has_none(
+def test_a_program_that_does_something_else_has_no_version(
     script: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch, text: str
 ) -> None:
     monkeypatch.setattr(reported_versions, "PATIENCE_S", 1.0)
@@ -103,11 +105,13 @@ def test_a_program_that_does_something_else_has_none(
     assert time.monotonic() - began < 50
 
 
-def test_a_program_may_take_its_time_to_say_it(script: Callable[[str], Path]) -> None:
+def test_a_slow_program_may_report_its_version(script: Callable[[str], Path]) -> None:
     assert said(script("sleep 2; echo 1.0")) == "1.0"
 
 
-def test_what_it_started_is_ended_also_what_left_its_group(tmp_path: Path, script: Callable[[str], Path]) -> None:
+def test_processes_that_the_program_starts_are_ended_even_outside_its_group(
+    tmp_path: Path, script: Callable[[str], Path]
+) -> None:
     marker = f"0.{time.time_ns()}"
     path = script(f"(setsid sleep 1{marker} &) ; sleep 2{marker} & echo 1.0")
     assert said(path) == "1.0"
@@ -115,7 +119,7 @@ def test_what_it_started_is_ended_also_what_left_its_group(tmp_path: Path, scrip
     assert marker not in running
 
 
-def test_it_writes_into_a_folder_that_is_gone_and_only_small_files(tmp_path: Path, script: Callable[[str], Path]) -> None:
+def test_the_program_writes_small_files_into_a_temporary_folder(tmp_path: Path, script: Callable[[str], Path]) -> None:
     path = script(f'pwd > {tmp_path}/where; ls -A >> {tmp_path}/where; echo x > left; echo "$HOME $TMPDIR" >> {tmp_path}/where')
     said(path)
     folder, homes = (tmp_path / "where").read_text().splitlines()
@@ -125,14 +129,14 @@ def test_it_writes_into_a_folder_that_is_gone_and_only_small_files(tmp_path: Pat
     assert (tmp_path / "large").stat().st_size <= 1 << 20
 
 
-def test_an_unchanged_program_is_not_asked_again(tmp_path: Path, script: Callable[[str], Path]) -> None:
+def test_an_unchanged_program_is_not_started_again_for_its_version(tmp_path: Path, script: Callable[[str], Path]) -> None:
     path = script(f"echo >> {tmp_path}/asked; echo 1.0")
     assert [said(path), said(path)] == ["1.0", "1.0"]
     assert (tmp_path / "asked").read_text() == "\n"
     assert said(script(f"echo >> {tmp_path}/asked; echo 2.0")) == "2.0"
 
 
-def test_it_is_recorded_and_makes_no_run_new(tmp_path: Path, script: Callable[[str], Path]) -> None:
+def test_a_version_is_recorded_and_does_not_change_runs(tmp_path: Path, script: Callable[[str], Path]) -> None:
     path = script("[ $1 = -v ] && echo 1.0; exit 0")
     root = tmp_path / "p"
     root.mkdir()
@@ -147,7 +151,7 @@ def test_it_is_recorded_and_makes_no_run_new(tmp_path: Path, script: Callable[[s
     assert project.sql("SELECT version FROM programs WHERE path = $p", p=str(path)).column(0).to_pylist() == ["1.0"]
 
 
-def test_planning_asks_nobody(tmp_path: Path, script: Callable[[str], Path]) -> None:
+def test_planning_starts_no_program_for_its_version(tmp_path: Path, script: Callable[[str], Path]) -> None:
     path = script(f"touch {tmp_path}/executed")
     root = tmp_path / "p"
     root.mkdir()

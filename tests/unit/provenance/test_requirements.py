@@ -8,7 +8,7 @@ import sierra
 from tests import projects
 
 
-def test_a_package_that_is_missing_is_named_before_anything_executes(tmp_path: Path) -> None:
+def test_a_missing_package_is_named_before_any_run_executes(tmp_path: Path) -> None:
     config = projects.CONFIG.replace('"python3 ', '"{python} ')
     root = projects.make(tmp_path, 'requires = ["absent-package>=1", "duckdb"]\n' + config)
     ended = projects.quick(root, "run", "population_size=1")
@@ -22,6 +22,6 @@ def test_a_package_that_is_missing_is_named_before_anything_executes(tmp_path: P
     assert projects.quick(root, "run", "population_size=1", "-n").returncode == 0
 
 
-def test_what_is_required_is_checked_only_in_the_python_of_the_runs(tmp_path: Path) -> None:
+def test_requirements_are_checked_only_in_the_python_of_the_runs(tmp_path: Path) -> None:
     root = projects.make(tmp_path, 'requires = ["absent-package"]\n' + projects.CONFIG)
     assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode == 0

@@ -1,4 +1,4 @@
-"""What code a result came from: every kind of repository and working tree works, or says in one line why not."""
+"""The source of a result: every kind of repository and working tree works, or is refused in one line."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ POINTER = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\ns
 
 @pytest.fixture
 def git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Git:
-    """Git in the folder `tmp_path/p`, told nothing by this machine's own settings."""
+    """Git in the folder `tmp_path/p`, without the settings of this machine."""
     (tmp_path / "gitconfig").write_text("")
     monkeypatch.setenv("GIT_CONFIG_GLOBAL", str(tmp_path / "gitconfig"))
     monkeypatch.setenv("GIT_CONFIG_NOSYSTEM", "1")
@@ -48,13 +48,13 @@ def git(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Git:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Two files, in no repository."""
+    """Return a folder with two files, outside a repository."""
     return fill(tmp_path / "p", {"a.txt": "a", "sub/b.txt": "b"})
 
 
 @pytest.fixture
 def repository(folder: Path, git: Git) -> Path:
-    """The same, committed."""
+    """Return the same folder, committed to a repository."""
     commit(git, folder)
     return folder
 
@@ -79,12 +79,12 @@ def capture(root: Path, *paths: str, dirty: str = "record", large: int = source.
 
 
 def nothing(blob: str) -> bytes | None:
-    """A store that has no file."""
+    """Stand for a store without files."""
     del blob
 
 
 def restored(code: Source, root: Path, target: Path, content: Callable[[str], bytes | None] = nothing) -> dict[str, str]:
-    """What a recorded source is, written out again: paths and contents (of links, where they lead)."""
+    """Restore a recorded source; return its paths and contents (targets of links)."""
     source.restore(code.tree, code.manifest, root, target, content)
     return {os.fsdecode(path): text for path, text in files_of(target)}
 
@@ -101,11 +101,11 @@ def one_line(error: pytest.ExceptionInfo[BaseException]) -> str:
     return str(error.value)
 
 
-# ---------------------------------------------------------------- what is touched
+# ---------------------------------------------------------------- side effects
 
 
 def state(repository: Path, git: Git) -> dict[str, object]:
-    """All that is the user's: files with their times, the index to the byte, refs, stash, settings, what git says."""
+    """Return the user's state: files with times, the bytes of the index, refs, stash, settings, the output of git."""
     own = repository / ".git"
     times = {path: path.lstat().st_mtime_ns for path in repository.rglob("*") if "objects" not in path.parts}
     kept = {
@@ -120,7 +120,7 @@ def state(repository: Path, git: Git) -> dict[str, object]:
     }
 
 
-def test_nothing_of_the_users_changes_and_no_hook_runs(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_the_users_state_stays_unchanged_and_no_hook_runs(repository: Path, git: Git, tmp_path: Path) -> None:
     (repository / "a.txt").write_text("stashed")
     git("stash")
     (repository / "sub" / "b.txt").write_text("staged")
@@ -142,7 +142,7 @@ def test_nothing_of_the_users_changes_and_no_hook_runs(repository: Path, git: Gi
     assert after == before
 
 
-def test_an_asking_within_a_hook_of_another_repository_sees_the_projects(
+def test_a_session_within_a_hook_of_another_repository_records_the_projects_source(
     repository: Path, git: Git, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = capture(repository)
@@ -153,7 +153,7 @@ def test_an_asking_within_a_hook_of_another_repository_sees_the_projects(
     assert capture(repository) == before
 
 
-def test_snapshots_at_once_agree_and_leave_nothing_behind(repository: Path) -> None:
+def test_concurrent_snapshots_agree_and_leave_no_temporary_files(repository: Path) -> None:
     fill(repository, {f"new/{number}": str(number) for number in range(600)})
     found: list[Source] = []
     threads = [threading.Thread(target=lambda: found.append(capture(repository))) for _ in range(4)]
@@ -166,7 +166,7 @@ def test_snapshots_at_once_agree_and_leave_nothing_behind(repository: Path) -> N
     assert [path.suffix for path in (repository / ".git" / "sierra").iterdir()] == [".index"]
 
 
-def test_what_a_killed_snapshot_left_is_removed_in_time(repository: Path) -> None:
+def test_old_files_of_a_killed_snapshot_are_removed(repository: Path) -> None:
     left = repository / ".git" / "sierra" / "dead.tmp"
     fill(repository, {".git/sierra/dead.tmp": "x", ".git/sierra/living.tmp": "x"})
     os.utime(left, (0, 0))
@@ -175,7 +175,7 @@ def test_what_a_killed_snapshot_left_is_removed_in_time(repository: Path) -> Non
     assert (repository / ".git" / "sierra" / "living.tmp").exists()
 
 
-def test_trees_survive_the_repositorys_cleaning(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_recorded_trees_survive_git_gc(repository: Path, git: Git, tmp_path: Path) -> None:
     fill(repository, {f"new/{number}": str(number) for number in range(600)})
     code = capture(repository)
     shutil.rmtree(repository / "new")
@@ -184,13 +184,13 @@ def test_trees_survive_the_repositorys_cleaning(repository: Path, git: Git, tmp_
     assert restored(code, repository, tmp_path / "out")["new/599"] == "599"
 
 
-# ---------------------------------------------------------------- the index that is kept
+# ---------------------------------------------------------------- the cached index
 
 
-def test_files_changed_and_changed_back_are_seen_each_time(repository: Path, git: Git) -> None:
+def test_files_changed_and_changed_back_are_detected_each_time(repository: Path, git: Git) -> None:
     clean = capture(repository)
     trees = []
-    for text in ("x", "y", "a"):  # of one length, and one after the other within a tick of the clock
+    for text in ("x", "y", "a"):  # of equal length, and written within one tick of the clock
         (repository / "a.txt").write_text(text)
         trees.append(capture(repository))
     assert len({code.tree for code in trees}) == 3
@@ -198,7 +198,7 @@ def test_files_changed_and_changed_back_are_seen_each_time(repository: Path, git
     assert clean.tree == SWHID + git("rev-parse", "HEAD^{tree}")
 
 
-def test_what_is_ignored_by_now_does_not_count_any_more(repository: Path, git: Git) -> None:
+def test_files_that_git_ignores_now_are_no_longer_part_of_the_source(repository: Path, git: Git) -> None:
     fill(repository, {"new.log": "x", "tracked.log": "x", "added.log": "x"})
     before = capture(repository)
     git("add", "tracked.log", "added.log")
@@ -211,7 +211,7 @@ def test_what_is_ignored_by_now_does_not_count_any_more(repository: Path, git: G
     assert b"tracked.log" in source.paths(capture(repository).manifest)
 
 
-def test_a_kept_index_follows_commits_and_branches(repository: Path, git: Git) -> None:
+def test_the_cached_index_follows_commits_and_branches(repository: Path, git: Git) -> None:
     first = capture(repository)
     git("checkout", "-q", "-b", "other")
     fill(repository, {"a.txt": "other", "c": "c"})
@@ -224,7 +224,7 @@ def test_a_kept_index_follows_commits_and_branches(repository: Path, git: Git) -
 
 
 @pytest.mark.parametrize("damage", [b"", b"nonsense", b"DIRC" + bytes(100)])
-def test_an_unreadable_index_is_thrown_away(repository: Path, git: Git, damage: bytes) -> None:
+def test_an_unreadable_index_is_discarded(repository: Path, git: Git, damage: bytes) -> None:
     before = capture(repository)
     [kept] = (repository / ".git" / "sierra").iterdir()
     kept.write_bytes(damage)
@@ -236,14 +236,14 @@ def test_an_unreadable_index_is_thrown_away(repository: Path, git: Git, damage: 
     assert (repository / ".git" / "index").read_bytes() == damage
 
 
-def test_a_lock_that_was_left_behind_does_not_matter(repository: Path) -> None:
+def test_a_leftover_lock_of_the_index_is_ignored(repository: Path) -> None:
     before = capture(repository)
     (repository / ".git" / "index.lock").touch()
     fill(repository, {"new": "x"})
     assert capture(repository).tree != before.tree
 
 
-def test_a_users_settings_make_no_difference(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_git_settings_of_the_user_do_not_change_the_source(repository: Path, git: Git, tmp_path: Path) -> None:
     fill(repository, {"a.txt": "changed", "new": "x\r\n"})
     before = capture(repository)
     shutil.rmtree(repository / ".git" / "sierra")
@@ -258,7 +258,7 @@ def test_a_users_settings_make_no_difference(repository: Path, git: Git, tmp_pat
     assert source.changed(before.manifest, capture(repository).manifest) == ["a.txt", "sub/new"]
 
 
-def test_files_that_git_was_told_not_to_look_at_count(repository: Path, git: Git) -> None:
+def test_files_that_git_assumes_unchanged_are_part_of_the_source(repository: Path, git: Git) -> None:
     before = capture(repository)
     shutil.rmtree(repository / ".git" / "sierra")
     git("update-index", "--assume-unchanged", "a.txt")
@@ -274,7 +274,7 @@ def test_files_that_git_was_told_not_to_look_at_count(repository: Path, git: Git
 # ---------------------------------------------------------------- kinds of repositories
 
 
-def test_a_shallow_clone(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_the_source_is_recorded_in_a_shallow_clone(repository: Path, git: Git, tmp_path: Path) -> None:
     fill(repository, {"a.txt": "later"})
     head = commit(git, repository)
     git("clone", "-q", "--depth=1", f"file://{repository}", str(tmp_path / "clone"))
@@ -282,7 +282,7 @@ def test_a_shallow_clone(repository: Path, git: Git, tmp_path: Path) -> None:
     assert (code.tree, code.commit, code.described) == (capture(repository).tree, head, head[:12])
 
 
-def test_a_worktree_of_a_bare_repository(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_the_source_is_recorded_in_a_worktree_of_a_bare_repository(repository: Path, git: Git, tmp_path: Path) -> None:
     git("clone", "-q", "--bare", str(repository), str(tmp_path / "bare.git"))
     git("worktree", "add", "-q", str(tmp_path / "tree"), "main", cwd=tmp_path / "bare.git")
     fill(tmp_path / "tree", {"new": "x"})
@@ -291,7 +291,7 @@ def test_a_worktree_of_a_bare_repository(repository: Path, git: Git, tmp_path: P
     assert restored(code, tmp_path / "tree", tmp_path / "out") == {"a.txt": "a", "sub/b.txt": "b", "new": "x"}
 
 
-def test_each_linked_worktree_has_an_index_of_its_own(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_each_linked_worktree_has_its_own_index(repository: Path, git: Git, tmp_path: Path) -> None:
     git("worktree", "add", "-q", str(tmp_path / "linked"))
     fill(tmp_path / "linked", {"a.txt": "linked"})
     assert capture(tmp_path / "linked").tree != capture(repository).tree
@@ -299,21 +299,21 @@ def test_each_linked_worktree_has_an_index_of_its_own(repository: Path, git: Git
     assert list((repository / ".git" / "worktrees" / "linked" / "sierra").iterdir())
 
 
-def test_a_repository_that_says_it_is_bare_is_said_in_one_line(repository: Path, git: Git) -> None:
+def test_a_repository_configured_as_bare_is_refused_in_one_line(repository: Path, git: Git) -> None:
     git("config", "core.bare", "true")
     with pytest.raises(Missing, match="bare") as caught:
         capture(repository)
     one_line(caught)
 
 
-def test_a_repository_with_sha256(folder: Path, git: Git, tmp_path: Path) -> None:
+def test_the_source_is_recorded_in_a_repository_with_sha256(folder: Path, git: Git, tmp_path: Path) -> None:
     git("init", "-q", "--object-format=sha256")
     code = capture(folder)
     assert len(code.tree) == len(SWHID) + 64
     assert restored(code, folder, tmp_path / "out") == {"a.txt": "a", "sub/b.txt": "b"}
 
 
-def test_a_sparse_checkout_counts_as_what_is_there(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_the_source_of_a_sparse_checkout_is_the_files_that_exist(repository: Path, git: Git, tmp_path: Path) -> None:
     fill(repository, {"other/c": "c"})
     whole = commit(git, repository)
     git("sparse-checkout", "set", "sub")
@@ -328,7 +328,7 @@ def test_a_sparse_checkout_counts_as_what_is_there(repository: Path, git: Git, t
     assert capture(repository).dirty
 
 
-def test_a_clone_that_has_not_all_files(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_the_source_is_recorded_and_restored_in_a_partial_clone(repository: Path, git: Git, tmp_path: Path) -> None:
     git("config", "uploadpack.allowFilter", "true")
     git("clone", "-q", "--filter=blob:none", f"file://{repository}", str(tmp_path / "partial"))
     git("config", "remote.origin.url", "file:///nowhere", cwd=tmp_path / "partial")
@@ -336,7 +336,7 @@ def test_a_clone_that_has_not_all_files(repository: Path, git: Git, tmp_path: Pa
     assert restored(capture(repository), tmp_path / "partial", tmp_path / "out") == {"a.txt": "a", "sub/b.txt": "b"}
 
 
-def test_a_sparse_index(repository: Path, git: Git) -> None:
+def test_the_source_is_recorded_with_a_sparse_index(repository: Path, git: Git) -> None:
     fill(repository, {"other/c": "c"})
     commit(git, repository)
     git("sparse-checkout", "set", "--cone", "--sparse-index", "sub")
@@ -344,7 +344,7 @@ def test_a_sparse_index(repository: Path, git: Git) -> None:
     assert b"other/c" not in source.paths(capture(repository).manifest)
 
 
-def test_a_merge_that_is_not_resolved(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_the_source_is_recorded_during_an_unresolved_merge(repository: Path, git: Git, tmp_path: Path) -> None:
     for branch, text in (("one", "1"), ("two", "2")):
         git("checkout", "-q", "-B", branch, "main")
         fill(repository, {"a.txt": text})
@@ -356,7 +356,7 @@ def test_a_merge_that_is_not_resolved(repository: Path, git: Git, tmp_path: Path
     assert "<<<<<<<" in restored(code, repository, tmp_path / "out")["a.txt"]
 
 
-def test_a_project_in_a_folder_of_its_repository(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_the_source_of_a_project_in_a_subfolder_is_that_subfolder(repository: Path, git: Git, tmp_path: Path) -> None:
     code = capture(repository / "sub")
     assert (code.folder, capture(repository).folder) == ("sub", ".")
     assert code.tree == SWHID + git("rev-parse", "HEAD:sub")
@@ -376,7 +376,9 @@ def test_commits_are_described_by_tags(repository: Path, git: Git) -> None:
     assert capture(repository).described == f"v1-1-g{head[:12]}"
 
 
-def test_a_repository_of_another_user_names_the_command(repository: Path, require: Callable[..., str]) -> None:
+def test_the_error_for_a_repository_of_another_user_names_the_git_command(
+    repository: Path, require: Callable[..., str]
+) -> None:
     require("root, to give files away", there=os.geteuid() == 0)
     for path in (repository, repository / ".git"):
         os.chown(path, 12345, 12345)
@@ -387,13 +389,13 @@ def test_a_repository_of_another_user_names_the_command(repository: Path, requir
 
 @pytest.fixture
 def reachable(repository: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The repository where other users can reach it; pytest closes its own folder whenever another session of tests begins."""
+    """Yield a repository that other users can access; a new session of pytest closes the folder of an earlier one."""
     monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
     with tempfile.TemporaryDirectory() as folder:
         yield shutil.copytree(repository, Path(folder, "p"), symlinks=True)
 
 
-def test_a_repository_that_cannot_be_written_is_said_in_one_line(reachable: Path) -> None:
+def test_a_repository_that_is_not_writable_is_reported_in_one_line(reachable: Path) -> None:
     repository = reachable
     fill(repository, {"a.txt": "changed"})
     subprocess.run(["chmod", "-R", "a-w", str(repository / ".git")], check=True)
@@ -411,7 +413,7 @@ def test_a_repository_that_cannot_be_written_is_said_in_one_line(reachable: Path
 
 @contextlib.contextmanager
 def somebody_else(repository: Path) -> Iterator[None]:
-    """Be the owner of a repository, and not root, to whom nothing is forbidden."""
+    """Act as the owner of a repository instead of root: root may write everywhere."""
     if os.geteuid() != 0:
         yield
         return
@@ -430,7 +432,7 @@ def somebody_else(repository: Path) -> Iterator[None]:
 
 @pytest.fixture
 def nested(repository: Path, git: Git, tmp_path: Path) -> Path:
-    """The repository, with a submodule `one` that has a submodule `two`."""
+    """Return the repository with a submodule `one` that has a submodule `two`."""
     two, one = fill(tmp_path / "two", {"f": "two"}), fill(tmp_path / "one", {"f": "one"})
     commit(git, two)
     commit(git, one)
@@ -456,7 +458,7 @@ def test_submodules_are_recorded_with_their_commits(nested: Path, git: Git, tmp_
     assert git("status", "--short", cwd=nested / "one" / "two") == "M f"
 
 
-def test_the_index_of_a_submodule_is_not_touched(nested: Path) -> None:
+def test_the_index_of_a_submodule_stays_unchanged(nested: Path) -> None:
     [index] = (nested / ".git" / "modules" / "one").glob("index")
     (nested / "one" / "f").touch()
     before = index.read_bytes(), index.stat().st_mtime_ns
@@ -464,7 +466,7 @@ def test_the_index_of_a_submodule_is_not_touched(nested: Path) -> None:
     assert (index.read_bytes(), index.stat().st_mtime_ns) == before
 
 
-def test_a_submodule_that_is_not_there_does_not_count_and_is_said(nested: Path, git: Git, tmp_path: Path) -> None:
+def test_a_submodule_that_is_not_checked_out_is_left_out_and_reported(nested: Path, git: Git, tmp_path: Path) -> None:
     there = capture(nested)
     git("clone", "-q", str(nested), str(tmp_path / "clone"))
     code = capture(tmp_path / "clone")
@@ -479,7 +481,7 @@ def test_a_submodule_that_is_not_there_does_not_count_and_is_said(nested: Path, 
         restored(there, tmp_path / "clone", tmp_path / "again")
 
 
-def test_a_repository_inside_that_is_no_submodule(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_a_nested_repository_that_is_not_a_submodule_needs_a_commit(repository: Path, git: Git, tmp_path: Path) -> None:
     inner = fill(repository / "inner", {"f": "f"})
     git("init", "-q", cwd=inner)
     with pytest.raises(Missing, match="without a commit") as caught:
@@ -494,7 +496,7 @@ def test_a_repository_inside_that_is_no_submodule(repository: Path, git: Git, tm
 # ---------------------------------------------------------------- dirty, large
 
 
-def test_refuse_names_the_files_and_what_to_do(repository: Path, git: Git) -> None:
+def test_dirty_refuse_names_the_changed_files_and_the_remedy(repository: Path, git: Git) -> None:
     clean = capture(repository, dirty="refuse")
     fill(repository, {"sierra.toml": "does not count", **{f"new{number}": "x" for number in range(5)}})
     with pytest.raises(ConfigError, match=r"new0, new1, new2 and 2 more: not as in commit \w{12}; commit") as caught:
@@ -503,7 +505,7 @@ def test_refuse_names_the_files_and_what_to_do(repository: Path, git: Git) -> No
     assert capture(repository, "a.txt", "sub", dirty="refuse").tree == clean.tree
 
 
-def test_ignore_is_the_commits_tree_and_a_checkout_where_files_differ(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_dirty_ignore_uses_the_commits_tree_and_a_checkout_if_files_differ(repository: Path, git: Git, tmp_path: Path) -> None:
     clean = capture(repository)
     assert capture(repository, dirty="ignore") == clean
     fill(repository, {"sub/b.txt": "changed", "new": "x", "huge": "x" * 1000})
@@ -518,7 +520,7 @@ def test_ignore_is_the_commits_tree_and_a_checkout_where_files_differ(repository
 
 
 @pytest.mark.parametrize("dirty", ["refuse", "ignore"])
-def test_without_a_commit_there_is_nothing_to_compare_with(folder: Path, git: Git, dirty: str) -> None:
+def test_dirty_refuse_and_ignore_need_a_commit(folder: Path, git: Git, dirty: str) -> None:
     with pytest.raises(ConfigError, match="there is no commit to compare with") as caught:
         capture(folder, dirty=dirty)
     one_line(caught)
@@ -528,7 +530,7 @@ def test_without_a_commit_there_is_nothing_to_compare_with(folder: Path, git: Gi
 
 
 @pytest.mark.parametrize("inside", [False, True])
-def test_a_large_file_is_refused_with_the_ways_out(folder: Path, git: Git, inside: bool, tmp_path: Path) -> None:
+def test_a_large_file_is_refused_and_the_error_names_the_remedies(folder: Path, git: Git, inside: bool, tmp_path: Path) -> None:
     if inside:
         git("init", "-q")
     fill(folder, {"sub/big.bin": "x" * 2000})
@@ -544,7 +546,7 @@ def test_a_large_file_is_refused_with_the_ways_out(folder: Path, git: Git, insid
     assert restored(code, folder, tmp_path / "out", kept.get)["sub/big.bin"] == "x" * 2000
 
 
-def test_a_large_file_that_git_tracks_is_fine_and_one_that_grows_is_not(repository: Path, git: Git) -> None:
+def test_a_large_tracked_file_is_accepted_and_an_untracked_one_that_grows_is_not(repository: Path, git: Git) -> None:
     fill(repository, {"tracked": "x" * 2000, "grows": "x"})
     git("add", "tracked")
     capture(repository, large=1000)
@@ -555,7 +557,7 @@ def test_a_large_file_that_git_tracks_is_fine_and_one_that_grows_is_not(reposito
     capture(repository, large=1000)
 
 
-def test_the_limit_is_a_size_in_sierra_toml(tmp_path: Path) -> None:
+def test_sierra_toml_sets_the_size_limit_of_untracked_files(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "p", projects.CONFIG + '[source]\nmax_untracked = "1 kB"\n')
     fill(root, {"big": "x" * 1001})
     ended = projects.quick(root, "run", "population_size=1")
@@ -566,7 +568,7 @@ def test_the_limit_is_a_size_in_sierra_toml(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- files
 
 
-def test_names_of_any_bytes(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_file_names_may_contain_any_bytes(repository: Path, git: Git, tmp_path: Path) -> None:
     names = [b"new\nline", b"tab\t", b"'quote\"", b"\xff\xfe", b":(top)", b"*", b"-dash", b"A", b"a", b" ", b"back\\slash"]
     for name in names:
         Path(os.fsdecode(os.fsencode(repository) + b"/" + name)).write_bytes(name)
@@ -578,7 +580,7 @@ def test_names_of_any_bytes(repository: Path, git: Git, tmp_path: Path) -> None:
     one_line(caught)
 
 
-def test_what_is_no_file_is_passed_over(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pipes_and_sockets_are_not_part_of_the_source(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = capture(repository)
     os.mkfifo(repository / "pipe")
     monkeypatch.chdir(repository)
@@ -592,7 +594,7 @@ def test_what_is_no_file_is_passed_over(repository: Path, monkeypatch: pytest.Mo
     assert b"pipe" not in source.paths(capture(repository).manifest)
 
 
-def test_files_that_become_folders_and_links(repository: Path, tmp_path: Path) -> None:
+def test_files_that_become_folders_or_links_are_recorded_as_such(repository: Path, tmp_path: Path) -> None:
     capture(repository)
     (repository / "a.txt").unlink()
     shutil.rmtree(repository / "sub")
@@ -603,7 +605,7 @@ def test_files_that_become_folders_and_links(repository: Path, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("inside", [False, True])
-def test_links_out_of_the_project_are_said(folder: Path, git: Git, tmp_path: Path, inside: bool) -> None:
+def test_links_out_of_the_project_are_reported(folder: Path, git: Git, tmp_path: Path, inside: bool) -> None:
     if inside:
         commit(git, folder)
     assert capture(folder).notes == ()
@@ -613,7 +615,7 @@ def test_links_out_of_the_project_are_said(folder: Path, git: Git, tmp_path: Pat
     assert note.startswith("out: links out of the project")
 
 
-def test_a_thousand_new_files_are_the_same_as_git_has_them(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_a_thousand_new_files_give_the_tree_of_git_with_few_loose_objects(repository: Path, git: Git, tmp_path: Path) -> None:
     files = {f"many/{number}": "x" * number for number in range(1000)}
     fill(repository, {**files, "many/large": "x" * 100_000})
     (repository / "many" / "link").symlink_to("0")
@@ -625,7 +627,7 @@ def test_a_thousand_new_files_are_the_same_as_git_has_them(repository: Path, git
     assert code.tree == SWHID + git("rev-parse", "HEAD^{tree}")
 
 
-def test_line_endings_and_filters_are_as_git_would_commit_them(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_line_endings_and_filters_are_applied_as_git_commits_them(repository: Path, git: Git, tmp_path: Path) -> None:
     fill(repository, {".gitattributes": "*.txt text eol=crlf\n*.up filter=up\n", "x.up": "shout"})
     git("config", "filter.up.clean", "tr a-z A-Z")
     git("config", "filter.up.smudge", "tr A-Z a-z")
@@ -638,7 +640,7 @@ def test_line_endings_and_filters_are_as_git_would_commit_them(repository: Path,
     assert (out["a.txt"], out["x.up"]) == ("one\r\ntwo\r\n", "shout")
 
 
-def test_attributes_above_the_project_hold_for_what_is_restored(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_git_attributes_above_the_project_apply_to_restored_files(repository: Path, git: Git, tmp_path: Path) -> None:
     fill(repository, {".gitattributes": "*.txt text eol=crlf\n"})
     (repository / "sub" / "b.txt").write_bytes(b"one\r\n")
     commit(git, repository)
@@ -649,7 +651,7 @@ def test_attributes_above_the_project_hold_for_what_is_restored(repository: Path
 # ---------------------------------------------------------------- git-lfs
 
 
-def test_pointers_in_the_place_of_data_are_an_error(repository: Path, git: Git) -> None:
+def test_pointers_of_git_lfs_instead_of_data_are_an_error(repository: Path, git: Git) -> None:
     fill(repository, {".gitattributes": "*.bin filter=lfs diff=lfs merge=lfs -text\n", "data/x.bin": POINTER, "text": POINTER})
     commit(git, repository)
     with pytest.raises(Missing, match=r"data/x\.bin: pointers of git-lfs, not the data; fetch it with git lfs pull") as caught:
@@ -662,7 +664,7 @@ def test_pointers_in_the_place_of_data_are_an_error(repository: Path, git: Git) 
     assert capture(repository).dirty
 
 
-def test_pointers_in_a_submodule_are_an_error_too(nested: Path, git: Git) -> None:
+def test_pointers_of_git_lfs_in_a_submodule_are_an_error(nested: Path, git: Git) -> None:
     fill(nested, {"one/.gitattributes": "*.bin filter=lfs -text\n", "one/x.bin": POINTER})
     commit(git, nested / "one")
     commit(git, nested)
@@ -670,7 +672,7 @@ def test_pointers_in_a_submodule_are_an_error_too(nested: Path, git: Git) -> Non
         capture(nested)
 
 
-def test_git_lfs_that_is_not_installed_is_said_in_one_line(repository: Path, git: Git) -> None:
+def test_a_missing_git_lfs_is_reported_in_one_line(repository: Path, git: Git) -> None:
     absent = "git-lfs-that-is-nowhere"
     for name, value in {"process": f"{absent} filter-process", "clean": f"{absent} clean -- %f", "required": "true"}.items():
         git("config", f"filter.lfs.{name}", value)
@@ -693,7 +695,7 @@ def test_another_clone_restores_a_clean_tree_from_its_commit(repository: Path, g
     assert restored(code, tmp_path / "clone", tmp_path / "out") == {"a.txt": "a", "sub/b.txt": "b"}
     with pytest.raises(Missing, match=r"file 'a\.txt' is neither in git .* nor in the store") as caught:
         source.restore(dirty.tree, dirty.manifest, tmp_path / "clone", tmp_path / "no", nothing, commit=dirty.commit)
-    assert "never committed: run sierra source fetch" in one_line(caught)  # the commit is there: to fetch it would not help
+    assert "never committed: run sierra source fetch" in one_line(caught)  # the commit exists: fetching it would not help
     git("init", "-q", str(tmp_path / "empty"))
     with pytest.raises(Missing) as caught:
         source.restore(dirty.tree, dirty.manifest, tmp_path / "empty", tmp_path / "never", nothing, commit=dirty.commit)
@@ -703,7 +705,7 @@ def test_another_clone_restores_a_clean_tree_from_its_commit(repository: Path, g
 
 
 @pytest.mark.integration
-def test_what_was_never_committed_comes_with_push_and_fetch(nested: Path, git: Git, tmp_path: Path) -> None:
+def test_uncommitted_code_is_shared_by_source_push_and_fetch(nested: Path, git: Git, tmp_path: Path) -> None:
     bares = {path: tmp_path / f"{path.replace('/', '-')}.git" for path in (".", "one", "one/two")}
     for path, bare in bares.items():
         git("clone", "-q", "--bare", str(nested / path), str(bare))
@@ -736,7 +738,7 @@ def test_what_was_never_committed_comes_with_push_and_fetch(nested: Path, git: G
     assert {there[path] for path in ("a.txt", "one/f", "one/two/f")} == {"changed"}
 
 
-def test_a_submodule_that_was_changed_says_what_brings_the_changes(nested: Path, git: Git, tmp_path: Path) -> None:
+def test_the_error_for_a_changed_submodule_names_source_fetch(nested: Path, git: Git, tmp_path: Path) -> None:
     fill(nested, {"one/f": "changed"})
     code = capture(nested)
     clone = tmp_path / "clone"
@@ -749,7 +751,7 @@ def test_a_submodule_that_was_changed_says_what_brings_the_changes(nested: Path,
     assert [source.is_there(root, code.tree, code.manifest) for root in (nested, clone)] == [True, False]
 
 
-def test_a_changed_file_beside_a_submodule_is_named(nested: Path, git: Git, tmp_path: Path) -> None:
+def test_a_missing_file_outside_submodules_is_named(nested: Path, git: Git, tmp_path: Path) -> None:
     fill(nested, {"sub/b.txt": "changed"})
     code = capture(nested)
     git("clone", "-q", f"file://{nested}", str(tmp_path / "clone"))
@@ -758,7 +760,7 @@ def test_a_changed_file_beside_a_submodule_is_named(nested: Path, git: Git, tmp_
 
 
 @pytest.mark.integration
-def test_sources_are_pushed_and_fetched_by_command(repository: Path, git: Git, tmp_path: Path) -> None:
+def test_the_source_command_pushes_and_fetches_sources(repository: Path, git: Git, tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project"))
     git("init", "-q", "--bare", str(tmp_path / "bare"))
     refused = projects.quick(root, "source", "push")
@@ -784,7 +786,7 @@ def test_sources_are_pushed_and_fetched_by_command(repository: Path, git: Git, t
     assert projects.quick(projects.make(tmp_path / "none"), "source", "push").returncode == 2
 
 
-def test_a_source_from_outside_git_is_restored_within_and_the_other_way(folder: Path, git: Git, tmp_path: Path) -> None:
+def test_a_source_recorded_outside_git_is_restored_inside_and_outside_git(folder: Path, git: Git, tmp_path: Path) -> None:
     (folder / "a.txt").chmod(0o755)
     outside = capture(folder)
     kept = dict(source.contents(outside, folder, set()))
@@ -796,7 +798,7 @@ def test_a_source_from_outside_git_is_restored_within_and_the_other_way(folder: 
 
 
 @pytest.mark.parametrize("blob", ["--textconv", "HEAD:a", "0" * 39, "0" * 41, ""])
-def test_a_hash_of_a_hostile_list_that_is_none_never_reaches_git(folder: Path, git: Git, tmp_path: Path, blob: str) -> None:
+def test_invalid_hashes_of_a_hostile_manifest_never_reach_git(folder: Path, git: Git, tmp_path: Path, blob: str) -> None:
     commit(git, folder)
     with pytest.raises(Damaged, match=r"whose hash .* is none of git's"):
         source.restore("git:x", f"100644 {blob}\ta\0".encode(), folder, tmp_path / "out", nothing)
@@ -806,7 +808,9 @@ def test_a_hash_of_a_hostile_list_that_is_none_never_reaches_git(folder: Path, g
     "path", [b"../out", b"/tmp/out", b"a/../../out", b".git/config", b"x/.GIT/hooks/y", b"link/out", b"a//b"]
 )
 @pytest.mark.parametrize("inside", [False, True])
-def test_no_path_of_a_hostile_list_leaves_the_folder(folder: Path, git: Git, tmp_path: Path, path: bytes, inside: bool) -> None:
+def test_paths_of_a_hostile_manifest_never_leave_the_folder(
+    folder: Path, git: Git, tmp_path: Path, path: bytes, inside: bool
+) -> None:
     if inside:
         commit(git, folder)
     blob = hashlib.sha1(b"blob 1\0a", usedforsecurity=False).hexdigest()
@@ -817,7 +821,7 @@ def test_no_path_of_a_hostile_list_leaves_the_folder(folder: Path, git: Git, tmp
     assert not (tmp_path / "x").exists()
 
 
-def test_a_list_of_files_that_is_another_trees_restores_nothing(folder: Path, tmp_path: Path) -> None:
+def test_a_manifest_of_another_tree_is_not_restored(folder: Path, tmp_path: Path) -> None:
     first = capture(folder)
     (folder / "a.txt").write_text("other")
     with pytest.raises(Damaged, match="other code would be restored"):
@@ -832,10 +836,10 @@ def remembered(root: Path, memory: Path) -> Source:
     return source.capture(root, paths=(), without=WITHOUT, memory=memory)
 
 
-def test_remembered_hashes_are_those_of_the_files(folder: Path, tmp_path: Path) -> None:
+def test_cached_hashes_equal_those_of_the_files(folder: Path, tmp_path: Path) -> None:
     memory = tmp_path / "memory"
     first = remembered(folder, memory)
-    assert not memory.exists()  # nothing that was written just now is trusted
+    assert not memory.exists()  # hashes of files that were just written are not cached
     time.sleep(2.1)
     assert remembered(folder, memory) == first
     assert b"a.txt" in memory.read_bytes()
@@ -849,7 +853,7 @@ def test_remembered_hashes_are_those_of_the_files(folder: Path, tmp_path: Path) 
     assert remembered(folder, memory).tree == capture(folder).tree
 
 
-def test_remembered_hashes_are_used(folder: Path, tmp_path: Path) -> None:
+def test_valid_cached_hashes_are_used_and_damaged_ones_are_not(folder: Path, tmp_path: Path) -> None:
     memory = tmp_path / "memory"
     time.sleep(2.1)
     first = remembered(folder, memory)
@@ -895,7 +899,7 @@ def test_remembered_hashes_are_used(folder: Path, tmp_path: Path) -> None:
         ("", ""),
     ],
 )
-def test_no_address_is_recorded_with_what_opens_it(address: str, kept: str) -> None:
+def test_addresses_of_remotes_are_recorded_without_credentials(address: str, kept: str) -> None:
     said = without_credentials(address)
     assert "SEC" not in said
     assert "RET" not in said
@@ -903,7 +907,7 @@ def test_no_address_is_recorded_with_what_opens_it(address: str, kept: str) -> N
         assert said == kept
 
 
-def test_the_remote_is_that_of_the_branch(repository: Path, git: Git) -> None:
+def test_the_recorded_remote_belongs_to_the_branch(repository: Path, git: Git) -> None:
     assert capture(repository).remote is None
     git("remote", "add", "upstream", "https://a:b@host.org/up")
     assert capture(repository).remote == "https://host.org/up"
@@ -916,7 +920,7 @@ def test_the_remote_is_that_of_the_branch(repository: Path, git: Git) -> None:
 # ---------------------------------------------------------------- in the store
 
 
-def test_the_sources_state_is_there_in_sql_and_as_text(tmp_path: Path, git: Git) -> None:
+def test_sql_and_show_display_the_state_of_the_source(tmp_path: Path, git: Git) -> None:
     root = projects.make(tmp_path / "p" / "study")
     commit(git, tmp_path / "p")
     git("tag", "v1")

@@ -1,4 +1,4 @@
-"""What people ask is read exactly, written canonically, and refused helpfully; scales span just what they say."""
+"""Criteria are parsed exactly, written canonically, and refused with helpful errors; ranges contain exact values."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ ALPHABET = st.sampled_from(
 )
 
 
-# What is asked, and what it means
+# Criteria and their values
 
 
 @pytest.mark.parametrize(
@@ -104,20 +104,20 @@ ALPHABET = st.sampled_from(
         ("montecarlo.C3", MonteCarlo(3), (1, 2, 3)),
     ],
 )
-def test_a_criterion_means_its_values(text: str, scale: Scale, values: tuple[object, ...]) -> None:
+def test_a_criterion_is_expanded_to_its_values(text: str, scale: Scale, values: tuple[object, ...]) -> None:
     criterion = grammar.parse(text)
     assert criterion == Criterion(re.split("[.=]", text)[0], scale)
     made = ranges.values(criterion.scale)
     assert [(type(value), value) for value in made] == [(type(value), value) for value in values]
 
 
-def test_constant_density_has_arenas_that_grow() -> None:
+def test_a_constant_density_has_growing_arenas() -> None:
     scale = grammar.parse("population_constant_density.5p0.I16.C4").scale
     assert scale == ConstantDensity(Fraction(5), Fraction(16), 4)
     assert ranges.growths(scale) == tuple(map(Fraction, (0, 16, 32, 48)))
 
 
-def test_variable_density_has_exact_densities() -> None:
+def test_a_variable_density_has_exact_densities() -> None:
     scale = grammar.parse("population_variable_density.1p0.5p0.C4").scale
     assert scale == VariableDensity(Fraction(1), Fraction(5), 4)
     assert ranges.densities(scale) == (Fraction(1), Fraction(7, 3), Fraction(11, 3), Fraction(5))
@@ -140,12 +140,12 @@ def test_densities_have_no_values_without_a_platform(text: str) -> None:
         ("population_constant_density.5.I0p5.C4", "population_constant_density.5p0.I0p5.C4"),
     ],
 )
-def test_there_is_one_canonical_text(text: str, canonical: str) -> None:
+def test_criteria_are_written_as_one_canonical_text(text: str, canonical: str) -> None:
     assert grammar.text(grammar.parse(text)) == canonical
 
 
 @given(CRITERIA)
-def test_a_criterion_is_read_as_it_was_written(criterion: Criterion) -> None:
+def test_a_written_criterion_is_parsed_to_the_same_criterion(criterion: Criterion) -> None:
     written = grammar.text(criterion)
     again = grammar.parse(written)
     assert again == criterion
@@ -160,7 +160,7 @@ def test_a_criterion_is_read_as_it_was_written(criterion: Criterion) -> None:
 @example("x=0:1e999999999:3", None)
 @example("x=\ud800", None)
 @example("x=1e1000", None)
-def test_any_text_is_a_criterion_or_an_error_of_one_line(text: str, data: st.DataObject | None) -> None:
+def test_any_text_is_a_criterion_or_gives_an_error_of_one_line(text: str, data: st.DataObject | None) -> None:
     if data is not None and text and data.draw(st.booleans()):
         at = data.draw(st.integers(0, len(text) - 1))
         text = text[:at] + data.draw(ALPHABET) + text[at + 1 :]
@@ -175,7 +175,7 @@ def test_any_text_is_a_criterion_or_an_error_of_one_line(text: str, data: st.Dat
 
 
 def read(text: str) -> tuple[Criterion | None, str]:
-    """The criterion, or the complaint."""
+    """Return the criterion, or the text of the error."""
     try:
         return grammar.parse(text), ""
     except QueryError as error:
@@ -183,7 +183,7 @@ def read(text: str) -> tuple[Criterion | None, str]:
 
 
 @pytest.mark.parametrize("text", ["x=" + "1" * 200_000 + "!", "x=" + "-" * 200_000 + "!", "x." + "1." * 200_000, "L" * 200_000])
-def test_a_long_wrong_text_is_refused_at_once(text: str) -> None:
+def test_a_long_invalid_text_is_refused_quickly(text: str) -> None:
     def refused() -> None:
         with pytest.raises(QueryError):
             grammar.parse(text)
@@ -191,7 +191,7 @@ def test_a_long_wrong_text_is_refused_at_once(text: str) -> None:
     assert effort(refused) < 40
 
 
-# What is refused
+# Refused criteria
 
 
 @pytest.mark.parametrize(
@@ -251,14 +251,14 @@ def test_a_long_wrong_text_is_refused_at_once(text: str) -> None:
         ("d.5p0.I0.C4", "'d.5p0.I0.C4': an increment is more than 0, not 0; use I16"),
     ],
 )
-def test_an_error_says_what_is_wrong_and_what_would_be_right(text: str, message: str) -> None:
+def test_errors_say_what_is_wrong_and_suggest_a_correction(text: str, message: str) -> None:
     with pytest.raises(QueryError) as caught:
         grammar.parse(text)
     assert str(caught.value) == message
 
 
 @pytest.mark.parametrize("text", ["noise", "noise.", "noise=", "noise.Exp8", "noise._"])
-def test_who_gives_no_scale_is_shown_all(text: str) -> None:
+def test_the_error_for_a_missing_range_shows_all_forms(text: str) -> None:
     with pytest.raises(
         QueryError, match=re.escape("noise.Log8, noise.Linear100.C10, noise.1.9.C5, noise=0:1:5 or noise=1,2,4")
     ):
@@ -274,7 +274,7 @@ def test_who_gives_no_scale_is_shown_all(text: str) -> None:
         st.builds("Linear{}".format, st.integers(-5, 2000)),
     )
 )
-def test_what_an_error_suggests_is_right(scale: str) -> None:
+def test_suggestions_of_errors_are_valid_criteria(scale: str) -> None:
     _, complaint = read(f"x.{scale}")
     suggestions = SUGGESTION.findall(complaint.partition("; use ")[2])
     assert suggestions or "divide" not in complaint
@@ -297,7 +297,7 @@ def test_what_an_error_suggests_is_right(scale: str) -> None:
         Criterion("x", Listed((True,))),
     ],
 )
-def test_a_criterion_that_no_text_asks_for_has_none(criterion: Criterion) -> None:
+def test_criteria_that_no_text_can_express_are_not_written(criterion: Criterion) -> None:
     with pytest.raises(QueryError):
         grammar.text(criterion)
 
@@ -325,14 +325,14 @@ def test_criteria_keep_their_order() -> None:
         ([], "a query has at least one criterion; use population_size.Log8"),
     ],
 )
-def test_criteria_that_do_not_go_together_are_refused(texts: list[str], message: str) -> None:
+def test_conflicting_criteria_are_refused(texts: list[str], message: str) -> None:
     with pytest.raises(QueryError) as caught:
         grammar.parse_all(texts)
     assert str(caught.value) == message
 
 
 @pytest.mark.parametrize("name", sorted(grammar.RESERVED))
-def test_no_axis_is_named_like_a_column_of_the_store(name: str) -> None:
+def test_axes_named_like_a_column_of_the_store_are_refused(name: str) -> None:
     with pytest.raises(QueryError, match="column of the store"):
         grammar.parse_all([f"{name}=1,2"])
 
@@ -341,13 +341,13 @@ def test_no_axis_is_named_like_a_column_of_the_store(name: str) -> None:
 
 
 @given(SCALES.filter(lambda scale: not isinstance(scale, ConstantDensity)))
-def test_values_are_distinct_and_as_many_as_counted(scale: Scale) -> None:
+def test_values_are_distinct_and_their_number_equals_the_count(scale: Scale) -> None:
     values = ranges.values(scale)
     assert len(values) == len(set(values)) == ranges.count(scale)
 
 
 @given(st.one_of(spans(), steps()))
-def test_each_step_is_the_nearest_number_to_the_exact_one(scale: Span | Steps) -> None:
+def test_each_value_is_the_nearest_number_to_the_exact_step(scale: Span | Steps) -> None:
     values = ranges.values(scale)
     for index, value in enumerate(values):
         exact = scale.start + Fraction(scale.end - scale.start) * index / (scale.count - 1)
@@ -356,22 +356,22 @@ def test_each_step_is_the_nearest_number_to_the_exact_one(scale: Span | Steps) -
 
 
 @given(st.integers(1, 62), st.integers(1, 10**6), st.integers(1, 40))
-def test_log_doubles_and_linear_steps_evenly(power: int, step: int, count: int) -> None:
+def test_log_ranges_double_and_linear_ranges_have_even_steps(power: int, step: int, count: int) -> None:
     assert ranges.values(Log(2**power)) == tuple(2**each for each in range(power + 1))
     assert ranges.values(Linear(step * count, count)) == tuple(step * (each + 1) for each in range(count))
 
 
-def test_values_that_floats_cannot_tell_apart_are_refused() -> None:
+def test_values_that_floats_cannot_distinguish_are_refused() -> None:
     with pytest.raises(QueryError, match="closer together than floats can tell apart"):
         grammar.parse("x=100:100.00000000000001:5")
 
 
 @pytest.mark.parametrize("scale", [Log(1000), Linear(8, 10), Steps(1, 9, 4), Listed((1, 1)), MonteCarlo(0)])
-def test_a_scale_made_by_hand_is_held_to_the_same_rules(scale: Scale) -> None:
+def test_ranges_built_in_code_obey_the_same_rules(scale: Scale) -> None:
     with pytest.raises(QueryError):
         ranges.values(scale)
 
 
-def test_a_million_values_take_seconds_at_most() -> None:
+def test_a_range_may_have_a_million_values() -> None:
     values = ranges.values(grammar.parse("x=0:0.3:1000000").scale)
     assert (len(values), values[0], values[-1]) == (1_000_000, 0, 0.3)

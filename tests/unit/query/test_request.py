@@ -1,4 +1,4 @@
-"""Queries that are handed in as a file: `sierra run query.json`."""
+"""Queries that are submitted as a file: `sierra run query.json`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def project(tmp_path: Path) -> Path:
     return projects.make(tmp_path / "project")
 
 
-def test_run_takes_what_a_dry_run_printed(project: Path) -> None:
+def test_run_accepts_the_json_that_a_dry_run_printed(project: Path) -> None:
     asked = ("run", "population_size=1,2", "noise=0.5", "--runs", "1", "--set", "/arena/@size=20")
     printed = quick(project, *asked, "-n", "--json").stdout
     (project.parent / "query.json").write_text(printed)
@@ -26,14 +26,14 @@ def test_run_takes_what_a_dry_run_printed(project: Path) -> None:
     assert json.loads(quick(project, *asked, "--json", "--no-figures").stdout)["executed"] == 0
 
 
-def test_run_takes_a_request_alone(project: Path) -> None:
+def test_run_accepts_a_file_with_only_a_request(project: Path) -> None:
     (project.parent / "query.json").write_text('{"criteria": ["population_size=1,2"], "runs": 1}')
     assert json.loads(quick(project, "run", "../query.json", "-n", "--json").stdout)["to_execute"] == 2
     plan = sierra.open(project).plan("population_size=1,2", runs=1)
     assert plan.batch.id == json.loads(quick(project, "run", "../query.json", "-n", "--json").stdout)["batch"]
 
 
-def test_a_file_of_another_batch_is_reported(project: Path) -> None:
+def test_a_file_whose_batch_has_changed_is_reported(project: Path) -> None:
     (project.parent / "query.json").write_text(quick(project, "run", "population_size=1", "-n", "--json").stdout)
     (project / "arena.xml").write_text(projects.TEMPLATE.replace("0.1", "0.2"))
     done = quick(project, "run", "../query.json", "-n")
@@ -41,7 +41,7 @@ def test_a_file_of_another_batch_is_reported(project: Path) -> None:
     assert "the project is not as it was" in done.stderr
 
 
-def test_the_request_of_a_recorded_batch_repeats_it(project: Path) -> None:
+def test_the_request_of_a_recorded_batch_gives_the_same_batch(project: Path) -> None:
     opened = sierra.open(project)
     batch = opened.run("noise=0.5", runs=1, sets=[("/arena/@size", "20")], figures=False).batch
     assert opened.resolve(opened.plan(batch[:10]).request).batch.id == batch
@@ -59,7 +59,7 @@ def test_the_request_of_a_recorded_batch_repeats_it(project: Path) -> None:
         ('{"request": {"criteria": ["population_size=1"], "runs": "x"}}', "request.runs: "),
     ],
 )
-def test_a_wrong_file_is_one_line(project: Path, text: str, said: str) -> None:
+def test_an_invalid_file_is_refused_in_one_line(project: Path, text: str, said: str) -> None:
     (project.parent / "query.json").write_text(text)
     done = quick(project, "run", "../query.json")
     assert done.returncode == 2
@@ -67,12 +67,12 @@ def test_a_wrong_file_is_one_line(project: Path, text: str, said: str) -> None:
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_a_missing_file_is_one_line(project: Path) -> None:
+def test_a_missing_file_is_refused_in_one_line(project: Path) -> None:
     done = quick(project, "run", "no.json")
     assert (done.returncode, len(done.stderr.splitlines())) == (3, 1)
 
 
-def test_options_beside_a_file_are_refused(project: Path) -> None:
+def test_options_together_with_a_file_are_refused(project: Path) -> None:
     (project.parent / "query.json").write_text('{"criteria": ["population_size=1"]}')
     done = quick(project, "run", "../query.json", "--runs", "3")
     assert done.returncode == 2

@@ -1,4 +1,4 @@
-"""Runs that give other bytes when they are executed again are found, kept and shown."""
+"""Runs whose output changes when they are executed again are detected, recorded and displayed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def make(folder: Path, simulator: str, more: str = "") -> sierra.Project:
 
 
 @pytest.mark.integration
-def test_other_bytes_in_a_replay_are_a_finding_that_ls_and_show_tell(tmp_path: Path) -> None:
+def test_ls_and_show_report_runs_whose_output_changed_in_a_replay(tmp_path: Path) -> None:
     project = make(tmp_path, NOISY)
     batch = project.run("population_size=1,2", figures=False).batch
     assert [row["nondeterministic"] for row in project.batches] == [0]
@@ -33,7 +33,7 @@ def test_other_bytes_in_a_replay_are_a_finding_that_ls_and_show_tell(tmp_path: P
 
 
 @pytest.mark.integration
-def test_what_is_the_same_or_differs_as_declared_is_no_finding(tmp_path: Path) -> None:
+def test_equal_outputs_and_declared_differences_are_not_reported(tmp_path: Path) -> None:
     project = make(tmp_path, projects.SIMULATOR)
     project.replay(project.run("population_size=1", figures=False).batch)
     assert [row["nondeterministic"] for row in project.batches] == [0]
@@ -45,8 +45,10 @@ def test_what_is_the_same_or_differs_as_declared_is_no_finding(tmp_path: Path) -
 
 
 @pytest.mark.integration
-def test_runs_that_were_executed_again_without_a_replay_are_found_too(tmp_path: Path) -> None:
-    project = make(tmp_path, NOISY, '[store]\nraw = false\n[outputs.swarm]\nfile = "swarm.csv"\n')  # else judged anew
+def test_nondeterminism_is_detected_in_runs_executed_again_without_a_replay(tmp_path: Path) -> None:
+    project = make(
+        tmp_path, NOISY, '[store]\nraw = false\n[outputs.swarm]\nfile = "swarm.csv"\n'
+    )  # else they are evaluated again by changed rules
     batch = project.run("population_size=1", figures=False).batch
     config = project.root / "sierra.toml"
     config.write_text(config.read_text().replace("[outputs.swarm]", "[outputs.other]"))
@@ -57,7 +59,7 @@ def test_runs_that_were_executed_again_without_a_replay_are_found_too(tmp_path: 
 
 
 @pytest.mark.integration
-def test_other_programs_are_no_lack_of_determinism(tmp_path: Path) -> None:
+def test_changed_programs_are_not_reported_as_nondeterminism(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,1\\n' > out.csv\n")
     program.chmod(0o755)
@@ -77,7 +79,7 @@ def test_other_programs_are_no_lack_of_determinism(tmp_path: Path) -> None:
         (NOISY, "came out different: swarm.csv: row 0: 'coverage' was"),
     ],
 )
-def test_a_probe_executes_one_run_twice_before_the_batch_and_says_what_came_of_it(
+def test_a_probe_executes_one_run_twice_before_the_batch_and_reports_the_result(
     tmp_path: Path, simulator: str, said: str
 ) -> None:
     project = make(tmp_path, simulator, PROBE)
@@ -92,7 +94,7 @@ def test_a_probe_executes_one_run_twice_before_the_batch_and_says_what_came_of_i
 
 
 @pytest.mark.integration
-def test_a_probe_of_a_run_that_fails_is_none(tmp_path: Path) -> None:
+def test_a_probe_of_a_failed_run_reports_nothing(tmp_path: Path) -> None:
     project = make(tmp_path, "raise SystemExit(3)", PROBE)
     summary = project.run("population_size=1,2", figures=False)
     assert (summary.failed, [note for note in summary.notes if "twice" in note]) == (4, [])

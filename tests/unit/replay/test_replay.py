@@ -1,4 +1,4 @@
-"""Recorded runs are executed again from the record alone, and how far they agree is said."""
+"""A replay executes recorded runs from the record alone, and reports how far the results agree."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Make = Callable[..., Path]
 
 @pytest.fixture
 def make(tmp_path: Path) -> Make:
-    """Makes a project outside git."""
+    """Return a function that makes a project outside git."""
     return lambda simulator=projects.SIMULATOR, more="": projects.make(
         tmp_path / "project", projects.CONFIG + more, simulator=simulator
     )
@@ -38,7 +38,7 @@ def make(tmp_path: Path) -> Make:
 
 @pytest.fixture(params=["git", pytest.param("none", marks=pytest.mark.nightly)])
 def make_either(request: pytest.FixtureRequest, make: Make) -> Make:
-    """Makes a project, in git and outside."""
+    """Return a function that makes a project, once in git and once outside."""
     return lambda *words: projects.commit(make(*words)) if request.param == "git" else make(*words)
 
 
@@ -52,7 +52,7 @@ def replay(root: Path, *words: str) -> tuple[int, dict[str, Any]]:
 
 
 @pytest.mark.integration
-def test_the_same_bytes_are_identical(make_either: Make) -> None:
+def test_outputs_with_the_same_bytes_are_identical(make_either: Make) -> None:
     root = make_either()
     batch = ask(root)
     code, said = replay(root, batch[:10])
@@ -62,7 +62,7 @@ def test_the_same_bytes_are_identical(make_either: Make) -> None:
 
 
 @pytest.mark.integration
-def test_the_old_source_is_restored_and_nothing_of_the_projects_is_touched(make_either: Make) -> None:
+def test_the_recorded_source_is_restored_and_the_project_stays_unchanged(make_either: Make) -> None:
     root = make_either()
     batch = ask(root)
     (root / "sim.py").write_text(projects.SIMULATOR.replace("count * tick", "count * tick + 1"))
@@ -73,7 +73,7 @@ def test_the_old_source_is_restored_and_nothing_of_the_projects_is_touched(make_
 
 
 @pytest.mark.integration
-def test_an_experiment_a_run_and_an_execution_can_be_replayed_and_fewer_runs(make: Make) -> None:
+def test_experiments_runs_executions_and_a_limited_number_of_runs_can_be_replayed(make: Make) -> None:
     root = make()
     batch = ask(root)
     project = sierra.open(root)
@@ -84,7 +84,7 @@ def test_an_experiment_a_run_and_an_execution_can_be_replayed_and_fewer_runs(mak
 
 
 @pytest.mark.integration
-def test_what_differs_is_named_and_never_counts(make: Make) -> None:
+def test_differences_are_named_and_replays_are_never_effective(make: Make) -> None:
     root = make(NOISY)
     batch = ask(root)
     before = sierra.open(root).sql("SELECT * FROM swarm ORDER BY ALL")
@@ -98,7 +98,7 @@ def test_what_differs_is_named_and_never_counts(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_a_declared_tolerance_is_kept_to_and_what_was_reached_is_said(make: Make) -> None:
+def test_a_declared_tolerance_is_applied_and_the_greatest_difference_is_reported(make: Make) -> None:
     root = make(JITTER, '[outputs.swarm]\nfile = "swarm.csv"\n')
     batch = ask(root)
     assert replay(root, batch)[0] == 1
@@ -120,7 +120,7 @@ def test_a_date_differs_until_it_is_declared_volatile(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_another_program_is_said_before_the_verdict_and_a_missing_one_ends_all(tmp_path: Path) -> None:
+def test_a_changed_program_is_reported_before_the_verdict_and_a_missing_one_is_an_error(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,1\\n' > out.csv\n")
     program.chmod(0o755)
@@ -137,7 +137,7 @@ def test_another_program_is_said_before_the_verdict_and_a_missing_one_ends_all(t
 
 
 @pytest.mark.integration
-def test_another_machine_is_said_before_the_verdict(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_machine_is_reported_before_the_verdict(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     root = make()
     batch = ask(root)
     facts = machine.facts()
@@ -151,7 +151,7 @@ def test_another_machine_is_said_before_the_verdict(make: Make, monkeypatch: pyt
 
 
 @pytest.mark.integration
-def test_a_run_that_fails_now_is_failed(make: Make, tmp_path: Path) -> None:
+def test_a_replayed_run_that_fails_has_the_verdict_failed(make: Make, tmp_path: Path) -> None:
     slow = tmp_path / "slow"
     root = make(f"{projects.SIMULATOR}import os, time\nif os.path.exists({str(slow)!r}):\n    time.sleep(60)\n")
     batch = ask(root)
@@ -163,7 +163,7 @@ def test_a_run_that_fails_now_is_failed(make: Make, tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_where_the_project_moved_ids_and_verdict_are_the_same(make_either: Make, tmp_path: Path) -> None:
+def test_a_moved_project_has_the_same_ids_and_verdict(make_either: Make, tmp_path: Path) -> None:
     root = make_either()
     batch = ask(root)
     moved = tmp_path / "else where" / "moved"
@@ -189,7 +189,7 @@ def declare(root: Path, text: str) -> None:
 
 
 @pytest.mark.integration
-def test_sums_in_another_order_are_within_a_tolerance(make: Make) -> None:
+def test_sums_in_another_order_are_within_a_tolerance_of_the_command_line(make: Make) -> None:
     root = make(SHUFFLED, DECLARED)
     batch = ask(root)
     assert replay(root, batch)[1]["verdict"] == "different"
@@ -202,13 +202,13 @@ def test_sums_in_another_order_are_within_a_tolerance(make: Make) -> None:
 
 
 @pytest.mark.parametrize("text", ["coverage", "coverage=1", "=rel:1", "coverage=rel:x", "coverage=far:1", "coverage=rel:-1"])
-def test_a_tolerance_that_is_none_is_refused(make: Make, text: str) -> None:
+def test_an_invalid_tolerance_is_refused(make: Make, text: str) -> None:
     ended = projects.quick(make(), "replay", "774d", "--set-tolerance", text)
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
 
 
 @pytest.mark.integration
-def test_a_tolerance_of_an_output_that_is_not_there_is_refused_before_anything_executes(make: Make) -> None:
+def test_a_tolerance_of_an_unknown_output_is_refused_before_any_run_executes(make: Make) -> None:
     root = make()
     ended = projects.quick(root, "replay", ask(root), "--set-tolerance", "swamp.coverage=rel:1")
     assert (ended.returncode, "no output 'swamp'; there is swarm" in ended.stderr) == (2, True)
@@ -223,7 +223,7 @@ def test_a_tolerance_of_an_output_that_is_not_there_is_refused_before_anything_e
         ("swarm.xyz=rel:1", "output 'swarm' has no column 'xyz'; it has coverage, tick"),
     ],
 )
-def test_a_tolerance_of_a_column_that_is_not_there_is_refused_with_the_nearest_one(make: Make, text: str, said: str) -> None:
+def test_a_tolerance_of_an_unknown_column_is_refused_with_a_suggestion(make: Make, text: str, said: str) -> None:
     root = make()
     ended = projects.quick(root, "replay", ask(root), "--set-tolerance", text)
     assert (ended.returncode, ended.stderr) == (2, f"sierra: --set-tolerance: {said}\n")
@@ -231,7 +231,7 @@ def test_a_tolerance_of_a_column_that_is_not_there_is_refused_with_the_nearest_o
 
 
 @pytest.mark.integration
-def test_columns_that_are_declared_and_not_there_are_said(make: Make) -> None:
+def test_declared_columns_that_are_missing_are_reported(make: Make) -> None:
     root = make()
     batch = ask(root)
     declare(root, f'{DECLARED}volatile = ["wall"]\ntolerance = {{ covrage = {{ rel = 1.0 }}, "*" = {{ abs = 1.0 }} }}\n')
@@ -242,7 +242,7 @@ def test_columns_that_are_declared_and_not_there_are_said(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_a_volatile_column_that_differs_is_said_by_name(make: Make) -> None:
+def test_a_volatile_column_that_differs_is_named(make: Make) -> None:
     root = make(NOISY, f'{DECLARED}volatile = ["coverage"]\n')
     code, said = replay(root, ask(root))
     assert (code, said["verdict"]) == (0, "equal")
@@ -251,7 +251,7 @@ def test_a_volatile_column_that_differs_is_said_by_name(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_rows_in_another_order_differ_until_their_order_is_declared_to_mean_nothing(make: Make) -> None:
+def test_rows_in_another_order_differ_until_the_output_is_declared_unordered(make: Make) -> None:
     root = make(UNORDERED, DECLARED)
     batch = ask(root)
     assert replay(root, batch)[1]["verdict"] == "different"
@@ -262,7 +262,7 @@ def test_rows_in_another_order_differ_until_their_order_is_declared_to_mean_noth
 
 
 @pytest.mark.integration
-def test_where_they_part_is_said_in_terms_of_time_and_how_the_difference_grows(make: Make) -> None:
+def test_the_time_of_the_first_difference_and_its_growth_are_reported(make: Make) -> None:
     grows = projects.SIMULATOR.replace("count * tick", "(tick > 2) * tick * __import__('time').time_ns() % 7919 + count * tick")
     root = make(grows, DECLARED)
     code, said = replay(root, ask(root), "--runs", "1")
@@ -274,7 +274,7 @@ def test_where_they_part_is_said_in_terms_of_time_and_how_the_difference_grows(m
 
 
 @pytest.mark.integration
-def test_stochastic_runs_are_equivalent_where_a_declared_metric_is(make: Make) -> None:
+def test_stochastic_runs_are_equivalent_if_a_declared_metric_is_equivalent(make: Make) -> None:
     root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 0.5\n")
     batch = sierra.open(root).run("population_size=1,2", runs=8, figures=False).batch
     code, said = replay(root, batch)
@@ -289,7 +289,7 @@ def test_stochastic_runs_are_equivalent_where_a_declared_metric_is(make: Make) -
 
 
 @pytest.mark.integration
-def test_a_margin_that_is_too_narrow_leaves_them_different_and_says_the_power(make: Make) -> None:
+def test_runs_differ_if_the_margin_is_too_narrow_and_the_power_is_reported(make: Make) -> None:
     root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 1e-6\n")
     batch = ask(root)
     ended = projects.quick(root, "replay", batch)
@@ -299,7 +299,7 @@ def test_a_margin_that_is_too_narrow_leaves_them_different_and_says_the_power(ma
 
 
 @pytest.mark.integration
-def test_equivalence_is_of_whole_experiments_and_never_hides_what_failed(make: Make) -> None:
+def test_equivalence_needs_whole_experiments_and_never_hides_failed_runs(make: Make) -> None:
     root = make(STOCHASTIC, f"{DECLARED}{METRIC}margin = 0.5\n")
     batch = ask(root)
     code, said = replay(root, batch, "--runs", "1")
@@ -313,7 +313,7 @@ def test_equivalence_is_of_whole_experiments_and_never_hides_what_failed(make: M
 
 
 @pytest.mark.integration
-def test_a_metric_of_what_is_not_there_judges_nothing(make: Make) -> None:
+def test_a_metric_of_a_missing_column_is_reported_and_not_evaluated(make: Make) -> None:
     root = make(STOCHASTIC, DECLARED + METRIC.replace('"coverage"', '"x"') + "margin = 0.5\n")
     code, said = replay(root, ask(root))
     assert (code, said["verdict"]) == (1, "different")
@@ -321,7 +321,7 @@ def test_a_metric_of_what_is_not_there_judges_nothing(make: Make) -> None:
 
 
 @pytest.mark.integration
-def test_a_metric_that_the_replay_has_no_value_of_is_reported(make: Make, tmp_path: Path) -> None:
+def test_a_metric_without_a_value_in_the_replay_is_reported(make: Make, tmp_path: Path) -> None:
     twice = f"list(range(5)) * (1 + __import__('os').path.exists({str(tmp_path / 'flag')!r}))"
     simulator = STOCHASTIC.replace("range(5)", twice)
     root = make(simulator, f"{DECLARED}{METRIC}margin = 0.5\n")
@@ -333,7 +333,7 @@ def test_a_metric_that_the_replay_has_no_value_of_is_reported(make: Make, tmp_pa
 
 
 @pytest.mark.integration
-def test_verdicts_are_also_written_as_junit(make: Make, tmp_path: Path) -> None:
+def test_verdicts_are_written_as_junit_on_request(make: Make, tmp_path: Path) -> None:
     root = make(NOISY)
     batch = ask(root)
     assert replay(root, batch, "--junit", str(tmp_path / "replay.xml"))[0] == 1
@@ -349,7 +349,7 @@ def test_verdicts_are_also_written_as_junit(make: Make, tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_the_restored_source_and_the_runs_folders_are_kept_where_asked(make_either: Make) -> None:
+def test_an_option_keeps_the_restored_source_and_the_folders_of_runs(make_either: Make) -> None:
     root = make_either()
     batch = ask(root)
     kept = Path(replay(root, batch, "--keep")[1]["kept"])
@@ -359,7 +359,7 @@ def test_the_restored_source_and_the_runs_folders_are_kept_where_asked(make_eith
 
 
 @pytest.mark.integration
-def test_where_and_in_what_to_execute_can_be_said(make: Make) -> None:
+def test_options_choose_the_runner_and_the_engine_of_a_replay(make: Make) -> None:
     root = make()
     batch = ask(root)
     assert replay(root, batch, "--on", "local", "--engine", "none")[0] == 0
@@ -372,13 +372,13 @@ NUMBERS = st.lists(st.one_of(st.none(), st.floats(allow_nan=True, allow_infinity
 
 
 @given(NUMBERS)
-def test_what_is_the_same_agrees_with_itself(values: list[float | None]) -> None:
+def test_equal_tables_are_equal(values: list[float | None]) -> None:
     table = pa.table({"v": pa.array(values, pa.float64())})
     assert of_tables(table, table).verdict is Verdict.EQUAL
 
 
 @given(NUMBERS, st.integers(0, 11))
-def test_one_value_more_or_less_is_found_where_it_is(values: list[float | None], place: int) -> None:
+def test_one_changed_or_added_value_is_located(values: list[float | None], place: int) -> None:
     other = [*values]
     if place < len(values):
         other[place] = 0.5 if values[place] != 0.5 else None
@@ -405,19 +405,21 @@ def test_one_value_more_or_less_is_found_where_it_is(values: list[float | None],
         ([1.7976931348623157e308], [1.7976931348623155e308], Tolerance(ulp=1), Verdict.WITHIN),
     ],
 )
-def test_tolerances(was: list[Any], now: list[Any], tolerance: Tolerance, verdict: Verdict) -> None:
+def test_absolute_relative_and_ulp_tolerances_decide_the_verdict(
+    was: list[Any], now: list[Any], tolerance: Tolerance, verdict: Verdict
+) -> None:
     tables = [pa.table({"v": pa.array(values, pa.float64())}) for values in (was, now)]
     assert of_tables(*tables, Rules({"*": tolerance})).verdict is verdict
 
 
-def test_a_tolerance_is_of_one_column() -> None:
+def test_a_tolerance_applies_to_one_column() -> None:
     tables = [pa.table({"a": [1.0], "b": [value]}) for value in (1.0, 1.1)]
     assert of_tables(*tables, Rules({"a": Tolerance(abs=1)})).verdict is Verdict.DIFFERENT
     assert of_tables(*tables, Rules({"b": Tolerance(abs=1)})).verdict is Verdict.WITHIN
     assert of_tables(*tables, Rules(volatile=["b"])).verdict is Verdict.EQUAL
 
 
-def test_other_columns_and_large_whole_numbers_differ() -> None:
+def test_other_columns_and_unequal_large_integers_differ() -> None:
     assert of_tables(pa.table({"a": [1]}), pa.table({"b": [1]}), Rules({"*": Tolerance(abs=9)})).verdict is Verdict.DIFFERENT
     assert of_tables(pa.table({"a": [2**60]}), pa.table({"a": [2**60 + 1]})).verdict is Verdict.DIFFERENT
 
@@ -428,12 +430,12 @@ def test_texts_are_compared_by_lines() -> None:
     assert of_texts(b"# 1\na\n", b"# 2\na\n", ["^#"]).verdict is Verdict.EQUAL
 
 
-def test_the_worst_verdict_is_that_of_all() -> None:
+def test_the_worst_verdict_is_the_verdict_of_the_replay() -> None:
     assert worst([Verdict.IDENTICAL, Verdict.WITHIN, Verdict.EQUAL]) is Verdict.WITHIN
     assert not worst([Verdict.FAILED, Verdict.DIFFERENT]).fine
 
 
-def test_whole_numbers_and_fractions_are_compared_exactly_and_flags_are_no_numbers() -> None:
+def test_integers_and_floats_are_compared_exactly_and_booleans_are_not_numbers() -> None:
     def of(was: pa.Array, now: pa.Array) -> Verdict:
         return of_tables(pa.table({"v": was}), pa.table({"v": now})).verdict
 
@@ -445,7 +447,7 @@ def test_whole_numbers_and_fractions_are_compared_exactly_and_flags_are_no_numbe
 
 
 @pytest.mark.integration
-def test_an_experiment_of_several_batches_is_replayed_as_it_stands_in_one(make: Make) -> None:
+def test_an_experiment_of_several_batches_is_replayed_with_its_values(make: Make) -> None:
     root = make()
     for query in ("population_size=4", "population_size=1,2,4", "population_size=4,5"):
         ask(root, query)
@@ -455,7 +457,7 @@ def test_an_experiment_of_several_batches_is_replayed_as_it_stands_in_one(make: 
 
 
 @pytest.mark.integration
-def test_runs_of_which_nothing_is_compared_are_not_said_to_be_the_same(make: Make) -> None:
+def test_runs_without_comparable_outputs_are_not_reported_as_identical(make: Make) -> None:
     only_logs = "import sys, time\nprint(time.time_ns())\n"
     root = make(only_logs + "if b'count=\"2\"' in open(sys.argv[1], 'rb').read(): open('x.txt', 'w').write('x')\n")
     batch = ask(root, "population_size=1")
@@ -466,7 +468,7 @@ def test_runs_of_which_nothing_is_compared_are_not_said_to_be_the_same(make: Mak
 
 
 @pytest.mark.integration
-def test_a_program_that_git_ignores_is_executed_as_it_is_now_and_said_to_be_another(tmp_path: Path) -> None:
+def test_a_changed_program_that_git_ignores_is_used_and_reported(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", "build/sim"))
     program = root / "build" / "sim"
     program.parent.mkdir()
@@ -483,7 +485,7 @@ def test_a_program_that_git_ignores_is_executed_as_it_is_now_and_said_to_be_anot
 
 
 @pytest.mark.integration
-def test_a_python_environment_in_the_project_is_the_one_that_replays(tmp_path: Path) -> None:
+def test_a_replay_uses_the_python_environment_of_the_project(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3", ".venv/bin/python"))
     venv.create(root / ".venv", symlinks=True)
     [installed] = root.glob(".venv/lib/python3*/site-packages")
@@ -496,7 +498,7 @@ def test_a_python_environment_in_the_project_is_the_one_that_replays(tmp_path: P
 
 
 @pytest.mark.integration
-def test_rows_that_the_store_has_lost_are_not_taken_for_a_result(make: Make) -> None:
+def test_rows_missing_from_the_store_are_an_error(make: Make) -> None:
     root = make(NOISY)
     batch = ask(root)
     [file] = root.glob(".sierra/segments/*/output.swarm.parquet")
@@ -507,7 +509,7 @@ def test_rows_that_the_store_has_lost_are_not_taken_for_a_result(make: Make) -> 
 
 
 @pytest.mark.integration
-def test_the_same_bytes_are_not_identical_where_the_record_lacks_rows_of_them(make: Make) -> None:
+def test_the_same_bytes_are_different_if_the_record_lacks_some_of_their_rows(make: Make) -> None:
     root = make()
     batch = ask(root)
     file = min(root.glob(".sierra/segments/*/output.swarm.parquet"))
@@ -517,7 +519,7 @@ def test_the_same_bytes_are_not_identical_where_the_record_lacks_rows_of_them(ma
     rows = artifacts.to_pylist()
     for row in rows:
         if (row["execution"], row["path"]) == (lost, "swarm.csv"):
-            row.update(rows=row["rows"] - 1, counted=None)  # as they were recorded before they were counted
+            row.update(rows=row["rows"] - 1, counted=None)  # as recorded by versions that did not count rows
     pq.write_table(pa.Table.from_pylist(rows, schema=artifacts.schema), file.with_name("artifacts.parquet"))
     code, said = replay(root, batch)
     assert (code, said["verdict"], said["counts"]) == (1, "different", {"identical": 3, "different": 1})
@@ -525,7 +527,7 @@ def test_the_same_bytes_are_not_identical_where_the_record_lacks_rows_of_them(ma
 
 
 @pytest.mark.integration
-def test_runs_that_are_left_out_are_counted_beside_the_verdict(make: Make) -> None:
+def test_skipped_runs_are_counted_next_to_the_verdict(make: Make) -> None:
     root = make(projects.SIMULATOR + "if count == 2 and seed % 2 == 0: sys.exit(7)\n")
     batch = ask(root, "population_size=1,2", "montecarlo.C4")
     [(good,)] = [row.values() for row in sierra.open(root).sql("SELECT count(*) FROM effective").to_pylist()]
@@ -535,7 +537,7 @@ def test_runs_that_are_left_out_are_counted_beside_the_verdict(make: Make) -> No
     assert f"identical ({good} of 16 runs: {good} identical)" in projects.quick(root, "replay", batch).stdout
 
 
-def test_lists_and_structures_are_compared_too() -> None:
+def test_columns_of_lists_and_structures_are_compared() -> None:
     def table(*values: Any) -> pa.Table:
         return pa.table({"list": [[1.5, value] for value in values], "struct": [{"x": value} for value in values]})
 
@@ -546,13 +548,13 @@ def test_lists_and_structures_are_compared_too() -> None:
     assert (said.verdict, said.row, said.column) == (Verdict.DIFFERENT, 1, "list")
 
 
-def test_where_all_is_volatile_that_is_said() -> None:
+def test_outputs_that_are_entirely_volatile_are_reported() -> None:
     assert "every column" in of_tables(pa.table({"v": [1]}), pa.table({"v": [2]}), Rules(volatile=["v"])).reason
     assert "every line" in of_texts(b"a\n", b"b\n", ["^"]).reason
 
 
 def change(root: Path, table: str, **columns: list[Any]) -> None:
-    """Write other values into a table of a store, as a stranger could."""
+    """Write other values into a table of a store, as an attacker could."""
     for file in root.glob(f".sierra/segments/*/{table}.parquet"):
         rows = pq.read_table(file)
         for name, values in columns.items():
@@ -563,7 +565,7 @@ def change(root: Path, table: str, **columns: list[Any]) -> None:
 
 
 @pytest.mark.parametrize("name", ["../../../x", "/tmp/sierra-x", "..", "a/../../../../x", ""])
-def test_an_input_that_a_strangers_store_names_outside_is_refused(make: Make, name: str) -> None:
+def test_an_input_path_outside_the_folder_in_a_hostile_store_is_refused(make: Make, name: str) -> None:
     root = make()
     batch = ask(root)
     change(root, "specs", files=[[name]])
@@ -577,7 +579,7 @@ def test_an_input_that_a_strangers_store_names_outside_is_refused(make: Make, na
 
 
 @pytest.mark.integration
-def test_what_is_brought_to_a_restored_source_stays_in_it(make: Make, tmp_path: Path) -> None:
+def test_files_copied_into_a_restored_source_stay_in_it(make: Make, tmp_path: Path) -> None:
     (tmp_path / "shared").mkdir()
     (tmp_path / "shared" / "map.csv").write_text("x")
     root = make(projects.SIMULATOR + "open(sys.argv[2]).read()\n")
@@ -594,7 +596,7 @@ def table(**columns: list[Any]) -> pa.Table:
     return pa.table(columns)
 
 
-def test_equal_numbers_are_equal_to_the_digits_that_are_kept() -> None:
+def test_equal_values_are_reported_with_the_digits_that_are_stored() -> None:
     assert of_tables(table(v=[0.1]), table(v=[0.1])).reason == (
         "the same values (of fractions, the 17 digits that a number holds), written in other bytes"
     )
@@ -612,7 +614,7 @@ def test_equal_numbers_are_equal_to_the_digits_that_are_kept() -> None:
     assert said.reason.startswith(f"row 0: 'v' was 0.{'1' * 20}1")
 
 
-def test_large_whole_numbers_are_as_far_apart_as_they_are() -> None:
+def test_differences_of_large_integers_are_exact() -> None:
     said = of_tables(table(v=[2**53]), table(v=[2**53 + 1]))
     assert (said.verdict, said.max_abs) == (Verdict.DIFFERENT, 1.0)
     assert "at worst 1 apart" in said.reason
@@ -621,7 +623,7 @@ def test_large_whole_numbers_are_as_far_apart_as_they_are() -> None:
     assert of_tables(table(v=[2**53 + 1]), table(v=[2.0**53])).max_abs == 1
 
 
-def test_what_is_no_number_is_not_some_distance_apart() -> None:
+def test_missing_values_nan_and_infinity_have_no_reported_distance() -> None:
     for was, now in ((1.0, None), (1.0, float("nan")), (1.0, float("inf")), (None, 1.0)):
         said = of_tables(pa.table({"v": pa.array([was], pa.float64())}), pa.table({"v": pa.array([now], pa.float64())}))
         assert "apart" not in said.reason
@@ -635,7 +637,7 @@ def test_what_is_no_number_is_not_some_distance_apart() -> None:
     assert "relative" not in said.reason
 
 
-def test_all_columns_that_differ_are_named_or_counted() -> None:
+def test_all_differing_columns_are_named_or_counted() -> None:
     old, new = ({f"c{n}": [0.0, 0.0, float(n) if now else 0.0] for n in range(7)} for now in (False, True))
     said = of_tables(table(**old), table(**new))
     assert (said.row, said.column) == (2, "c1")
@@ -643,7 +645,7 @@ def test_all_columns_that_differ_are_named_or_counted() -> None:
     assert said.reason.endswith(" and 2 more")
 
 
-def test_what_both_tables_have_is_compared_where_columns_or_rows_are_others() -> None:
+def test_shared_rows_and_columns_are_compared_if_others_were_added_or_removed() -> None:
     wide = {f"column{n}": [1.0, 2.0] for n in range(500)}
     said = of_tables(table(**wide, gone=[1, 1]), table(**wide, new=[1, 1]))
     assert said.reason == "other columns: 'gone' gone, 'new' new; 500 columns in both: the same"
@@ -659,7 +661,7 @@ def test_what_both_tables_have_is_compared_where_columns_or_rows_are_others() ->
     )
 
 
-def test_binary_files_are_counted_and_not_shown() -> None:
+def test_differing_bytes_of_binary_files_are_counted_and_not_displayed() -> None:
     said = of_texts(b"\x93NUMPY\0" + bytes(1000), b"\x93NUMPY\0" + bytes(500) + b"\1" * 500)
     assert said.reason == "binary: 500 of 1007 bytes differ, the first at offset 507"
     assert (
@@ -669,7 +671,7 @@ def test_binary_files_are_counted_and_not_shown() -> None:
 
 
 @given(st.lists(st.text(max_size=300), min_size=1, max_size=3), st.lists(st.text(max_size=300), min_size=1, max_size=3))
-def test_a_report_is_a_short_line_whatever_was_written(one: list[str], other: list[str]) -> None:
+def test_a_report_is_one_short_line_for_any_content(one: list[str], other: list[str]) -> None:
     wide = {f"{n}{one[0]}": other for n in range(99)}
     for found in (
         of_tables(table(v=one), table(v=other)),

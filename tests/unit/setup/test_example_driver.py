@@ -1,4 +1,4 @@
-"""The example's driver answers its question, gives the same bytes twice, and says in one line what is wrong."""
+"""The example's driver shows the expected effects, is deterministic, and reports errors in one line."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _mujoco(require: Callable[..., str]) -> None:
 
 
 def made(seed: int = 1, controller: str = "random_walk", scenario: str = "open", **variables: float) -> bytes:
-    """An input as sierra.toml asks for it: its XPaths and changes, applied to its template."""
+    """Return an input as sierra.toml defines it: its XPaths and changes, applied to its template."""
     root = etree.fromstring(TEMPLATE.encode())
     values = {TOML["seed"]: seed} | {TOML["variables"][name]["set"]: value for name, value in variables.items()}
     groups = (TOML["controllers"][controller], TOML["scenarios"][scenario])
@@ -55,7 +55,7 @@ def execute(folder: Path, xml: bytes, **environment: str) -> subprocess.Complete
 
 @cache
 def outputs(xml: bytes, threads: int = 1) -> tuple[str, str]:
-    """swarm.csv and poses.csv, from a process of its own."""
+    """Return swarm.csv and poses.csv, written by a separate process."""
     with TemporaryDirectory() as folder:
         done = execute(Path(folder), xml, OMP_NUM_THREADS=str(threads))
         assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
@@ -70,7 +70,7 @@ def table(text: str) -> list[dict[str, float]]:
 
 
 def final(column: str, **asked: Any) -> float:
-    """The column's last value, as a mean over some seeds."""
+    """Return the mean of a column's last value over some seeds."""
     return mean(table(outputs(made(seed, **asked))[0])[-1][column] for seed in SEEDS)
 
 
@@ -107,13 +107,13 @@ def test_pheromone_covers_more_than_a_random_walk() -> None:
     assert final("coverage", controller="pheromone", **asked) > 1.15 * final("coverage", **asked)
 
 
-def test_clutter_costs_coverage() -> None:
+def test_clutter_reduces_coverage() -> None:
     asked = {"population_size": 8, "controller": "pheromone"}
     assert final("coverage", scenario="cluttered", **asked) < 0.95 * final("coverage", **asked)
 
 
 @pytest.mark.integration
-def test_a_crowd_starts_apart_and_nobody_leaves_the_arena() -> None:
+def test_many_robots_start_apart_and_never_leave_the_arena() -> None:
     crowd = made(population_size=64, scenario="cluttered", max_speed=0)
     places = [(row["x"], row["y"]) for row in table(outputs(crowd)[1])[:64]]
     assert min(math.dist(a, b) for i, a in enumerate(places) for b in places[:i]) > 0.24
@@ -132,7 +132,7 @@ def test_a_crowd_starts_apart_and_nobody_leaves_the_arena() -> None:
         ('name="max_speed" data="0.4"', 'name="max_speed" data="9"', "go through walls"),
     ],
 )
-def test_bad_input_is_said_in_one_line(tmp_path: Path, right: str, wrong: str, said: str) -> None:
+def test_invalid_input_is_reported_in_one_line(tmp_path: Path, right: str, wrong: str, said: str) -> None:
     assert right in TEMPLATE
     done = execute(tmp_path, TEMPLATE.replace(right, wrong).encode())
     assert done.returncode == 1

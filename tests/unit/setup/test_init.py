@@ -1,4 +1,4 @@
-"""`sierra init`: what a folder shows is found out, what it does not show is asked, and the next command gives a plot."""
+"""`sierra init` detects what it can in a folder, asks for the rest, and the command that it suggests gives a plot."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHELL = '#!/bin/sh\nprintf "t,x\\n0,1\\n1,3\\n" > out.csv\n'
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A simulator in Python and its template, as somebody has them who does not know SIERRA."""
+    """Return a folder with a simulator in Python and its template, without files of SIERRA."""
     (make(tmp_path / "p") / "sierra.toml").unlink()
     return tmp_path / "p"
 
@@ -36,7 +36,7 @@ def effective(folder: Path) -> list[str]:
 
 
 def answering(folder: Path, *answers: str, words: tuple[str, ...] = ("init",)) -> tuple[int, str]:
-    """Call the command line on a terminal, and type these answers, then that there are no more; exit code and what is said."""
+    """Run the command on a terminal, type answers and the end of input; return the exit code and the output."""
     ours, theirs = pty.openpty()
     said = b""
     with start(folder, *words, stdin=theirs, stdout=theirs, stderr=theirs) as asking:
@@ -45,17 +45,17 @@ def answering(folder: Path, *answers: str, words: tuple[str, ...] = ("init",)) -
         try:
             while part := os.read(ours, 65536):
                 said += part
-        except OSError:  # how Linux says that nobody has the other end any more
+        except OSError:  # Linux reports this when the other end is closed
             pass
         asking.wait(PATIENCE_S)
     os.close(ours)
     return asking.returncode, said.decode().replace("\r", "")
 
 
-# What the folder shows
+# Detection
 
 
-def test_one_simulator_and_one_template_are_enough(folder: Path) -> None:
+def test_one_simulator_and_one_template_are_detected(folder: Path) -> None:
     ended = quick(folder, "init")
     assert ended.returncode == 0
     assert written(folder)["command"] == "python3 sim.py {input}"
@@ -65,7 +65,7 @@ def test_one_simulator_and_one_template_are_enough(folder: Path) -> None:
 
 
 @pytest.mark.integration
-def test_the_next_command_that_is_said_gives_a_plot_from_any_folder_of_the_project(folder: Path) -> None:
+def test_the_suggested_command_gives_a_plot_from_any_folder_of_the_project(folder: Path) -> None:
     said = json.loads(quick(folder, "init", "--json").stdout)["next"]
     assert said == "sierra run population_size.Log8 -n"
     (folder / "deep" / "er").mkdir(parents=True)
@@ -75,7 +75,7 @@ def test_the_next_command_that_is_said_gives_a_plot_from_any_folder_of_the_proje
 
 
 @pytest.mark.integration
-def test_no_heavy_library_is_loaded(folder: Path) -> None:
+def test_init_loads_no_heavy_library(folder: Path) -> None:
     program = (
         "import sys; from pathlib import Path; from sierra.setup.init import answers, wizard;"
         "wizard.find_out(Path(), answers.Options());"
@@ -85,7 +85,7 @@ def test_no_heavy_library_is_loaded(folder: Path) -> None:
     assert ended.stdout == "set()\n"
 
 
-def test_of_several_scripts_the_one_that_can_be_started_is_the_simulator(folder: Path) -> None:
+def test_the_only_script_that_can_be_started_is_chosen_as_the_simulator(folder: Path) -> None:
     (folder / "arms.py").write_text("LENGTH = 3\n")
     assert quick(folder, "init").returncode == 0
     assert written(folder)["command"] == "python3 sim.py {input}"
@@ -93,7 +93,7 @@ def test_of_several_scripts_the_one_that_can_be_started_is_the_simulator(folder:
 
 @pytest.mark.integration
 @pytest.mark.parametrize(("name", "command"), [("run.sh", "./run.sh {input}"), ("build/a sim", "'./build/a sim' {input}")])
-def test_a_program_is_found_here_and_where_it_is_built(tmp_path: Path, name: str, command: str) -> None:
+def test_a_program_is_found_in_the_folder_and_in_build_folders(tmp_path: Path, name: str, command: str) -> None:
     program = tmp_path / name
     program.parent.mkdir(exist_ok=True)
     program.write_text(SHELL)
@@ -107,7 +107,7 @@ def test_a_program_is_found_here_and_where_it_is_built(tmp_path: Path, name: str
 
 
 @pytest.mark.integration
-def test_names_may_hold_blanks_and_quotes(tmp_path: Path) -> None:
+def test_names_may_contain_blanks_and_quotation_marks(tmp_path: Path) -> None:
     folder = tmp_path / "a 'folder'"
     folder.mkdir()
     (folder / 'it\'s "it".py').write_text(SIMULATOR)
@@ -124,7 +124,7 @@ def test_a_template_with_namespaces_gets_paths_with_prefixes(folder: Path) -> No
     assert written(folder)["variables"] == {"population_size": "//_:robots/@number"}
 
 
-def test_a_launch_file_has_its_arguments_by_their_names(folder: Path) -> None:
+def test_arguments_of_a_launch_file_are_found_by_name(folder: Path) -> None:
     (folder / "arena.xml").unlink()
     (folder / "package.xml").write_text("<package/>")
     (folder / "launch").mkdir()
@@ -139,7 +139,7 @@ def test_a_launch_file_has_its_arguments_by_their_names(folder: Path) -> None:
     assert """# speed = "//param[@name='speed']/@value\"""" in (folder / "sierra.toml").read_text()
 
 
-def test_argos_is_driven_by_its_platform(tmp_path: Path) -> None:
+def test_an_argos_template_selects_the_platform_argos(tmp_path: Path) -> None:
     (tmp_path / "a.argos").write_text(
         '<argos-configuration><framework><experiment length="9" ticks_per_second="10" random_seed="1"/></framework>'
         '<arena size="4,4,1"><distribute><entity quantity="5"><foot-bot id="f"><controller config="x"/></foot-bot></entity>'
@@ -172,15 +172,15 @@ def test_the_first_query_has_values_around_the_one_in_the_template(folder: Path,
         assert quick(folder, *said.split()[1:]).returncode == 0
 
 
-def test_other_seeds_are_named_as_they_do_not_change(folder: Path) -> None:
+def test_other_seeds_that_stay_fixed_are_reported(folder: Path) -> None:
     (folder / "arena.xml").write_text('<a count="2"><random seed="0"/><noise seed="5"/></a>')
     assert "note: these seeds keep the template's value in all runs: //noise/@seed" in quick(folder, "init", "-y").stderr
 
 
-# What is said by options
+# Options
 
 
-def test_what_is_given_wrongly_is_said_and_nothing_is_written(folder: Path) -> None:
+def test_invalid_options_are_reported_and_no_file_is_written(folder: Path) -> None:
     for words, said in (
         (["--template", "nope.xml"], "nope.xml: No such file"),
         (["--template", "sim.py"], "sim.py:1:1: not XML"),
@@ -209,7 +209,7 @@ def test_what_is_given_wrongly_is_said_and_nothing_is_written(folder: Path) -> N
         assert not (folder / "sierra.toml").exists()
 
 
-def test_options_say_all(folder: Path) -> None:
+def test_options_replace_all_questions(folder: Path) -> None:
     words = (
         "--template",
         "arena.xml",
@@ -230,7 +230,7 @@ def test_options_say_all(folder: Path) -> None:
     }
 
 
-def test_a_template_may_be_named_from_here_as_the_shell_completes_it(folder: Path) -> None:
+def test_a_template_may_be_named_relative_to_the_current_folder(folder: Path) -> None:
     for text in ("p/arena.xml", str(folder / "arena.xml")):
         assert quick(folder.parent, "init", "-y", "p", "--template", text).returncode == 0
         assert written(folder)["template"] == "arena.xml"
@@ -238,7 +238,7 @@ def test_a_template_may_be_named_from_here_as_the_shell_completes_it(folder: Pat
 
 
 @pytest.mark.integration
-def test_what_the_command_names_of_the_project_is_found_from_where_runs_start(folder: Path) -> None:
+def test_project_files_named_by_the_command_are_found_from_the_folder_of_a_run(folder: Path) -> None:
     (folder / "conf" / "maps").mkdir(parents=True)
     (folder / "conf" / "a.ini").write_text("")
     (folder / "sim.py").write_text(
@@ -251,7 +251,7 @@ def test_what_the_command_names_of_the_project_is_found_from_where_runs_start(fo
 
 
 @pytest.mark.integration
-def test_a_module_of_the_project_is_found_from_where_runs_start(folder: Path) -> None:
+def test_a_module_of_the_project_is_found_from_the_folder_of_a_run(folder: Path) -> None:
     (folder / "src" / "swarm").mkdir(parents=True)
     (folder / "sim.py").rename(folder / "src" / "swarm" / "__main__.py")
     assert quick(folder, "init", "-y", "--command", "python3 -m swarm {input}").returncode == 0
@@ -269,7 +269,7 @@ def test_a_module_of_the_project_is_found_from_where_runs_start(folder: Path) ->
         ("python3 sim.py {input} maps", "'maps' is a folder here, but each run starts in its own folder"),
     ],
 )
-def test_a_command_that_is_hardly_meant_is_written_with_a_note(folder: Path, command: str, said: str) -> None:
+def test_a_suspicious_command_is_written_with_a_note(folder: Path, command: str, said: str) -> None:
     (folder / "maps").mkdir()
     ended = quick(folder, "init", "-y", "--command", command)
     assert ended.returncode == 0
@@ -279,7 +279,7 @@ def test_a_command_that_is_hardly_meant_is_written_with_a_note(folder: Path, com
 
 
 @pytest.mark.integration
-def test_json_says_what_was_written_and_what_to_do_next(folder: Path) -> None:
+def test_json_contains_the_written_settings_and_the_next_command(folder: Path) -> None:
     code, said = answering(folder, words=("init", "--json"))
     assert code == 0
     assert json.loads(said) == {
@@ -298,7 +298,7 @@ def test_json_says_what_was_written_and_what_to_do_next(folder: Path) -> None:
 # Source
 
 
-def test_all_of_the_folder_is_source_until_somebody_narrows_it(folder: Path) -> None:
+def test_the_whole_folder_is_source_by_default(folder: Path) -> None:
     (folder / "results").mkdir()
     assert quick(folder, "init", "-y").returncode == 0
     assert "source" not in written(folder)
@@ -309,7 +309,7 @@ def test_all_of_the_folder_is_source_until_somebody_narrows_it(folder: Path) -> 
     assert quick(folder, "run", "population_size.Log2", "-n").returncode == 0
 
 
-def test_notes_are_left_out_of_the_code_that_is_proposed(folder: Path) -> None:
+def test_notes_are_left_out_of_the_proposed_source_paths(folder: Path) -> None:
     for name in ("README.md", "notes.txt", "LICENSE", "poster.pdf", "CMakeLists.txt"):
         (folder / name).write_text("")
     assert quick(folder, "init", "-y").returncode == 0
@@ -318,7 +318,7 @@ def test_notes_are_left_out_of_the_code_that_is_proposed(folder: Path) -> None:
 
 
 @pytest.mark.integration
-def test_what_is_source_is_asked_where_there_is_what_hardly_is(folder: Path) -> None:
+def test_the_source_is_asked_for_if_the_folder_contains_results(folder: Path) -> None:
     (folder / "results").mkdir()
     code, _ = answering(folder, "", "", "", "", "nope", "2")
     assert code == 0
@@ -329,13 +329,13 @@ def test_what_is_source_is_asked_where_there_is_what_hardly_is(folder: Path) -> 
 
 
 @pytest.mark.integration
-def test_enter_takes_what_was_found(folder: Path) -> None:
+def test_an_empty_answer_accepts_the_detected_value(folder: Path) -> None:
     assert answering(folder, "", "", "", "")[0] == 0
     assert written(folder)["variables"] == {"population_size": "//swarm/@count"}
 
 
 @pytest.mark.integration
-def test_several_templates_and_simulators_are_offered_by_number(folder: Path) -> None:
+def test_several_templates_and_simulators_are_numbered_choices(folder: Path) -> None:
     (folder / "other.xml").write_text('<a count="3" seed="1"/>')
     (folder / "other.py").write_text(SIMULATOR)
     code, said = answering(folder, "", "2", "python3 other.py {input}", "", "")
@@ -347,14 +347,14 @@ def test_several_templates_and_simulators_are_offered_by_number(folder: Path) ->
 
 
 @pytest.mark.integration
-def test_where_nothing_is_found_it_is_asked(tmp_path: Path) -> None:
+def test_undetected_settings_are_asked_for(tmp_path: Path) -> None:
     (tmp_path / "arena.conf").write_text(TEMPLATE)
     assert answering(tmp_path, "arena.conf", "true {input}", "", "")[0] == 0
     assert written(tmp_path)["template"] == "arena.conf"
 
 
 @pytest.mark.integration
-def test_a_wrong_answer_is_said_in_the_words_of_the_option_and_asked_again(folder: Path) -> None:
+def test_an_invalid_answer_gives_the_error_of_the_option_and_the_question_again(folder: Path) -> None:
     wrong = {
         "--template": ["nope.xml", "sim.py"],
         "--command": ["python3 nope.py {input}", "python3 sim.py {inptu}", "'"],
@@ -370,7 +370,7 @@ def test_a_wrong_answer_is_said_in_the_words_of_the_option_and_asked_again(folde
 
 
 @pytest.mark.integration
-def test_variables_are_asked_for_until_an_empty_answer_and_found_ones_stay(folder: Path) -> None:
+def test_variables_are_asked_for_until_an_empty_answer_and_detected_ones_are_kept(folder: Path) -> None:
     assert answering(folder, "", "", "", "noise_level=//noise", "1", "")[0] == 0
     assert written(folder)["variables"] == {
         "population_size": "//swarm/@count",
@@ -380,7 +380,7 @@ def test_variables_are_asked_for_until_an_empty_answer_and_found_ones_stay(folde
 
 
 @pytest.mark.integration
-def test_a_variable_that_was_found_may_be_refused_or_called_otherwise(folder: Path) -> None:
+def test_a_detected_variable_may_be_removed_or_renamed(folder: Path) -> None:
     assert answering(folder, "", "", "", "-population_size", "noise=//noise", "")[0] == 0
     assert written(folder)["variables"] == {"noise": "//noise"}
     (folder / "sierra.toml").unlink()
@@ -390,17 +390,17 @@ def test_a_variable_that_was_found_may_be_refused_or_called_otherwise(folder: Pa
 
 
 @pytest.mark.integration
-def test_without_an_answer_nothing_is_written(folder: Path) -> None:
+def test_no_file_is_written_without_an_answer(folder: Path) -> None:
     code, said = answering(folder, "", "")
     assert code == 130
     assert said.endswith("sierra: interrupted\n")
     assert not (folder / "sierra.toml").exists()
 
 
-# What cannot be
+# Errors
 
 
-def test_without_a_terminal_what_is_not_clear_names_its_option(tmp_path: Path) -> None:
+def test_ambiguous_settings_without_a_terminal_name_their_option(tmp_path: Path) -> None:
     for files, said in (
         ([], "give the template with --template FILE"),
         (["a.xml", "b.xml"], "several files could be the template (a.xml, b.xml); give the template with --template FILE"),
@@ -416,7 +416,7 @@ def test_without_a_terminal_what_is_not_clear_names_its_option(tmp_path: Path) -
             assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (3, "", 1)
 
 
-def test_a_project_file_is_never_written_over(folder: Path) -> None:
+def test_a_project_file_is_never_overwritten(folder: Path) -> None:
     (folder / "sierra.toml").write_text("mine")
     ended = quick(folder, "init", "-y")
     assert ended.returncode == 2
@@ -428,7 +428,7 @@ def test_a_project_file_is_never_written_over(folder: Path) -> None:
     assert not (folder / "sierra.toml").exists()
 
 
-def test_a_folder_that_is_none_or_may_not_be_written_to_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_or_read_only_folder_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ended = quick(folder, "init", "nowhere")
     assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (3, "", 1)
     right: Callable[..., bool] = os.access
@@ -440,7 +440,7 @@ def test_a_folder_that_is_none_or_may_not_be_written_to_is_said(folder: Path, mo
     )
 
 
-def test_a_project_inside_another_is_said(folder: Path) -> None:
+def test_a_project_inside_another_is_reported(folder: Path) -> None:
     (folder.parent / "sierra.toml").write_text("")
     assert "this folder was in the project of" in quick(folder, "init", "-y").stderr
 

@@ -1,4 +1,4 @@
-"""The published contracts in `schemas/` are those that the code has, and say what every key means."""
+"""The published schemas in `schemas/` equal those of the code, and describe every key."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MODELS = {model.__name__: model for model in project_file.Table.__subclasses__()
 
 
 def schema(*options: str) -> str:
-    """What `sierra schema` says."""
+    """Return the output of `sierra schema`."""
     done = projects.sierra(Path(), "schema", *options)
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -38,7 +38,7 @@ def reference() -> str:
 
 
 def uncommented(text: str) -> dict[str, Any]:
-    """TOML with the # taken away from all lines that begin with # and no blank."""
+    """Parse TOML without the # of all lines that begin with # and no blank."""
     return tomllib.loads(re.sub(r"(?m)^#(?! )", "", text))
 
 
@@ -47,7 +47,7 @@ def keys(model: type[BaseModel]) -> set[str]:
 
 
 def seen(table: dict[str, Any]) -> dict[str, set[str]]:
-    """The keys that stand in tables of each kind."""
+    """Return the keys in tables of each kind."""
     found: dict[str, set[str]] = {"Project": set(table)}
     for name, model in {
         "seed": "Seed",
@@ -78,20 +78,20 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
 
 
 @pytest.mark.parametrize("name", [published_schemas.TOML, published_schemas.STORE])
-def test_what_is_published_is_what_the_code_says(name: str) -> None:
+def test_published_schemas_equal_the_generated_ones(name: str) -> None:
     assert (FOLDER / name).read_text() == published_schemas.generated()[name], "make schemas writes them anew"
 
 
-def test_nothing_else_is_published() -> None:
+def test_only_generated_schemas_are_published() -> None:
     assert {path.name for path in FOLDER.iterdir()} == set(published_schemas.generated())
 
 
-def test_the_commented_toml_is_nothing_but_comments_and_blank_lines(reference: str) -> None:
+def test_the_commented_toml_contains_only_comments_and_blank_lines(reference: str) -> None:
     assert tomllib.loads(reference) == {}
     assert all(re.match("(?:# |#[^ #]|$)", line) for line in reference.splitlines())
 
 
-def test_the_commented_toml_without_its_marks_is_a_valid_project(reference: str) -> None:
+def test_the_uncommented_toml_is_a_valid_project(reference: str) -> None:
     whole = uncommented(reference)
     project_file.parse(whole, "sierra.toml")
     project_file.options(ArgosOptions, whole["platforms"]["argos"], "[platforms.argos]")
@@ -105,7 +105,7 @@ def test_the_commented_toml_has_every_key_of_every_table(reference: str) -> None
     assert "command" in whole["platforms"]
 
 
-def test_each_key_stands_on_a_line_of_its_own_after_a_sentence_with_its_type(reference: str) -> None:
+def test_each_key_has_its_own_line_after_a_description_with_its_type(reference: str) -> None:
     lines = reference.splitlines()
     for needed in (
         ["# runs per experiment (whole number above 0; default 10)", "#runs = 10"],
@@ -120,19 +120,19 @@ def test_each_key_stands_on_a_line_of_its_own_after_a_sentence_with_its_type(ref
 
 
 def described(schema: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Every key in a JSON Schema, and what is said of it (or of the table that it is)."""
+    """Yield every key in a JSON Schema with its description (or that of its table)."""
     for title, model in [("sierra.toml", schema), *schema["$defs"].items()]:
         for name, key in model.get("properties", {}).items():
             tables = [schema["$defs"][o["$ref"].rpartition("/")[2]] for o in (key, *key.get("anyOf", ())) if "$ref" in o]
             yield f"{title}.{name}", key.get("description") or (tables[0].get("description", "") if tables else "")
 
 
-def test_every_key_has_a_sentence() -> None:
+def test_every_key_has_a_description() -> None:
     lacking = [name for name, sentence in described(json.loads(published_schemas.toml_schema())) if not sentence]
     assert lacking == []
 
 
-def test_a_key_that_has_no_example_is_shown_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_keys_without_an_example_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
     without = re.sub(r"(?m)^(runs|wall|threads|memory|kind) = .*\n", "", published_schemas.EXAMPLES)
     monkeypatch.setattr(published_schemas, "EXAMPLES", without)
     whole = uncommented(published_schemas.toml())
@@ -140,7 +140,7 @@ def test_a_key_that_has_no_example_is_shown_all_the_same(monkeypatch: pytest.Mon
     assert (whole["runs"], whole["platforms"]["argos"]["threads"]) == (10, 0)
 
 
-def test_the_example_fits_the_json_schema() -> None:
+def test_the_example_project_is_valid_by_the_json_schema() -> None:
     schema = json.loads(published_schemas.toml_schema())
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(tomllib.loads(EXAMPLE.read_text()), schema)
@@ -154,18 +154,18 @@ def test_the_json_schema_refuses_unknown_keys_and_values(wrong: dict[str, Any]) 
         jsonschema.validate({"template": "x.xml", **wrong}, json.loads(published_schemas.toml_schema()))
 
 
-def test_the_json_schema_leaves_the_options_of_other_platforms_to_them() -> None:
+def test_the_json_schema_accepts_any_options_of_other_platforms() -> None:
     jsonschema.validate({"template": "x.xml", "platforms": {"mine": {"any": 1}}}, json.loads(published_schemas.toml_schema()))
 
 
-def test_the_sql_schema_is_sql() -> None:
+def test_the_sql_schema_is_valid_sql() -> None:
     connection = duckdb.connect()
     connection.execute(published_schemas.generated()[published_schemas.STORE])
     tables = {row[0] for row in connection.execute("SHOW TABLES").fetchall()}
     assert tables == set(published_schemas.tables())
 
 
-def test_every_column_has_a_sentence() -> None:
+def test_every_table_and_column_has_a_description() -> None:
     for table in published_schemas.tables().values():
         assert table.meaning
         assert all(column.meaning for column in table.columns), table.name

@@ -1,4 +1,4 @@
-"""The statistics in SQL are those of numpy and scipy, and nothing that is missing is averaged away."""
+"""Statistics in SQL equal those of numpy and scipy, and missing values are never silently averaged."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NUMBERS = st.floats(min_value=-1e6, max_value=1e6, allow_nan=False).map(lambda x
 
 
 class Memory:
-    """A frame in memory: rows of (experiment, run's number, t, value)."""
+    """A frame in memory: rows of (experiment, number of the run, t, value)."""
 
     def __init__(self, rows: Iterable[tuple[int, int, float, float | None]], threads: int = 2) -> None:
         rows = list(rows)
@@ -52,7 +52,7 @@ class Memory:
 
 
 def over_runs(values: Iterable[float | None], *, whole: bool = False) -> dict[str, Any]:
-    """All statistics of one experiment whose runs ended with these values."""
+    """Return all statistics of one experiment whose runs ended with these values."""
     frame = Memory((0, number, 0.0, value) for number, value in enumerate(values))
     table, _ = stats.by_experiment(frame, "final", stats.STATISTICS, stats.coverage(frame), whole=whole)
     found: list[dict[str, Any]] = table.to_pylist()
@@ -64,7 +64,7 @@ def figure(kind: str = "timeseries", **more: Any) -> Figure:
 
 
 def trimmed_interval(x: np.ndarray[Any, Any]) -> tuple[float, float]:
-    """Tukey and McLaughlin's interval, written down a second time."""
+    """Compute the interval of Tukey and McLaughlin independently."""
     n, g = len(x), len(x) // 4
     h = n - 2 * g
     winsorized = np.clip(np.sort(x), np.sort(x)[g], np.sort(x)[n - g - 1])
@@ -76,7 +76,7 @@ def trimmed_interval(x: np.ndarray[Any, Any]) -> tuple[float, float]:
 @pytest.mark.integration
 @settings(max_examples=25, deadline=None)
 @given(st.lists(NUMBERS, min_size=2, max_size=40))
-def test_all_statistics_are_those_of_numpy_and_scipy(values: list[float]) -> None:
+def test_all_statistics_equal_those_of_numpy_and_scipy(values: list[float]) -> None:
     x, found = np.array(values), over_runs(values)
     near = pytest.approx
     scale = 1e-12 * max(1.0, float(np.abs(x).max()))
@@ -98,8 +98,8 @@ SCALES = st.sampled_from([-1020, -1000, -700, 0, 700, 1000])
 @pytest.mark.integration
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.integers(-1000, 1000), min_size=2, max_size=20), SCALES)
-def test_statistics_have_all_their_digits_at_any_magnitude(values: list[int], power: int) -> None:
-    """A power of two takes no digits away, so that what numpy says of small numbers holds for huge and tiny ones."""
+def test_statistics_keep_full_precision_at_any_magnitude(values: list[int], power: int) -> None:
+    """Scaling by a power of two is exact: numpy's results for small numbers are valid for huge and tiny ones."""
     x, scale = np.array(values, float), 2.0**power
     found = over_runs((x * scale).tolist())
     half = scipy.stats.t.ppf(0.975, len(x) - 1) * x.std(ddof=1) / math.sqrt(len(x))
@@ -120,8 +120,8 @@ def test_statistics_have_all_their_digits_at_any_magnitude(values: list[int], po
 @pytest.mark.integration
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.integers(0, 2**20), min_size=2, max_size=20), st.sampled_from([1e6, 1e9, 1e12]))
-def test_a_large_mean_takes_no_digits_from_the_standard_deviation(values: list[int], offset: float) -> None:
-    exact = np.array([value / 2**12 for value in values])  # the offset leaves them as they are
+def test_the_standard_deviation_keeps_full_precision_next_to_a_large_mean(values: list[int], offset: float) -> None:
+    exact = np.array([value / 2**12 for value in values])  # exact: adding the offset does not change them
     found = over_runs((exact + offset).tolist())
     assert found["sd"] == pytest.approx(exact.std(ddof=1), rel=1e-13)
     assert found["mean"] - offset == pytest.approx(exact.mean(), abs=1e-15 * offset)
@@ -136,7 +136,7 @@ def test_a_mean_of_huge_values_does_not_overflow() -> None:
     assert over_runs([-1.7e308, -1.7e308, 1.7e308, 1.7e308])["q1"] == -1.7e308
 
 
-def test_whiskers_and_iqm_of_one_huge_value_are_those_of_the_others() -> None:
+def test_one_huge_value_does_not_change_the_median_and_the_iqm() -> None:
     found = over_runs([1e-200, 2e-200, 3e-200, 4e-200, 1e300])
     assert (found["median"], found["iqm"]) == pytest.approx((3e-200, 3e-200), rel=1e-12)
 
@@ -144,14 +144,14 @@ def test_whiskers_and_iqm_of_one_huge_value_are_those_of_the_others() -> None:
 @pytest.mark.integration
 @given(st.floats(allow_nan=False, allow_infinity=False), st.integers(2, 12))
 @settings(max_examples=25, deadline=None)
-def test_values_that_are_all_the_same_are_their_own_mean(value: float, n: int) -> None:
+def test_equal_values_have_that_value_as_mean_and_bounds(value: float, n: int) -> None:
     found = over_runs([value] * n)
     assert [found[name] for name in ("mean", "median", "q1", "q3", "iqm", "low", "high")] == [value] * 7
     assert found["sd"] == 0
 
 
 @pytest.mark.parametrize(("good", "n"), [(0, 5), (5, 5), (1, 5), (3, 10), (100, 100), (1, 1000)])
-def test_the_interval_of_a_rate_is_wilsons_as_scipy_has_it(good: int, n: int) -> None:
+def test_the_interval_of_a_rate_equals_scipys_wilson_interval(good: int, n: int) -> None:
     found = over_runs([1.0] * good + [0.0] * (n - good), whole=True)
     interval = scipy.stats.binomtest(good, n).proportion_ci(0.95, method="wilson")
     assert (found["low"], found["high"]) == pytest.approx((interval.low, interval.high), rel=1e-12, abs=1e-15)
@@ -160,7 +160,7 @@ def test_the_interval_of_a_rate_is_wilsons_as_scipy_has_it(good: int, n: int) ->
     assert found["interval"] == "Wilson"
 
 
-def test_fractions_that_happen_to_be_the_same_are_no_rate() -> None:
+def test_equal_fractions_are_not_a_rate() -> None:
     assert [over_runs(values)["interval"] for values in ([0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.5, 1.0])] == [
         "t",
         "t",
@@ -171,7 +171,7 @@ def test_fractions_that_happen_to_be_the_same_are_no_rate() -> None:
     assert (over_runs([1.0], whole=True)["low"], over_runs([1.0], whole=True)["interval"]) == (None, None)
 
 
-def test_what_is_a_rate_is_one_in_all_experiments_and_at_all_times() -> None:
+def test_a_rate_is_a_rate_in_all_experiments_and_at_all_times() -> None:
     frame = Memory((e, run, float(t), float(e == 1 and run > t)) for e in range(2) for run in range(5) for t in range(3))
     seen = stats.coverage(frame)
     for table in (
@@ -198,13 +198,13 @@ def test_whiskers_end_at_values_that_were_observed(values: list[int]) -> None:
 
 @pytest.mark.parametrize(("far", "end"), [(13.4, 13.4), (13.6, 8.0)])
 def test_a_whisker_reaches_at_most_one_and_a_half_interquartile_ranges(far: float, end: float) -> None:
-    """The quartiles are 2.25 and 6.75, so that the fence stands at 13.5."""
+    """The quartiles are 2.25 and 6.75, so the limit of the whisker is 13.5."""
     values = [*map(float, range(9)), far]
     assert over_runs(values)["whisker_high"] == end
     assert over_runs([-value for value in values])["whisker_low"] == -end
 
 
-def test_the_interval_of_four_runs_is_not_two_standard_deviations() -> None:
+def test_the_interval_of_four_runs_equals_scipys_t_interval() -> None:
     found = over_runs([1.0, 2.0, 4.0, 4.6])
     interval = scipy.stats.ttest_1samp([1.0, 2.0, 4.0, 4.6], 0).confidence_interval(0.95)
     assert (found["low"], found["high"]) == pytest.approx((interval.low, interval.high), rel=1e-12)
@@ -216,12 +216,12 @@ def test_one_run_has_a_mean_but_no_interval() -> None:
     assert [found[name] for name in ("sd", "low", "high", "iqm_low", "iqm_high")] == [None] * 5
 
 
-def test_what_is_missing_or_infinite_is_left_out_and_counted() -> None:
+def test_missing_and_infinite_values_are_left_out_and_counted() -> None:
     found = over_runs([1.0, None, math.nan, math.inf, -math.inf, 3.0])
     assert (found["n"], found["missing"], found["infinite"], found["mean"]) == (2, 2, 2, 2.0)
 
 
-def test_an_experiment_of_which_all_is_missing_has_no_mean() -> None:
+def test_an_experiment_with_only_missing_values_has_no_mean() -> None:
     found = over_runs([None, math.nan])
     assert (found["n"], found["missing"], found["mean"], found["median"], found["low"]) == (0, 2, None, None, None)
 
@@ -233,7 +233,7 @@ def test_n_is_counted_at_each_time() -> None:
     assert table["mean"].to_pylist() == [2.0, 2.0, 2.5]
 
 
-def test_the_same_data_give_the_same_bits_in_any_order_and_with_any_threads() -> None:
+def test_results_are_bit_identical_for_any_row_order_and_number_of_threads() -> None:
     rng = np.random.default_rng(1)
     rows = [(e, run, float(t), float(rng.normal())) for e in range(10) for run in range(20) for t in range(100)]
     rng.shuffle(mixed := list(range(len(rows))))
@@ -258,17 +258,17 @@ def test_the_final_value_is_the_one_at_the_largest_time() -> None:
     assert stats.reduced(frame, "final")["value"].to_pylist() == [7.0]
 
 
-def test_a_final_value_that_is_missing_is_not_replaced_by_an_earlier_one() -> None:
+def test_a_missing_final_value_is_not_replaced_by_an_earlier_one() -> None:
     assert measured("final", [1.0, 2.0, math.nan])["mean"] is None
     assert measured("final", [1.0, 2.0, None])["missing"] == 1
 
 
-def test_the_mean_over_time_counts_what_it_leaves_out() -> None:
+def test_the_mean_over_time_counts_the_values_that_it_leaves_out() -> None:
     found = measured("mean", [1.0, None, 3.0, math.nan, math.inf])
     assert (found["mean"], found["missing"], found["infinite"]) == (2.0, 2, 1)
 
 
-def test_the_time_to_a_threshold_is_the_first_time_that_it_is_reached() -> None:
+def test_the_time_to_a_threshold_is_the_first_time_at_which_it_is_reached() -> None:
     assert measured("time_to", [0.0, 1.0, 5.0, 2.0, 7.0], 5.0)["mean"] == 2.0
 
 
@@ -284,7 +284,7 @@ def test_runs_that_never_reach_a_threshold_are_counted_and_not_averaged() -> Non
     assert found["mean"] == pytest.approx((9 + 5 + 3) / 3, rel=1e-12)
 
 
-def test_a_run_of_which_all_is_missing_is_missing_and_not_late() -> None:
+def test_a_run_with_only_missing_values_is_counted_as_missing() -> None:
     found = measured("time_to", [None, math.nan], 1.0)
     assert (found["n"], found["never"], found["missing"]) == (0, 0, 2)
 
@@ -299,7 +299,7 @@ RAGGED = [(0, 0, 0.0, 0.0), (0, 0, 2.0, 4.0), (0, 0, 4.0, 0.0), (0, 1, 1.0, 10.0
         (True, [0.0, 2.0, 4.0, 2.0, 0.0], [None, 10.0, 12.0, None, None]),
     ],
 )
-def test_runs_meet_on_a_common_time_axis_and_none_goes_beyond_its_end(
+def test_runs_are_resampled_to_common_times_and_never_extrapolated(
     linear: bool, first: list[float], second: list[float | None]
 ) -> None:
     for run, expected in ((0, first), (1, second)):
@@ -310,7 +310,7 @@ def test_runs_meet_on_a_common_time_axis_and_none_goes_beyond_its_end(
         assert [found.get(t) for t in grid] == expected
 
 
-def test_resampling_does_not_fill_what_is_missing() -> None:
+def test_resampling_does_not_fill_missing_values() -> None:
     frame = Memory([(0, 0, 0.0, 1.0), (0, 0, 1.0, None), (0, 0, 2.0, 3.0)])
     for linear in (False, True):
         table, _ = stats.resampled(frame, [0.0, 1.5, 2.0], ["mean"], stats.coverage(frame), linear=linear)
@@ -321,7 +321,7 @@ def test_resampling_does_not_fill_what_is_missing() -> None:
 @pytest.mark.integration
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 1000), NUMBERS), min_size=2, max_size=20, unique_by=lambda p: p[0]), st.data())
-def test_linear_interpolation_is_that_of_numpy(points: list[tuple[int, float]], data: st.DataObject) -> None:
+def test_linear_interpolation_equals_that_of_numpy(points: list[tuple[int, float]], data: st.DataObject) -> None:
     points.sort()
     t, v = np.array(points, dtype=float).T
     grid = sorted(data.draw(st.sets(st.floats(t[0], t[-1]), min_size=1, max_size=10)))
@@ -330,7 +330,7 @@ def test_linear_interpolation_is_that_of_numpy(points: list[tuple[int, float]], 
     assert table["mean"].to_pylist() == pytest.approx(np.interp(grid, t, v).tolist(), rel=1e-9, abs=1e-6)
 
 
-def test_a_figure_of_runs_with_different_times_says_that_they_were_resampled() -> None:
+def test_a_figure_of_runs_with_different_times_notes_the_resampling() -> None:
     frame = Memory((0, run, t + run / 10, float(t)) for run in range(8) for t in range(20))
     computed = stats.compute(figure(), AXIS, {"energy": frame})
     assert "times differ: last values carried forward to 20 common times" in computed.note
@@ -338,7 +338,7 @@ def test_a_figure_of_runs_with_different_times_says_that_they_were_resampled() -
 
 
 def interpolated(points: list[tuple[float, float | None]], grid: list[float]) -> list[float]:
-    """numpy's, NaN where a value beside is missing, and before and after the first and the last time."""
+    """Interpolate with numpy; NaN next to missing values, and outside the first and the last time."""
     t, v = np.array(points, dtype=float).T
     return np.interp(grid, t, v, left=np.nan, right=np.nan).tolist()
 
@@ -352,7 +352,7 @@ def interpolated(points: list[tuple[float, float | None]], grid: list[float]) ->
     ),
     st.sets(st.one_of(st.floats(-10, 1010), st.integers(0, 1000).map(float)), min_size=1, max_size=20),
 )  # fmt: skip
-def test_linear_interpolation_bridges_no_missing_value_and_goes_beyond_no_end(
+def test_linear_interpolation_skips_missing_values_and_never_extrapolates(
     points: list[tuple[int, float | None]], times: set[float]
 ) -> None:
     rows, grid = sorted((float(t), v) for t, v in points), sorted(times)
@@ -369,7 +369,7 @@ def test_linear_interpolation_bridges_no_missing_value_and_goes_beyond_no_end(
 SHIFTED = [(0, run, t + run / 10, float(t)) for run in range(8) for t in range(20)]
 
 
-def test_a_figure_interpolates_where_it_is_asked_to_and_says_so() -> None:
+def test_a_figure_interpolates_linearly_on_request_and_notes_it() -> None:
     computed = stats.compute(figure(times="linear"), AXIS, {"energy": Memory(SHIFTED)})
     assert "; interpolated linearly to 20 common times" in computed.note
     assert "-- $linear: True" in computed.sql
@@ -381,15 +381,15 @@ def test_a_figure_interpolates_where_it_is_asked_to_and_says_so() -> None:
     assert table["n"].to_pylist() == np.isfinite(runs).sum(axis=0).tolist()
 
 
-def test_a_figure_keeps_to_the_runs_own_times_where_it_is_asked_to_and_says_that_they_differ() -> None:
+def test_a_figure_uses_the_runs_own_times_on_request_and_notes_that_they_differ() -> None:
     computed = stats.compute(figure(times="own"), AXIS, {"energy": Memory(SHIFTED)})
     assert computed.tables["energy"].num_rows == 160
     assert computed.note == "mean, no interval, n = 1; times differ: each run at its own"
 
 
 @pytest.mark.parametrize("times", ["carry", "linear"])
-def test_times_that_all_runs_share_are_the_common_ones_in_spite_of_rounding(times: str) -> None:
-    """A simulator adds 0.1 again and again: a grid just before its times would show the value of one row before."""
+def test_times_that_all_runs_share_become_common_times_despite_rounding(times: str) -> None:
+    """A simulator adds 0.1 repeatedly: a grid just before its times would show the preceding row's value."""
     clock = np.cumsum(np.full(100, 0.1)).tolist()
     frame = Memory((0, run, clock[t], float(t * run)) for run in range(3) for t in range(100))
     table, _, said = stats.at_times(frame, times, ["interval"], stats.coverage(frame))
@@ -398,7 +398,7 @@ def test_times_that_all_runs_share_are_the_common_ones_in_spite_of_rounding(time
 
 
 @pytest.mark.parametrize("times", ["own", "carry", "linear", None])
-def test_runs_of_one_time_count_once_each(times: str | None) -> None:
+def test_runs_with_one_time_are_counted_once_each(times: str | None) -> None:
     frame = Memory((0, run, 7.0, float(run)) for run in range(5))
     table, _, _ = stats.at_times(frame, times, ["interval"], stats.coverage(frame))
     assert (table["t"].to_pylist(), table["n"].to_pylist(), table["mean"].to_pylist()) == ([7.0], [5], [2.0])
@@ -410,13 +410,13 @@ def test_unknown_times_are_refused() -> None:
         stats.at_times(frame, "cubic", ["mean"], stats.coverage(frame))
 
 
-def test_a_run_that_ended_early_is_no_reason_to_resample() -> None:
+def test_a_run_that_ended_early_does_not_cause_resampling() -> None:
     frame = Memory((0, run, float(t), 1.0) for run in range(8) for t in range(20 if run else 5))
     computed = stats.compute(figure(), AXIS, {"energy": frame})
     assert computed.note == "mean, 95 % CI, n = 7–8"
 
 
-def test_the_note_says_all_that_is_not_in_the_numbers() -> None:
+def test_the_note_reports_absent_runs_and_left_out_values() -> None:
     frame = Memory([(0, 0, 0.0, 1.0), (0, 1, 0.0, None), (0, 2, 0.0, math.inf), (0, 3, math.nan, 5.0), (1, 0, 0.0, 2.0)])
     note = stats.compute(figure("summary"), AXIS, {"energy": frame}, planned={0: 5, 1: 4}).note
     assert note == (
@@ -425,20 +425,20 @@ def test_the_note_says_all_that_is_not_in_the_numbers() -> None:
     )
 
 
-def test_several_rows_of_a_run_at_one_time_are_no_sample() -> None:
+def test_several_rows_of_a_run_at_one_time_are_refused() -> None:
     frame = Memory((0, run, float(t), 1.0) for run in range(3) for t in range(5) for _ in range(2))
     with pytest.raises(UsageError, match="3 runs with more than one row at the same time"):
         stats.coverage(frame)
 
 
-def test_nothing_recorded_is_an_error_of_one_line() -> None:
+def test_a_frame_without_values_is_an_error() -> None:
     with pytest.raises(SierraError, match="no run has written any row"):
         stats.compute(figure(), AXIS, {"energy": Memory([])})
     with pytest.raises(SierraError, match="no finite value in energy"):
         stats.compute(figure(), AXIS, {"energy": Memory([(0, 0, 0.0, None)])})
 
 
-def test_a_threshold_that_no_run_reaches_is_said_with_its_value_and_the_number_of_runs() -> None:
+def test_the_error_for_an_unreached_threshold_names_it_and_the_number_of_runs() -> None:
     rows = [(e, run, float(t), float(t)) for e in range(2) for run in range(6) for t in range(5)]
     asked = figure("summary", measure="time_to", threshold=5.5)
     with pytest.raises(SierraError, match=r"^energy reaches the threshold 5.5 in none of 12 runs; there is no time to draw$"):
@@ -451,7 +451,7 @@ def test_a_threshold_that_no_run_reaches_is_said_with_its_value_and_the_number_o
     ("kind", "mark"),
     [("summary", " (hollow: not in all runs, △: in none)"), ("box", " (△: in none)"), ("violin", " (△: in none)")],
 )
-def test_the_note_says_which_threshold_was_not_reached_how_often_and_how_that_looks(kind: str, mark: str) -> None:
+def test_the_note_reports_how_often_a_threshold_was_not_reached(kind: str, mark: str) -> None:
     frame = Memory((e, run, float(t), float(t + run * e)) for e in range(2) for run in range(4) for t in range(5))
     note = stats.compute(figure(kind, measure="time_to", threshold=6), AXIS, {"energy": frame}).note
     assert note.endswith(f"; threshold 6 never reached in 6 of 8 runs{mark}")
@@ -466,9 +466,7 @@ def test_a_heatmap_of_one_variable_is_refused() -> None:
     ("axes", "series", "expected"),
     [(1, True, ["timeseries", "summary"]), (1, False, ["summary"]), (2, True, ["timeseries", "heatmap"])],
 )
-def test_without_any_declared_each_column_gets_the_figures_that_suit_the_batch(
-    axes: int, series: bool, expected: list[str]
-) -> None:
+def test_default_figures_of_a_column_depend_on_the_axes_of_the_batch(axes: int, series: bool, expected: list[str]) -> None:
     found = stats.default_figures("robots", ["energy"], AXIS * axes, series=series)
     assert [f.kind for f in found.values()] == expected
     assert list(found) == [f"robots_energy_{kind}" for kind in expected]
@@ -476,7 +474,7 @@ def test_without_any_declared_each_column_gets_the_figures_that_suit_the_batch(
 
 @pytest.mark.parametrize("kind", ["timeseries", "summary", "box", "violin", "stacked"])
 @pytest.mark.parametrize("center", ["mean", "median", "iqm"])
-def test_each_kind_of_figure_has_what_it_needs(kind: str, center: str) -> None:
+def test_each_kind_of_figure_gets_its_tables(kind: str, center: str) -> None:
     frame = Memory((e, run, float(t), float(t + run)) for e in range(2) for run in range(6) for t in range(4))
     computed = stats.compute(figure(kind, center=center), AXIS, {"energy": frame})
     assert computed.tables["energy"].num_rows == (8 if kind in ("timeseries", "stacked") else 2)
@@ -484,7 +482,7 @@ def test_each_kind_of_figure_has_what_it_needs(kind: str, center: str) -> None:
     assert "FROM samples" in computed.sql
 
 
-def test_every_sql_file_is_used_and_begins_with_its_formula() -> None:
+def test_every_sql_file_is_used_and_begins_with_a_comment() -> None:
     files = sorted(path.relative_to(stats.HERE).as_posix() for path in stats.HERE.rglob("*.sql"))
     known = {f"statistics/{name}.sql" for name in stats.STATISTICS} | {
         f"measures/{m}.sql" for m in ("final", "mean", "time_to")
@@ -496,7 +494,7 @@ def test_every_sql_file_is_used_and_begins_with_its_formula() -> None:
         assert path.stem.startswith(("by_", "coverage")) or re.match(r"-- .*([=:∓]|the)", text)
 
 
-def test_the_statements_name_their_values_as_parameters() -> None:
+def test_statements_pass_their_values_as_parameters() -> None:
     frame = Memory((0, run, 0.0, float(run)) for run in range(3))
     _, text = stats.by_experiment(frame, "time_to", ["interval"], stats.coverage(frame), 1.5)
     assert "-- $threshold: 1.5\n" in text
@@ -508,23 +506,23 @@ def test_the_statements_name_their_values_as_parameters() -> None:
     st.one_of(st.floats(1e-12, 0.4), st.floats(0.6, 1 - 1e-9)),
     st.one_of(st.integers(1, 100), st.integers(1, 10**6), st.floats(1, 1e6)),
 )
-def test_student_quantiles_are_those_of_scipy(p: float, df: float) -> None:
+def test_student_quantiles_equal_those_of_scipy(p: float, df: float) -> None:
     expected = scipy.stats.t.ppf(p, df) if p < 0.5 else scipy.stats.t.isf(1 - p, df)
     assert student_t.quantile(p, df) == pytest.approx(expected, rel=1e-10)
 
 
-def test_student_quantiles_of_papers_are_those_of_the_printed_table() -> None:
+def test_student_quantiles_equal_those_of_printed_tables() -> None:
     printed = {1: 12.706, 2: 4.303, 4: 2.776, 9: 2.262, 29: 2.045, 120: 1.980}
     assert {df: round(student_t.quantile(0.975, df), 3) for df in printed} == printed
 
 
 @given(st.floats(0.4, 0.6), st.integers(1, 10**6))
-def test_student_quantiles_near_the_median_go_to_zero(p: float, df: int) -> None:
+def test_student_quantiles_near_the_median_are_accurate(p: float, df: int) -> None:
     assert student_t.quantile(p, df) == pytest.approx(scipy.stats.t.ppf(p, df), rel=1e-9, abs=1e-12)
 
 
 @pytest.mark.parametrize(("p", "df"), [(0.0, 1), (1.0, 1), (math.nan, 1), (0.5, 0), (0.9, math.nan)])
-def test_no_quantile_where_there_is_none(p: float, df: float) -> None:
+def test_invalid_arguments_of_student_quantiles_are_refused(p: float, df: float) -> None:
     with pytest.raises(ValueError, match="no Student-t quantile"):
         student_t.quantile(p, df)
 
@@ -544,7 +542,7 @@ def simulated(simulate: Callable[..., Any]) -> Any:
 
 
 @pytest.mark.integration
-def test_statistics_are_a_command_whose_table_has_the_values_of_the_axes(simulated: Any) -> None:
+def test_the_stats_command_prints_a_table_with_the_values_of_the_axes(simulated: Any) -> None:
     rows = json.loads(simulated.quick("stats", "swarm", "v", "--json").stdout)
     assert [(row["size"], row["n"], row["mean"], row["low"]) for row in rows] == [(1, 2, 3, 3), (2, 2, 6, 6), (3, 2, 9, 9)]
     first = simulated.quick("stats", "swarm", "v").stdout.splitlines()[0].split()
@@ -558,7 +556,7 @@ def test_statistics_are_a_command_whose_table_has_the_values_of_the_axes(simulat
 
 
 @pytest.mark.integration
-def test_statistics_can_be_reduced_in_each_way_and_have_a_row_for_each_time(simulated: Any) -> None:
+def test_the_stats_command_supports_all_measures_and_rows_per_time(simulated: Any) -> None:
     def ask(*options: str) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = json.loads(simulated.quick("stats", "swarm", "v", "--json", *options).stdout)
         return rows
@@ -578,7 +576,7 @@ def test_statistics_can_be_reduced_in_each_way_and_have_a_row_for_each_time(simu
     assert times == pytest.approx([0.1, 0.1 + 3.2 / 3, 0.1 + 6.4 / 3])
 
 
-def test_statistics_that_make_no_sense_are_refused(simulated: Any) -> None:
+def test_contradictory_options_of_the_stats_command_are_refused(simulated: Any) -> None:
     together, choose = "--measure time_to and --threshold X go together", "choose one of them"
     for words, complaint in {
         ("--measure", "time_to"): together,
@@ -591,7 +589,7 @@ def test_statistics_that_make_no_sense_are_refused(simulated: Any) -> None:
         assert complaint in asked.stderr
 
 
-def test_statistics_in_python_take_the_times_and_say_what_was_done(simulated: Any) -> None:
+def test_statistics_in_python_accept_times_and_contain_the_note(simulated: Any) -> None:
     project = sierra.open(simulated.folder)
     table = project.statistics(None, "swarm", "v", measure=None, times="carry")
     assert table.schema.metadata[b"sierra:note"] == b"last values carried forward to 4 common times"
@@ -610,7 +608,7 @@ printf 't,good,n\n1,false,0\n2,%s,0\n' $good > swarm.csv
 
 
 @pytest.mark.integration
-def test_truth_values_are_a_rate_with_wilsons_interval_and_that_is_said(simulate: Callable[..., Any]) -> None:
+def test_booleans_are_a_rate_with_wilsons_interval_and_this_is_reported(simulate: Callable[..., Any]) -> None:
     project = simulate(BOOLEANS)
     assert project.quick("run", "size=1,3", "--runs", "5", "--no-figures").returncode == 0
     said = project.quick("stats", "swarm", "good", "--json")
@@ -622,7 +620,7 @@ def test_truth_values_are_a_rate_with_wilsons_interval_and_that_is_said(simulate
     assert project.quick("figures", batch, "swarm_good_summary").returncode == 0
 
 
-def test_an_axis_that_is_called_like_a_statistic_keeps_its_name(simulate: Callable[..., Any]) -> None:
+def test_an_axis_named_like_a_statistic_keeps_its_name(simulate: Callable[..., Any]) -> None:
     project = simulate()
     config = project.folder / "sierra.toml"
     config.write_text(config.read_text().replace('size = "', 'n = "'))

@@ -1,4 +1,4 @@
-"""Two one-sided tests, against SciPy and against simulation."""
+"""Two one-sided tests, compared with SciPy and with simulation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ VALUES = st.lists(st.floats(-10, 10).map(lambda x: round(x, 3)), min_size=2, max
 
 @pytest.mark.integration
 @given(VALUES, st.floats(0.01, 20), st.sampled_from([0.01, 0.05, 0.1]))
-def test_the_p_value_is_that_of_scipys_two_one_sided_tests(values: list[float], margin: float, alpha: float) -> None:
+def test_the_p_value_equals_that_of_two_one_sided_tests_in_scipy(values: list[float], margin: float, alpha: float) -> None:
     tested = equivalence.test(values, margin, alpha)
     if len(set(values)) > 1:
         above = stats.ttest_1samp(values, -margin, alternative="greater").pvalue
@@ -29,7 +29,7 @@ def test_the_p_value_is_that_of_scipys_two_one_sided_tests(values: list[float], 
 
 @pytest.mark.integration
 @pytest.mark.parametrize(("n", "margin"), [(10, 1.0), (20, 0.7), (40, 0.5)])
-def test_the_power_is_about_what_simulation_shows(n: int, margin: float) -> None:
+def test_the_power_is_close_to_the_simulated_one(n: int, margin: float) -> None:
     draw = random.Random(1)
     samples = [[draw.gauss(0, 1) for _ in range(n)] for _ in range(2000)]
     shown = sum(equivalence.test(sample, margin, 0.05).equivalent for sample in samples) / len(samples)
@@ -39,8 +39,8 @@ def test_the_power_is_about_what_simulation_shows(n: int, margin: float) -> None
 
 @pytest.mark.parametrize("df", [1, 2, 3, 9, 40, 500])
 @pytest.mark.parametrize("delta", [0.5, 3.0, 5.0, 50.0])
-def test_the_power_is_the_integral_over_all_standard_deviations(df: int, delta: float) -> None:
-    """Written down a second time, over the ratio w of a sample's standard deviation to the true one."""
+def test_the_power_equals_the_integral_over_all_standard_deviations(df: int, delta: float) -> None:
+    """An independent computation over the ratio w of a sample's standard deviation to the true one."""
     t = student_t.quantile(0.95, df)
 
     def density(w: float) -> float:
@@ -52,12 +52,12 @@ def test_the_power_is_the_integral_over_all_standard_deviations(df: int, delta: 
     assert equivalence.power(delta, t, df) == pytest.approx(expected, abs=1e-8)
 
 
-def test_the_power_of_three_pairs_is_not_that_of_the_central_approximation() -> None:
+def test_the_power_of_three_pairs_is_exact_and_not_the_central_approximation() -> None:
     assert equivalence.power(3.0, student_t.quantile(0.95, 2), 2) == pytest.approx(0.436, abs=5e-4)
 
 
 @pytest.mark.integration
-def test_three_pairs_are_shown_to_be_equivalent_as_often_as_the_power_says() -> None:
+def test_simulated_equivalence_of_three_pairs_is_as_frequent_as_the_power() -> None:
     draw, t = random.Random(3), student_t.quantile(0.95, 2)
     samples = [[draw.gauss(0, 1) for _ in range(3)] for _ in range(4000)]
     shown = sum(equivalence.test(sample, 3.0 / math.sqrt(3), 0.05).equivalent for sample in samples) / len(samples)
@@ -65,21 +65,21 @@ def test_three_pairs_are_shown_to_be_equivalent_as_often_as_the_power_says() -> 
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-150, 1e150, 1e300])
-def test_the_test_is_the_same_at_any_magnitude(scale: float) -> None:
+def test_the_equivalence_test_is_invariant_to_scale(scale: float) -> None:
     values = [0.5, -0.25, 0.75, 0.125]
     one, other = equivalence.test(values, 1.0, 0.05), equivalence.test([x * scale for x in values], scale, 0.05)
     assert (other.p, other.power, other.equivalent) == pytest.approx((one.p, one.power, one.equivalent), rel=1e-9)
     assert (other.low / scale, other.high / scale) == pytest.approx((one.low, one.high), rel=1e-9)
 
 
-def test_what_overflows_is_not_shown_to_be_equivalent() -> None:
+def test_values_that_overflow_are_not_equivalent() -> None:
     tested = equivalence.test([1.7e308, 1.7e308, -1.7e308, 1.7e308], 1e308, 0.05)
     assert (tested.difference, tested.equivalent) == (pytest.approx(0.85e308), False)
     assert 0 <= tested.power < 0.05
 
 
 @pytest.mark.integration
-def test_what_is_a_margin_apart_is_rarely_taken_for_the_same() -> None:
+def test_samples_that_differ_by_the_margin_are_rarely_equivalent() -> None:
     draw = random.Random(2)
     samples = [[draw.gauss(1, 1) for _ in range(20)] for _ in range(2000)]
     assert sum(equivalence.test(sample, 1.0, 0.05).equivalent for sample in samples) / len(samples) < 0.065
@@ -88,7 +88,7 @@ def test_what_is_a_margin_apart_is_rarely_taken_for_the_same() -> None:
 @pytest.mark.parametrize(
     ("values", "equivalent"), [([0.0, 0.0], True), ([0.5, 0.5], True), ([1.0, 1.0], False), ([2.0, 2.0], False)]
 )
-def test_differences_that_are_all_the_same_need_no_distribution(values: list[float], equivalent: bool) -> None:
+def test_equal_differences_are_compared_with_the_margin_directly(values: list[float], equivalent: bool) -> None:
     assert equivalence.test(values, 1.0, 0.05).equivalent is equivalent
 
 
@@ -96,11 +96,11 @@ def test_differences_that_are_all_the_same_need_no_distribution(values: list[flo
     ("values", "margin"),
     [([], 1.0), ([1.0], 1.0), ([1.0, math.inf], 1.0), ([1.0, math.nan], 1.0), ([1.0, 2.0], 0.0), ([1.0, 2.0], -1.0)],
 )
-def test_too_little_is_refused(values: list[float], margin: float) -> None:
+def test_too_few_values_or_an_invalid_margin_are_refused(values: list[float], margin: float) -> None:
     with pytest.raises(ValueError, match="are needed"):
         equivalence.test(values, margin, 0.05)
 
 
 @given(st.floats(-50, 50), st.integers(1, 1000))
-def test_the_tail_is_scipys(t: float, df: int) -> None:
+def test_the_tail_of_students_distribution_equals_that_of_scipy(t: float, df: int) -> None:
     assert student_t.tail(t, df) == pytest.approx(stats.t.sf(t, df), rel=1e-9, abs=1e-300)

@@ -1,4 +1,4 @@
-"""Rows of SQL that come without Arrow: they are what Arrow gives."""
+"""Rows of SQL that are read without Arrow have the same values as with Arrow."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ VALUES = [
 
 
 @pytest.mark.parametrize("value", VALUES)
-def test_a_row_has_the_values_that_arrow_gives(recorded: Path, value: str) -> None:
+def test_a_row_has_the_same_values_as_with_arrow(recorded: Path, value: str) -> None:
     store, text = Store(recorded / ".sierra"), f"SELECT {value} AS v, {value} AS w ORDER BY 1"
     assert as_json(store.rows(text)) == as_json(store.sql(text).to_pylist())
 
 
-def test_columns_of_one_name_are_kept(recorded: Path) -> None:
+def test_columns_with_equal_names_are_kept(recorded: Path) -> None:
     text = "SELECT 1 AS a, 2 AS a, now() AS a"
     assert list(Store(recorded / ".sierra").rows(text)[0]) == ["a", "a_1", "a_2"]
     assert quick(recorded, "sql", text, "--format", "csv").stdout.splitlines()[0] == "a,a_1,a_2"

@@ -1,4 +1,4 @@
-"""Questions on one store share a DuckDB, one after the other, and nothing else."""
+"""Successive queries on one store share a DuckDB instance, and nothing else."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def leaves_rows(snapshot: Snapshot) -> None:
 
 @pytest.mark.integration
 @pytest.mark.parametrize("before", [is_asked, sets, makes, goes_wrong, leaves_rows])
-def test_a_question_finds_nothing_of_the_one_before(store: Store, before: Callable[[Snapshot], None]) -> None:
+def test_a_query_finds_no_state_of_the_preceding_one(store: Store, before: Callable[[Snapshot], None]) -> None:
     with store.snapshot() as snapshot:
         found = seen(snapshot)
     with store.snapshot() as snapshot:
@@ -69,7 +69,7 @@ def test_a_question_finds_nothing_of_the_one_before(store: Store, before: Callab
             snapshot.sql("SELECT * FROM given")
 
 
-def test_questions_at_once_do_not_see_each_other(store: Store) -> None:
+def test_concurrent_queries_are_isolated(store: Store) -> None:
     with store.snapshot() as one, store.snapshot() as other:
         found = seen(other)
         makes(one)
@@ -79,7 +79,7 @@ def test_questions_at_once_do_not_see_each_other(store: Store) -> None:
         makes(other)
 
 
-def test_a_question_on_another_store_reads_nothing_of_the_first(store: Store, tmp_path: Path) -> None:
+def test_a_query_on_another_store_cannot_read_the_first(store: Store, tmp_path: Path) -> None:
     shutil.copytree(store.paths.root, tmp_path / "other")
     other = Store(tmp_path / "other")
     file = next(path for segment in store.segments() for path in segment.files.values())
@@ -89,7 +89,7 @@ def test_a_question_on_another_store_reads_nothing_of_the_first(store: Store, tm
             other.sql(f"SELECT * FROM read_parquet('{file}')")
 
 
-def test_what_is_added_or_removed_is_seen_by_the_next_question(store: Store, tmp_path: Path) -> None:
+def test_added_and_removed_segments_are_visible_to_the_next_query(store: Store, tmp_path: Path) -> None:
     root = tmp_path / "project"
     shutil.copytree(store.paths.root, root)
     known = Store(root)
@@ -103,7 +103,7 @@ def test_what_is_added_or_removed_is_seen_by_the_next_question(store: Store, tmp
     assert known.rows(runs) == store.rows(runs)
 
 
-def test_what_a_large_question_wrote_to_the_disk_is_gone_with_it(
+def test_temporary_files_of_a_large_query_are_removed_with_it(
     store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))

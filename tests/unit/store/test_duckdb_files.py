@@ -1,4 +1,4 @@
-"""What DuckDB reads is what was named: no column, pattern or format is taken from a path."""
+"""DuckDB reads exactly the named files: it derives no column, pattern or format from a path."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ for place, name in enumerate({names!r}):
 
 
 def _texts(path: Path) -> Iterator[str]:
-    """Yield the string constants of a module, but for docstrings."""
+    """Yield the string constants of a module, except docstrings."""
     tree = ast.parse(path.read_text())
     prose = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
@@ -81,7 +81,7 @@ def _texts(path: Path) -> Iterator[str]:
 
 
 def _sql() -> Iterator[tuple[Path, str]]:
-    """Yield all that may be SQL in the package."""
+    """Yield all strings of the package that may be SQL."""
     for path in sorted(PACKAGE.rglob("*.sql")):
         yield path, re.sub("--.*", "", path.read_text())
     for path in sorted(PACKAGE.rglob("*.py")):
@@ -89,12 +89,12 @@ def _sql() -> Iterator[tuple[Path, str]]:
 
 
 @pytest.mark.integration
-def test_no_module_but_the_door_names_a_function_that_reads_files() -> None:
+def test_only_the_module_duckdb_files_names_functions_that_read_files() -> None:
     found = {(path.relative_to(PACKAGE), text) for path, text in _sql() if path != DOOR and READS.search(text)}
     assert found == set()
 
 
-def test_the_door_names_every_guess_and_turns_it_off() -> None:
+def test_every_automatic_detection_of_duckdb_is_turned_off_explicitly() -> None:
     scan = ("hive_partitioning = false", "hive_types_autocast = false", "union_by_name = ")
     text = ("compression = 'none'", "ignore_errors = false")
     assert all(word in duckdb_files.read_parquet(["/a"]) for word in (*scan, "filename = false", "file_row_number = false"))
@@ -105,7 +105,7 @@ def test_the_door_names_every_guess_and_turns_it_off() -> None:
     assert all(word in duckdb_files.copy("SELECT 1", Path("/a")) for word in ("PER_THREAD_OUTPUT false", "PRESERVE_ORDER true"))
 
 
-def test_pyarrow_reads_no_folders_as_data_sets() -> None:
+def test_pyarrow_never_reads_folders_as_data_sets() -> None:
     assert [path for path in PACKAGE.rglob("*.py") if GUESSES.search(path.read_text())] == []
 
 
@@ -126,7 +126,9 @@ NAMES = st.text(st.sampled_from("ab0*?[]{}!=\\'\" \n~-^,%#ü"), min_size=1, max_
 @given(folder=NAMES, names=st.sets(NAMES, min_size=1, max_size=4))
 @example(folder="v=7", names={"robot[0]", "robot0", "robot[!1]", "robot*"})
 @example(folder="[!a]", names={"a\\[b", "a\\*", "**", "?"})
-def test_as_many_rows_are_read_as_were_written(tmp_path_factory: pytest.TempPathFactory, folder: str, names: set[str]) -> None:
+def test_the_number_of_read_rows_equals_the_number_of_written_ones(
+    tmp_path_factory: pytest.TempPathFactory, folder: str, names: set[str]
+) -> None:
     root = tmp_path_factory.mktemp("odd") / folder
     files = [_written(root / "out=1", name, 2 + place) for place, name in enumerate(sorted(names))]
     target = root / "segment" / "output.t.parquet"
@@ -144,7 +146,7 @@ def test_as_many_rows_are_read_as_were_written(tmp_path_factory: pytest.TempPath
 
 
 @pytest.mark.parametrize("name", ["plain", "[x]", "a*b", "b\\[c]"])
-def test_a_connection_reads_its_own_folder_and_no_other_whatever_it_is_called(tmp_path: Path, name: str) -> None:
+def test_a_connection_reads_only_its_own_folder_for_any_folder_name(tmp_path: Path, name: str) -> None:
     import duckdb
 
     mine, other = tmp_path / name / "segments", tmp_path / "other"
@@ -158,7 +160,7 @@ def test_a_connection_reads_its_own_folder_and_no_other_whatever_it_is_called(tm
     connection.close()
 
 
-def test_a_folder_that_took_the_place_of_another_is_read(tmp_path: Path) -> None:
+def test_a_folder_that_replaced_another_is_read(tmp_path: Path) -> None:
     for number in (1, 2):
         folder = tmp_path / "[x]"
         folder.mkdir()
@@ -168,7 +170,7 @@ def test_a_folder_that_took_the_place_of_another_is_read(tmp_path: Path) -> None
         folder.rename(tmp_path / f"old {number}")
 
 
-def test_a_store_is_refused_where_its_files_cannot_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_store_is_refused_in_a_folder_whose_name_duckdb_cannot_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(
         Missing, match=r"p\\xff/.sierra: a store cannot be in a folder whose name is not UTF-8; rename the folder"
     ):
@@ -181,7 +183,7 @@ def test_a_store_is_refused_where_its_files_cannot_be_named(tmp_path: Path, monk
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_folder_of_temporary_files_may_be_called_anything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_folder_of_temporary_files_may_have_any_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = Path(os.fsdecode(bytes(tmp_path) + b"/[t] \xff"))
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
@@ -192,7 +194,7 @@ def test_the_folder_of_temporary_files_may_be_called_anything(tmp_path: Path, mo
 
 
 def _check(root: Path, names: tuple[str, ...]) -> None:
-    """Run two runs that write these files, and compare what SQL, statistics and the check of the store say with them."""
+    """Execute two runs that write these files, and compare SQL, statistics and fsck with the files."""
     config = projects.CONFIG + '[outputs.odd]\nfile = "*.csv"\nmismatch = "ragged"\n'
     project = sierra.open(projects.make(root, config, simulator=WRITES.format(names=names)))
     summary = project.run("population_size=1")
@@ -207,19 +209,19 @@ def _check(root: Path, names: tuple[str, ...]) -> None:
 
 
 @pytest.mark.integration
-def test_odd_names_of_outputs_change_nothing(tmp_path: Path) -> None:
+def test_odd_names_of_outputs_do_not_change_results(tmp_path: Path) -> None:
     _check(tmp_path / "p", ("robot0", *ODD_NAMES))
 
 
 @pytest.mark.integration
 @pytest.mark.parametrize("folder", ["v=7/p", "[x]"])
-def test_odd_names_of_folders_change_nothing(tmp_path: Path, folder: str) -> None:
+def test_odd_names_of_folders_do_not_change_results(tmp_path: Path, folder: str) -> None:
     _check(tmp_path / folder, ("robot0", "robot[0]"))
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("folder", ODD_FOLDERS)
-def test_more_odd_names_of_folders_change_nothing(tmp_path: Path, folder: str) -> None:
+def test_more_odd_names_of_folders_do_not_change_results(tmp_path: Path, folder: str) -> None:
     _check(tmp_path / folder, ("robot0", "robot[0]"))
 
 
@@ -232,7 +234,7 @@ for name in ("b=77/x.jsonl", "b=77/[0]/x.jsonl"):
 """
 
 
-def test_folders_in_the_output_folder_give_no_columns(tmp_path: Path) -> None:
+def test_folders_within_the_output_folder_give_no_columns(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.x]\nfile = "*.jsonl"\n'
     project = sierra.open(projects.make(tmp_path / "p", config, simulator=INSIDE))
     project.run("population_size=1", figures=False)

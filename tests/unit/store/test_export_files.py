@@ -1,4 +1,4 @@
-"""Recorded files are listed and written out again: as they were, nowhere else, and over nothing."""
+"""Recorded files are listed and exported: unchanged, only into the target folder, without overwriting."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ if os.environ.get("GREAT"):
             file.write(bytes([part]) * (1 << 20))
 """
 CONFIG = projects.CONFIG + "[store]\nraw = false\n"
-"""Most of this is about tables that are there as rows alone."""
+"""Most tests are about tables that are stored only as rows."""
 HOSTILE = "deep/er/a \n'bé"
 INPUT, STDOUT = "input/input.xml", "stdout"
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project with a batch of two experiments of two runs; only looked at."""
+    """Return a project with a batch of two experiments of two runs; tests only read it."""
     folder = make(tmp_path_factory.mktemp("files") / "project", CONFIG, simulator=SIMULATOR)
     assert quick(folder, "run", "noise=0:1:2", "--no-figures").returncode == 0
     return folder
@@ -68,7 +68,7 @@ def first_run(folder: Path) -> dict[str, Any]:
 
 
 def listed(folder: Path, *words: str) -> list[dict[str, Any]]:
-    """All files of all runs, each with its run's fields."""
+    """Return all files of all runs with the fields of their runs."""
     runs = json.loads(quick(folder, "files", *words, "--json").stdout)["runs"]
     return [{**run, **file} for run in runs for file in run["files"]]
 
@@ -86,7 +86,7 @@ def refused(ended: subprocess.CompletedProcess[str], code: int, *said: str) -> N
 
 
 @pytest.mark.integration
-def test_a_run_s_files_are_listed_with_kind_size_and_hash(project: Path) -> None:
+def test_files_of_a_run_are_listed_with_kind_size_and_hash(project: Path) -> None:
     run = first_run(project)["run"]
     files = {file["path"]: file for file in listed(project, run)}
     assert {path: file["kind"] for path, file in files.items()} == {
@@ -105,11 +105,11 @@ def test_a_run_s_files_are_listed_with_kind_size_and_hash(project: Path) -> None
     assert {(file["number"], file["which"], file["status"]) for file in files.values()} == {(0, "counts", "ok")}
     said = quick(project, "files", run[:12]).stdout
     assert "is the one that counts" in said
-    assert "\\n'bé" in said  # a line feed in a name breaks no line
+    assert "\\n'bé" in said  # a line feed in a name is escaped
 
 
 @pytest.mark.parametrize(("kind", "runs"), [("batch", 4), ("experiment", 2), ("run", 1), ("execution", 1)])
-def test_files_of_whatever_an_id_names(project: Path, kind: str, runs: int) -> None:
+def test_files_of_a_batch_experiment_run_or_execution_are_listed(project: Path, kind: str, runs: int) -> None:
     table = {"batch": "batches", "experiment": "experiments", "run": "runs", "execution": "executions"}[kind]
     identity = rows(project, f"SELECT min({kind}) AS id FROM {table}")[0]["id"]
     files = listed(project, identity)
@@ -122,7 +122,7 @@ def test_files_of_whatever_an_id_names(project: Path, kind: str, runs: int) -> N
 
 
 @pytest.mark.integration
-def test_one_file_goes_to_standard_output_byte_for_byte(project: Path) -> None:
+def test_one_file_is_written_to_standard_output_byte_for_byte(project: Path) -> None:
     run = first_run(project)
     from tests.projects import SIERRA
 
@@ -133,14 +133,14 @@ def test_one_file_goes_to_standard_output_byte_for_byte(project: Path) -> None:
     assert f'seed="{run["seed"]}"' in quick(project, "files", run["run"], "input.xml").stdout
 
 
-def test_a_table_is_written_as_the_run_wrote_it_where_its_values_say_so(project: Path) -> None:
+def test_a_table_is_exported_byte_for_byte_if_its_values_allow_it(project: Path) -> None:
     run = first_run(project)
     ended = quick(project, "files", run["run"], "swarm.csv")
     expected = "tick,run,Cover age\n" + "".join(f"{tick},{tick / 3!r},{run['seed']}\n" for tick in range(50))
     assert (ended.stdout, ended.stderr) == (expected, "")
 
 
-def test_a_table_whose_bytes_differ_has_the_same_values_and_says_so(project: Path) -> None:
+def test_an_exported_table_with_other_bytes_has_the_same_values_and_a_note(project: Path) -> None:
     run = first_run(project)["run"]
     ended = quick(project, "files", run, "odd.csv")
     assert ended.stdout == "a,b\n1.5,x\n2.25,\n"
@@ -151,7 +151,7 @@ def test_a_table_whose_bytes_differ_has_the_same_values_and_says_so(project: Pat
 
 
 @pytest.mark.integration
-def test_a_table_is_written_as_the_run_wrote_it_where_its_bytes_are_kept(tmp_path: Path) -> None:
+def test_a_table_whose_bytes_are_stored_is_exported_byte_for_byte(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     run = first_run(folder)["run"]
@@ -170,7 +170,7 @@ def test_a_table_is_written_as_the_run_wrote_it_where_its_bytes_are_kept(tmp_pat
 
 
 @pytest.mark.integration
-def test_a_path_as_it_is_listed_means_that_file_alone(tmp_path: Path) -> None:
+def test_a_listed_path_selects_only_that_file(tmp_path: Path) -> None:
     simulator = "open('stdout', 'w').write('mine'); open('a[b]', 'w').write('brackets'); print('log')\n"
     folder = make(tmp_path / "project", simulator=simulator)
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
@@ -180,7 +180,7 @@ def test_a_path_as_it_is_listed_means_that_file_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_what_names_no_file_or_several_is_said(project: Path) -> None:
+def test_paths_that_match_no_file_or_several_are_reported(project: Path) -> None:
     run = first_run(project)["run"]
     refused(quick(project, "files", run, "nope.csv"), 2, "no recorded file 'nope.csv'", "'output/swarm.csv'")
     refused(quick(project, "files", run, "*.csv"), 2, "that is 2 files", "--to FOLDER")
@@ -191,7 +191,7 @@ def test_what_names_no_file_or_several_is_said(project: Path) -> None:
 # a folder
 
 
-def test_a_batch_is_written_into_a_folder_by_experiment_and_number(project: Path, tmp_path: Path) -> None:
+def test_a_batch_is_exported_into_folders_by_experiment_and_number(project: Path, tmp_path: Path) -> None:
     ended = quick(project, "files", batch_of(project), "--to", str(tmp_path / "new" / "out"))
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "32 files of 4 runs" in ended.stdout
@@ -206,7 +206,7 @@ def test_a_batch_is_written_into_a_folder_by_experiment_and_number(project: Path
 
 
 @pytest.mark.integration
-def test_several_files_of_one_table_and_a_run_of_two_experiments_are_all_written(tmp_path: Path) -> None:
+def test_all_files_of_one_table_and_of_a_run_in_two_experiments_are_exported(tmp_path: Path) -> None:
     simulator = (
         "import pathlib\n"
         "for part in range(3):\n"
@@ -230,7 +230,7 @@ def test_several_files_of_one_table_and_a_run_of_two_experiments_are_all_written
         assert (output / "typed.parquet.csv").read_text() == 't,l,f\n2020-01-02 03:04:05+00,"[1, 2]",0.1\n'
 
 
-def test_only_what_is_named_is_written(project: Path, tmp_path: Path) -> None:
+def test_only_files_that_match_the_patterns_are_exported(project: Path, tmp_path: Path) -> None:
     ended = quick(project, "files", batch_of(project), "swarm.csv", "std*", "--to", str(tmp_path / "out"), "--json")
     assert ended.returncode == 0
     told = json.loads(ended.stdout)
@@ -240,7 +240,7 @@ def test_only_what_is_named_is_written(project: Path, tmp_path: Path) -> None:
     assert {file["written"] for file in files} == set(written(tmp_path / "out"))
 
 
-def test_nothing_is_overwritten_and_all_else_is_written(project: Path, tmp_path: Path) -> None:
+def test_existing_files_are_not_overwritten_and_all_others_are_exported(project: Path, tmp_path: Path) -> None:
     first = listed(project, batch_of(project))[0]
     place = tmp_path / first["experiment"][:10] / "0"
     (place / "output").mkdir(parents=True)
@@ -258,7 +258,7 @@ def test_nothing_is_overwritten_and_all_else_is_written(project: Path, tmp_path:
     assert not list(tmp_path.rglob(".sierra-*"))
 
 
-def test_a_link_in_the_folder_is_not_followed(project: Path, tmp_path: Path) -> None:
+def test_a_link_in_the_target_folder_is_not_followed(project: Path, tmp_path: Path) -> None:
     run, elsewhere = first_run(project)["run"], tmp_path / "elsewhere"
     elsewhere.mkdir()
     (tmp_path / "out").mkdir()
@@ -270,7 +270,7 @@ def test_a_link_in_the_folder_is_not_followed(project: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.integration
-def test_paths_that_a_stranger_recorded_stay_in_the_folder(tmp_path: Path) -> None:
+def test_paths_of_a_hostile_record_stay_in_the_target_folder(tmp_path: Path) -> None:
     folder = make(tmp_path / "project")
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     [one] = rows(folder, "SELECT execution, run, batch FROM executions")
@@ -289,22 +289,22 @@ def test_paths_that_a_stranger_recorded_stay_in_the_folder(tmp_path: Path) -> No
     assert good.relative_to(tmp_path / "out" / "deep").parts[1:] == ("0", "output", "good")
 
 
-def test_the_store_is_no_place_to_write_to(project: Path) -> None:
+def test_an_export_into_the_store_is_refused(project: Path) -> None:
     refused(quick(project, "files", batch_of(project), "--to", ".sierra/segments/x"), 2, "is in the store itself")
     assert not (project / ".sierra" / "segments" / "x").exists()
 
 
-def test_a_folder_that_would_count_as_source_is_doubted(project: Path) -> None:
+def test_a_target_folder_that_is_part_of_the_source_gets_a_note(project: Path) -> None:
     ended = quick(project, "files", first_run(project)["run"], "empty", "--to", "shown")
     assert (ended.returncode, ended.stderr.count("\n")) == (0, 1)
     assert "note: shown is in the project, and so counts as its source" in ended.stderr
 
 
-# what is damaged, cut, failed or great
+# damaged, truncated, failed and large files
 
 
 def _damage(folder: Path, digest: str) -> None:
-    """Change a byte of one object, as a disk may."""
+    """Change a byte of one object, as a faulty disk does."""
     for path in folder.glob(".sierra/segments/*/objects.parquet"):
         table = pq.read_table(path)
         contents = [
@@ -315,7 +315,7 @@ def _damage(folder: Path, digest: str) -> None:
 
 
 @pytest.mark.integration
-def test_a_damaged_file_is_said_and_all_else_is_written(tmp_path: Path) -> None:
+def test_a_damaged_file_is_reported_and_all_others_are_exported(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
     run = first_run(folder)["run"]
@@ -330,7 +330,7 @@ def test_a_damaged_file_is_said_and_all_else_is_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_table_that_is_not_what_was_recorded_is_not_written(tmp_path: Path) -> None:
+def test_a_table_that_differs_from_the_record_is_not_exported(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", CONFIG, simulator=SIMULATOR)
     assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
     for path in folder.glob(".sierra/segments/*/output.swarm.parquet"):
@@ -347,7 +347,7 @@ def test_a_table_that_is_not_what_was_recorded_is_not_written(tmp_path: Path) ->
     assert len(written(tmp_path / "out")) == 1
 
 
-def test_a_store_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
+def test_a_store_that_cannot_be_read_is_reported_in_one_line(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", CONFIG)
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
     run = first_run(folder)["run"]
@@ -362,7 +362,7 @@ def test_a_store_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_failed_run_gives_the_files_of_its_last_execution(tmp_path: Path) -> None:
+def test_files_of_a_failed_run_come_from_its_last_execution(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     for _ in range(2):
         assert quick(folder, "run", "population_size=91", "--runs", "1", "--no-figures").returncode == 1
@@ -379,7 +379,7 @@ def test_a_failed_run_gives_the_files_of_its_last_execution(tmp_path: Path) -> N
 
 
 @pytest.mark.integration
-def test_a_great_file_and_a_cut_log(tmp_path: Path) -> None:
+def test_large_files_and_truncated_logs_are_exported(tmp_path: Path) -> None:
     simulator = SIMULATOR + "print('x' * 3_000_000)\n"
     folder = make(tmp_path / "project", CONFIG + '[environment]\nset = { GREAT = "1" }\n', simulator=simulator)
     assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
@@ -396,7 +396,7 @@ def test_a_great_file_and_a_cut_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_show_names_a_run_s_files_and_how_to_get_them(project: Path) -> None:
+def test_show_names_the_files_of_a_run_and_the_command_to_export_them(project: Path) -> None:
     run = first_run(project)["run"]
     said = quick(project, "show", run).stdout
     assert "output/swarm.csv" in said
@@ -418,7 +418,7 @@ def test_show_groups_failures_by_their_reason(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_show_says_ten_reasons_at_most(tmp_path: Path) -> None:
+def test_show_lists_at_most_ten_reasons(tmp_path: Path) -> None:
     simulator = "import os, sys\nsys.exit(1 + int(os.environ['SIERRA_SEED']) % 200)\n"
     folder = make(tmp_path / "project", simulator=simulator)
     assert quick(folder, "run", "population_size=1", "--runs", "30", "--no-figures").returncode == 1
@@ -430,7 +430,7 @@ def test_show_says_ten_reasons_at_most(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_columns_of_axes_stand_in_the_order_of_the_query(tmp_path: Path) -> None:
+def test_columns_of_axes_are_in_the_order_of_the_query(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
     for ask in (("noise=0,1", "population_size=1,2"), ("population_size=1,2", "noise=0,1")):
         ran = quick(folder, "run", *ask, "--runs", "1", "--no-figures").stdout

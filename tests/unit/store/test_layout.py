@@ -1,4 +1,4 @@
-"""Names from a record stay in the folder that they are meant for."""
+"""Paths with names from a record never leave the folder of their purpose."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def test_a_name_that_leads_outside_is_refused(tmp_path: Path, name: str) -> None
 
 
 @pytest.mark.parametrize("name", ["x", "a/b", "a b'c\nd", "...", "a..b/..c", "~", "-rf"])
-def test_a_name_that_stays_inside_is_a_path_there(tmp_path: Path, name: str) -> None:
+def test_a_name_that_stays_inside_is_a_path_in_the_folder(tmp_path: Path, name: str) -> None:
     assert inside(tmp_path, name) == tmp_path / name
 
 
-def test_a_link_on_the_way_is_refused_only_where_it_leads_outside(tmp_path: Path) -> None:
+def test_a_link_in_a_path_is_refused_only_if_it_leads_outside(tmp_path: Path) -> None:
     root = tmp_path / "root"
     (root / "folder").mkdir(parents=True)
     (root / "out").symlink_to(tmp_path)
@@ -46,7 +46,7 @@ def test_a_link_that_is_not_followed_may_lead_anywhere(tmp_path: Path) -> None:
         inside(root, "out/x", link=True)
 
 
-def test_a_root_that_is_a_link_itself_is_fine(tmp_path: Path) -> None:
+def test_a_root_that_is_a_link_is_accepted(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir()
     (tmp_path / "root").symlink_to("real")
     assert inside(tmp_path / "root", "x") == tmp_path / "root" / "x"
@@ -64,7 +64,7 @@ def test_no_name_leads_outside(tmp_path_factory: pytest.TempPathFactory, name: s
 
 
 @pytest.mark.parametrize("name", ["..", "../../../x", "/etc", ""])
-def test_the_folders_of_a_store_that_are_called_by_ids_stay_in_it(tmp_path: Path, name: str) -> None:
+def test_folders_of_a_store_that_are_named_by_ids_stay_in_it(tmp_path: Path, name: str) -> None:
     store = StorePaths(tmp_path)
     for named in (store.image, store.kept, ProjectPaths(tmp_path).drawn):
         with pytest.raises(Damaged):

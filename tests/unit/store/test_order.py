@@ -1,4 +1,4 @@
-"""Which record is the later one: by the numbers that sessions take, whatever any clock said."""
+"""The order of records: by the Lamport numbers of sessions, never by clocks."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from sierra.util.hashing import sha256
 from tests import projects
 
 Change = Callable[[str, pa.Table], pa.Table]
-"""What becomes of a file of records, by the name of its table."""
+"""A function that changes a file of records, given the name of its table."""
 DAYS = timedelta(days=2)
 
 
 def install(root: Path, value: int) -> None:
-    """Make the program, which lies outside the project, one that finds this value."""
+    """Install a program outside the project whose result is this value."""
     program = root.parent / "simulator"
     program.write_text(f"#!/bin/sh\nprintf 'tick,v\\n0,{value}\\n' > out.csv\n")
     program.chmod(0o755)
@@ -50,13 +50,13 @@ def ask(root: Path) -> Any:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A project whose runs were executed by a program that found 1, then by one that found 2."""
+    """Return a project whose runs were executed by a program with the result 1, then by one with the result 2."""
     return make(tmp_path_factory.mktemp("order"))
 
 
 @pytest.fixture
 def root(made: Path) -> Any:
-    """The same, as if nothing had happened to it since."""
+    """Return an unchanged copy of that project."""
     kept = made.parent / "kept"
     if not kept.exists():
         shutil.copytree(made, kept, symlinks=True)
@@ -67,7 +67,7 @@ def root(made: Path) -> Any:
 
 
 def rewrite(root: Path, change: Change, tables: Iterable[str] = ORDERED) -> None:
-    """Write all records of these tables anew, as another clock or another SIERRA would have written them."""
+    """Rewrite all records of these tables, as another clock or another version would have written them."""
     for folder in sorted((root / ".sierra" / "segments").iterdir()):
         for path in folder.glob("*.parquet"):
             if path.stem in tables:
@@ -80,7 +80,7 @@ def rewrite(root: Path, change: Change, tables: Iterable[str] = ORDERED) -> None
 
 
 def later(number: int, by: timedelta, only: Callable[[pa.Table], Any] | None = None) -> Change:
-    """Move the times of what the session of that number has recorded."""
+    """Return a change that shifts the times of the records of the session with that number."""
 
     def change(name: str, table: pa.Table) -> pa.Table:
         mine = pc.equal(pc.shift_right(table["lamport"], TIE + POSITION), number)
@@ -95,12 +95,12 @@ def later(number: int, by: timedelta, only: Callable[[pa.Table], Any] | None = N
 
 
 def numbers(root: Path, table: str) -> list[int]:
-    """The Lamport numbers that the rows of a table have."""
+    """Return the Lamport numbers of the rows of a table."""
     return sorted(number_of(row["lamport"]) for row in sierra.open(root).sql(f"SELECT lamport FROM {table}").to_pylist())
 
 
 def found(root: Path) -> set[Any]:
-    """What statistics, SQL and all the rest that shows one value say, as one set."""
+    """Return the values that statistics, SQL and other outputs report, as one set."""
     project = sierra.open(root)
     [batch] = project.batches
     [statistics] = project.statistics(batch["batch"], "out", "v").to_pylist()
@@ -113,7 +113,7 @@ def found(root: Path) -> set[Any]:
 
 @pytest.mark.integration
 @pytest.mark.parametrize(("number", "by"), [(1, DAYS), (2, -DAYS)], ids=["ahead before", "behind now"])
-def test_the_later_asking_counts_whatever_its_clock_said(root: Path, number: int, by: timedelta) -> None:
+def test_the_later_session_is_effective_for_any_time_of_its_clock(root: Path, number: int, by: timedelta) -> None:
     rewrite(root, later(number, by))
     assert found(root) == {2}
     assert ask(root).executed == 0
@@ -125,7 +125,7 @@ def test_the_later_asking_counts_whatever_its_clock_said(root: Path, number: int
 
 
 @pytest.mark.integration
-def test_figures_show_what_was_executed_last(root: Path) -> None:
+def test_figures_show_the_last_executions(root: Path) -> None:
     def drawn() -> dict[str, bytes]:
         paths = sierra.open(root).run("population_size=1").figures
         return {path: Path(root, path).read_bytes() for path in paths}
@@ -139,7 +139,7 @@ def test_figures_show_what_was_executed_last(root: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_clock_may_jump_back_in_the_middle_of_a_session(root: Path) -> None:
+def test_a_clock_that_jumps_back_during_a_session_does_not_change_results(root: Path) -> None:
     rewrite(root, later(2, -DAYS, only=lambda table: pc.equal(pc.bit_wise_and(table["lamport"], 1), 1)))
     assert found(root) == {2}
     places = sierra.open(root).sql("SELECT lamport FROM executions ORDER BY ALL").column(0).to_pylist()
@@ -147,7 +147,7 @@ def test_a_clock_may_jump_back_in_the_middle_of_a_session(root: Path) -> None:
 
 
 @pytest.mark.parametrize("by", [DAYS, -DAYS])
-def test_of_two_sessions_with_one_number_that_with_the_greater_id_is_the_later(root: Path, by: timedelta) -> None:
+def test_the_session_with_the_greater_id_is_later_if_numbers_are_equal(root: Path, by: timedelta) -> None:
     rewrite(root, later(1, by))
 
     def tied(name: str, table: pa.Table) -> pa.Table:
@@ -178,7 +178,7 @@ def test_a_column_that_older_segments_lack_is_null(root: Path, monkeypatch: pyte
 
 
 @pytest.mark.integration
-def test_batches_are_listed_in_the_order_in_which_they_were_asked_for(root: Path) -> None:
+def test_batches_are_listed_in_the_order_of_their_submission(root: Path) -> None:
     rewrite(root, later(2, DAYS))
     last = sierra.open(root).run("population_size=2", figures=False).batch
     assert sierra.open(root).batches[-1]["batch"] == last
@@ -187,7 +187,7 @@ def test_batches_are_listed_in_the_order_in_which_they_were_asked_for(root: Path
 
 
 @pytest.mark.integration
-def test_a_session_has_a_greater_number_than_all_that_it_can_see(root: Path) -> None:
+def test_a_session_has_a_greater_number_than_all_visible_ones(root: Path) -> None:
     store = sierra.open(root).paths.store
     one, two = Session(StorePaths(store)), Session(StorePaths(store))
     one.take_number()
@@ -204,7 +204,7 @@ def test_a_session_has_a_greater_number_than_all_that_it_can_see(root: Path) -> 
     assert numbers(root, "executions") == [1, 1, 2, 2, 3, 3, 4, 4]
 
 
-def test_numbers_that_sierra_does_not_give_are_said(root: Path) -> None:
+def test_invalid_lamport_numbers_are_reported(root: Path) -> None:
     def beyond(name: str, table: pa.Table) -> pa.Table:
         place = table.schema.get_field_index("lamport")
         return table.set_column(place, table.schema.field(place), pa.array([2**63 - 1] * len(table), pa.int64()))
@@ -216,7 +216,7 @@ def test_numbers_that_sierra_does_not_give_are_said(root: Path) -> None:
         ask(root)
 
 
-def test_whoever_takes_a_session_over_goes_on_with_its_number(tmp_path: Path) -> None:
+def test_a_session_that_is_taken_over_keeps_its_number(tmp_path: Path) -> None:
     store = Store.create(tmp_path / "store").paths
     left, other = Session(store), Session(store)
     left.take_number()

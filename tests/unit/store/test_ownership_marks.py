@@ -1,4 +1,4 @@
-"""Nothing is removed, and nothing written, that does not bear SIERRA's own mark."""
+"""SIERRA removes and writes only in folders that have its mark."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OWNER = {"pid": 1, "born": 5, "boot": "0", "where": ["elsewhere"]}
 
 @pytest.fixture
 def theirs(tmp_path: Path) -> Path:
-    """A folder with what somebody else needs; some of it looks like a session."""
+    """Return a folder with files of somebody else; some of them look like a session."""
     folder = tmp_path / "scratch"
     for name in ("thesis", "0123456789abcdef"):
         (folder / name).mkdir(parents=True)
@@ -39,7 +39,7 @@ def files(folder: Path) -> list[str]:
 
 @pytest.mark.parametrize("target", ["../../scratch", "{tmp}/scratch"])
 @pytest.mark.parametrize("words", [("run", "population_size=1"), ("gc", "--yes"), ("gc", "--dry-run"), ("rm", "{batch}", "-y")])
-def test_work_that_is_a_link_to_somebody_elses_folder_is_refused(
+def test_a_work_folder_that_links_to_somebody_elses_folder_is_refused(
     recorded: Path, tmp_path: Path, theirs: Path, target: str, words: tuple[str, ...]
 ) -> None:
     root = stores.copy(recorded, tmp_path / "project")
@@ -54,7 +54,7 @@ def test_work_that_is_a_link_to_somebody_elses_folder_is_refused(
 
 
 @pytest.mark.integration
-def test_work_may_be_a_link_to_an_empty_folder_which_is_the_stores_own_from_then_on(tmp_path: Path) -> None:
+def test_the_work_folder_may_link_to_an_empty_folder_that_the_store_then_owns(tmp_path: Path) -> None:
     (tmp_path / "scratch").mkdir()
     one, two = projects.make(tmp_path / "one"), projects.make(tmp_path / "two")
     for root in (one, two):
@@ -70,7 +70,7 @@ def test_work_may_be_a_link_to_an_empty_folder_which_is_the_stores_own_from_then
     assert projects.quick(one, "run", "population_size=2", "--no-figures").returncode == 0
 
 
-def test_a_link_that_leads_nowhere_or_to_a_file_is_refused(tmp_path: Path) -> None:
+def test_a_work_folder_that_links_nowhere_or_to_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("data\n")
     for number, target in enumerate(("nowhere", "file")):
         root = projects.make(tmp_path / str(number))
@@ -83,7 +83,9 @@ def test_a_link_that_leads_nowhere_or_to_a_file_is_refused(tmp_path: Path) -> No
 
 
 @pytest.mark.integration
-def test_what_lies_among_sessions_and_is_none_is_left_and_named(recorded: Path, tmp_path: Path, theirs: Path) -> None:
+def test_entries_of_the_work_folder_that_are_not_sessions_are_kept_and_reported(
+    recorded: Path, tmp_path: Path, theirs: Path
+) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     work = root / ".sierra" / "work"
     shutil.copytree(theirs, work, dirs_exist_ok=True)
@@ -98,7 +100,9 @@ def test_what_lies_among_sessions_and_is_none_is_left_and_named(recorded: Path, 
 
 
 @pytest.mark.integration
-def test_a_store_of_before_there_were_marks_goes_on(tmp_path: Path, simulate: Callable[..., Simulated]) -> None:
+def test_a_store_without_marks_of_an_older_version_continues_to_work(
+    tmp_path: Path, simulate: Callable[..., Simulated]
+) -> None:
     project = simulate(held(4))
     asked = project.start("run", "size=1,2,3,4", "-j", "2", "--no-figures")
     project.until_executed(4, asked)
@@ -115,7 +119,7 @@ def test_a_store_of_before_there_were_marks_goes_on(tmp_path: Path, simulate: Ca
     assert project.ask("fsck").returncode == 0
 
 
-def test_a_folder_that_is_not_empty_becomes_no_store(tmp_path: Path, theirs: Path) -> None:
+def test_a_folder_that_is_not_empty_does_not_become_a_store(tmp_path: Path, theirs: Path) -> None:
     (theirs / ".gitignore").write_text("theirs\n")
     root = projects.make(tmp_path / "project")
     (root / ".sierra").symlink_to(theirs)
@@ -130,10 +134,10 @@ def test_a_folder_that_is_not_empty_becomes_no_store(tmp_path: Path, theirs: Pat
     "words",
     [("run", "population_size=1", "-n"), ("run", "population_size=1"), ("fsck",), ("fsck", "--repair"), ("gc", "--yes")],
 )
-def test_a_folder_that_is_no_store_stays_as_it_is(
+def test_a_folder_that_is_not_a_store_stays_unchanged(
     tmp_path: Path, theirs: Path, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sierra.provenance.source.plain_tree.SETTLED_NS", -1e12)  # hashes of new files are remembered too
+    monkeypatch.setattr("sierra.provenance.source.plain_tree.SETTLED_NS", -1e12)  # cache the hashes of new files too
     for name in ("files", "numbers"):
         (theirs / name).write_text("theirs\n")
     root = projects.make(tmp_path / "project")
@@ -146,7 +150,7 @@ def test_a_folder_that_is_no_store_stays_as_it_is(
 
 
 @pytest.mark.integration
-def test_of_what_a_repair_put_aside_only_segments_are_removed(recorded: Path, tmp_path: Path, theirs: Path) -> None:
+def test_gc_removes_only_segments_from_the_folder_of_damaged_files(recorded: Path, tmp_path: Path, theirs: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     shutil.copytree(theirs, root / ".sierra" / "theirs")
     next(root.glob(".sierra/segments/*/executions.parquet")).write_bytes(b"")
@@ -158,7 +162,7 @@ def test_of_what_a_repair_put_aside_only_segments_are_removed(recorded: Path, tm
 
 
 def died(root: Path, theirs: Path, **fields: object) -> Path:
-    """A session that died, as a stranger may make it up: its journal has a run whose folder is `theirs`."""
+    """Forge a dead session, as an attacker could: its journal has a run whose folder is `theirs`."""
     session = root / ".sierra" / "work" / "00000000deadbeef"
     session.mkdir(parents=True)
     (session / "owner.0").write_text(json.dumps(OWNER))
@@ -197,7 +201,7 @@ def died(root: Path, theirs: Path, **fields: object) -> Path:
 
 
 @pytest.mark.integration
-def test_no_journal_has_a_folder_outside_its_session_read_or_removed(recorded: Path, tmp_path: Path, theirs: Path) -> None:
+def test_a_journal_cannot_cause_access_to_a_folder_outside_its_session(recorded: Path, tmp_path: Path, theirs: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     session = died(root, theirs)
     before = files(theirs)
@@ -207,7 +211,7 @@ def test_no_journal_has_a_folder_outside_its_session_read_or_removed(recorded: P
 
 
 @pytest.mark.integration
-def test_no_session_that_died_gives_the_store_a_file_from_elsewhere(recorded: Path, tmp_path: Path) -> None:
+def test_a_dead_session_cannot_add_files_from_outside_to_the_store(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     secret = tmp_path / "secret"
     secret.write_text("do not publish\n")
@@ -223,7 +227,7 @@ def test_no_session_that_died_gives_the_store_a_file_from_elsewhere(recorded: Pa
 
 
 @pytest.mark.integration
-def test_no_lock_is_a_link(recorded: Path, tmp_path: Path) -> None:
+def test_a_lock_that_is_a_link_is_not_followed(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     thesis = tmp_path / "thesis"
     thesis.write_text("data\n")
@@ -245,7 +249,7 @@ def scratch(tmp_path: Path, name: str, path: Path | str) -> Path:
 
 
 @pytest.mark.integration
-def test_two_projects_may_execute_in_one_folder_elsewhere(tmp_path: Path, theirs: Path) -> None:
+def test_two_projects_may_share_one_external_work_folder(tmp_path: Path, theirs: Path) -> None:
     before = files(theirs)
     roots = [scratch(tmp_path, name, theirs) for name in ("one", "two")]
     for root in roots:
@@ -259,7 +263,7 @@ def test_two_projects_may_execute_in_one_folder_elsewhere(tmp_path: Path, theirs
 
 
 @pytest.mark.integration
-def test_runs_execute_elsewhere_and_what_died_there_is_recorded_and_removed(
+def test_a_dead_session_in_an_external_work_folder_is_recorded_and_removed(
     tmp_path: Path, theirs: Path, simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MY_SCRATCH", str(theirs))
@@ -281,7 +285,9 @@ def test_runs_execute_elsewhere_and_what_died_there_is_recorded_and_removed(
     assert len(set(files(theirs)) - set(before)) == 2
 
 
-def test_what_a_session_says_of_elsewhere_is_removed_only_with_the_mark(recorded: Path, tmp_path: Path, theirs: Path) -> None:
+def test_an_external_folder_named_by_a_session_is_removed_only_with_a_mark(
+    recorded: Path, tmp_path: Path, theirs: Path
+) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     session = died(root, theirs)
     before = files(theirs)
@@ -295,7 +301,9 @@ def test_what_a_session_says_of_elsewhere_is_removed_only_with_the_mark(recorded
 
 
 @pytest.mark.integration
-def test_elsewhere_may_be_another_disk_which_a_link_may_not_lead_to(tmp_path: Path, disk: Callable[[Path, str], Path]) -> None:
+def test_the_external_work_folder_may_be_on_another_disk_and_a_link_may_not(
+    tmp_path: Path, disk: Callable[[Path, str], Path]
+) -> None:
     other = disk(tmp_path / "other", "16m")
     root = scratch(tmp_path, "project", other / "made")
     assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode == 0
@@ -314,7 +322,7 @@ def test_elsewhere_may_be_another_disk_which_a_link_may_not_lead_to(tmp_path: Pa
     assert files(other / "empty") == []
 
 
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+def test_a_work_folder_that_cannot_be_created_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for path, code in ((tmp_path / "file", 3), ("$NO_SUCH_VARIABLE/x", 3), ("relative", 2)):
         root = scratch(tmp_path, "project", path)
@@ -323,10 +331,10 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
         assert "work" in ended.stderr
 
 
-# ---------------------------------------------------------------- names that a record gives
+# ---------------------------------------------------------------- names from records
 
 
-def test_nothing_is_removed_through_a_link_in_the_place_of_images(recorded: Path, tmp_path: Path) -> None:
+def test_gc_removes_nothing_through_a_link_instead_of_the_image_folder(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     home = tmp_path / "home"
     (home / "lib").mkdir(parents=True)
@@ -338,7 +346,7 @@ def test_nothing_is_removed_through_a_link_in_the_place_of_images(recorded: Path
     assert files(home) == before
 
 
-def test_no_name_of_a_record_leaves_its_folder(tmp_path: Path) -> None:
+def test_names_from_a_record_never_leave_their_folder(tmp_path: Path) -> None:
     store, project = StorePaths(tmp_path / ".sierra"), ProjectPaths(tmp_path)
     for name in ("../x", "/x", "sha256-../../x", ""):
         with pytest.raises(Damaged):
@@ -347,7 +355,7 @@ def test_no_name_of_a_record_leaves_its_folder(tmp_path: Path) -> None:
             project.drawn(name)
 
 
-def test_a_checkout_brings_nothing_through_a_link_out_of_it(tmp_path: Path, theirs: Path) -> None:
+def test_a_checkout_writes_nothing_through_a_link_out_of_it(tmp_path: Path, theirs: Path) -> None:
     root, project = tmp_path / "root", tmp_path / "project"
     (project / "out").mkdir(parents=True)
     (project / "out" / "new").write_text("stranger's\n")

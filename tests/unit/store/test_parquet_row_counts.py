@@ -1,4 +1,4 @@
-"""Which execution counts: one rule for the summary, lists, SQL, statistics and figures."""
+"""The effective execution: one rule for the summary, lists, SQL, statistics and figures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def good(project: Project, batch: str) -> list[int]:
 
 
 @pytest.mark.integration
-def test_a_stricter_rule_counts_everywhere(tmp_path: Path) -> None:
+def test_a_stricter_success_rule_applies_everywhere(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path, simulator=SAYS))
     first = project.run("population_size=1", runs=8, figures=False)
     assert first.failed == 0
@@ -44,7 +44,7 @@ def test_a_stricter_rule_counts_everywhere(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_an_earlier_program_counts_again_when_it_is_back(tmp_path: Path) -> None:
+def test_results_of_an_earlier_program_are_effective_again_when_it_is_restored(tmp_path: Path) -> None:
     program = tmp_path / "outside" / "sim"
     program.parent.mkdir()
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", str(program)))
@@ -69,7 +69,7 @@ def test_an_earlier_program_counts_again_when_it_is_back(tmp_path: Path) -> None
 
 
 @pytest.mark.integration
-def test_a_run_of_two_experiments_stands_at_both_points(tmp_path: Path) -> None:
+def test_a_run_of_two_experiments_appears_at_both_points(tmp_path: Path) -> None:
     same = '[variables.idle]\nchanges = [{ set = "//swarm/@count", value = "{7 + 0 * idle}" }]\n'
     project = sierra.open(projects.make(tmp_path, projects.CONFIG + same))
     project.run("idle=1,2", figures=False)
@@ -78,7 +78,7 @@ def test_a_run_of_two_experiments_stands_at_both_points(tmp_path: Path) -> None:
     assert {row["idle"] for row in project.sql("SELECT idle FROM runs").to_pylist()} == {None}
 
 
-def test_values_that_make_no_difference_are_said(tmp_path: Path) -> None:
+def test_values_that_give_the_same_runs_are_reported(tmp_path: Path) -> None:
     capped = '[variables.capped]\nchanges = [{ set = "//swarm/@count", value = "{min(capped, 3)}" }]\n'
     project = sierra.open(projects.make(tmp_path, projects.CONFIG + capped))
     said = "capped=3 and capped=4 are the same runs: nothing in the input differs (as in 1 other cases)"
@@ -87,7 +87,7 @@ def test_values_that_make_no_difference_are_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_run_of_several_batches_is_there_once(tmp_path: Path) -> None:
+def test_a_run_of_several_batches_is_counted_once(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
     project.run("population_size=1,2", figures=False)
     project.run("population_size=1,2", runs=3, figures=False)
@@ -98,7 +98,7 @@ def test_a_run_of_several_batches_is_there_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_what_was_ragged_fails_when_it_is_to_be_strict(tmp_path: Path) -> None:
+def test_runs_with_ragged_outputs_fail_after_a_change_to_strict(tmp_path: Path) -> None:
     ragged = '[outputs.swarm]\nfile = "swarm.csv"\nmismatch = "ragged"\n'
     simulator = projects.SIMULATOR.replace("range(5)", "range(5 + (seed % 5 == 0))")
     root = projects.make(tmp_path, projects.CONFIG + ragged, simulator=simulator)
@@ -107,7 +107,7 @@ def test_what_was_ragged_fails_when_it_is_to_be_strict(tmp_path: Path) -> None:
     assert sierra.open(root).run("population_size=1", runs=12, figures=False).failed > 0
 
 
-def test_how_time_is_called_executes_nothing_again(tmp_path: Path) -> None:
+def test_changing_the_time_column_does_not_execute_runs_again(tmp_path: Path) -> None:
     root = projects.make(tmp_path, projects.CONFIG + '[outputs.swarm]\nfile = "swarm.csv"\n')
     sierra.open(root).run("population_size=1", figures=False)
     (root / "sierra.toml").write_text(projects.CONFIG + '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tick"\n')
@@ -115,7 +115,7 @@ def test_how_time_is_called_executes_nothing_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_library_that_git_ignores_executes_again_where_a_variable_names_it(tmp_path: Path) -> None:
+def test_runs_execute_again_if_an_ignored_library_named_by_a_variable_changes(tmp_path: Path) -> None:
     config = projects.CONFIG + '[environment]\nset = { PLUGINS = "{project}/build" }\n'
     root = projects.make(tmp_path, config)
     (root / ".gitignore").write_text("build/\n")
@@ -129,7 +129,7 @@ def test_a_library_that_git_ignores_executes_again_where_a_variable_names_it(tmp
 
 
 @pytest.mark.integration
-def test_code_in_a_folder_called_figures_is_code(tmp_path: Path) -> None:
+def test_code_in_the_folder_figures_is_part_of_the_source(tmp_path: Path) -> None:
     root = projects.make(tmp_path)
     first = sierra.open(root).run("population_size=1")
     assert first.figures
@@ -139,7 +139,7 @@ def test_code_in_a_folder_called_figures_is_code(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_statistics_over_time_and_over_runs(tmp_path: Path) -> None:
+def test_statistics_are_computed_over_time_and_over_runs(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
     batch = project.run("population_size=1,2", runs=4, figures=False).batch
     final: list[dict[str, Any]] = project.statistics(batch[:10], "swarm", "coverage").to_pylist()
@@ -153,7 +153,7 @@ def test_statistics_over_time_and_over_runs(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_table_that_is_no_curve_is_said_not_to_be_drawn(tmp_path: Path) -> None:
+def test_a_note_reports_a_table_with_several_rows_at_the_same_time(tmp_path: Path) -> None:
     simulator = projects.SIMULATOR.replace("print(tick, count", "print(tick, 0, sep=',', file=file); print(tick, count")
     summary = sierra.open(projects.make(tmp_path, simulator=simulator)).run("population_size=1")
     assert summary.figures == ()
@@ -161,7 +161,7 @@ def test_a_table_that_is_no_curve_is_said_not_to_be_drawn(tmp_path: Path) -> Non
 
 
 @pytest.mark.integration
-def test_one_batch_can_be_asked_alone(tmp_path: Path) -> None:
+def test_sql_can_be_limited_to_one_batch(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
     first = project.run("population_size=1,2", figures=False).batch
     project.run("population_size=1,2", runs=3, sets=[("//noise", "0.7")], figures=False)
@@ -174,7 +174,7 @@ def test_one_batch_can_be_asked_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_programs_are_there_once(tmp_path: Path) -> None:
+def test_programs_are_recorded_once(tmp_path: Path) -> None:
     project = sierra.open(projects.make(tmp_path))
     for runs in (1, 2, 3):
         project.run("population_size=1", runs=runs, figures=False)
@@ -191,7 +191,7 @@ def test_a_project_in_a_folder_that_git_ignores_is_outside_git(tmp_path: Path) -
 
 
 @pytest.mark.integration
-def test_a_csv_whose_header_is_numbers_is_said_to_have_none(tmp_path: Path) -> None:
+def test_the_failure_of_a_csv_file_without_a_header_suggests_header_false(tmp_path: Path) -> None:
     simulator = projects.SIMULATOR.replace('print("tick,coverage", file=file)', "pass")
     root = projects.make(tmp_path, simulator=simulator)
     summary = sierra.open(root).run("population_size=1", figures=False)
@@ -201,13 +201,13 @@ def test_a_csv_whose_header_is_numbers_is_said_to_have_none(tmp_path: Path) -> N
     assert sierra.open(root).run("population_size=1", figures=False).failed == 0
 
 
-def test_a_text_where_the_template_has_a_number_is_said(tmp_path: Path) -> None:
+def test_a_text_instead_of_a_number_of_the_template_is_reported(tmp_path: Path) -> None:
     plan = sierra.open(projects.make(tmp_path)).plan("population_size=1-8")
     assert any("'1-8'" in note and "the template has 1" in note for note in plan.notes)
 
 
 @pytest.mark.integration
-def test_explain_names_the_program_that_has_changed(tmp_path: Path) -> None:
+def test_explain_names_the_changed_program(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", str(program)))
     for value in (1, 2):
@@ -219,7 +219,7 @@ def test_explain_names_the_program_that_has_changed(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_before_anything_executes_again_the_reason_is_said(tmp_path: Path) -> None:
+def test_the_reason_is_reported_before_runs_execute_again(tmp_path: Path) -> None:
     program = tmp_path / "sim"
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", f"{program} {{project}}/sim.py"))
 
@@ -239,13 +239,13 @@ def test_before_anything_executes_again_the_reason_is_said(tmp_path: Path) -> No
     assert "asked before" not in projects.quick(root, "run", "population_size=1", "--runs", "3", "--no-figures").stderr
 
 
-def test_runs_that_write_no_table_are_said_to(tmp_path: Path) -> None:
+def test_runs_that_write_no_table_are_reported(tmp_path: Path) -> None:
     summary = sierra.open(projects.make(tmp_path, simulator="pass\n")).run("population_size=1")
     assert any("no run wrote a table" in note for note in summary.notes)
 
 
 @pytest.mark.integration
-def test_a_figure_whose_columns_are_misspelt_is_said(tmp_path: Path) -> None:
+def test_a_figure_with_misspelt_columns_is_reported(tmp_path: Path) -> None:
     wrong = (
         '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tik"\n[figures.a]\ncolumn = "coverage"\n[figures.b]\ncolumn = "coverge"\n'
     )

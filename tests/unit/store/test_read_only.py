@@ -1,4 +1,4 @@
-"""Stores that cannot be written, or that have no project, are read all the same."""
+"""Stores that are read-only or have no project can be read."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def filled(root: Path, words: tuple[str, ...]) -> tuple[str, ...]:
 
 @pytest.fixture
 def readonly(recorded: Path, tmp_path: Path, require: Callable[..., str]) -> Iterator[Path]:
-    """A project on a file system that nobody can write to."""
+    """Yield a project on a read-only file system."""
     root = stores.copy(recorded, tmp_path / "project")
     mounted = subprocess.run(["mount", "--bind", root, root], check=False, capture_output=True)
     require("the right to mount a disk", there=mounted.returncode == 0)
@@ -43,7 +43,7 @@ def readonly(recorded: Path, tmp_path: Path, require: Callable[..., str]) -> Ite
 
 
 @pytest.mark.parametrize("words", READING, ids=lambda words: words[0])
-def test_a_store_that_cannot_be_written_is_read(readonly: Path, words: tuple[str, ...]) -> None:
+def test_a_read_only_store_can_be_read(readonly: Path, words: tuple[str, ...]) -> None:
     done = projects.quick(readonly, *filled(readonly, words))
     assert done.returncode == (words[0] == "diff"), (done.stdout, done.stderr)
     assert done.stdout
@@ -51,7 +51,7 @@ def test_a_store_that_cannot_be_written_is_read(readonly: Path, words: tuple[str
 
 
 @pytest.mark.integration
-def test_a_replay_needs_no_store_that_can_be_written(readonly: Path) -> None:
+def test_a_replay_of_a_read_only_store_needs_the_option_no_record(readonly: Path) -> None:
     batch = sierra.open(readonly).batches[0]["batch"]
     refused = projects.quick(readonly, "replay", batch)
     assert (refused.returncode, refused.stderr.count("\n")) == (3, 1)
@@ -62,7 +62,7 @@ def test_a_replay_needs_no_store_that_can_be_written(readonly: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_replay_that_is_not_recorded_leaves_the_store_as_it_was(
+def test_a_replay_without_a_record_leaves_the_store_unchanged(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root = stores.copy(recorded, tmp_path / "project")
@@ -80,7 +80,7 @@ def test_a_replay_that_is_not_recorded_leaves_the_store_as_it_was(
 
 @pytest.fixture
 def alone(recorded: Path, tmp_path: Path) -> Path:
-    """A folder with a store, and nothing else of its project."""
+    """Return a folder that contains only the store of a project."""
     (tmp_path / "alone").mkdir()
     shutil.copytree(recorded / ".sierra", tmp_path / "alone" / ".sierra", symlinks=True)
     return tmp_path / "alone"
@@ -88,30 +88,30 @@ def alone(recorded: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.integration
 @pytest.mark.parametrize("words", [*READING, ("figures", "{batch}")], ids=lambda words: words[0])
-def test_a_store_without_a_project_is_read(recorded: Path, alone: Path, words: tuple[str, ...]) -> None:
+def test_a_store_without_a_project_can_be_read(recorded: Path, alone: Path, words: tuple[str, ...]) -> None:
     (alone / "below").mkdir()
     words = filled(recorded, words)
     done, before = projects.quick(alone / "below", *words), projects.quick(recorded, *words)
     assert (done.returncode, done.stdout != "") == (before.returncode, True), done.stderr
-    if words[0] not in ("why", "figures", "fsck"):  # these name the project, or how long they took
+    if words[0] not in ("why", "figures", "fsck"):  # these print the project or their duration
         assert done.stdout == before.stdout
 
 
-def test_nothing_is_asked_of_a_store_without_a_project(alone: Path) -> None:
+def test_queries_in_a_store_without_a_project_are_refused(alone: Path) -> None:
     for words in (("run", "population_size=1"), ("run", "population_size=1", "--dry-run")):
         done = projects.quick(alone, *words)
         assert (done.returncode, done.stderr.count("\n")) == (3, 1)
         assert "sierra init" in done.stderr
 
 
-def test_where_neither_is_the_message_is_the_same_as_ever(tmp_path: Path) -> None:
+def test_a_folder_without_project_and_store_is_reported(tmp_path: Path) -> None:
     done = projects.quick(tmp_path, "ls")
     assert (done.returncode, done.stderr.count("\n")) == (3, 1)
     assert "no sierra.toml" in done.stderr
 
 
 @pytest.mark.integration
-def test_outputs_are_as_they_were_declared_where_no_project_says_so(tmp_path: Path) -> None:
+def test_recorded_declarations_of_outputs_are_used_without_a_project(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tick"\nunits = { coverage = "m" }\n'
     root = projects.make(tmp_path / "project", config)
     batch = sierra.open(root).run("population_size=1", figures=False).batch

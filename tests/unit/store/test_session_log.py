@@ -27,7 +27,7 @@ def root(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def store(tmp_path: Path) -> StorePaths:
-    """An empty store, with what a log needs of it."""
+    """Return an empty store with the folders that a log needs."""
     store = StorePaths(tmp_path / "store")
     store.root.mkdir()
     store.format.touch()
@@ -36,7 +36,7 @@ def store(tmp_path: Path) -> StorePaths:
 
 @pytest.fixture
 def own() -> Iterator[list[logging.LogRecord]]:
-    """The messages that the handler of a program that uses SIERRA receives, at the level INFO."""
+    """Yield the messages that a handler of a program with SIERRA receives at the level INFO."""
     got: list[logging.LogRecord] = []
     handler = logging.Handler()
     handler.emit = got.append  # type: ignore[method-assign]
@@ -52,7 +52,7 @@ def logs(root: Path) -> list[Path]:
     return sorted((root / ".sierra" / "logs").glob("*"))
 
 
-def test_a_session_has_a_log_file_which_show_names(root: Path) -> None:
+def test_a_session_has_a_log_file_that_show_names(root: Path) -> None:
     assert projects.quick(root, *QUERY).stderr == ""
     [file] = logs(root)
     text = file.read_text()
@@ -88,7 +88,7 @@ def test_failed_runs_are_counted_in_the_log(root: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["file", "link"])
-def test_a_log_that_cannot_be_written_fails_no_command(root: Path, tmp_path: Path, kind: str) -> None:
+def test_a_log_that_cannot_be_written_does_not_fail_the_command(root: Path, tmp_path: Path, kind: str) -> None:
     assert projects.quick(root, *QUERY).returncode == 0
     for file in logs(root):
         file.unlink()
@@ -171,14 +171,14 @@ def test_no_value_of_an_environment_variable_is_in_a_log(root: Path, monkeypatch
     assert "topsecret" not in logs(root)[0].read_text()
 
 
-def test_a_program_that_uses_sierra_hears_what_its_level_admits(root: Path, own: list[logging.LogRecord]) -> None:
+def test_a_program_that_uses_sierra_receives_messages_of_its_level(root: Path, own: list[logging.LogRecord]) -> None:
     sierra.open(root).run("population_size=1", figures=False)
     assert {record.levelno for record in own if record.name.startswith("sierra")} == {logging.INFO}
     assert logging.getLogger("sierra").level == logging.NOTSET
     assert logging.getLogger("sierra").handlers == []
 
 
-def test_listeners_end_in_any_order_and_leave_nothing(own: list[logging.LogRecord]) -> None:
+def test_listeners_end_in_any_order_and_leave_no_handlers(own: list[logging.LogRecord]) -> None:
     first, second = listen(Stderr(logging.ERROR)), listen(Stderr(logging.ERROR))
     first()
     log.Log("sierra.test").info("heard")
@@ -188,7 +188,7 @@ def test_listeners_end_in_any_order_and_leave_nothing(own: list[logging.LogRecor
     assert [record.getMessage() for record in own] == ["heard", "heard too"]
 
 
-def test_gc_removes_logs_of_sessions_that_are_not_recorded_and_fsck_names_strange_files(root: Path) -> None:
+def test_gc_removes_logs_of_unrecorded_sessions_and_fsck_names_unknown_files(root: Path) -> None:
     assert projects.quick(root, *QUERY).returncode == 0
     [recorded] = logs(root)
     unrecorded, strange = recorded.with_name(f"{'0' * 16}.log"), recorded.with_name("mine.txt")

@@ -1,4 +1,4 @@
-"""The store: what is added appears whole, is never counted twice, and can only be read."""
+"""The store: segments appear as a whole, are never counted twice, and are read-only."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def one(project: Project, statement: str, **parameters: Any) -> Any:
 # ---------------------------------------------------------------- segments
 
 
-def test_a_segment_vouches_for_all_that_is_in_it(project: Project) -> None:
+def test_the_manifest_of_a_segment_lists_and_hashes_all_its_files(project: Project) -> None:
     stores.ask(project.root, "n=1")
     segments = list((project.paths.store / "segments").iterdir())
     assert segments
@@ -71,7 +71,7 @@ def test_a_segment_vouches_for_all_that_is_in_it(project: Project) -> None:
         }
 
 
-def test_a_segment_is_not_there_before_it_is_published(tmp_path: Path) -> None:
+def test_a_segment_is_not_visible_before_it_is_published(tmp_path: Path) -> None:
     store = Store.create(tmp_path / "s")
     writer = store.writer(tmp_path / "s" / "work" / "one", "ab" * 32)
     writer.rows("findings", [{"execution": "e", "status": "mismatch"}])
@@ -80,7 +80,7 @@ def test_a_segment_is_not_there_before_it_is_published(tmp_path: Path) -> None:
     assert [row["execution"] for row in store.rows("SELECT * FROM findings")] == ["e"]
 
 
-def test_publishing_the_same_twice_is_publishing_it_once(tmp_path: Path) -> None:
+def test_publishing_the_same_segment_twice_adds_it_once(tmp_path: Path) -> None:
     store = Store.create(tmp_path / "s")
     for _ in range(2):
         writer = store.writer(tmp_path / "s" / "work" / "one", "ab" * 32)
@@ -90,7 +90,7 @@ def test_publishing_the_same_twice_is_publishing_it_once(tmp_path: Path) -> None
     assert not store.publish(Writer(tmp_path / "s" / "work" / "none", "ab" * 32))
 
 
-def test_a_store_says_what_it_is(project: Project) -> None:
+def test_a_store_has_markers_and_refuses_another_format(project: Project) -> None:
     stores.ask(project.root, "n=1")
     root = project.paths.store
     assert (root / ".gitignore").read_text() == "*\n"
@@ -103,7 +103,7 @@ def test_a_store_says_what_it_is(project: Project) -> None:
 
 
 @pytest.mark.integration
-def test_files_do_not_multiply_with_runs(project: Project) -> None:
+def test_the_number_of_files_does_not_grow_with_runs(project: Project) -> None:
     run(project, "n=1", runs=2)
     few = sum(1 for path in project.paths.store.rglob("*") if path.is_file())
     (project.root / "sim.sh").write_text(SIM + "# changed\n")
@@ -139,7 +139,7 @@ def test_files_do_not_multiply_with_runs(project: Project) -> None:
         "",
     ],
 )
-def test_a_question_cannot_reach_out_or_write(project: Project, statement: str) -> None:
+def test_sql_cannot_write_or_access_other_files(project: Project, statement: str) -> None:
     stores.ask(project.root, "n=1")
     (project.root / "x.parquet").write_bytes(b"PAR1")
     before = sorted(project.paths.store.rglob("*"))
@@ -162,12 +162,12 @@ def test_a_question_cannot_reach_out_or_write(project: Project, statement: str) 
         "SELECT count(*) FROM /* all of the */ runs",
     ],
 )
-def test_tables_are_known_wherever_they_are_named(project: Project, statement: str) -> None:
+def test_tables_are_found_anywhere_in_a_statement(project: Project, statement: str) -> None:
     stores.ask(project.root, "n=1")
     assert one(project, statement) == 2
 
 
-def test_the_tables_are_as_they_are_described(project: Project) -> None:
+def test_tables_have_the_documented_columns_and_types(project: Project) -> None:
     stores.ask(project.root, "n=1")
     for table in (*RECORDED.values(), *DERIVED.values()):
         found = {row["column_name"]: row["column_type"] for row in project.sql(f"DESCRIBE {table.name}").to_pylist()}
@@ -178,16 +178,16 @@ def test_the_tables_are_as_they_are_described(project: Project) -> None:
     assert shown >= {*RECORDED, *DERIVED, "out"}
 
 
-def test_no_output_may_be_called_as_a_table_of_the_store() -> None:
+def test_outputs_may_not_be_named_like_a_table_of_the_store() -> None:
     assert not any(map(check_name, ("runs", "Runs", "EXECUTIONS")))
     assert check_name("out")
 
 
-# ---------------------------------------------------------------- batches that meet
+# ---------------------------------------------------------------- batches that share runs
 
 
 @pytest.mark.integration
-def test_growing_a_batch_executes_only_what_is_new(project: Project) -> None:
+def test_extending_a_batch_executes_only_new_runs(project: Project) -> None:
     first = run(project, "n=1,2", runs=8)
     seen = set(project.sql("SELECT execution FROM executions").column(0).to_pylist())
     second = run(project, "n=1,2", runs=10)
@@ -211,7 +211,7 @@ def test_runs_that_batches_share_are_counted_once(project: Project) -> None:
 
 
 @pytest.mark.integration
-def test_axes_of_all_batches_are_columns_and_types_meet(project: Project) -> None:
+def test_axes_of_all_batches_are_columns_with_a_common_type(project: Project) -> None:
     run(project, "n=1", "k=0.5,1.5")
     run(project, "k=7")
     run(project, "scenario=low,high")
@@ -227,13 +227,13 @@ def test_axes_of_all_batches_are_columns_and_types_meet(project: Project) -> Non
     ]
 
 
-def test_an_output_column_called_like_an_axis_keeps_its_values(project: Project) -> None:
+def test_an_output_column_named_like_an_axis_keeps_its_values(project: Project) -> None:
     (project.root / "sim.sh").write_text("printf 'N,n_\\n5,6\\n' > out.csv\n")
     run(project, "n=1", runs=1)
     assert project.sql('SELECT n, "N_", "n__" FROM out').to_pylist() == [{"n": 1, "N_": 5, "n__": 6}]
 
 
-def test_rows_of_a_run_can_be_put_in_the_order_they_were_written(project: Project) -> None:
+def test_rows_of_a_run_can_be_sorted_in_the_order_of_writing(project: Project) -> None:
     other = "printf 'v\\n3\\n1\\n2\\n' > other.csv\n"
     (project.root / "sim.sh").write_text("printf 'v,row\\n3,a\\n1,b\\n2,c\\n' > out.csv\n" + other)
     run(project, "n=1,2")
@@ -242,7 +242,7 @@ def test_rows_of_a_run_can_be_put_in_the_order_they_were_written(project: Projec
     assert project.sql("SELECT DISTINCT row FROM out ORDER BY 1").column(0).to_pylist() == ["a", "b", "c"]
 
 
-def test_a_damaged_segment_is_one_line(project: Project) -> None:
+def test_a_damaged_segment_is_reported_with_its_file(project: Project) -> None:
     stores.ask(project.root, "n=1")
     for name in ("executions", "sessions"):
         for path in project.paths.store.glob(f"segments/*/{name}.parquet"):
@@ -254,7 +254,7 @@ def test_a_damaged_segment_is_one_line(project: Project) -> None:
 
 
 @pytest.mark.integration
-def test_the_axes_of_other_batches_rename_nothing_in_one_batch(project: Project) -> None:
+def test_axes_of_other_batches_do_not_rename_columns_of_one_batch(project: Project) -> None:
     (project.root / "sim.sh").write_text("printf 'k\\n5\\n' > out.csv\n")
     batch = run(project, "n=1", runs=1).batch
     run(project, "k=7", runs=1)
@@ -266,7 +266,7 @@ def test_the_axes_of_other_batches_rename_nothing_in_one_batch(project: Project)
 
 
 @pytest.mark.integration
-def test_the_last_good_execution_with_the_last_programs_counts(project: Project, tmp_path: Path) -> None:
+def test_the_last_successful_execution_with_the_last_programs_is_effective(project: Project, tmp_path: Path) -> None:
     simulator = tmp_path / "sim"
     project = _with_program(project, simulator, 1)
     batch = run(project, "n=1").batch
@@ -300,7 +300,7 @@ def _with_program(project: Project, path: Path, value: int) -> Project:
 
 
 @pytest.mark.integration
-def test_a_finding_takes_an_execution_out_of_all_tables(project: Project) -> None:
+def test_a_finding_removes_an_execution_from_all_tables(project: Project) -> None:
     batch = stores.ask(project.root, "n=1")
     [first, _] = project.sql("SELECT execution FROM runs ORDER BY number").column(0).to_pylist()
     writer = project.store.writer(project.paths.store / "work" / "w", batch)
@@ -317,7 +317,7 @@ def test_a_finding_takes_an_execution_out_of_all_tables(project: Project) -> Non
 
 
 @pytest.mark.integration
-def test_questions_are_answered_while_a_batch_runs(
+def test_sql_is_consistent_while_a_batch_runs(
     project: Project, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sierra.ingest.recorder.SOON_S", 0.1)
@@ -344,7 +344,7 @@ def test_questions_are_answered_while_a_batch_runs(
     assert one(project, "SELECT count(*) FROM out") == 40
 
 
-def test_an_id_is_found_by_its_beginning(project: Project) -> None:
+def test_an_id_is_found_by_its_prefix(project: Project) -> None:
     batch = stores.ask(project.root, "n=1")
     assert project.store.resolve(batch[:8]).kind == "batch"
     with pytest.raises(NotFound, match="4 to 64"):
@@ -357,7 +357,7 @@ def test_an_id_is_found_by_its_beginning(project: Project) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 1, PART - 1, PART, PART + 1, 3 * PART + 5, 4 * PART + 7])
-def test_an_object_comes_back_to_the_byte(tmp_path: Path, size: int) -> None:
+def test_an_object_is_read_back_byte_for_byte(tmp_path: Path, size: int) -> None:
     store = Store.create(tmp_path / "s")
     content = (hashlib.sha256(str(size).encode()).digest() * (size // 32 + 1))[:size]
     file = tmp_path / "file"
@@ -376,7 +376,7 @@ def test_an_object_comes_back_to_the_byte(tmp_path: Path, size: int) -> None:
         assert connection.execute(held).fetchone() == (max(1, -(-size // PART)),)
 
 
-def test_a_damaged_object_is_noticed(tmp_path: Path) -> None:
+def test_a_damaged_object_is_detected(tmp_path: Path) -> None:
     store = Store.create(tmp_path / "s")
     writer = store.writer(tmp_path / "s" / "work" / "w", "ab" * 32)
     writer.rows("objects", [{"sha256": "a" * 64, "part": 0, "size": 1, "content": b"x"}])

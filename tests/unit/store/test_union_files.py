@@ -1,4 +1,4 @@
-"""Columns that hold numbers in some files and other things in others: numbers stay numbers, and nothing is lost."""
+"""Columns with numbers in some files and other values in others: numbers stay numbers, and no value is lost."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ with open("t.csv", "w") as file:
 
 
 def _made(root: Path, cells: dict[int, list[str]], *queries: str) -> tuple[Project, list[str]]:
-    """A project whose runs write these cells, by the number of robots; the batches that answer the queries."""
+    """Return a project whose runs write these cells, by the number of robots, and the batches of the queries."""
     project = sierra.open(projects.make(root, simulator=WRITES.format(cells=cells)))
     return project, [project.run(query, figures=False).batch for query in queries]
 
@@ -40,12 +40,12 @@ CELLS = {1: ["7.5", "1000", "30"], 2: ["7.5", "NA", "1e5"]}
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, list[str]]:
-    """A batch of numbers, and one of which a cell is NA."""
+    """Return a project with a batch of numbers and a batch with one cell NA."""
     return _made(tmp_path_factory.mktemp("two") / "p", CELLS, "population_size=1", "population_size=2")
 
 
 @pytest.mark.integration
-def test_the_numbers_of_a_batch_are_numbers_whatever_another_holds(two: tuple[Project, list[str]]) -> None:
+def test_numbers_of_a_batch_stay_numbers_if_another_batch_has_texts(two: tuple[Project, list[str]]) -> None:
     project, (numbers, texts) = two
     assert project.sql("SELECT max(v) AS m FROM t", within=numbers).to_pylist() == [{"m": 1000.0}]
     ordered = project.sql("SELECT DISTINCT v FROM t ORDER BY v", within=numbers).column(0).to_pylist()
@@ -55,7 +55,7 @@ def test_the_numbers_of_a_batch_are_numbers_whatever_another_holds(two: tuple[Pr
 
 
 @pytest.mark.integration
-def test_over_all_batches_numbers_stay_numbers_and_texts_stand_beside(two: tuple[Project, list[str]]) -> None:
+def test_numbers_and_texts_of_all_batches_are_in_separate_columns(two: tuple[Project, list[str]]) -> None:
     project, _ = two
     rows = project.sql("SELECT DISTINCT v, v_text FROM t ORDER BY ALL").to_pylist()
     beside = [(7.5, "7.5"), (7.5, None), (30.0, None), (1000.0, None), (100000.0, "1e5"), (None, "NA")]
@@ -63,7 +63,7 @@ def test_over_all_batches_numbers_stay_numbers_and_texts_stand_beside(two: tuple
     assert project.sql("SELECT avg(v) AS m FROM t").column(0).to_pylist() == pytest.approx([(1037.5 + 100007.5) / 5])
 
 
-def test_that_a_column_is_not_of_one_type_is_said(two: tuple[Project, list[str]]) -> None:
+def test_a_note_reports_a_column_of_mixed_types(two: tuple[Project, list[str]]) -> None:
     project, (numbers, _) = two
     told = "note: column 'v' of t has numbers in some runs and other values in others; the other values are in 'v_text'\n"
     asked = projects.quick(project.root, "sql", "SELECT max(v) FROM t")
@@ -74,7 +74,7 @@ def test_that_a_column_is_not_of_one_type_is_said(two: tuple[Project, list[str]]
 
 
 @pytest.mark.integration
-def test_texts_in_one_experiment_of_a_batch_leave_the_numbers_of_others_alone(tmp_path: Path) -> None:
+def test_texts_in_one_experiment_do_not_change_the_numbers_of_others(tmp_path: Path) -> None:
     project, [batch] = _made(tmp_path / "p", CELLS, "population_size=1,2")
     assert project.sql("SELECT max(v) AS m FROM t", within=batch).to_pylist() == [{"m": 100000.0}]
     with pytest.raises(UsageError, match="'v' of output 't' has numbers in some runs and other values in others"):
@@ -87,7 +87,7 @@ def test_texts_in_one_experiment_of_a_batch_leave_the_numbers_of_others_alone(tm
 
 
 @pytest.mark.integration
-def test_axes_of_a_batch_keep_their_type_whatever_another_batch_has(tmp_path: Path) -> None:
+def test_axes_of_a_batch_keep_their_type_if_another_batch_has_texts(tmp_path: Path) -> None:
     config = projects.CONFIG.replace('noise = "//noise"\n', 'noise = "//noise"\nname = "//name"\n')
     template = projects.TEMPLATE.replace("<noise>", "<name>x</name><noise>")
     project = sierra.open(projects.make(tmp_path / "p", config, template=template))
@@ -107,7 +107,7 @@ def test_axes_of_a_batch_keep_their_type_whatever_another_batch_has(tmp_path: Pa
 
 @pytest.fixture
 def merged(tmp_path: Path) -> Callable[..., tuple[Relation, list[tuple[Any, ...]]]]:
-    """Read files with a column v of these values each: the relation, and its rows in order."""
+    """Return a function that reads files with a column v of given values: the relation, and its rows in order."""
 
     def merged(*columns: pa.Array, where: str = "true") -> tuple[Relation, list[tuple[Any, ...]]]:
         files = [str(tmp_path / f"{place}.parquet") for place in range(len(columns))]
@@ -157,14 +157,16 @@ def test_values_of_several_types_are_kept_exactly(
     assert held == rows
 
 
-def test_rows_that_do_not_count_decide_no_type(merged: Callable[..., tuple[Relation, list[tuple[Any, ...]]]]) -> None:
+def test_rows_that_are_filtered_out_do_not_decide_the_type(
+    merged: Callable[..., tuple[Relation, list[tuple[Any, ...]]]],
+) -> None:
     found, _ = merged(pa.array(["NA"]), pa.array([2]), where="place <> 0")
     assert dict(found.types) == {"v": "BIGINT", "place": "BIGINT"}
     found, _ = merged(pa.array(["NA"]), pa.array([2]), where="place <> 1")
     assert dict(found.types) == {"v": "VARCHAR", "place": "BIGINT"}
 
 
-def test_columns_differ_in_case_alone_or_are_called_as_the_texts_of_others(tmp_path: Path) -> None:
+def test_columns_that_collide_in_case_or_with_text_columns_are_distinguished(tmp_path: Path) -> None:
     files = [str(tmp_path / name) for name in ("a.parquet", "b.parquet")]
     pq.write_table(pa.table({"v": [1], "V_TEXT": ["mine"]}), files[0])
     pq.write_table(pa.table({"V": ["x"], "other": [3]}), files[1])
@@ -177,7 +179,7 @@ def test_columns_differ_in_case_alone_or_are_called_as_the_texts_of_others(tmp_p
 
 @pytest.mark.integration
 @pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])
-def test_whole_numbers_beside_fractions_of_other_runs_keep_all_digits(tmp_path: Path, kind: str) -> None:
+def test_integers_next_to_fractions_of_other_runs_keep_all_digits(tmp_path: Path, kind: str) -> None:
     script = (
         "import sys\nseed = int(open(sys.argv[1]).read().split('<random seed=\"')[1].split('\"')[0])\n"
         f"cells = [{GREAT}, 0.5, 7, 1e300][seed % 4]\n"

@@ -39,24 +39,24 @@ AXES: Mapping[str, Value] = {"population_size": 8, "noise": 0.25, "scenario": "l
         ("{{{seed}}} {{literal}}", "{42} {literal}"),
     ],
 )
-def test_expressions_are_filled_in(text: str, filled: str) -> None:
+def test_expressions_are_replaced_by_their_values(text: str, filled: str) -> None:
     assert fill(text, AXES) == filled
 
 
-def test_a_name_given_goes_before_pi() -> None:
+def test_a_given_value_overrides_pi() -> None:
     assert fill("{pi}", {"pi": 3}) == "3"
 
 
-def test_a_variable_may_be_called_like_a_keyword_or_a_function() -> None:
+def test_a_variable_may_be_named_like_a_keyword_or_a_function() -> None:
     assert fill("{lambda} {min} {min(min, 2)}", {"lambda": 1, "min": 5}) == "1 5 2"
 
 
-def test_a_text_stands_as_it_is_whatever_it_holds() -> None:
+def test_texts_are_inserted_unchanged() -> None:
     assert fill("{name}", {"name": "{seed} \" '\n<&>"}) == "{seed} \" '\n<&>"
 
 
 @given(st.text())
-def test_any_text_survives_with_its_braces_doubled(text: str) -> None:
+def test_any_text_with_doubled_braces_stays_unchanged(text: str) -> None:
     assert fill(text.replace("{", "{{").replace("}", "}}"), {}) == text
 
 
@@ -69,24 +69,24 @@ def calculations(draw: st.DrawFn, depth: int = 3) -> str:
 
 
 @given(calculations(), st.integers(-1000, 1000), st.integers(-1000, 1000))
-def test_whole_numbers_are_calculated_as_python_does(source: str, a: int, b: int) -> None:
+def test_integers_are_calculated_as_in_python(source: str, a: int, b: int) -> None:
     assert fill(f"{{{source}}}", {"a": a, "b": b}) == str(eval(source, {"a": a, "b": b}))  # noqa: S307
 
 
 @given(st.integers(), st.integers().filter(bool))
-def test_a_division_that_comes_out_is_whole_and_exact(a: int, b: int) -> None:
+def test_a_division_without_remainder_is_an_exact_integer(a: int, b: int) -> None:
     filled = fill("{a * b / b}", {"a": a % 2**200, "b": b % 2**200 + 1})
     assert filled == str(a % 2**200)
 
 
 @given(st.integers(-(10**6), 10**6), st.integers(1, 10**6))
-def test_division_floors_and_remainders_are_pythons(a: int, b: int) -> None:
+def test_floor_division_and_remainders_equal_those_of_python(a: int, b: int) -> None:
     assert fill("{a // b} {a % b}", {"a": a, "b": b}) == f"{a // b} {a % b}"
     assert float(fill("{a / b}", {"a": a, "b": b})) == float(Fraction(a, b))
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
-def test_a_float_is_written_so_that_it_reads_back_the_same(value: float) -> None:
+def test_a_float_is_written_so_that_it_is_read_back_exactly(value: float) -> None:
     assert fill("{x}", {"x": value}) == repr(value)
 
 
@@ -120,7 +120,7 @@ def test_a_float_is_written_so_that_it_reads_back_the_same(value: float) -> None
         ("{" + "1+" * MAX_LENGTH + "1}", "longer than 200"),
     ],
 )
-def test_what_cannot_be_filled_in_says_why_in_one_line(text: str, message: str) -> None:
+def test_invalid_expressions_are_reported_in_one_line(text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message) as caught:
         fill(text, AXES)
     assert "\n" not in str(caught.value)
@@ -155,7 +155,7 @@ def test_what_cannot_be_filled_in_says_why_in_one_line(text: str, message: str) 
         "{\ud800}",
     ],
 )
-def test_what_is_not_arithmetic_is_refused(hostile: str) -> None:
+def test_expressions_that_are_not_arithmetic_are_refused(hostile: str) -> None:
     with pytest.raises(ConfigError) as caught:
         fill(hostile, AXES)
     assert "\n" not in str(caught.value)
@@ -178,7 +178,7 @@ def test_what_is_not_arithmetic_is_refused(hostile: str) -> None:
         "{" + "-" * 199 + "x}",
     ],
 )
-def test_what_would_be_huge_or_infinite_is_refused_at_once(bomb: str) -> None:
+def test_huge_and_infinite_results_are_refused_quickly(bomb: str) -> None:
     def refused() -> None:
         with pytest.raises(ConfigError):
             fill(bomb, AXES)
@@ -187,7 +187,7 @@ def test_what_would_be_huge_or_infinite_is_refused_at_once(bomb: str) -> None:
 
 
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 2**2000])
-def test_a_value_without_a_finite_number_is_refused(value: float) -> None:
+def test_a_value_that_is_not_finite_is_refused(value: float) -> None:
     with pytest.raises(ConfigError):
         fill("{x}", {"x": value})
 
@@ -202,17 +202,17 @@ def test_any_text_is_filled_or_refused_in_one_line(text: str) -> None:
     assert "\n" not in message
 
 
-def test_the_names_of_a_text_are_those_it_must_be_given() -> None:
+def test_names_are_the_variables_that_a_text_needs() -> None:
     assert names("{min(a, -b) + pi} {c} {{d}} e") == {"a", "b", "c"}
     assert names("no braces, {{none}}") == frozenset()
 
 
-def test_names_refuses_what_fill_refuses() -> None:
+def test_names_refuses_invalid_expressions_like_fill() -> None:
     with pytest.raises(ConfigError, match="is not an expression"):
         names("{1 +}")
 
 
-def test_filling_ten_thousand_times_is_cheap() -> None:
+def test_filling_ten_thousand_times_is_fast() -> None:
     def fill_all() -> None:
         for seed in range(10_000):
             fill("{seed}:{population_size * 2}", {"seed": seed, "population_size": 8})

@@ -1,4 +1,4 @@
-"""Two input files are told apart in the terms of who wrote them, by paths that select one thing alone."""
+"""Differences of two input files are reported by XPaths, each of which selects exactly one node."""
 
 from __future__ import annotations
 
@@ -33,29 +33,31 @@ def told(before: str, after: str) -> list[tuple[str, str, str | None, str | None
         ('<a><b v="1" w="2"/></a>', '<a>\n <!-- c --><b w="2" v="1"></b></a>', "in.xml", "writing", None, None),
     ],
 )
-def test_one_difference(before: str, after: str, path: str, what: str, was: str | None, now: str | None) -> None:
+def test_one_difference_is_reported_with_its_path_and_values(
+    before: str, after: str, path: str, what: str, was: str | None, now: str | None
+) -> None:
     assert told(before, after) == [(path, what, was, now)]
 
 
-def test_what_is_gone_in_front_leaves_the_others_as_they_are() -> None:
+def test_removed_first_elements_are_not_reported_as_changes_of_the_others() -> None:
     boxes = [f'<box at="{n}"><body/></box>' for n in range(20)]
     found = told(f"<a>{''.join(boxes)}</a>", f"<a>{''.join(boxes[2:])}</a>")
     assert [spot[:2] for spot in found] == [("//a/box[1]", "removed"), ("//a/box[2]", "removed")]
 
 
-def test_what_is_no_xml_is_compared_by_lines_and_what_is_no_text_by_size() -> None:
+def test_other_texts_are_compared_by_lines_and_binary_files_by_size() -> None:
     [lines] = differing("in.txt", b"a\nb\n", b"a\nc\n")
     assert (lines.what, lines.lines[-3:]) == ("lines", ("-b", "+c", " "))
     assert differing("in.bin", b"\0a", b"\0bc") == (Spot("in.bin", "bytes", "2 bytes", "3 bytes"),)
 
 
-def test_nothing_is_loaded_and_nothing_expanded() -> None:
+def test_external_files_are_not_loaded_and_entities_not_expanded() -> None:
     hostile = '<!DOCTYPE a SYSTEM "file:///etc/passwd"><a>&x;</a>'
     assert told("<a/>", hostile) in ([("//a", "changed", "", "&x;")], [("in.xml", "writing", None, None)])
 
 
 @pytest.mark.integration
-def test_a_large_file_in_which_all_differs_is_not_too_much_work() -> None:
+def test_comparing_large_files_that_differ_everywhere_is_fast() -> None:
     boxes = [[f'<box><body position="{n * k}"/></box>' for n in range(1, 3000)] for k in (1, 2)]
     texts = [f"<a>{''.join(each)}</a>" for each in boxes]
     assert len(told(*texts)) > 1000
@@ -76,7 +78,7 @@ ELEMENTS = st.recursive(
 
 @pytest.mark.integration
 @given(ELEMENTS, ELEMENTS)
-def test_each_path_selects_what_it_is_about_and_nothing_else(one: str, other: str) -> None:
+def test_each_reported_path_selects_exactly_its_node(one: str, other: str) -> None:
     before, after = f"<root>{one}</root>", f"<root>{other}</root>"
     trees = [etree.fromstring(text) for text in (before, after)]
     for spot in differing("in.xml", before.encode(), after.encode()):
@@ -90,7 +92,7 @@ def test_each_path_selects_what_it_is_about_and_nothing_else(one: str, other: st
 
 @pytest.mark.integration
 @given(ELEMENTS, ELEMENTS)
-def test_something_is_told_where_the_documents_differ_and_nothing_where_not(one: str, other: str) -> None:
+def test_differences_are_reported_only_if_the_documents_differ(one: str, other: str) -> None:
     found = told(one, other)
     assert bool(found) == (one != other)
     if one != other and all(what == "writing" for _, what, _, _ in found):

@@ -85,7 +85,7 @@ def refused(text: str | bytes, *changes: Change, error: type[SierraError] = Temp
 # Reading
 
 
-def test_a_file_is_read_whatever_it_is_called(tmp_path: Path) -> None:
+def test_a_file_with_any_name_is_read(tmp_path: Path) -> None:
     for name in ("template.xml", "swarm.world", "swarm.rou.xml", "no ending", 'a\'; echo "ü"\n.launch'):
         file = tmp_path / name
         file.write_text(MUJOCO)
@@ -94,12 +94,12 @@ def test_a_file_is_read_whatever_it_is_called(tmp_path: Path) -> None:
         assert read.sha256 == hashlib.sha256(MUJOCO.encode()).hexdigest()
 
 
-def test_texts_of_elements_are_proposed_by_their_paths() -> None:
+def test_texts_of_elements_are_proposed_with_their_paths() -> None:
     assert template("<a><seed>3</seed><robots>4</robots></a>").attributes() == (("//seed", "3"), ("//robots", "4"))
 
 
 @pytest.mark.parametrize("element", ["<b c='1'/>", "<b xmlns='urn:b' c='1'/>", "<b id='{n}' c='1'/>"])
-def test_paths_are_proposed_in_time_that_grows_as_the_template_does(element: str) -> None:
+def test_the_time_to_propose_paths_grows_linearly(element: str) -> None:
     def seconds(count: int) -> float:
         many = template(f"<a>{''.join(element.format(n=n) for n in range(count))}</a>")
         taken = []
@@ -109,15 +109,17 @@ def test_paths_are_proposed_in_time_that_grows_as_the_template_does(element: str
             taken.append(time.process_time() - begin)
         return min(taken)
 
-    assert seconds(10_000) < 12 * max(seconds(2_500), 0.005)  # four times as many; 16 times where it grows as the square
+    assert seconds(10_000) < 12 * max(
+        seconds(2_500), 0.005
+    )  # four times as many elements; quadratic growth would take 16 times as long
 
 
-def test_xml_is_a_format_that_is_shipped() -> None:
+def test_xml_is_the_first_template_format() -> None:
     assert templates.formats()[0] == "xml"
 
 
 @pytest.mark.parametrize("text", [MUJOCO, GAZEBO, SUMO, NAMESPACES])
-def test_real_templates_come_back_byte_for_byte(text: str) -> None:
+def test_real_templates_are_rendered_byte_for_byte(text: str) -> None:
     assert changed(text) == text
 
 
@@ -131,7 +133,7 @@ def test_real_templates_come_back_byte_for_byte(text: str) -> None:
         ("<!DOCTYPE root PUBLIC \"-//A//B\" 'c.dtd'>\n<!-- <root> -->", "<!-- </root> -->"),
     ],
 )
-def test_what_stands_around_the_root_is_kept_to_the_byte(before: str, after: str) -> None:
+def test_content_around_the_root_is_kept_byte_for_byte(before: str, after: str) -> None:
     text = f'{before}<root a="1"/>{after}'
     assert changed(text) == text
     assert changed(text, Set("/root/@a", "2")) == text.replace('a="1"', 'a="2"')
@@ -148,11 +150,11 @@ def test_what_stands_around_the_root_is_kept_to_the_byte(before: str, after: str
         '<r xmlns:xi="http://www.w3.org/2001/XInclude"><xi:include href="/etc/passwd" parse="text"/></r>',
     ],
 )
-def test_what_stands_in_the_root_is_kept_too(root: str) -> None:
+def test_content_of_the_root_is_kept_byte_for_byte(root: str) -> None:
     assert changed(root) == root
 
 
-def test_what_the_parser_does_not_tell_is_normalised() -> None:
+def test_details_that_the_parser_does_not_report_are_normalised() -> None:
     assert changed("<r  a='1' ><b /><c></c>&#233;</r >") == '<r a="1"><b/><c/>é</r>'
 
 
@@ -163,7 +165,7 @@ TEXTS = st.text(CHARACTERS, max_size=8)
 
 @st.composite
 def elements(draw: st.DrawFn, depth: int = 3) -> str:
-    """An element, written as libxml2 writes it."""
+    """Draw an element, written as libxml2 writes it."""
     attributes = draw(st.dictionaries(NAMES, TEXTS, max_size=3)).items()
     written = "".join(f' {name}="{escape(text, {chr(34): "&quot;", chr(10): "&#10;"})}"' for name, text in attributes)
     name = draw(NAMES)
@@ -203,7 +205,7 @@ def test_the_encoding_of_a_template_is_kept(encoding: str, declared: str) -> Non
     assert template(data).find("//@a") == (sign,)
 
 
-def test_what_an_encoding_lacks_becomes_a_reference() -> None:
+def test_characters_that_the_encoding_lacks_become_references() -> None:
     data = '<?xml version="1.0" encoding="ISO-8859-1"?><r é="1">ü</r>'.encode("latin-1")
     for make in (changes_made, per_run_made):
         made = make(template(data), [Set("/r/@é", "€ é"), Set("/r", "𝄞")], {})
@@ -211,14 +213,14 @@ def test_what_an_encoding_lacks_becomes_a_reference() -> None:
         assert XmlTemplate(made, "made").find("//@é") == ("€ é",)
 
 
-def test_what_an_encoding_lacks_cannot_be_a_name() -> None:
+def test_names_with_characters_that_the_encoding_lacks_are_refused() -> None:
     data = b'<?xml version="1.0" encoding="ISO-8859-1"?><r/>'
     for change in (Rename("//r", "\u03b1"), Set("//r", "", attribute="\u03b1"), Add("//r", "<a><!-- \u03b1 --></a>")):
         assert "8859-1" in refused(data, change).replace("_", "-").lower()
     assert template(data).changed([Add("//r", "<a>&#945;</a>")], {}).render().endswith(b"<r><a>&#945;</a></r>")
 
 
-def test_line_ends_of_windows_are_kept_where_all_are() -> None:
+def test_line_ends_of_windows_are_kept_if_all_lines_have_them() -> None:
     text = MUJOCO.replace("\n", "\r\n")
     assert changed(text) == text
     assert changed(text, Set("//body", "a\nb\rc")).count("a\r\nb&#13;c") == 1
@@ -249,7 +251,7 @@ QUADRATIC = f'<!DOCTYPE r [<!ENTITY a "{"x" * 50_000}">]><r b="{"&a;" * 50_000}"
     ],
     ids=range(11),
 )
-def test_entities_and_bombs_are_refused_at_once(hostile: str) -> None:
+def test_entities_and_entity_bombs_are_refused_quickly(hostile: str) -> None:
     assert refused(hostile).startswith("template.xml:")
     assert effort(lambda: refused(hostile)) < 20
 
@@ -284,12 +286,12 @@ def test_default_attributes_are_not_written_out() -> None:
         ("<r/>".encode("utf-32"), "save it as UTF-8|not XML"),
     ],
 )
-def test_what_is_not_xml_is_said_with_its_place(data: bytes, message: str) -> None:
+def test_invalid_xml_is_reported_with_its_position(data: bytes, message: str) -> None:
     assert re.search(message, refused(data))
 
 
 @given(st.binary(max_size=60) | st.text(alphabet="<>!?[]-/'\"= &;#xarDOCTYPE%", max_size=60).map(str.encode))
-def test_any_bytes_are_a_template_or_refused(data: bytes) -> None:
+def test_any_bytes_are_a_template_or_are_refused(data: bytes) -> None:
     message = ""
     try:
         made = template(data).changed((), {}).render()
@@ -300,7 +302,7 @@ def test_any_bytes_are_a_template_or_refused(data: bytes) -> None:
     assert message.isprintable()
 
 
-def test_a_file_that_is_not_there_is_missing(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     for path in (tmp_path / "none.xml", tmp_path / "a\nb", tmp_path / "nul\0"):
         with pytest.raises(Missing, match=r"cannot be read$") as caught:
             templates.read(path)
@@ -317,18 +319,18 @@ def test_a_directory_or_a_pipe_is_not_a_template(tmp_path: Path) -> None:
 # Paths
 
 
-def test_find_gives_texts_in_document_order() -> None:
+def test_find_returns_texts_in_document_order() -> None:
     assert template(MUJOCO).find("//joint/@name | //replicate/@count") == ("8", "x", "y")
     assert template(GAZEBO).find("//model_count") == ("8",)
     assert template(GAZEBO).find("//type/text()") == ("random",)
     assert template(GAZEBO).find("//nothing") == ()
 
 
-def test_a_relative_path_begins_at_the_root_element() -> None:
+def test_a_relative_path_starts_at_the_root_element() -> None:
     assert template(SUMO).find("flow/@number") == template(SUMO).find("/routes/flow/@number") == ("8",)
 
 
-def test_all_prefixes_of_the_document_can_be_used_and_the_default_one_is_an_underscore() -> None:
+def test_paths_may_use_the_documents_prefixes_and_underscore_for_the_default() -> None:
     found = template(NAMESPACES)
     assert found.find("//a:robot/@name") == ("r",)
     assert found.find("/_:sdf/@a:version") == ("1",)
@@ -351,21 +353,21 @@ def test_all_prefixes_of_the_document_can_be_used_and_the_default_one_is_an_unde
         ("//namespace::*", "selects namespaces"),
     ],
 )
-def test_a_path_that_gives_no_nodes_is_refused(path: str, message: str) -> None:
+def test_a_path_that_does_not_select_nodes_is_refused(path: str, message: str) -> None:
     with pytest.raises(TemplateError, match=message) as caught:
         template(NAMESPACES).find(path)
     assert str(caught.value).isprintable()
     assert message in refused(NAMESPACES, Set(path, "1", why="variable 'x'"))
 
 
-def test_documents_cannot_be_read_from_a_path() -> None:
+def test_paths_cannot_read_other_documents() -> None:
     assert "is not an XPath" in refused("<r/>", Set("document('/etc/passwd')//x", "1"))
 
 
 # Changes
 
 
-def test_set_gives_attributes_elements_and_texts_a_value() -> None:
+def test_set_changes_the_value_of_attributes_elements_and_texts() -> None:
     assert 'count="16"' in changed(MUJOCO, Set("//replicate/@count", "{population_size * 2}"), population_size=8)
     assert "<model_count>16</model_count>" in changed(GAZEBO, Set("//model_count", "16"))
     assert "<type>grid</type>" in changed(GAZEBO, Set("//distribution/type/text()", "{kind}"), kind="grid")
@@ -380,23 +382,23 @@ def test_set_keeps_the_children_of_an_element() -> None:
     assert changed("<r>a<b/>c<!-- d -->e</r>", Set("/r/text()[2]", "x")) == "<r>a<b/>x<!-- d -->e</r>"
 
 
-def test_set_with_attribute_adds_it_where_it_is_absent() -> None:
+def test_set_with_attribute_adds_missing_attributes() -> None:
     assert changed("<r><a/><a b='1'/></r>", Set("//a", "2", attribute="b")) == '<r><a b="2"/><a b="2"/></r>'
 
 
-def test_set_with_attribute_knows_the_prefixes_of_the_document() -> None:
+def test_set_with_attribute_accepts_prefixes_of_the_document() -> None:
     assert '<a:robot name="r" a:id="7"/>' in changed(NAMESPACES, Set("//a:robot", "7", attribute="a:id"))
     assert 'xml:lang="de"' in changed(SUMO, Set("//flow", "de", attribute="xml:lang"))
     assert "known are" in refused(SUMO, Set("//flow", "1", attribute="p:x"))
 
 
 @pytest.mark.parametrize("name", ["", "1a", "a b", "a>", "xmlns", "xmlns:p", "{a", "a:", "\0", 'a="1" b'])
-def test_what_is_not_a_name_is_refused(name: str) -> None:
+def test_invalid_xml_names_are_refused(name: str) -> None:
     refused(SUMO, Set("//flow", "1", attribute=name))
     refused(SUMO, Rename("//flow", name))
 
 
-def test_changes_are_made_in_order_and_see_those_before() -> None:
+def test_changes_are_applied_in_order_and_see_earlier_ones() -> None:
     made = changed(SUMO, Rename("//flow", "vehicle"), Set("//vehicle", "1", attribute="a"), Set("//@a", "2"))
     assert '<vehicle id="agents"' in made
     assert ' a="2"' in made
@@ -415,7 +417,7 @@ def test_a_template_never_changes() -> None:
 @example("\x85\u2028")
 @example("\ud800")
 @example("\uffff")
-def test_any_text_that_is_set_is_found_again_or_refused(text: str) -> None:
+def test_any_text_that_is_set_is_read_back_or_refused(text: str) -> None:
     value = text.replace("{", "{{").replace("}", "}}")
     changes = [Set("/r/@a", value), Set("/r/b", value), Set("/r/c/text()", value), Set("/r/b", value, attribute="d")]
     begin = template("<r a='1'><b/><c>1</c></r>")
@@ -428,23 +430,23 @@ def test_any_text_that_is_set_is_found_again_or_refused(text: str) -> None:
     assert XmlTemplate(made, "made").find("/r/@a | /r/b | /r/c | //@d") == (text,) * 4
 
 
-def test_a_value_that_xml_cannot_hold_is_refused_with_its_name() -> None:
+def test_a_value_that_xml_cannot_contain_is_refused_with_the_name_of_the_change() -> None:
     message = refused(SUMO, Set("//flow/@number", "a\0b", why="variable 'x'"))
     assert message == "variable 'x': //flow/@number cannot get a text with U+0000 in template.xml: XML cannot hold it"
 
 
-def test_what_an_expression_lacks_is_said_with_who_asks() -> None:
+def test_an_unknown_name_in_an_expression_is_reported_with_the_name_of_the_change() -> None:
     message = refused(SUMO, Set("//flow/@number", "{n}", why="variable 'x'"), error=ConfigError, m=1)
     assert message.startswith("variable 'x': unknown name 'n'")
 
 
-def test_add_puts_a_copy_into_each_match_last() -> None:
+def test_add_appends_a_copy_to_each_match() -> None:
     made = changed(MUJOCO, Add("//custom", '<numeric name="length" data="{n}"/>'), n=60)
     last = '    <numeric name="noise" data="0.3"/>\n'
     assert made == MUJOCO.replace(last, last + '    <numeric name="length" data="60"/>\n')
 
 
-def test_add_puts_a_copy_at_an_index_among_the_elements() -> None:
+def test_add_inserts_a_copy_at_an_index_of_the_child_elements() -> None:
     text = "<r>\n  <!-- c -->\n  <a/>\n  <b/>\n</r>"
     assert changed(text, Add("/r", "<x/>", at=0)) == text.replace("<a/>", "<x/>\n  <a/>")
     assert changed(text, Add("/r", "<x/>", at=1)) == text.replace("<b/>", "<x/>\n  <b/>")
@@ -452,7 +454,7 @@ def test_add_puts_a_copy_at_an_index_among_the_elements() -> None:
     assert "has 2 child elements" in refused(text, Add("/r", "<x/>", at=3))
 
 
-def test_what_is_added_to_an_empty_element_is_indented_where_that_has_a_line_of_its_own() -> None:
+def test_elements_added_to_an_empty_element_on_its_own_line_are_indented() -> None:
     made = changed(MUJOCO, Add("//actuator", "<motor/>"), Add("//joint[1]", "<a/>"), Add("//global", "<b/>"))
     assert "\n  <actuator>\n    <motor/>\n  </actuator>\n" in made
     assert 'damping="2">\n          <a/>\n        </joint>\n' in made
@@ -461,13 +463,13 @@ def test_what_is_added_to_an_empty_element_is_indented_where_that_has_a_line_of_
     assert changed("<r>text <b/></r>", Add("/r", "<a/>")) == "<r>text <b/><a/></r>"
 
 
-def test_what_is_added_belongs_to_the_namespaces_where_it_stands() -> None:
+def test_added_elements_inherit_the_namespaces_of_their_place() -> None:
     made = changed(NAMESPACES, Add("//_:world", '<light a:on="1"/>'), Set("//_:light/@a:on", "2"))
     assert '<light a:on="2"/>' in made
     assert "xmlns" not in made.replace(NAMESPACES.splitlines()[0], "").replace('xmlns:b="urn:b"', "", 1)
 
 
-def test_a_namespace_that_is_added_can_be_used_in_later_paths() -> None:
+def test_an_added_namespace_can_be_used_in_later_paths() -> None:
     made = changed(SUMO, Add("/routes", '<n:x xmlns:n="urn:n" y="1"/>'), Set("//n:x/@y", "2"))
     assert '<n:x xmlns:n="urn:n" y="2"/>' in made
 
@@ -496,12 +498,12 @@ def test_a_value_cannot_become_markup() -> None:
         "<a b='{1 +}'/>",
     ],
 )
-def test_what_is_added_must_be_one_safe_element(xml: str) -> None:
+def test_only_one_safe_element_can_be_added(xml: str) -> None:
     message = refused(SUMO, Add("//flow", xml, why="scenario 'x'"), error=SierraError)
     assert message.startswith("scenario 'x': ")
 
 
-def test_remove_takes_an_element_with_its_line_and_keeps_what_follows_it() -> None:
+def test_remove_deletes_an_element_with_its_line_and_keeps_the_following_text() -> None:
     text = "<r>\n  <a/>\n  <b/>\n</r>"
     assert changed(text, Remove("//a")) == "<r>\n  <b/>\n</r>"
     assert changed(text, Remove("//b")) == "<r>\n  <a/>\n</r>"
@@ -510,21 +512,21 @@ def test_remove_takes_an_element_with_its_line_and_keeps_what_follows_it() -> No
     assert changed("<r><![CDATA[<]]><a/></r>", Remove("//a")) == "<r><![CDATA[<]]></r>"
 
 
-def test_remove_takes_attributes_and_comments_too() -> None:
+def test_remove_deletes_attributes_and_comments() -> None:
     assert changed("<r a='1' b='2'/>", Remove("//@a")) == '<r b="2"/>'
     assert changed("<r>1<!-- c -->2<?p?></r>", Remove("//comment()"), Remove("//processing-instruction()")) == "<r>12</r>"
 
 
-def test_remove_takes_elements_within_removed_elements() -> None:
+def test_remove_deletes_matches_within_removed_elements() -> None:
     assert changed("<r><a><a/>x</a>y</r>", Remove("//a", expect=2)) == "<r>y</r>"
 
 
-def test_what_cannot_be_removed_is_said() -> None:
+def test_removing_the_root_or_a_text_is_refused() -> None:
     assert "the root element" in refused(SUMO, Remove("/routes"))
     assert "texts" in refused(GAZEBO, Remove("//type/text()"))
 
 
-def test_rename_keeps_the_namespace_unless_it_is_given_another() -> None:
+def test_rename_keeps_the_namespace_unless_another_is_given() -> None:
     assert changed(NAMESPACES, Rename("//a:robot", "drone")) == NAMESPACES.replace("a:robot", "a:drone")
     assert changed(NAMESPACES, Rename("//_:world", "a:w")).count("a:w>") == 2
     assert "<b:robot " in changed(NAMESPACES, Rename("//b:x", "robot"))
@@ -541,7 +543,7 @@ def test_rename_keeps_the_namespace_unless_it_is_given_another() -> None:
         (Set("/", "1"), ""),
     ],
 )
-def test_what_a_change_is_not_for_is_said(change: Change, message: str) -> None:
+def test_changes_of_unsuitable_nodes_are_refused(change: Change, message: str) -> None:
     assert message in refused(SUMO, change)
 
 
@@ -549,18 +551,18 @@ def test_a_comment_cannot_be_set() -> None:
     assert "comments" in refused("<r><!-- c --></r>", Set("//comment()", "x"))
 
 
-def test_the_number_of_matches_is_what_is_expected() -> None:
+def test_a_number_of_matches_other_than_expected_is_refused() -> None:
     changed(MUJOCO, Set("//joint/@damping", "1", expect=2), Remove("//joint", expect=2))
     message = refused(MUJOCO, Set("//joint/@damping", "1", expect=1, why="variable 'd'"))
     assert message == "variable 'd': //joint/@damping matches 2 in template.xml, not 1 as expected"
     assert "matches 2" in refused(MUJOCO, Remove("//joint", expect=3))
 
 
-def test_a_text_in_pieces_is_one_match() -> None:
+def test_a_text_with_cdata_sections_is_one_match() -> None:
     assert changed("<r>a<![CDATA[b]]>c</r>", Set("/r/text()", "x", expect=1)) == "<r>x</r>"
 
 
-# Nothing matches
+# Paths without a match
 
 
 @pytest.mark.parametrize(
@@ -588,7 +590,7 @@ def test_a_text_in_pieces_is_one_match() -> None:
         ('<r><a b="it\'s"/></r>', '//a[@b="its"]', 'nearest is //a[@b="it\'s"]'),
     ],
 )
-def test_a_path_without_a_match_is_refused_with_the_nearest_that_has_one(text: str, path: str, nearest: str) -> None:
+def test_the_error_for_a_path_without_a_match_suggests_the_nearest_match(text: str, path: str, nearest: str) -> None:
     message = refused(text, Set(path, "1", why="variable 'population_size'"))
     assert message.startswith(f"variable 'population_size': {path} matches nothing in template.xml; ")
     assert nearest in message
@@ -596,7 +598,7 @@ def test_a_path_without_a_match_is_refused_with_the_nearest_that_has_one(text: s
         assert "matches nothing" in refused(text, change)
 
 
-def test_what_has_no_prefix_is_reached_by_its_local_name() -> None:
+def test_elements_without_a_prefix_are_suggested_by_local_name() -> None:
     text = '<a xmlns="urn:1"><robot xmlns="urn:2" count="1"/></a>'
     message = refused(text, Set("/_:a/robto/@count", "2"))
     assert "/_:a has *[local-name()='robot']" in message
@@ -604,7 +606,7 @@ def test_what_has_no_prefix_is_reached_by_its_local_name() -> None:
 
 
 @given(st.text(alphabet="/@*.[]()'\"|abflowid:_=1 \n", max_size=20))
-def test_any_path_selects_or_is_refused_in_one_line(path: str) -> None:
+def test_any_path_selects_nodes_or_is_refused_in_one_line(path: str) -> None:
     message = ""
     try:
         template(NAMESPACES).changed([Set(path, "1", why="a\nb")], {})
@@ -642,14 +644,14 @@ STRUCTURAL: list[Change] = [
 
 
 @given(st.text(CHARACTERS | st.sampled_from("\r\n\t<>&\"'")), st.integers())
-def test_a_run_gets_what_the_same_changes_make(text: str, seed: int) -> None:
+def test_changes_per_run_give_the_same_bytes_as_changes_of_the_template(text: str, seed: int) -> None:
     for changes in (PER_RUN, STRUCTURAL, []):
         values: dict[str, Value] = {"seed": seed % 2**64, "text": text}
         assert per_run_made(template(MUJOCO), changes, values) == changes_made(template(MUJOCO), changes, values)
 
 
 @pytest.mark.parametrize("changes", [PER_RUN, STRUCTURAL])
-def test_a_run_gets_the_same_bytes_whatever_was_rendered_before(changes: list[Change]) -> None:
+def test_the_bytes_of_a_run_do_not_depend_on_earlier_renderings(changes: list[Change]) -> None:
     runs: list[dict[str, Value]] = [{"seed": seed, "text": "x" * (seed % 3)} for seed in range(10)]
     document = template(MUJOCO).changed([Set("//option/@timestep", "0.02")], {})
     fresh = [document.per_run(changes)(values) for values in runs]
@@ -675,12 +677,12 @@ def test_a_run_gets_the_same_bytes_whatever_was_rendered_before(changes: list[Ch
         ([Add("//body", "<a>"), SEED], TemplateError),
     ],
 )
-def test_what_does_not_fit_is_said_before_anything_runs(changes: list[Change], error: type[SierraError]) -> None:
+def test_changes_per_run_that_do_not_match_are_refused_early(changes: list[Change], error: type[SierraError]) -> None:
     with pytest.raises(error):
         template(MUJOCO).changed((), {}).per_run(changes)
 
 
-def test_a_run_says_who_asks_for_what_is_wrong() -> None:
+def test_errors_of_changes_per_run_name_the_change() -> None:
     render = template(MUJOCO).changed((), {}).per_run([Set(SEED.path, "{seed}", why="the seed")])
     with pytest.raises(ConfigError, match=r"^the seed: unknown name 'seed'"):
         render({})
@@ -695,7 +697,7 @@ def test_a_run_says_who_asks_for_what_is_wrong() -> None:
     ("there", "value"),
     [("0", "0.0"), ("0.0", "0"), ("1000", "1e3"), (" 5 ", "5.0"), ("-0.5", "-.5"), ("+1", "1"), ("2.", "2"), ("0.25", "25e-2")],
 )
-def test_a_number_in_another_spelling_leaves_the_bytes_as_they_are(there: str, value: str) -> None:
+def test_setting_an_equal_number_in_another_spelling_keeps_the_bytes(there: str, value: str) -> None:
     text = f'<a b="{there}"><c>{there}</c></a>'
     sets = [Set("//c", value), Set("/a/@b", value)]
     assert changed(text, *sets) == text
@@ -720,7 +722,7 @@ def test_a_number_in_another_spelling_leaves_the_bytes_as_they_are(there: str, v
         ("1e999", "1e9999"),
     ],
 )
-def test_what_is_not_surely_the_same_number_is_written(there: str, value: str) -> None:
+def test_a_value_that_may_be_another_number_is_written(there: str, value: str) -> None:
     text = f'<a b="{there}"/>'
     assert changed(text, Set("/a/@b", value)) == f'<a b="{value}"/>'
     assert template(text).changed((), {}).per_run([Set("/a/@b", value)])({}).decode() == f'<a b="{value}"/>'
@@ -730,13 +732,13 @@ SPELLED = st.lists(st.sampled_from(["0", "0.0", "1", "1.0", "1e0", "x", "-0", "0
 
 
 @given(SPELLED)
-def test_runs_are_given_the_bytes_that_the_same_changes_make_one_by_one(values: list[str]) -> None:
+def test_several_changes_per_run_give_the_same_bytes_as_changes_one_by_one(values: list[str]) -> None:
     text = '<a b="0" c="1"><d>1.0</d></a>'
     sets = [Set("//@*", value) for value in values[:2]] + [Set("//d | /a/@c", value) for value in values[2:]]
     assert template(text).changed((), {}).per_run(sets)({}).decode() == changed(text, *sets)
 
 
-# Paths that would be evaluated for ever
+# Paths whose evaluation would not end
 
 
 MANY = "<a>" + '<b c="1"><d/></b>' * 2000 + "</a>"
@@ -751,7 +753,7 @@ MANY = "<a>" + '<b c="1"><d/></b>' * 2000 + "</a>"
         "//b[preceding::d[following::d[preceding::d[following::b/@c = 2]]]]",
     ],
 )
-def test_a_path_that_would_be_evaluated_for_ever_is_refused(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_path_whose_evaluation_takes_too_long_is_refused(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sierra.templates.xpath_time_limit.LIMIT_S", 1)
     with pytest.raises(TemplateError) as caught:
         template(MANY).find(path)
@@ -759,7 +761,7 @@ def test_a_path_that_would_be_evaluated_for_ever_is_refused(path: str, monkeypat
 
 
 @pytest.mark.integration
-def test_the_command_line_names_such_a_path_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_line_names_a_slow_path_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sierra.templates.xpath_time_limit.LIMIT_S", 1)
     wide = "//*[count(//*[count(//*[count(//*)>0])>0])>0]/@c"
     folder = projects.make(tmp_path / "p", template=projects.TEMPLATE.replace("</arena>", MANY + "</arena>"))
@@ -772,11 +774,11 @@ def test_the_command_line_names_such_a_path_in_one_line(tmp_path: Path, monkeypa
 @pytest.mark.parametrize(
     ("path", "count"), [("//b[@c = //b/@c]/@c", 2000), ("//b[d and //b[d]]/d", 2000), ("//a|//b|//d", 4001)]
 )
-def test_a_path_that_may_take_long_and_does_not_selects_what_it_should(path: str, count: int) -> None:
+def test_a_complex_path_that_is_fast_selects_its_nodes(path: str, count: int) -> None:
     assert len(template(MANY).find(path)) == count
 
 
-def test_a_path_that_may_take_long_and_is_none_is_told_as_any_other() -> None:
+def test_an_invalid_complex_path_is_reported_like_any_other() -> None:
     with pytest.raises(TemplateError, match=r"is not an XPath for template\.xml"):
         template(MANY).find("//b[//b[//b[//b[]]]]")
 
@@ -796,7 +798,7 @@ def test_a_usual_path_starts_no_process(path: str, monkeypatch: pytest.MonkeyPat
     assert template("<x>" + MANY * 10 + "</x>").find(path) is not None
 
 
-def test_ten_thousand_inputs_of_3_kb_are_little_work() -> None:
+def test_rendering_ten_thousand_inputs_of_3_kb_is_fast() -> None:
     text = MUJOCO.replace("<actuator/>", "<actuator>" + '<motor name="fx" joint="x" gear="1"/>' * 70 + "</actuator>")
     assert len(text) > 3000
     render = template(text).changed((), {}).per_run([SEED])

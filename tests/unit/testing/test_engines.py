@@ -1,4 +1,4 @@
-"""The shipped engines hold to the conformance suite, with the real programs; and the suite notices what breaks its claims."""
+"""The shipped engines pass the conformance suite with the real programs, and the suite detects violations."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from tests.users import User, a_user, called_as
 
 @pytest.fixture(scope="session")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An image of busybox, made once."""
+    """Return an image of busybox, made once."""
     return containers.busybox(tmp_path_factory.mktemp("busybox"))
 
 
 @pytest.fixture
 def user(request: pytest.FixtureRequest, require: Callable[..., str]) -> Iterator[User]:
-    """A user without rights; with a range of ids where the test says so."""
+    """Yield a user without privileges; with a range of ids if the test requests it."""
     require("root, to make a user", there=os.geteuid() == 0)
     require("useradd")
     ids: bool = request.param
@@ -34,7 +34,7 @@ def user(request: pytest.FixtureRequest, require: Callable[..., str]) -> Iterato
 
 
 def conforms(name: str, user: User | None, archive: Path, folder: Path) -> None:
-    """Hold an engine to all claims, called by a user."""
+    """Check all claims of an engine that a user calls."""
     home = user.home if user else folder
     data = archive.read_bytes()
 
@@ -49,14 +49,14 @@ def conforms(name: str, user: User | None, archive: Path, folder: Path) -> None:
     called_as(user, check)
 
 
-def test_none_conforms(tmp_path: Path) -> None:
+def test_the_engine_none_conforms(tmp_path: Path) -> None:
     conformance.check(NoEngine(), None, tmp_path, tmp_path)
 
 
 @pytest.mark.real
 @pytest.mark.integration
 @pytest.mark.parametrize("name", ["podman", "apptainer"])
-def test_it_conforms(name: str, archive: Path, tmp_path: Path, require: Callable[..., str]) -> None:
+def test_podman_and_apptainer_conform(name: str, archive: Path, tmp_path: Path, require: Callable[..., str]) -> None:
     require(name)
     conforms(name, None, archive, tmp_path)
 
@@ -69,34 +69,36 @@ def test_it_conforms(name: str, archive: Path, tmp_path: Path, require: Callable
     indirect=["user"],
     ids=["podman", "podman-without-ids", "apptainer"],
 )
-def test_it_conforms_without_rights(name: str, user: User, archive: Path, tmp_path: Path, require: Callable[..., str]) -> None:
+def test_podman_and_apptainer_conform_without_privileges(
+    name: str, user: User, archive: Path, tmp_path: Path, require: Callable[..., str]
+) -> None:
     require(name)
     conforms(name, user, archive, tmp_path)
 
 
 class Leaking(NoEngine):
-    """An engine that gives the caller's environment away."""
+    """An engine that passes on the caller's environment."""
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
         return Client(process.argv, {**os.environ, **process.environment})
 
 
 class Splitting(NoEngine):
-    """An engine that takes a command for a line of a shell."""
+    """An engine that interprets a command as a line of a shell."""
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
         return Client(("sh", "-c", " ".join(process.argv)), process.environment)
 
 
 class Deaf(NoEngine):
-    """An engine that lets no signal through."""
+    """An engine that forwards no signal."""
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
         return Client(("sh", "-c", 'trap "" TERM; "$@"; exit $?', "sh", *process.argv), process.environment)
 
 
 class Talking(NoEngine):
-    """An engine that says something of its own."""
+    """An engine that writes its own messages."""
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
         return Client(("sh", "-c", 'echo INFO: starting >&2; exec "$@"', "sh", *process.argv), process.environment)
@@ -122,7 +124,7 @@ class Unsure(NoEngine):
         (NoEngine, conformance.says_what_cannot_be_started, "became|No such file"),
     ],
 )
-def test_the_suite_notices(
+def test_the_suite_detects_violations_of_its_claims(
     engine: type[NoEngine],
     claim: Callable[[conformance.Trial], None],
     complaint: str,

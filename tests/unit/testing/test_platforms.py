@@ -1,4 +1,4 @@
-"""The shipped platforms hold to the conformance suite, and the suite notices what breaks each of its claims."""
+"""The shipped platforms pass the conformance suite, and the suite detects a violation of each of its claims."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_command_conforms() -> None:
     conformance.files_are_safe(conformance.made(Command, project))
 
 
-def test_the_suite_knows_the_placeholders_that_are_filled() -> None:
+def test_the_suite_knows_all_placeholders_of_commands() -> None:
     assert set(commands.KNOWN) == conformance.COMMAND_PLACEHOLDERS
 
 
@@ -88,13 +88,13 @@ Span = tuple[Axis, tuple[Point, ...]]
 
 
 def span(*values: Any, name: str = "speed", changes: tuple[Change, ...] | None = None) -> Span:
-    """An axis, whose points set their value unless it is said what they change."""
+    """Return an axis whose points set their value, unless other changes are given."""
     own = {value: (Set("/a/@speed", str(value), why="speed"),) if changes is None else changes for value in values}
     return Axis(name, values), tuple(Point(value, own[value]) for value in values)
 
 
 class Sound:
-    """A platform that conforms; the tests break one answer of it each."""
+    """A platform that conforms; each test breaks one of its answers."""
 
     Options: ClassVar[type[project_file.Table]] = project_file.Table
 
@@ -173,7 +173,7 @@ def test_a_sound_platform_conforms() -> None:
         ("files", (("a", b""), ("A", b"")), "two files have one name"),
     ],
 )
-def test_an_answer_that_is_not_right_is_noticed(method: str, answer: object, complaint: str) -> None:
+def test_an_invalid_answer_is_detected(method: str, answer: object, complaint: str) -> None:
     broken = type("Broken", (Sound,), {method: lambda self, *args: answer})
     with pytest.raises(AssertionError, match=complaint):
         check(broken)
@@ -194,7 +194,7 @@ def test_an_answer_that_is_not_right_is_noticed(method: str, answer: object, com
         ((Axis("speed", [1, 2]), span(1, 2)[1]), "not <class 'tuple'>"),  # type: ignore[arg-type]
     ],
 )
-def test_an_axis_that_is_not_right_is_noticed(answer: Span | None, complaint: str) -> None:
+def test_an_invalid_axis_is_detected(answer: Span | None, complaint: str) -> None:
     class Broken(Sound):
         def criterion(self, criterion: Criterion, template: Reader) -> Span | None:
             return answer if criterion.name == "speed" else None
@@ -203,7 +203,7 @@ def test_an_axis_that_is_not_right_is_noticed(answer: Span | None, complaint: st
         conformance.spans_an_axis(Broken(project_file.parse({"template": "t.xml"}, "sierra.toml"), None), TEMPLATE, SPEED)
 
 
-def test_a_path_of_this_machine_is_noticed(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+def test_a_path_of_this_machine_is_detected(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
     monkeypatch.chdir(tmp_path)
 
     class Broken(Sound):
@@ -214,7 +214,7 @@ def test_a_path_of_this_machine_is_noticed(monkeypatch: pytest.MonkeyPatch, tmp_
         check(Broken)
 
 
-def test_options_that_take_anything_are_noticed() -> None:
+def test_options_that_accept_any_key_are_detected() -> None:
     class Anything(project_file.Table):
         model_config = ConfigDict(extra="allow")
 
@@ -225,7 +225,7 @@ def test_options_that_take_anything_are_noticed() -> None:
         check(Broken)
 
 
-def test_a_check_that_answers_or_rambles_is_noticed() -> None:
+def test_a_check_that_returns_a_value_or_has_a_long_message_is_detected() -> None:
     class Answers(Sound):
         def check(self, document: Reader, template: Reader) -> Any:
             return False
@@ -242,7 +242,7 @@ def test_a_check_that_answers_or_rambles_is_noticed() -> None:
 
 
 @pytest.mark.parametrize("driving", ["command", "argos"])
-def test_the_options_of_a_platform_are_checked_whichever_drives(driving: str) -> None:
+def test_options_of_all_platforms_are_checked_for_any_chosen_platform(driving: str) -> None:
     project = project_file.parse(
         {"template": "t.xml", "platform": driving, "command": "x {input}", "platforms": {"argos": {"lenght": 3}}}, "sierra.toml"
     )
@@ -250,7 +250,7 @@ def test_the_options_of_a_platform_are_checked_whichever_drives(driving: str) ->
         platforms.find(driving, project)
 
 
-def test_options_of_a_platform_that_is_not_there_are_told_those_that_are() -> None:
+def test_the_error_for_options_of_an_unknown_platform_lists_known_ones() -> None:
     project = project_file.parse({"template": "t.xml", "command": "x {input}", "platforms": {"argus": {}}}, "sierra.toml")
     with pytest.raises(ConfigError, match=r"\[platforms.argus\]: unknown platform 'argus'; known are command, argos"):
         platforms.find("command", project)
@@ -277,7 +277,7 @@ def test_an_installed_platform_and_its_options_are_found_by_name(tmp_path: Path,
         platforms.find("command", wrong)
 
 
-def test_answers_that_change_are_noticed() -> None:
+def test_answers_that_change_are_detected() -> None:
     counter = itertools.count()
 
     class Asked(Sound):
@@ -299,7 +299,7 @@ def test_answers_that_change_are_noticed() -> None:
         check(Made)
 
 
-def test_an_example_of_something_else_is_noticed() -> None:
+def test_an_example_of_another_criterion_is_detected() -> None:
     project = project_file.parse({"template": "t.xml", "platform": "sound"}, "sierra.toml")
     with pytest.raises(AssertionError, match="is one of 'mass'"):
         conformance.describes_its_criteria(Sound(project, None), {"speed": grammar.parse("mass=1,2")})

@@ -1,4 +1,4 @@
-"""The shipped runners hold to the conformance suite, over a real SLURM too; and the suite notices what breaks its claims."""
+"""The shipped runners pass the conformance suite, also over a real SLURM, and the suite detects violations."""
 
 from __future__ import annotations
 
@@ -34,21 +34,23 @@ def cluster(name: str) -> Callable[[int], Runner]:
     return runners.find(name, {name: TABLE})
 
 
-def test_local_conforms(tmp_path: Path) -> None:
+def test_the_runner_local_conforms(tmp_path: Path) -> None:
     conformance.check_runner(local, tmp_path)
 
 
 @pytest.mark.real
 @pytest.mark.integration
 @pytest.mark.parametrize("name", ["slurm", "pbs"])
-def test_a_cluster_conforms(name: str, slurm: clusters.Slurm, tmp_path: Path, require: Callable[..., str]) -> None:
+def test_cluster_runners_over_slurm_conform(
+    name: str, slurm: clusters.Slurm, tmp_path: Path, require: Callable[..., str]
+) -> None:
     require("qsub")
     conformance.check_runner(cluster(name), tmp_path)
 
 
 @pytest.fixture
 def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pbs.Server]:
-    """A PBS that commands on the PATH speak to; home is a folder of its own."""
+    """Yield a PBS server that commands on the PATH use; the home folder is separate."""
     (tmp_path / "home").mkdir()
     made = pbs.Server(tmp_path / "server", request.param)
     monkeypatch.setenv("PATH", f"{made.bin}:{os.environ['PATH']}")
@@ -59,13 +61,13 @@ def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("server", ["openpbs", "torque"], indirect=True)
-def test_pbs_conforms(server: pbs.Server, tmp_path: Path) -> None:
+def test_the_runner_pbs_conforms(server: pbs.Server, tmp_path: Path) -> None:
     (tmp_path / "trials").mkdir()
     conformance.check_runner(cluster("pbs"), tmp_path / "trials")
 
 
 class Changed(Local):
-    """A runner that executes other jobs than it is given."""
+    """A runner that changes the jobs that it executes."""
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         super().submit(replace(work, jobs=map(self.changed, work.jobs)), session)
@@ -75,28 +77,28 @@ class Changed(Local):
 
 
 class Leaking(Changed):
-    """Gives the caller's environment away."""
+    """Passes on the caller's environment."""
 
     def changed(self, job: Job) -> Job:
         return replace(job, environment={**os.environ, **job.environment})
 
 
 class Splitting(Changed):
-    """Takes a command for a line of a shell."""
+    """Interprets a command as a line of a shell."""
 
     def changed(self, job: Job) -> Job:
         return replace(job, argv=("sh", "-c", " ".join(job.argv).replace("\0", "$SIERRA_RUN_DIR")))
 
 
 class Lenient(Changed):
-    """Keeps no limits."""
+    """Enforces no limits."""
 
     def changed(self, job: Job) -> Job:
         return replace(job, limits=Limits())
 
 
 class Retold(Local):
-    """A runner that tells of runs otherwise than they were."""
+    """A runner that reports runs incorrectly."""
 
     def look(self) -> Look:
         look = super().look()
@@ -107,21 +109,21 @@ class Retold(Local):
 
 
 class Repeating(Retold):
-    """Tells of each run twice."""
+    """Reports each run twice."""
 
     def told(self, results: list[Result]) -> list[Result]:
         return results * 2
 
 
 class Hopeful(Retold):
-    """Tells of no failure."""
+    """Reports no failure."""
 
     def told(self, results: list[Result]) -> list[Result]:
         return [replace(result, exit_code=0) for result in results]
 
 
 class Careless(Retold):
-    """Does not hash what runs leave."""
+    """Does not hash outputs."""
 
     def told(self, results: list[Result]) -> list[Result]:
         outputs = [tuple(replace(file, sha256="0" * 64) for file in result.outputs) for result in results]
@@ -129,7 +131,7 @@ class Careless(Retold):
 
 
 class Slow(Local):
-    """Waits while it looks."""
+    """Waits during a query."""
 
     def look(self) -> Look:
         time.sleep(0.5)
@@ -143,7 +145,7 @@ class Deaf(Local):
 
 
 class Hasty(Deaf):
-    """Says that it has ended as soon as it is stopped."""
+    """Reports its end as soon as it is stopped."""
 
     stopped = False
 
@@ -168,10 +170,10 @@ class Hasty(Deaf):
         pytest.param(Hasty, conformance.ends_when_stopped, "runs on", marks=pytest.mark.nightly),
     ],
 )
-def test_the_suite_notices(
+def test_the_suite_detects_violations_of_its_claims(
     runner: type[Local], claim: Callable[[Ordeal], None], complaint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if runner in (Lenient, Deaf, Hasty):  # what never comes is waited for
+    if runner in (Lenient, Deaf, Hasty):  # the suite waits for an event that never happens
         monkeypatch.setattr(conformance, "PATIENCE_S", 8.0)
     monkeypatch.setattr(conformance, "AT_ONCE_S", 0.4)
     ordeal = Ordeal(lambda slots: runner(slots, ClusterTable()), tmp_path)
@@ -185,7 +187,7 @@ def test_the_suite_notices(
 
 
 class Forgetful(Cluster):
-    """A runner that does not heed what is recorded."""
+    """A runner that ignores its record."""
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         super().resume(session, {})
@@ -200,7 +202,7 @@ class Forgetful(Cluster):
         (Cluster, conformance.ends_with_its_process, "runs on"),
     ],
 )
-def test_the_suite_notices_of_those_that_stay(
+def test_the_suite_detects_violations_of_runners_that_detach(
     runner: type[Cluster],
     claim: Callable[[Ordeal], None],
     complaint: str,
@@ -208,7 +210,7 @@ def test_the_suite_notices_of_those_that_stay(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    if runner is Cluster:  # what never comes is waited for
+    if runner is Cluster:  # the suite waits for an event that never happens
         monkeypatch.setattr(conformance, "PATIENCE_S", 20.0)
     (tmp_path / "trials").mkdir()
     ordeal = Ordeal(lambda slots: runner(slots, ClusterTable(**TABLE), name="pbs", scheduler="pbs"), tmp_path / "trials")

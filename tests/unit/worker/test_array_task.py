@@ -1,4 +1,4 @@
-"""Elements of a cluster's job, without a cluster: real processes that execute, pack, and are killed at any moment."""
+"""Array tasks without a cluster: real processes that execute runs, pack results, and are killed at any moment."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def many(count: int, code: str) -> list[Job]:
 
 
 class Folder:
-    """A session's folder, as a submitter makes it, and the elements that were started on it."""
+    """The folder of a session, as a submitter makes it, and the array tasks that were started on it."""
 
     def __init__(self, root: Path, scratch: Path) -> None:
         self.root = root
@@ -69,7 +69,7 @@ class Folder:
         return deal(jobs, elements, self.paths)
 
     def start(self, *words: str, python: str = sys.executable, **variables: str) -> subprocess.Popen[str]:
-        """`array_task.py FOLDER WORDS`, begun."""
+        """Start `array_task.py FOLDER WORDS`."""
         command = [python, "-I", "-S", str(self.root / "array_task.py"), str(self.root), *(words or ("0",))]
         environment = {"PATH": os.defpath, "MARK": str(self.root), **variables}
         self.started.append(
@@ -80,7 +80,7 @@ class Folder:
         return self.started[-1]
 
     def run(self, *words: str, **more: str) -> tuple[int, str]:
-        """The same to its end: exit status, and what was said."""
+        """Execute an array task to its end; return its exit status and its output."""
         process = self.start(*words, **more)
         out, err = process.communicate(timeout=PATIENCE_S)
         assert (out, "Traceback" in err) == ("", False)
@@ -99,7 +99,7 @@ class Folder:
         until(lambda: len(self.events(Started)) >= count)
 
     def left_running(self) -> list[int]:
-        """Processes of this session: elements, workers and runs."""
+        """Return the processes of this session: array tasks, workers and runs."""
         found = []
         for process in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
@@ -122,7 +122,7 @@ def folder(tmp_path: Path) -> Iterator[Folder]:
     until(lambda: made.left_running() == [])
 
 
-def test_an_element_executes_its_runs_and_packs_what_they_leave(folder: Folder, tmp_path: Path) -> None:
+def test_an_array_task_executes_its_runs_and_packs_their_results(folder: Folder, tmp_path: Path) -> None:
     code = 'echo "$NAME"; echo oops >&2; mkdir -p "a b"; cat ../in.xml > "a b/out.csv"'
     shares = folder.deal([job(f"run{n}", code, files=(("in.xml", b"<a n='%d'/>\n" % n),)) for n in range(7)], elements=3)
     assert shares == (3, 2, 2)
@@ -143,7 +143,7 @@ def test_an_element_executes_its_runs_and_packs_what_they_leave(folder: Folder, 
     assert list(folder.scratch.iterdir()) == []
 
 
-def test_jobs_arrive_as_they_were_dealt(folder: Folder) -> None:
+def test_jobs_are_read_as_they_were_distributed(folder: Folder) -> None:
     from sierra.runners import local
 
     jobs = [
@@ -159,7 +159,7 @@ def test_jobs_arrive_as_they_were_dealt(folder: Folder) -> None:
 
 @given(contents=st.lists(st.binary(max_size=12), min_size=2, max_size=6))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_contents_arrive_as_they_were_dealt(tmp_path: Path, contents: list[bytes]) -> None:
+def test_any_contents_of_inputs_are_read_as_they_were_distributed(tmp_path: Path, contents: list[bytes]) -> None:
     from sierra.runners import local
 
     jobs = [job("x", "true", files=(("in", content),)) for content in contents]
@@ -167,7 +167,7 @@ def test_any_contents_arrive_as_they_were_dealt(tmp_path: Path, contents: list[b
     assert list(array_task.jobs(str(SessionPaths(tmp_path).jobs(0)))) == [json.loads(local.line(one)) for one in jobs]
 
 
-def test_a_list_of_jobs_that_is_cut_short_is_trouble(folder: Folder) -> None:
+def test_a_truncated_list_of_jobs_is_reported(folder: Folder) -> None:
     folder.deal(many(50, "true"))
     path = folder.paths.jobs(0)
     path.write_bytes(path.read_bytes()[:-30])
@@ -178,7 +178,7 @@ def test_a_list_of_jobs_that_is_cut_short_is_trouble(folder: Folder) -> None:
     assert folder.events(Finished) == []
 
 
-def test_what_is_recorded_is_not_executed_again(folder: Folder) -> None:
+def test_recorded_runs_are_not_executed_again(folder: Folder) -> None:
     folder.deal(many(6, "true"))
     assert folder.run()[0] == 0
     assert folder.run()[0] == 0
@@ -186,7 +186,7 @@ def test_what_is_recorded_is_not_executed_again(folder: Folder) -> None:
     assert len(folder.events(Finished)) == 2
 
 
-def test_what_is_damaged_is_executed_again(folder: Folder, tmp_path: Path) -> None:
+def test_runs_with_damaged_results_are_executed_again(folder: Folder, tmp_path: Path) -> None:
     folder.deal(many(3, 'echo "$NAME" > out'))
     folder.run()
     (pack,) = folder.packs()
@@ -201,7 +201,7 @@ def test_what_is_damaged_is_executed_again(folder: Folder, tmp_path: Path) -> No
 
 
 @pytest.mark.integration
-def test_a_killed_element_leaves_nothing_running_and_loses_only_what_was_in_flight(folder: Folder, tmp_path: Path) -> None:
+def test_a_killed_array_task_leaves_no_process_and_loses_only_unfinished_runs(folder: Folder, tmp_path: Path) -> None:
     log = tmp_path / "executed"
     folder.deal(many(40, f"sleep 0.0$((${{#NAME}} * 7)); echo $NAME >> '{log}'; echo 1 > out"))
     chance = random.Random(5)
@@ -220,7 +220,7 @@ def test_a_killed_element_leaves_nothing_running_and_loses_only_what_was_in_flig
     assert list(folder.scratch.iterdir()) == []
 
 
-def test_two_copies_of_an_element_do_not_disturb_each_other(folder: Folder, tmp_path: Path) -> None:
+def test_two_copies_of_an_array_task_do_not_disturb_each_other(folder: Folder, tmp_path: Path) -> None:
     folder.deal(many(10, "sleep 0.05; echo $NAME > out"))
     copies = [folder.start(), folder.start()]
     assert [copy.wait(PATIENCE_S) for copy in copies] == [0, 0]
@@ -228,7 +228,7 @@ def test_two_copies_of_an_element_do_not_disturb_each_other(folder: Folder, tmp_
     assert set(folder.ended()) == {f"run{n}" for n in range(10)}
 
 
-def test_what_may_be_dangerous_is_executed_by_itself_before_all_others(folder: Folder, tmp_path: Path) -> None:
+def test_suspicious_runs_are_executed_alone_before_all_others(folder: Folder, tmp_path: Path) -> None:
     log = tmp_path / "log"
     folder.deal(many(5, f"echo begin $NAME >> '{log}'; sleep 0.1; echo end $NAME >> '{log}'"))
     folder.set(slots=4)
@@ -240,7 +240,7 @@ def test_what_may_be_dangerous_is_executed_by_itself_before_all_others(folder: F
     assert list(folder.scratch.iterdir()) == []
 
 
-def test_what_ends_its_element_at_once_is_known_to_have_begun_where_it_executes_alone(folder: Folder) -> None:
+def test_the_start_of_a_run_that_kills_its_array_task_is_recorded_if_it_runs_alone(folder: Folder) -> None:
     kills = "read -r _ _ _ element _ < /proc/$PPID/stat; kill -9 $element $PPID"
     folder.deal([*many(2, "true"), job("killer", kills)])
     folder.paths.alone(0).write_text("killer\n")
@@ -249,7 +249,7 @@ def test_what_ends_its_element_at_once_is_known_to_have_begun_where_it_executes_
     assert folder.ended() == {}
 
 
-def test_one_that_is_asked_to_end_ends_what_runs_and_says_of_no_run_that_it_ended(folder: Folder) -> None:
+def test_sigterm_stops_the_runs_of_an_array_task_without_results(folder: Folder) -> None:
     folder.deal([job("quick", "true"), job("long", "trap 'exit 0' TERM; sleep 60 & wait"), job("never", "true")])
     folder.set(slots=1)
     process = folder.start()
@@ -262,7 +262,7 @@ def test_one_that_is_asked_to_end_ends_what_runs_and_says_of_no_run_that_it_ende
     assert list(folder.scratch.iterdir()) == []
 
 
-def test_a_signal_to_all_processes_of_a_task_makes_no_result(folder: Folder) -> None:
+def test_a_signal_to_all_processes_of_an_array_task_gives_no_result(folder: Folder) -> None:
     folder.deal(many(8, "trap 'echo partial > out; exit 0' TERM; sleep 60 & wait"))
     process = folder.start()
     folder.until_started(2)
@@ -273,7 +273,7 @@ def test_a_signal_to_all_processes_of_a_task_makes_no_result(folder: Folder) -> 
     assert folder.ended() == {}
 
 
-def test_one_that_is_asked_twice_leaves_no_grace(folder: Folder, tmp_path: Path) -> None:
+def test_a_second_sigterm_ends_an_array_task_without_grace_time(folder: Folder, tmp_path: Path) -> None:
     asked = tmp_path / "asked"
     deaf = f"trap 'touch \"{asked}\"' TERM; touch '{tmp_path}/deaf'; while :; do sleep 0.1; done"
     folder.deal([job("deaf", deaf, limits=Limits(grace_s=PATIENCE_S))])
@@ -287,7 +287,7 @@ def test_one_that_is_asked_twice_leaves_no_grace(folder: Folder, tmp_path: Path)
 
 
 def requeues(folder: Folder, script: str) -> Path:
-    """Have tasks call a script to be begun anew, which gets the task's id; the file where it says that it was called."""
+    """Set the script that array tasks call to be requeued, with the task's id; return the file where it logs its calls."""
     called = folder.root.with_name("called")
     program = folder.root.with_name("requeue")
     program.write_text(f'#!/bin/sh\necho "$@" >> "{called}"\n{script}\n')
@@ -297,7 +297,7 @@ def requeues(folder: Folder, script: str) -> Path:
 
 
 @pytest.mark.integration
-def test_an_element_whose_time_is_nearly_over_has_itself_begun_anew(folder: Folder) -> None:
+def test_an_array_task_requeues_itself_before_its_time_limit(folder: Folder) -> None:
     called = requeues(folder, "kill -TERM $PPID")
     folder.deal([job("quick", "true"), job("long", f"[ -e '{called}' ] || exec sleep 60")])
     process = folder.start("--wall=2", "0", SLURM_ARRAY_JOB_ID="12", SLURM_ARRAY_TASK_ID="3", SLURM_JOB_ID="15")
@@ -312,7 +312,7 @@ def test_an_element_whose_time_is_nearly_over_has_itself_begun_anew(folder: Fold
 
 
 @pytest.mark.nightly
-def test_what_the_scheduler_does_not_begin_anew_goes_on_as_long_as_it_may(folder: Folder) -> None:
+def test_an_array_task_continues_if_the_scheduler_refuses_to_requeue_it(folder: Folder) -> None:
     called = requeues(folder, "echo not allowed here >&2; exit 1")
     folder.deal([job("quick", "true"), job("long", f"until [ -e '{called}' ]; do sleep 0.1; done; sleep 1")])
     assert folder.run("--wall=2", "0")[0] == 0
@@ -322,7 +322,7 @@ def test_what_the_scheduler_does_not_begin_anew_goes_on_as_long_as_it_may(folder
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("why", ["nothing got on", "it is cancelled"])
-def test_an_element_is_not_begun_anew_where_that_leads_nowhere(folder: Folder, why: str) -> None:
+def test_an_array_task_without_progress_or_a_cancelled_one_is_not_requeued(folder: Folder, why: str) -> None:
     called = requeues(folder, "exit 0")
     jobs = [job("long", "sleep 3")] if why == "nothing got on" else [job("quick", "true"), job("long", "sleep 60")]
     folder.deal(jobs)
@@ -334,7 +334,7 @@ def test_an_element_is_not_begun_anew_where_that_leads_nowhere(folder: Folder, w
     assert not called.exists()
 
 
-def test_a_cancelled_session_begins_nothing_more(folder: Folder) -> None:
+def test_an_array_task_of_a_cancelled_session_starts_no_more_runs(folder: Folder) -> None:
     folder.deal(many(3, "sleep 60"))
     process = folder.start()
     folder.until_started()
@@ -346,7 +346,7 @@ def test_a_cancelled_session_begins_nothing_more(folder: Folder) -> None:
 
 
 @pytest.mark.integration
-def test_nothing_large_is_packed_once_the_session_is_cancelled(folder: Folder) -> None:
+def test_packing_stops_when_the_session_is_cancelled(folder: Folder) -> None:
     script = folder.root / "array_task.py"
     slow = "def _write(self, data, at):\n        time.sleep(len(data) / 1e7)\n        return self._written(data, at)\n\n"
     script.write_text(script.read_text().replace("def _write(self", f"{slow}    def _written(self"))
@@ -361,7 +361,7 @@ def test_nothing_large_is_packed_once_the_session_is_cancelled(folder: Folder) -
 
 
 @pytest.mark.parametrize("what", ["the folder", "the pack"])
-def test_where_nobody_waits_any_more_what_runs_is_ended(folder: Folder, what: str) -> None:
+def test_runs_are_stopped_if_the_session_folder_or_the_pack_is_removed(folder: Folder, what: str) -> None:
     folder.deal(many(3, "sleep 60"))
     process = folder.start()
     folder.until_started()
@@ -372,7 +372,7 @@ def test_where_nobody_waits_any_more_what_runs_is_ended(folder: Folder, what: st
     assert process.wait(PATIENCE_S) == 1
 
 
-def test_a_needed_file_that_is_another_is_said_before_anything_executes(folder: Folder, tmp_path: Path) -> None:
+def test_a_changed_required_file_is_reported_before_any_run_executes(folder: Folder, tmp_path: Path) -> None:
     program = tmp_path / "simulator"
     program.write_bytes(b"as it was")
     need = {"name": "simulator", "path": str(program), "sha256": hashlib.sha256(b"as it was").hexdigest()}
@@ -392,7 +392,7 @@ def test_a_needed_file_that_is_another_is_said_before_anything_executes(folder: 
     assert folder.events(Started) == []
 
 
-def test_what_is_called_by_its_name_is_the_one_that_a_node_finds(folder: Folder, tmp_path: Path) -> None:
+def test_a_program_called_by_name_is_checked_as_the_node_finds_it(folder: Folder, tmp_path: Path) -> None:
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
     program = tmp_path / "second" / "simulator"
@@ -410,7 +410,7 @@ def test_what_is_called_by_its_name_is_the_one_that_a_node_finds(folder: Folder,
     assert (code, f"simulator: {tmp_path}/first/simulator is another than on the host that submitted" in said) == (3, True)
 
 
-def test_of_a_link_what_it_says_is_what_counts(folder: Folder, tmp_path: Path) -> None:
+def test_a_required_link_is_compared_by_its_target(folder: Folder, tmp_path: Path) -> None:
     link = tmp_path / "latest"
     link.symlink_to("nowhere")
     sha256 = hashlib.sha256(b"nowhere").hexdigest()
@@ -423,7 +423,7 @@ def test_of_a_link_what_it_says_is_what_counts(folder: Folder, tmp_path: Path) -
     assert (code, f"{link} is another than on the host that submitted" in said) == (3, True)
 
 
-def test_a_python_that_has_other_distributions_is_said(folder: Folder, tmp_path: Path) -> None:
+def test_a_python_with_other_distributions_is_reported(folder: Folder, tmp_path: Path) -> None:
     for name in ("numpy-1.26.4.dist-info", "old.egg-info", "numpy", "~umpy"):
         (tmp_path / "site-packages" / name).mkdir(parents=True)
     where = f"{tmp_path}/site-packages:{tmp_path}/none"
@@ -441,7 +441,7 @@ def test_a_python_that_has_other_distributions_is_said(folder: Folder, tmp_path:
     assert folder.events(Started) == []
 
 
-def test_what_a_node_is_and_was_allotted_is_recorded_and_no_secret(folder: Folder) -> None:
+def test_the_facts_and_allocation_of_a_node_are_recorded_without_secrets(folder: Folder) -> None:
     folder.set(record=["OMP_*", "MY_*"], slots=64)
     folder.deal(many(1, "true"))
     given = {"SLURM_ARRAY_JOB_ID": "12", "SLURM_ARRAY_TASK_ID": "3", "SLURM_JOB_ID": "15", "SLURM_MEM_PER_NODE": "2000"}
@@ -463,7 +463,7 @@ def test_what_a_node_is_and_was_allotted_is_recorded_and_no_secret(folder: Folde
     assert b"secret" not in folder.packs()[0].path.read_bytes()
 
 
-def test_an_element_of_pbs_is_known_by_its_id(folder: Folder) -> None:
+def test_an_array_task_of_pbs_is_identified_by_its_job_id(folder: Folder) -> None:
     folder.deal(many(1, "true"))
     assert folder.run(PBS_JOBID="5[3].pbs1", NCPUS="2")[0] == 0
     (attempt,) = folder.events(Attempt)
@@ -472,7 +472,7 @@ def test_an_element_of_pbs_is_known_by_its_id(folder: Folder) -> None:
     assert attempt.attempt.count(".") == 3
 
 
-def test_scratch_is_named_by_the_environment_of_the_node(folder: Folder, tmp_path: Path) -> None:
+def test_the_scratch_folder_may_use_variables_of_the_node(folder: Folder, tmp_path: Path) -> None:
     folder.deal(many(1, 'echo "$SIERRA_RUN_DIR"'))
     folder.set(scratch="$WHERE/${DEEP}/runs")
     code, said = folder.run(WHERE=str(tmp_path))
@@ -485,7 +485,7 @@ def test_scratch_is_named_by_the_environment_of_the_node(folder: Folder, tmp_pat
 
 
 @pytest.mark.parametrize("scratch", ["{}/scrach/runs", "/scrach"])
-def test_scratch_that_is_not_there_is_not_made_but_for_its_last_folder(folder: Folder, tmp_path: Path, scratch: str) -> None:
+def test_only_the_last_folder_of_a_missing_scratch_path_is_created(folder: Folder, tmp_path: Path, scratch: str) -> None:
     folder.deal(many(1, "true"))
     folder.set(scratch=scratch.format(tmp_path))
     for words in (("0",), ("--probe", "0")):
@@ -498,7 +498,7 @@ def test_scratch_that_is_not_there_is_not_made_but_for_its_last_folder(folder: F
     assert folder.run()[0] == 0
 
 
-def test_a_run_that_put_links_in_place_of_its_files_gives_nobody_elses(folder: Folder, tmp_path: Path) -> None:
+def test_links_instead_of_files_of_a_run_are_not_followed(folder: Folder, tmp_path: Path) -> None:
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "stdout").write_text("a secret")
@@ -521,7 +521,7 @@ def test_a_run_that_put_links_in_place_of_its_files_gives_nobody_elses(folder: F
     assert list(folder.scratch.iterdir()) == []
 
 
-def test_large_outputs_and_strange_names_arrive_whole(folder: Folder, tmp_path: Path) -> None:
+def test_large_outputs_and_odd_names_are_packed_completely(folder: Folder, tmp_path: Path) -> None:
     named = "printf x > \"$(printf 'a\\nb\\377')\""
     code = f"head -c 50000000 /dev/urandom > big; sha256sum big; {named}; head -c 2000000 /dev/zero >&2"
     folder.deal([job("big", code)])
@@ -535,7 +535,7 @@ def test_large_outputs_and_strange_names_arrive_whole(folder: Folder, tmp_path: 
     assert (tmp_path / "taken/stderr").stat().st_size == 2_000_000
 
 
-def test_runs_that_share_a_container_are_packed_like_others(folder: Folder, tmp_path: Path) -> None:
+def test_results_of_runs_that_share_a_container_are_packed(folder: Folder, tmp_path: Path) -> None:
     inside = (sys.executable, "-I", "-S", str(folder.root / "worker.py"), "\0/runs", "1", "-")
     client = Client(inside, {"PATH": os.defpath, "MARK": str(folder.root)})
     folder.deal([replace(one, client=client, shared=True) for one in many(5, 'echo "$NAME" > out')])
@@ -548,7 +548,7 @@ def test_runs_that_share_a_container_are_packed_like_others(folder: Folder, tmp_
     assert list(folder.scratch.iterdir()) == []
 
 
-def test_a_container_that_cannot_be_started_is_a_result(folder: Folder) -> None:
+def test_a_container_that_cannot_be_started_is_recorded_as_a_result(folder: Folder) -> None:
     client = Client(("/no/such/engine",), {})
     folder.deal([replace(one, client=client, shared=True) for one in many(3, "true")])
     assert folder.run() == (0, "")
@@ -556,14 +556,14 @@ def test_a_container_that_cannot_be_started_is_a_result(folder: Folder) -> None:
     assert len(folder.ended()) == 3
 
 
-def test_a_program_that_is_not_there_is_a_result(folder: Folder) -> None:
+def test_a_missing_program_is_recorded_as_a_result(folder: Folder) -> None:
     missing = job("missing", "true")
     folder.deal([Job("missing", "missing", ("/no/such/program",), missing.environment, (), Limits())])
     assert folder.run()[0] == 0
     assert "could not be started" in (folder.ended()["missing"].result.error or "")
 
 
-def test_a_full_shared_disk_is_said_and_what_is_packed_is_whole(
+def test_a_full_shared_disk_is_reported_and_packed_results_stay_intact(
     folder: Folder, tmp_path: Path, disk: Callable[[Path, str], Path]
 ) -> None:
     folder.deal(many(20, "head -c 400000 /dev/urandom > out"))
@@ -581,7 +581,7 @@ def test_a_full_shared_disk_is_said_and_what_is_packed_is_whole(
     assert Counter(one.result.execution for one in folder.events(Ended)) == Counter(f"run{n}" for n in range(20))
 
 
-def test_a_full_disk_of_the_node_is_said(folder: Folder, disk: Callable[[Path, str], Path]) -> None:
+def test_a_full_disk_of_a_node_is_reported(folder: Folder, disk: Callable[[Path, str], Path]) -> None:
     folder.deal([job(f"run{n}", "true", files=(("in", os.urandom(2_000_000)),)) for n in range(4)])
     disk(folder.scratch, "3m")
     (folder.scratch / "other_inputs").write_bytes(bytes(2_000_000))
@@ -591,7 +591,7 @@ def test_a_full_disk_of_the_node_is_said(folder: Folder, disk: Callable[[Path, s
     assert [path.name for path in folder.scratch.iterdir()] == ["other_inputs"]
 
 
-def test_a_worker_that_is_killed_is_trouble_and_leaves_nothing(folder: Folder) -> None:
+def test_a_killed_worker_is_reported_and_leaves_no_process(folder: Folder) -> None:
     folder.deal(many(2, "sleep 60"))
     process = folder.start()
     folder.until_started(2)
@@ -602,7 +602,7 @@ def test_a_worker_that_is_killed_is_trouble_and_leaves_nothing(folder: Folder) -
     assert "the worker ended with signal 9" in folder.events(Trouble)[0].reason
 
 
-def test_what_a_dead_attempt_has_left_is_removed_and_nothing_of_others(folder: Folder) -> None:
+def test_scratch_files_of_a_dead_attempt_are_removed_and_those_of_others_are_kept(folder: Folder) -> None:
     folder.deal(many(2, "sleep 60"))
     alive = folder.start()
     folder.until_started(2)
@@ -623,7 +623,7 @@ def test_what_a_dead_attempt_has_left_is_removed_and_nothing_of_others(folder: F
 
 
 @pytest.mark.parametrize("name", ["array_task.py", "worker.py", "machine.py"])
-def test_what_nodes_execute_is_python_3_8_on_the_standard_library(name: str) -> None:
+def test_scripts_for_nodes_need_only_python_3_8_and_the_standard_library(name: str) -> None:
     tree = ast.parse(Path(str(SCRIPTS[name].__file__)).read_text(), feature_version=(3, 8))
     found = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     found |= {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
@@ -639,7 +639,7 @@ def python_of(version: str) -> str | None:
     return None
 
 
-def test_an_old_python_is_said(folder: Folder, require: Any) -> None:
+def test_a_python_that_is_too_old_is_reported(folder: Folder, require: Any) -> None:
     old = python_of("3.6") or python_of("3.7")
     require("a Python before 3.8", there=old is not None)
     folder.deal(many(1, "true"))
@@ -648,7 +648,7 @@ def test_an_old_python_is_said(folder: Folder, require: Any) -> None:
     assert "3.8 or newer is needed" in said
 
 
-def test_the_oldest_python_executes(folder: Folder, require: Any) -> None:
+def test_the_oldest_supported_python_executes_an_array_task(folder: Folder, require: Any) -> None:
     oldest = python_of("3.8")
     require("Python 3.8", there=oldest is not None)
     folder.deal(many(3, "echo 1 > out"))
@@ -670,7 +670,7 @@ def packed(tmp_path_factory: pytest.TempPathFactory) -> Pack:
 @pytest.mark.integration
 @given(data=st.data())
 @settings(max_examples=200)
-def test_a_damaged_pack_says_only_what_was_written(
+def test_a_damaged_pack_gives_only_events_that_were_written(
     packed: Pack, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     whole, events = packed.path.read_bytes(), list(Pack(packed.path).read())
@@ -693,7 +693,7 @@ def test_a_damaged_pack_says_only_what_was_written(
     shutil.rmtree(folder)
 
 
-def test_a_pack_is_read_while_it_grows(packed: Pack, tmp_path: Path) -> None:
+def test_a_pack_can_be_read_while_it_grows(packed: Pack, tmp_path: Path) -> None:
     whole, growing = packed.path.read_bytes(), Pack(tmp_path / packed.path.name)
     found = []
     for size in range(0, len(whole) + 1, 7):
@@ -703,7 +703,7 @@ def test_a_pack_is_read_while_it_grows(packed: Pack, tmp_path: Path) -> None:
     assert found + list(growing.read()) == list(Pack(packed.path).read())
 
 
-def test_a_record_of_another_version_is_said(tmp_path: Path) -> None:
+def test_a_record_of_another_version_is_reported(tmp_path: Path) -> None:
     pack = Pack(tmp_path / "0.a.b.c.d.pack")
     pack.path.write_bytes(array_task.line_of({"event": "start", "execution": "x", "time": 1.0, "weather": "fine"}))
     with pytest.raises(Damaged, match="another version"):
@@ -713,7 +713,7 @@ def test_a_record_of_another_version_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "path", ["../x", "/etc/x", "output/../../x", "output//x", "output/./x", "output", "else", "output/a\0b", ""]
 )
-def test_no_path_leads_out_of_a_runs_folder(packed: Pack, tmp_path: Path, path: str) -> None:
+def test_paths_out_of_a_runs_folder_are_refused(packed: Pack, tmp_path: Path, path: str) -> None:
     ended = next(event for event in Pack(packed.path).read() if isinstance(event, Ended))
     hostile = Ended(ended.result, ((path, *ended.files[0][1:]),), ended.at)
     with pytest.raises(Damaged, match="does not lie in a run's folder"):
@@ -721,7 +721,7 @@ def test_no_path_leads_out_of_a_runs_folder(packed: Pack, tmp_path: Path, path: 
     assert [entry.name for entry in tmp_path.rglob("*")] == ["in"]
 
 
-def test_no_output_is_told_that_is_not_in_the_pack(packed: Pack, tmp_path: Path) -> None:
+def test_outputs_that_are_not_in_the_pack_are_refused(packed: Pack, tmp_path: Path) -> None:
     with packed.path.open("rb") as file:
         ends = [(record, at, after) for record, at, after in array_task.records(file, 0) if record["event"] == "end"]
         record, at, after = next(one for one in ends if one[0]["outputs"])
@@ -739,13 +739,13 @@ def test_no_output_is_told_that_is_not_in_the_pack(packed: Pack, tmp_path: Path)
 
 
 def cpu_of_children() -> float:
-    """CPU seconds of all processes that this one, or its children, waited for."""
+    """Return the CPU seconds of all processes that this one, or its children, waited for."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 @pytest.mark.integration
-def test_an_element_costs_little_beside_its_worker(folder: Folder, tmp_path: Path) -> None:
+def test_the_cpu_time_of_an_array_task_is_limited_relative_to_its_worker(folder: Folder, tmp_path: Path) -> None:
     folder.deal(many(300, "true"))
     began = cpu_of_children()
     assert folder.run()[0] == 0
@@ -764,7 +764,7 @@ def test_an_element_costs_little_beside_its_worker(folder: Folder, tmp_path: Pat
 
 
 @pytest.mark.integration
-def test_an_element_whose_runs_are_long_is_idle(folder: Folder) -> None:
+def test_an_array_task_with_long_runs_is_idle(folder: Folder) -> None:
     folder.deal(many(2, "sleep 5"))
     process = folder.start()
     folder.until_started(2)

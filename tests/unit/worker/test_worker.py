@@ -1,4 +1,4 @@
-"""The worker alone: jobs through its stdin, what happened from its journal, and nothing left running."""
+"""The worker alone: it reads jobs from stdin, writes events to its journal, and leaves no process running."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PROGRAM = str(Path(worker.__file__))
 
 
 def job(*argv: str, name: str = "one", limits: dict[str, Any] | None = None, **more: Any) -> dict[str, Any]:
-    """A job that executes `argv`; `limits` as the worker knows them."""
+    """Return a job that executes `argv`, with `limits` in the worker's format."""
     environment = {
         "PATH": os.defpath,
         "HOME": "\0/home",
@@ -43,17 +43,17 @@ def job(*argv: str, name: str = "one", limits: dict[str, Any] | None = None, **m
 
 
 def python(code: str, **more: Any) -> dict[str, Any]:
-    """A job that executes Python."""
+    """Return a job that executes Python."""
     return job(sys.executable, "-I", "-S", "-c", code, **more)
 
 
 def shell(code: str, **more: Any) -> dict[str, Any]:
-    """A job that executes a shell script."""
+    """Return a job that executes a shell script."""
     return job("/bin/sh", "-c", code, **more)
 
 
 class Worker:
-    """A worker as a process; the sender's end of its pipe is in the test's hands."""
+    """A worker as a process; the test holds the sender's end of its pipe."""
 
     def __init__(self, folder: Path, slots: int, starter: tuple[str, ...] = ()) -> None:
         self.folder = folder
@@ -89,14 +89,14 @@ class Worker:
 
 @pytest.fixture(autouse=True)
 def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """What marks all processes of this test; none may be left when it ends."""
+    """Yield a mark of all processes of this test; no process may be left at the end."""
     monkeypatch.setenv("MARK", str(tmp_path))
     return f"MARK={tmp_path}"
 
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Worker]]:
-    """Starts workers, and closes their pipes in the end."""
+    """Yield a function that starts workers; close their pipes at the end."""
     workers: list[Worker] = []
 
     def start(slots: int = 1, *, folder: Path = tmp_path / "a'; echo work", starter: tuple[str, ...] = ()) -> Worker:
@@ -116,7 +116,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Worker]]:
 
 @pytest.fixture
 def execute(start: Callable[..., Worker]) -> Callable[..., dict[str, Any]]:
-    """Executes one job; what the journal says of its end."""
+    """Return a function that executes one job and returns the event of its end from the journal."""
 
     def execute(one: dict[str, Any]) -> dict[str, Any]:
         worker = start()
@@ -130,7 +130,7 @@ def execute(start: Callable[..., Worker]) -> Callable[..., dict[str, Any]]:
 
 
 def marked(mark: str, but: int = 0) -> list[int]:
-    """Processes that have the mark in their environment, without this one."""
+    """Return the processes with the mark in their environment, except this one."""
     found = []
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -143,10 +143,10 @@ def stdout(end: dict[str, Any]) -> str:
     return (Path(end["directory"]) / "stdout").read_text()
 
 
-# ---------------------------------------------------------------- what a run sees, and what is told of it
+# ---------------------------------------------------------------- surroundings and records of a run
 
 
-def test_a_run_has_a_folder_a_home_and_a_tmp_of_its_own(execute: Callable[..., dict[str, Any]]) -> None:
+def test_a_run_has_its_own_folder_home_and_tmp(execute: Callable[..., dict[str, Any]]) -> None:
     code = "import os; print(os.getcwd(), os.environ['HOME'], os.environ['TMPDIR'], os.environ['SIERRA_RUN_DIR'], sep='\\n')"
     code += "; print(os.path.isdir(os.environ['HOME']) and os.path.isdir(os.environ['TMPDIR']))"
     end = execute(python(code))
@@ -155,7 +155,7 @@ def test_a_run_has_a_folder_a_home_and_a_tmp_of_its_own(execute: Callable[..., d
     assert sorted(path.name for path in Path(folder).iterdir()) == ["output", "stderr", "stdout"]
 
 
-def test_the_runs_folder_is_filled_into_the_arguments_and_input_files_are_there(
+def test_arguments_get_the_runs_folder_and_input_files_are_written(
     execute: Callable[..., dict[str, Any]],
 ) -> None:
     content = b"<a/>\n\xff\0"
@@ -170,28 +170,28 @@ def test_stdin_is_empty_and_both_logs_are_kept(execute: Callable[..., dict[str, 
     assert Path(end["directory"], "stderr").read_text() == "err\n"
 
 
-def test_the_exit_status_is_told(execute: Callable[..., dict[str, Any]]) -> None:
+def test_the_exit_status_is_recorded(execute: Callable[..., dict[str, Any]]) -> None:
     end = execute(shell("exit 7"))
     assert (end["exit_code"], end["signal"], end["stopped"], end["error"]) == (7, None, None, None)
 
 
-def test_the_signal_that_ended_a_run_is_told(execute: Callable[..., dict[str, Any]]) -> None:
+def test_the_signal_that_ended_a_run_is_recorded(execute: Callable[..., dict[str, Any]]) -> None:
     end = execute(shell("kill -SEGV $$"))
     assert (end["exit_code"], end["signal"], end["stopped"]) == (None, signal.SIGSEGV, None)
 
 
-def test_a_program_that_cannot_be_started_is_a_result(execute: Callable[..., dict[str, Any]]) -> None:
+def test_a_program_that_cannot_be_started_is_recorded_as_a_result(execute: Callable[..., dict[str, Any]]) -> None:
     end = execute(job("/no/such/program"))
     assert end["error"] == "could not be started: /no/such/program: No such file or directory"
 
 
-def test_no_signal_is_ignored_that_a_program_expects(execute: Callable[..., dict[str, Any]]) -> None:
-    """The first 31; those from 32 on are the C library's own."""
+def test_runs_start_without_ignored_or_blocked_signals(execute: Callable[..., dict[str, Any]]) -> None:
+    """Check the first 31 signals; the C library uses those from 32 on."""
     end = execute(shell("grep -E 'SigIgn|SigBlk' /proc/self/status"))
     assert [int(line.split()[1], 16) & 0x7FFFFFFF for line in stdout(end).splitlines()] == [0, 0]
 
 
-def test_time_and_memory_are_told(execute: Callable[..., dict[str, Any]]) -> None:
+def test_time_and_memory_are_recorded(execute: Callable[..., dict[str, Any]]) -> None:
     end = execute(
         python("import time; a = b'x' * 60_000_000; t = time.process_time()\nwhile time.process_time() < t + 0.2: pass")
     )
@@ -203,7 +203,7 @@ def test_time_and_memory_are_told(execute: Callable[..., dict[str, Any]]) -> Non
 # ---------------------------------------------------------------- outputs
 
 
-def test_outputs_are_hashed_whatever_they_are_called(execute: Callable[..., dict[str, Any]]) -> None:
+def test_outputs_with_any_names_are_hashed(execute: Callable[..., dict[str, Any]]) -> None:
     names = [b"a b.csv", b"new\nline", b"quote'\"", b"\xff\xfe", b"sub/deep/x", "ü".encode()]
     code = f"""
 import os
@@ -248,10 +248,10 @@ def test_a_run_may_write_thousands_of_files(execute: Callable[..., dict[str, Any
         'rm -r "${SIERRA_RUN_DIR:?}"; ln -s "$0" "$SIERRA_RUN_DIR"',
     ],
 )
-def test_a_run_that_takes_its_folder_away_has_no_outputs_and_harms_nobody(
+def test_a_run_that_replaces_its_folder_has_no_outputs_and_harms_no_other_files(
     start: Callable[..., Worker], tmp_path: Path, code: str
 ) -> None:
-    """What a run's folder is replaced by may lead to anybody's files; the worker must not touch those."""
+    """A replacement of a run's folder may lead to files of others, which the worker must not touch."""
     foreign = tmp_path / "foreign"
     for name in ("home", "tmp", "output"):
         (foreign / name).mkdir(parents=True)
@@ -284,8 +284,8 @@ sys.exit(process.wait())
 """
 
 
-def test_what_a_run_has_locked_is_read_and_removed_all_the_same(tmp_path: Path) -> None:
-    """As a user without privileges, whom permissions do bind; in a folder that such a user can reach."""
+def test_files_without_permissions_are_read_and_removed(tmp_path: Path) -> None:
+    """Run as a user without privileges, to whom permissions apply, in a folder that this user can access."""
     given = "".join(json.dumps(one) + "\n" for one in (shell(LOCKING), {"end": True}))
     command = ["python3", "-I", "-S", "-c", AS_NOBODY, Path(PROGRAM).read_text()]
     with tempfile.TemporaryDirectory() as folder:
@@ -306,7 +306,7 @@ STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); 
 ASKED = STUBBORN.replace("signal.SIG_IGN", "lambda *_: print('asked', flush=True)")
 
 
-def test_a_run_that_takes_too_long_and_heeds_no_request_is_killed_after_the_grace_time(
+def test_a_run_that_ignores_sigterm_after_its_time_limit_is_killed(
     execute: Callable[..., dict[str, Any]],
 ) -> None:
     end = execute(python(STUBBORN, limits={"wall_s": 2.0, "grace_s": 0.4}))
@@ -314,7 +314,7 @@ def test_a_run_that_takes_too_long_and_heeds_no_request_is_killed_after_the_grac
     assert 2.4 <= end["ended"] - end["started"] < 30
 
 
-def test_the_grace_time_is_also_a_childs_whose_shell_has_gone(execute: Callable[..., dict[str, Any]]) -> None:
+def test_the_grace_time_applies_to_a_child_whose_shell_has_ended(execute: Callable[..., dict[str, Any]]) -> None:
     child = """
 import signal, sys, time
 def last(*_):
@@ -328,7 +328,7 @@ signal.signal(signal.SIGTERM, last); time.sleep(60)
     assert end["ended"] - end["started"] < 30
 
 
-def test_memory_is_that_of_all_processes_together(execute: Callable[..., dict[str, Any]]) -> None:
+def test_the_memory_limit_applies_to_all_processes_together(execute: Callable[..., dict[str, Any]]) -> None:
     child = "import time; a = b'x' * 50_000_000; time.sleep(30)"
     code = f"import subprocess, sys; [subprocess.Popen([sys.executable, '-c', {child!r}]) for _ in range(3)][0].wait()"
     end = execute(python(code, limits={"memory_bytes": 120_000_000, "grace_s": 1}))
@@ -341,35 +341,35 @@ def test_cpu_time_has_a_limit(execute: Callable[..., dict[str, Any]]) -> None:
     assert end["ended"] - end["started"] < 30
 
 
-def test_logs_count_as_output(execute: Callable[..., dict[str, Any]]) -> None:
+def test_logs_count_towards_the_output_limit(execute: Callable[..., dict[str, Any]]) -> None:
     assert execute(shell("yes", limits={"output_bytes": 5_000_000, "grace_s": 1}))["stopped"] == "output"
 
 
-def test_a_run_that_has_written_too_much_when_it_ends_is_over_the_limit_too(execute: Callable[..., dict[str, Any]]) -> None:
+def test_the_output_limit_is_checked_after_the_end_of_a_run(execute: Callable[..., dict[str, Any]]) -> None:
     assert execute(shell("head -c 10000 /dev/zero > x", limits={"output_bytes": 5000}))["stopped"] == "output"
 
 
-def test_what_is_beyond_the_limit_on_outputs_is_not_read(execute: Callable[..., dict[str, Any]]) -> None:
+def test_files_beyond_the_output_limit_are_not_read(execute: Callable[..., dict[str, Any]]) -> None:
     end = execute(shell("echo x > a; truncate -s 1T b; echo y > c", limits={"output_bytes": 5000}))
     assert end["stopped"] == "output"
     assert [file["path"] for file in end["outputs"]] == ["a", "c"]
 
 
-def test_a_program_that_is_stopped_can_heed_that_it_is_asked_to_end(execute: Callable[..., dict[str, Any]]) -> None:
+def test_a_stopped_program_can_handle_sigterm(execute: Callable[..., dict[str, Any]]) -> None:
     script = "trap 'echo saved > x; exit 4' TERM; kill -STOP $$; sleep 60"
     end = execute(shell(script, limits={"wall_s": 1.0, "grace_s": 60}))
     assert (end["stopped"], end["exit_code"]) == ("timeout", 4)
     assert [file["path"] for file in end["outputs"]] == ["x"]
 
 
-def test_a_program_that_is_stopped_and_heeds_nothing_is_killed(execute: Callable[..., dict[str, Any]]) -> None:
+def test_a_stopped_program_that_ignores_sigterm_is_killed(execute: Callable[..., dict[str, Any]]) -> None:
     script = "trap '' TERM; while :; do kill -STOP $$; done"
     end = execute(shell(script, limits={"wall_s": 1.0, "grace_s": 0.5}))
     assert (end["stopped"], end["signal"]) == ("timeout", signal.SIGKILL)
 
 
 @pytest.mark.integration
-def test_a_run_that_stands_still_is_told_of_once_and_again_when_it_does_so_again(start: Callable[..., Worker]) -> None:
+def test_a_stalled_run_is_reported_once_each_time_it_stalls(start: Callable[..., Worker]) -> None:
     worker = start()
     worker.send(shell("kill -STOP $$; sleep 4; kill -STOP $$; echo x > x"), {"end": True})
     for count in (1, 2):
@@ -382,7 +382,7 @@ def test_a_run_that_stands_still_is_told_of_once_and_again_when_it_does_so_again
     assert len(worker.events("stalled")) == 2
 
 
-# ---------------------------------------------------------------- nothing is left running
+# ---------------------------------------------------------------- no process is left running
 
 
 ESCAPE = """
@@ -398,15 +398,13 @@ time.sleep(float(sys.argv[1]))
 
 
 @pytest.mark.parametrize("background", ["sleep 60 & exit 0", "(sleep 60; true) & (trap '' TERM; sleep 60) & exit 0"])
-def test_what_a_run_leaves_in_the_background_is_ended(
-    execute: Callable[..., dict[str, Any]], mark: str, background: str
-) -> None:
+def test_background_processes_of_a_run_are_ended(execute: Callable[..., dict[str, Any]], mark: str, background: str) -> None:
     end = execute(shell(background))
     assert (end["exit_code"], end["stopped"]) == (0, None)
     assert marked(mark) == []
 
 
-def test_what_has_left_its_group_is_ended_while_others_go_on(start: Callable[..., Worker], mark: str) -> None:
+def test_processes_that_left_their_group_are_ended_while_other_runs_continue(start: Callable[..., Worker], mark: str) -> None:
     worker = start(2)
     worker.send(job(sys.executable, "-c", ESCAPE, "0.1"), shell("exec sleep 60", name="two"))
     until(lambda: worker.events("end"))
@@ -417,13 +415,13 @@ def test_what_has_left_its_group_is_ended_while_others_go_on(start: Callable[...
     assert worker.wait() == 1
 
 
-def test_what_has_left_a_run_that_took_too_long_is_ended(execute: Callable[..., dict[str, Any]], mark: str) -> None:
+def test_escaped_processes_of_a_run_over_its_time_limit_are_ended(execute: Callable[..., dict[str, Any]], mark: str) -> None:
     end = execute(job(sys.executable, "-c", ESCAPE, "60", limits={"wall_s": 0.5, "grace_s": 1}))
     assert end["stopped"] == "timeout"
     assert marked(mark) == []
 
 
-def test_a_spare_folder_serves_another_run_as_good_as_new(start: Callable[..., Worker]) -> None:
+def test_a_reused_folder_is_clean_for_the_next_run(start: Callable[..., Worker]) -> None:
     worker = start()
     first = {"in.xml": base64.b64encode(b"a longer one").decode()}
     worker.send(shell('echo x > out; mkdir -p a/b; chmod 700 .; echo "$NOISE" >&2', name="one", files=first, used=None))
@@ -433,7 +431,7 @@ def test_a_spare_folder_serves_another_run_as_good_as_new(start: Callable[..., W
     place = Path(end["directory"])
     inode = place.stat().st_ino
     second = {"in.xml": base64.b64encode(b"short").decode()}
-    # of three empty folders, ls prints but their names and two empty lines
+    # for three empty folders, ls prints only their names and two empty lines
     look = 'cat ../in.xml; stat -c " %a" .; wc -c < ../stderr; ls -A . "$HOME" "$TMPDIR" | grep -vc :; ls -A ..; echo y > out'
     worker.send(shell(look, name="two", files=second, used=int(place.name)))
     assert worker.finish() == 0
@@ -462,7 +460,7 @@ def test_a_spare_folder_serves_another_run_as_good_as_new(start: Callable[..., W
         "head -c 3000000 /dev/zero > big",
     ],
 )
-def test_a_folder_in_which_more_was_touched_serves_nobody(start: Callable[..., Worker], touch: str) -> None:
+def test_a_folder_with_other_changes_is_not_reused(start: Callable[..., Worker], touch: str) -> None:
     worker = start()
     files = {"in.xml": base64.b64encode(b"one").decode()}
     worker.send(shell(touch, files=files, used=None), shell("true", name="two", files=files))
@@ -476,7 +474,7 @@ WITHOUT_CTYPES = (
 )
 
 
-def test_where_nobody_tells_what_lives_on_no_folder_serves_another_run(start: Callable[..., Worker]) -> None:
+def test_folders_are_not_reused_if_surviving_processes_cannot_be_detected(start: Callable[..., Worker]) -> None:
     worker = start(starter=(sys.executable, "-c", WITHOUT_CTYPES))
     worker.send(shell(LATE, name="one", used=None))
     until(lambda: len(worker.events("end")) == 1)
@@ -493,7 +491,7 @@ while grep -qs '^State:.[^Z]' "/proc/$(cat pid)/status"; do sleep 0.01; done
 """
 
 
-def test_what_a_run_has_left_that_has_ended_is_put_away(start: Callable[..., Worker]) -> None:
+def test_zombies_of_a_run_are_reaped(start: Callable[..., Worker]) -> None:
     worker = start()
     worker.send(shell(ENDED, name="one", used=None), shell("true", name="two", used=None))
     worker.send(shell("ps -o stat= --ppid $PPID | grep -c Z", name="three", used=None))
@@ -502,17 +500,19 @@ def test_what_a_run_has_left_that_has_ended_is_put_away(start: Callable[..., Wor
     assert (Path(worker.events("end")[2]["directory"]) / "stdout").read_text() == "0\n"
 
 
-def test_what_has_even_hidden_whose_it_is_ends_with_the_worker(execute: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
+def test_processes_that_cleared_their_environment_end_with_the_worker(
+    execute: Callable[..., dict[str, Any]], tmp_path: Path
+) -> None:
     hidden = tmp_path / "pid"
     code = f'exec env -i setsid -f sh -c \'echo $$ > "{hidden}.new"; mv "{hidden}.new" "{hidden}"; exec sleep 60\''
     execute(shell(code + f"; while ! test -e '{hidden}'; do sleep 0.01; done"))
     assert not hidden.exists() or not Path(f"/proc/{hidden.read_text().strip()}").exists()
 
 
-# ---------------------------------------------------------------- the end of the worker, or of who started it
+# ---------------------------------------------------------------- the end of the worker, or of its starter
 
 
-def test_a_closed_pipe_ends_what_runs_though_the_queue_is_full(start: Callable[..., Worker], mark: str) -> None:
+def test_a_closed_pipe_stops_runs_even_with_a_full_queue(start: Callable[..., Worker], mark: str) -> None:
     worker = start(2)
     worker.send(*(shell("exec sleep 60", name=str(n)) for n in range(40)))
     worker.until_started(2)
@@ -535,7 +535,7 @@ def test_a_run_that_gets_the_workers_sigterm_first_is_interrupted(start: Callabl
     assert marked(mark) == []
 
 
-def test_a_pipe_closed_after_the_last_job_ends_what_runs(start: Callable[..., Worker], mark: str) -> None:
+def test_a_pipe_that_is_closed_after_the_last_job_stops_its_run(start: Callable[..., Worker], mark: str) -> None:
     worker = start()
     worker.send(shell("exec sleep 60"), {"end": True})
     worker.until_started()
@@ -545,7 +545,7 @@ def test_a_pipe_closed_after_the_last_job_ends_what_runs(start: Callable[..., Wo
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_the_death_of_who_started_the_worker_ends_all(tmp_path: Path, mark: str, number: int) -> None:
+def test_the_death_of_the_starter_ends_the_worker_and_its_runs(tmp_path: Path, mark: str, number: int) -> None:
     folder = tmp_path / "work"
     folder.mkdir()
     text = json.dumps(shell("exec sleep 60")) + "\n"
@@ -564,11 +564,11 @@ process.stdin.write({text!r}.encode()); process.stdin.flush(); process.wait()
 
 
 SPARSE = "truncate -s 1T x"
-"""Leaves what takes many minutes to read."""
+"""A command whose output takes many minutes to read."""
 
 
 @pytest.mark.integration
-def test_a_worker_whose_starter_is_gone_reads_no_large_output(start: Callable[..., Worker], mark: str) -> None:
+def test_a_worker_without_its_starter_reads_no_large_output(start: Callable[..., Worker], mark: str) -> None:
     worker = start()
     worker.send(shell(SPARSE))
     until(lambda: (worker.folder / "1" / "output" / "x").stat().st_size)
@@ -579,18 +579,18 @@ def test_a_worker_whose_starter_is_gone_reads_no_large_output(start: Callable[..
     assert marked(mark) == []
 
 
-def test_a_worker_that_is_asked_twice_reads_no_large_output(start: Callable[..., Worker]) -> None:
+def test_a_worker_reads_no_large_output_after_a_second_sigterm(start: Callable[..., Worker]) -> None:
     worker = start()
     worker.send(shell(SPARSE))
     until(lambda: (worker.folder / "1" / "output" / "x").stat().st_size)
     worker.process.terminate()
-    time.sleep(0.2)  # two signals at once are one
+    time.sleep(0.2)  # two simultaneous signals are delivered as one
     worker.process.terminate()
     assert worker.wait() == 1
     assert worker.events("end")[0]["stopped"] == "interrupted"
 
 
-def test_sigterm_ends_what_runs_and_starts_nothing_more(start: Callable[..., Worker], mark: str) -> None:
+def test_sigterm_stops_runs_and_starts_no_more(start: Callable[..., Worker], mark: str) -> None:
     worker = start(2)
     worker.send(*(shell("exec sleep 60", name=str(n)) for n in range(40)))
     worker.until_started(2)
@@ -613,7 +613,7 @@ def test_a_second_sigterm_leaves_no_grace_time(start: Callable[..., Worker]) -> 
     assert worker.events("end")[0]["stopped"] == "interrupted"
 
 
-def test_sigint_is_left_to_who_started_the_worker(start: Callable[..., Worker]) -> None:
+def test_the_worker_ignores_sigint(start: Callable[..., Worker]) -> None:
     worker = start()
     worker.send(shell("sleep 0.3; echo done"))
     worker.until_started()
@@ -639,22 +639,22 @@ def _send_all(worker: Worker, jobs: list[dict[str, Any]]) -> None:
         worker.send(*jobs)
 
 
-# ---------------------------------------------------------------- none, many, and what is no job
+# ---------------------------------------------------------------- no jobs, many jobs, and invalid jobs
 
 
-def test_no_jobs_are_done_at_once(start: Callable[..., Worker]) -> None:
+def test_a_worker_without_jobs_ends_immediately(start: Callable[..., Worker]) -> None:
     worker = start(4)
     assert worker.finish() == 0
     assert (worker.folder / "journal.jsonl").read_bytes() == b""
 
 
-def test_input_without_an_end_is_no_success(start: Callable[..., Worker]) -> None:
+def test_input_without_an_end_marker_is_an_error(start: Callable[..., Worker]) -> None:
     worker = start()
     worker.pipe.close()
     assert worker.wait() == 1
 
 
-def test_jobs_can_come_from_a_file(tmp_path: Path) -> None:
+def test_jobs_can_be_read_from_a_file(tmp_path: Path) -> None:
     lines = [job("true", name=str(n)) for n in range(5)] + [{"end": True}]
     (tmp_path / "jobs").write_text("".join(json.dumps(one) + "\n" for one in lines))
     with (tmp_path / "jobs").open() as jobs:
@@ -664,7 +664,7 @@ def test_jobs_can_come_from_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["{not json", "[]", '{"run": "a"}'])
-def test_what_is_no_job_is_said_and_hangs_nothing(start: Callable[..., Worker], line: str) -> None:
+def test_an_invalid_job_is_reported_and_does_not_hang_the_worker(start: Callable[..., Worker], line: str) -> None:
     worker = start(2)
     worker.pipe.write(line.encode() + b"\n")
     worker.pipe.flush()
@@ -672,7 +672,7 @@ def test_what_is_no_job_is_said_and_hangs_nothing(start: Callable[..., Worker], 
     assert worker.said().startswith("worker: ")
 
 
-def test_a_second_worker_goes_on_in_the_same_folder(start: Callable[..., Worker]) -> None:
+def test_a_second_worker_continues_in_the_same_folder(start: Callable[..., Worker]) -> None:
     for name in ("one", "two"):
         worker = start()
         worker.send(shell(f"echo {name}", name=name))
@@ -681,7 +681,7 @@ def test_a_second_worker_goes_on_in_the_same_folder(start: Callable[..., Worker]
 
 
 @pytest.mark.nightly
-def test_ten_thousand_runs_stay_linear_and_small(start: Callable[..., Worker]) -> None:
+def test_ten_thousand_runs_need_linear_time_and_little_memory(start: Callable[..., Worker]) -> None:
     worker = start(2)
     count = 10_000
     sending = threading.Thread(target=worker.send, args=([job("/no/such/program", name=str(n)) for n in range(count)]))
@@ -700,7 +700,7 @@ def test_ten_thousand_runs_stay_linear_and_small(start: Callable[..., Worker]) -
     assert whole < 4 * half
 
 
-def test_every_line_of_the_journal_is_whole_though_many_write(start: Callable[..., Worker]) -> None:
+def test_every_line_of_the_journal_is_complete_with_concurrent_runs(start: Callable[..., Worker]) -> None:
     worker = start(8)
     worker.send(
         *(shell("for i in 1 2 3 4 5 6 7 8 9; do echo $i > file-with-a-long-name-$i; done", name=str(n)) for n in range(100))
@@ -709,7 +709,9 @@ def test_every_line_of_the_journal_is_whole_though_many_write(start: Callable[..
     assert sorted(int(end["run"]) for end in worker.events("end")) == list(range(100))
 
 
-def test_a_full_disk_is_said_and_hangs_nothing(start: Callable[..., Worker], tmp_path: Path, require: Any, mark: str) -> None:
+def test_a_full_disk_is_reported_and_does_not_hang_the_worker(
+    start: Callable[..., Worker], tmp_path: Path, require: Any, mark: str
+) -> None:
     require("the right to mount a small disk", there=_mounted(tmp_path / "small"))
     try:
         worker = start(2, folder=tmp_path / "small")
@@ -726,7 +728,7 @@ def test_a_full_disk_is_said_and_hangs_nothing(start: Callable[..., Worker], tmp
         subprocess.run(["umount", "--lazy", str(tmp_path / "small")], check=True)
 
 
-def test_a_disk_that_does_not_say_how_large_it_is_is_not_full(
+def test_a_disk_without_a_reported_size_is_not_considered_full(
     start: Callable[..., Worker], tmp_path: Path, require: Any
 ) -> None:
     require("the right to mount", there=_mounted(tmp_path / "disk", "ramfs"))
@@ -747,7 +749,7 @@ def _mounted(folder: Path, kind: str = "tmpfs") -> bool:
         return False
 
 
-def test_the_journal_takes_no_part_of_a_line(tmp_path: Path) -> None:
+def test_the_journal_never_contains_part_of_a_line(tmp_path: Path) -> None:
     journal = worker.Journal(str(tmp_path / "journal"))
     journal.write({"event": "one"})
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -763,7 +765,7 @@ def test_the_journal_takes_no_part_of_a_line(tmp_path: Path) -> None:
     assert (tmp_path / "journal").read_text() == '{"event":"one"}\n{"event":"three"}\n'
 
 
-def test_the_worker_is_one_file_for_python_3_8_on_the_standard_library_alone() -> None:
+def test_the_worker_needs_only_python_3_8_and_the_standard_library() -> None:
     tree = ast.parse(Path(PROGRAM).read_text(), feature_version=(3, 8))
     imported = {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
     imported |= {str(node.module) for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
@@ -773,7 +775,7 @@ def test_the_worker_is_one_file_for_python_3_8_on_the_standard_library_alone() -
 # ---------------------------------------------------------------- time
 
 
-def test_no_run_takes_less_time_than_its_one_thread_computed(start: Callable[..., Worker]) -> None:
+def test_the_wall_time_of_a_single_threaded_run_is_at_least_its_cpu_time(start: Callable[..., Worker]) -> None:
     worker = start()
     worker.send(*(job("true", name=f"run {number}") for number in range(40)))
     assert worker.finish() == 0
@@ -782,7 +784,7 @@ def test_no_run_takes_less_time_than_its_one_thread_computed(start: Callable[...
     assert all(end["ended"] - end["started"] >= end["user_s"] + end["system_s"] for end in ends)
 
 
-def test_a_clock_that_is_set_back_makes_no_time_negative(tmp_path: Path) -> None:
+def test_a_clock_that_is_set_back_gives_no_negative_times(tmp_path: Path) -> None:
     code = (
         "import itertools, runpy, sys, time; hours = itertools.count(); clock = time.time\n"
         "time.time = lambda: clock() - 3600 * next(hours)\n"
@@ -810,7 +812,7 @@ def test_a_clock_that_is_set_back_makes_no_time_negative(tmp_path: Path) -> None
         ("", 2, ["", ""]),
     ],
 )
-def test_each_slot_has_its_part_of_the_devices_where_they_can_be_divided(
+def test_devices_are_divided_among_slots_if_possible(
     monkeypatch: pytest.MonkeyPatch, allotted: str, slots: int, parts: list[str]
 ) -> None:
     for name in worker.DEVICES:
@@ -819,7 +821,7 @@ def test_each_slot_has_its_part_of_the_devices_where_they_can_be_divided(
     assert [worker.devices(slot, slots) for slot in range(slots)] == [{"CUDA_VISIBLE_DEVICES": part} for part in parts]
 
 
-def test_a_container_gets_the_devices_that_are_allotted_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_container_gets_only_the_allocated_devices(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in worker.DEVICES:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3")

@@ -1,4 +1,4 @@
-"""PBS in its dialects: small ones that execute (`tests/pbs.py`), SLURM's real wrapper, recorded answers."""
+"""The scheduler `pbs` in its dialects: small emulations (`tests/pbs.py`), SLURM's real wrapper, recorded answers."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ NAME = "sierra-0123abcd"
 
 @pytest.fixture(params=["openpbs", pytest.param("torque", marks=pytest.mark.nightly)])
 def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[pbs.Server]:
-    """A PBS that commands on the PATH speak to; home is a folder of its own."""
+    """Yield a PBS server that commands on the PATH use; the home folder is separate."""
     home = tmp_path / "home"
     home.mkdir()
     made = pbs.Server(tmp_path / "server", request.param)
@@ -49,7 +49,7 @@ def server(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.fixture
 def wrapper(slurm: clusters.Slurm, require: Callable[..., str]) -> clusters.Slurm:
-    """A real SLURM, over which `qsub`, `qstat` and `qdel` of Debian's slurm-wlm-torque are found."""
+    """Return a real SLURM with `qsub`, `qstat` and `qdel` of Debian's slurm-wlm-torque on the PATH."""
     for command in ("qsub", "qstat", "qdel"):
         require(command)
     return slurm
@@ -61,7 +61,7 @@ torque = pytest.mark.parametrize("server", ["torque"], indirect=True)
 
 @pytest.fixture
 def ask(tmp_path: Path) -> Callable[..., Request]:
-    """Makes a request whose elements execute a line of shell; the element's index is $1 there."""
+    """Return a function that makes a request whose array tasks execute a line of shell; $1 is the index."""
 
     def ask(line: str = "echo $1", elements: tuple[int, ...] = (0, 1, 2), *, name: str = NAME, after: str = "") -> Request:
         folder = tmp_path / HOSTILE
@@ -85,20 +85,20 @@ def logs(request: Request) -> dict[str, str]:
     return {path.name: path.read_text() for path in request.logs.glob("*.out")}
 
 
-# which PBS it is
+# detection of the dialect
 
 
 @openpbs
-def test_openpbs_is_known_by_what_qsub_says(server: pbs.Server) -> None:
+def test_openpbs_is_detected_by_the_version_of_qsub(server: pbs.Server) -> None:
     assert Pbs(ClusterTable()).version() == "openpbs 23.06.06"
 
 
 @torque
-def test_torque_is_known_by_what_qsub_says(server: pbs.Server) -> None:
+def test_torque_is_detected_by_the_version_of_qsub(server: pbs.Server) -> None:
     assert Pbs(ClusterTable()).version() == "torque 6.1.2"
 
 
-def test_without_its_commands_nothing_goes(
+def test_missing_commands_of_pbs_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ask: Callable[..., Request]
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -109,7 +109,7 @@ def test_without_its_commands_nothing_goes(
     assert scheduler.look(NAME) is None
 
 
-def test_a_qsub_of_something_else_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_qsub_of_another_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "qsub").write_text("#!/bin/sh\necho this is Grid Engine; exit 7\n")
     (tmp_path / "qsub").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
@@ -117,7 +117,7 @@ def test_a_qsub_of_something_else_is_said(tmp_path: Path, monkeypatch: pytest.Mo
         Pbs(ClusterTable()).version()
 
 
-def test_a_wrapper_that_does_not_find_its_cluster_is_out_of_reach(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrapper_that_cannot_reach_its_cluster_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "qsub").write_text("#!/bin/sh\necho perl: fatal: Could not establish a configuration source >&2; exit 1\n")
     (tmp_path / "qsub").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
@@ -129,7 +129,7 @@ def test_a_wrapper_that_does_not_find_its_cluster_is_out_of_reach(tmp_path: Path
 
 
 @pytest.mark.parametrize("elements", SHAPES, ids=str)
-def test_elements_get_their_index_and_write_their_logs(
+def test_array_tasks_get_their_index_and_write_their_logs(
     server: pbs.Server, ask: Callable[..., Request], elements: tuple[int, ...]
 ) -> None:
     server.waiting()
@@ -146,7 +146,9 @@ def test_elements_get_their_index_and_write_their_logs(
 
 
 @pytest.mark.parametrize("elements", SHAPES, ids=str)
-def test_what_runs_is_running_on_its_node(server: pbs.Server, ask: Callable[..., Request], elements: tuple[int, ...]) -> None:
+def test_running_array_tasks_are_reported_with_their_node(
+    server: pbs.Server, ask: Callable[..., Request], elements: tuple[int, ...]
+) -> None:
     scheduler = Pbs(ClusterTable())
     scheduler.submit(ask("sleep 60", elements))
     tasks = scheduler.look(NAME)
@@ -154,7 +156,7 @@ def test_what_runs_is_running_on_its_node(server: pbs.Server, ask: Callable[...,
     assert [(task.element, task.state, task.node) for task in tasks] == [(i, State.RUNNING, "pbs1") for i in elements]
 
 
-def test_only_the_script_is_left_in_the_folder(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_only_the_script_stays_in_the_folder(server: pbs.Server, ask: Callable[..., Request]) -> None:
     scheduler, request = Pbs(ClusterTable()), ask()
     scheduler.submit(request)
     until(ended(scheduler))
@@ -166,14 +168,14 @@ def test_only_the_script_is_left_in_the_folder(server: pbs.Server, ask: Callable
 
 
 @openpbs
-def test_an_end_waits_for_no_copy_of_what_was_printed(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_the_end_of_a_job_does_not_wait_for_copies_of_its_output(server: pbs.Server, ask: Callable[..., Request]) -> None:
     server.set(copying=90)
     scheduler = Pbs(ClusterTable())
     scheduler.submit(ask())
     until(ended(scheduler))
 
 
-def test_nothing_of_the_callers_goes_along_even_where_a_site_exports_all(
+def test_the_callers_environment_is_not_exported_even_if_the_site_exports_all(
     server: pbs.Server, ask: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     server.set(always_V=True)
@@ -187,7 +189,7 @@ def test_nothing_of_the_callers_goes_along_even_where_a_site_exports_all(
     assert "leak" not in said
 
 
-def test_variables_of_the_callers_shell_change_nothing(
+def test_variables_of_the_callers_shell_do_not_affect_jobs(
     server: pbs.Server, ask: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in (
@@ -206,7 +208,7 @@ def test_variables_of_the_callers_shell_change_nothing(
     assert sorted(logs(request).values()) == ["1\n", "2\n"]
 
 
-def test_a_wrong_queue_is_refused_in_the_schedulers_words(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_an_unknown_queue_is_refused_with_the_schedulers_message(server: pbs.Server, ask: Callable[..., Request]) -> None:
     with pytest.raises(ConfigError, match=r"qsub refuses: Unknown queue.*; asked for: partition = 'nope'"):
         Pbs(ClusterTable(partition="nope")).submit(ask())
 
@@ -217,7 +219,7 @@ def test_an_array_that_is_too_large_is_refused(server: pbs.Server, ask: Callable
         Pbs(ClusterTable()).submit(ask())
 
 
-def test_too_much_at_a_time_is_full_and_passes(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_a_full_queue_is_reported_and_accepts_jobs_later(server: pbs.Server, ask: Callable[..., Request]) -> None:
     server.set(max_queued=4)
     server.waiting()
     scheduler = Pbs(ClusterTable())
@@ -231,17 +233,17 @@ def test_too_much_at_a_time_is_full_and_passes(server: pbs.Server, ask: Callable
 
 
 @torque
-def test_torque_refuses_at_once_what_no_node_has(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_torque_refuses_resources_that_no_node_has(server: pbs.Server, ask: Callable[..., Request]) -> None:
     with pytest.raises(ConfigError, match="cannot locate feasible nodes"):
         Pbs(ClusterTable(cpus=100)).submit(ask())
 
 
-def test_a_quality_of_service_is_slurms(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_a_qos_is_refused_because_only_slurm_has_it(server: pbs.Server, ask: Callable[..., Request]) -> None:
     with pytest.raises(ConfigError, match="qos = 'high' is SLURM's; say in directives"):
         Pbs(ClusterTable(qos="high")).submit(ask())
 
 
-def test_a_job_waits_for_another_and_is_not_stuck_meanwhile(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_a_job_that_waits_for_another_is_queued_and_not_stuck(server: pbs.Server, ask: Callable[..., Request]) -> None:
     scheduler = Pbs(ClusterTable())
     first = scheduler.submit(ask("sleep 60", (0,), name="first"))
     request = ask("echo done", (0, 1), after=first)
@@ -253,7 +255,7 @@ def test_a_job_waits_for_another_and_is_not_stuck_meanwhile(server: pbs.Server, 
 
 
 @pytest.mark.parametrize(("command", "done"), [("true", 2), ("exit 3", 0)])
-def test_what_waited_executes_only_where_the_other_ended_well(
+def test_a_dependent_job_executes_only_after_success_of_the_other(
     server: pbs.Server, ask: Callable[..., Request], command: str, done: int
 ) -> None:
     server.waiting()
@@ -267,7 +269,7 @@ def test_what_waited_executes_only_where_the_other_ended_well(
 
 
 @openpbs
-def test_what_waits_for_a_job_that_is_forgotten_is_gone_at_once(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_a_job_that_depends_on_a_forgotten_job_ends_without_executing(server: pbs.Server, ask: Callable[..., Request]) -> None:
     scheduler = Pbs(ClusterTable())
     first = scheduler.submit(ask("true", (0,), name="first"))
     until(ended(scheduler, "first"))
@@ -278,13 +280,15 @@ def test_what_waits_for_a_job_that_is_forgotten_is_gone_at_once(server: pbs.Serv
 
 
 @torque
-def test_to_wait_for_a_job_that_is_unknown_is_no_fault_of_the_project(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_a_dependency_on_an_unknown_job_is_not_an_error_of_the_project(server: pbs.Server, ask: Callable[..., Request]) -> None:
     with pytest.raises(Missing, match="no longer known"):
         Pbs(ClusterTable()).submit(ask(after="99.pbs1"))
 
 
 @openpbs
-def test_a_server_that_dies_may_have_taken_the_job(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_a_server_that_crashes_during_submission_may_have_accepted_the_job(
+    server: pbs.Server, ask: Callable[..., Request]
+) -> None:
     server.waiting()
     server.set(dies=True)
     scheduler = Pbs(ClusterTable())
@@ -294,10 +298,10 @@ def test_a_server_that_dies_may_have_taken_the_job(server: pbs.Server, ask: Call
     assert alive(scheduler) == {0, 1, 2}
 
 
-# looking
+# querying
 
 
-def test_jobs_are_found_by_name_by_who_never_heard_of_them(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_jobs_are_found_by_name_in_another_process(server: pbs.Server, ask: Callable[..., Request]) -> None:
     server.waiting()
     Pbs(ClusterTable()).submit(ask(elements=(1, 2)))
     Pbs(ClusterTable()).submit(ask(elements=(5,)))
@@ -305,7 +309,7 @@ def test_jobs_are_found_by_name_by_who_never_heard_of_them(server: pbs.Server, a
     assert alive(Pbs(ClusterTable())) == {1, 2, 5}
 
 
-def test_jobs_of_others_are_not_ours(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_jobs_of_other_users_are_ignored(server: pbs.Server, ask: Callable[..., Request]) -> None:
     server.waiting()
     scheduler = Pbs(ClusterTable())
     scheduler.submit(ask())
@@ -316,12 +320,12 @@ def test_jobs_of_others_are_not_ours(server: pbs.Server, ask: Callable[..., Requ
     assert alive(scheduler) == {0, 1, 2}
 
 
-def test_a_name_that_nobody_has_is_no_job(server: pbs.Server) -> None:
+def test_an_unknown_name_has_no_jobs(server: pbs.Server) -> None:
     assert Pbs(ClusterTable()).look(NAME) == ()
 
 
 @pytest.mark.parametrize("history", [False, True])
-def test_what_has_ended_is_not_alive(server: pbs.Server, ask: Callable[..., Request], history: bool) -> None:
+def test_ended_jobs_are_not_alive(server: pbs.Server, ask: Callable[..., Request], history: bool) -> None:
     server.set(history=history)
     scheduler = Pbs(ClusterTable())
     for elements in SHAPES:
@@ -330,7 +334,7 @@ def test_what_has_ended_is_not_alive(server: pbs.Server, ask: Callable[..., Requ
     assert alive(Pbs(ClusterTable())) == set()
 
 
-def test_an_element_that_ended_in_an_array_that_lives_has_ended(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_an_ended_array_task_of_a_running_array_is_reported_as_ended(server: pbs.Server, ask: Callable[..., Request]) -> None:
     server.set(history=True)
     scheduler = Pbs(ClusterTable())
     scheduler.submit(ask("test $1 = 7 || sleep 60; exit 7", (3, 7, 9)))
@@ -342,9 +346,7 @@ def test_an_element_that_ended_in_an_array_that_lives_has_ended(server: pbs.Serv
 
 
 @openpbs
-def test_what_an_array_says_of_itself_is_not_taken_for_the_end_of_an_element(
-    server: pbs.Server, ask: Callable[..., Request]
-) -> None:
+def test_the_exit_status_of_an_array_is_not_used_for_its_array_tasks(server: pbs.Server, ask: Callable[..., Request]) -> None:
     server.set(array_status=1)
     scheduler = Pbs(ClusterTable())
     scheduler.submit(ask("test $1 = 7 || sleep 60; exit 7", (3, 7, 9)))
@@ -354,7 +356,7 @@ def test_what_an_array_says_of_itself_is_not_taken_for_the_end_of_an_element(
     assert [(task.element, task.reason) for task in tasks if task.state is State.ENDED] == [(7, "")]
 
 
-def test_each_look_is_one_call_that_names_the_jobs_once_they_are_known(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_each_query_is_one_call_that_names_the_known_jobs(server: pbs.Server, ask: Callable[..., Request]) -> None:
     server.waiting()
     scheduler = Pbs(ClusterTable())
     jobs = [scheduler.submit(ask()), scheduler.submit(ask(elements=(7,)))]
@@ -368,7 +370,7 @@ def test_each_look_is_one_call_that_names_the_jobs_once_they_are_known(server: p
     assert all(call[0] == "qstat" and call[-2:] == jobs for call in others)
 
 
-def test_a_job_that_is_submitted_while_another_thread_looks_is_not_missed(
+def test_a_job_submitted_during_a_query_of_another_thread_is_found(
     server: pbs.Server, ask: Callable[..., Request], tmp_path: Path
 ) -> None:
     server.waiting()
@@ -388,7 +390,7 @@ def test_a_job_that_is_submitted_while_another_thread_looks_is_not_missed(
         assert alive(scheduler) == {0, 1, 2, 7}
 
 
-def test_one_job_of_two_that_ends_leaves_the_other_known(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_the_remaining_job_is_found_after_one_of_two_ends(server: pbs.Server, ask: Callable[..., Request]) -> None:
     scheduler = Pbs(ClusterTable())
     scheduler.submit(ask("sleep 60"))
     scheduler.submit(ask("sleep 60", (7,)))
@@ -397,7 +399,7 @@ def test_one_job_of_two_that_ends_leaves_the_other_known(server: pbs.Server, ask
     until(lambda: alive(scheduler) == {0, 1, 2})
 
 
-def test_where_the_server_is_out_of_reach_nothing_is_known(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_the_state_is_unknown_while_the_server_is_unreachable(server: pbs.Server, ask: Callable[..., Request]) -> None:
     scheduler = Pbs(ClusterTable())
     scheduler.submit(ask("sleep 60"))
     assert alive(scheduler) == {0, 1, 2}
@@ -411,7 +413,7 @@ def test_where_the_server_is_out_of_reach_nothing_is_known(server: pbs.Server, a
 
 
 @openpbs
-def test_json_that_is_none_is_read_as_text(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_invalid_json_falls_back_to_the_text_format(server: pbs.Server, ask: Callable[..., Request]) -> None:
     server.set(broken_json=True)
     server.waiting()
     scheduler = Pbs(ClusterTable())
@@ -420,7 +422,9 @@ def test_json_that_is_none_is_read_as_text(server: pbs.Server, ask: Callable[...
 
 
 @openpbs
-def test_what_no_node_can_do_is_stuck_in_the_schedulers_words(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_jobs_that_no_node_can_execute_are_stuck_with_the_schedulers_reason(
+    server: pbs.Server, ask: Callable[..., Request]
+) -> None:
     scheduler = Pbs(ClusterTable(cpus=100))
     for elements in ((0, 1), (2,)):
         scheduler.submit(ask(elements=elements))
@@ -431,7 +435,7 @@ def test_what_no_node_can_do_is_stuck_in_the_schedulers_words(server: pbs.Server
 
 
 @pytest.mark.parametrize(("hold", "state"), [("s", State.STUCK), ("o", State.STUCK), ("u", State.QUEUED), ("a", State.QUEUED)])
-def test_held_by_the_system_is_stuck_and_by_the_user_is_not(
+def test_jobs_held_by_the_system_are_stuck_and_jobs_held_by_the_user_are_not(
     server: pbs.Server, ask: Callable[..., Request], hold: str, state: State
 ) -> None:
     server.waiting()
@@ -448,7 +452,7 @@ def test_held_by_the_system_is_stuck_and_by_the_user_is_not(
 
 @pytest.mark.parametrize("elements", [(4,), (3, 7, 9)], ids=str)
 @pytest.mark.parametrize("waits", [True, False])
-def test_all_jobs_of_a_name_are_cancelled(
+def test_all_jobs_of_one_name_are_cancelled(
     server: pbs.Server, ask: Callable[..., Request], elements: tuple[int, ...], waits: bool
 ) -> None:
     if waits:
@@ -463,7 +467,7 @@ def test_all_jobs_of_a_name_are_cancelled(
     scheduler.cancel(NAME)
 
 
-def test_single_elements_are_cancelled(server: pbs.Server, ask: Callable[..., Request]) -> None:
+def test_single_array_tasks_are_cancelled(server: pbs.Server, ask: Callable[..., Request]) -> None:
     scheduler = Pbs(ClusterTable())
     for elements in ((0, 1, 2), (4,), (5, 7, 9)):
         scheduler.submit(ask("sleep 60", elements))
@@ -471,7 +475,7 @@ def test_single_elements_are_cancelled(server: pbs.Server, ask: Callable[..., Re
     until(lambda: alive(scheduler) == {0, 2, 5, 9})
 
 
-def test_where_there_is_nothing_to_cancel_nothing_happens(server: pbs.Server) -> None:
+def test_cancelling_without_jobs_succeeds(server: pbs.Server) -> None:
     Pbs(ClusterTable()).cancel(NAME)
     Pbs(ClusterTable()).cancel(NAME, [1])
 
@@ -479,14 +483,14 @@ def test_where_there_is_nothing_to_cancel_nothing_happens(server: pbs.Server) ->
 # limits
 
 
-def test_limits_are_the_servers_and_the_queues(server: pbs.Server) -> None:
+def test_limits_come_from_the_server_and_the_queue(server: pbs.Server) -> None:
     server.set(max_array_size=500, max_queued=70)
     bounds = Pbs(ClusterTable()).bounds()
     assert (bounds.array, bounds.wall_s) == (500, 86400)
 
 
 @openpbs
-def test_openpbs_says_how_many_jobs_a_user_may_have(server: pbs.Server) -> None:
+def test_openpbs_reports_the_limits_of_jobs_per_user(server: pbs.Server) -> None:
     server.set(max_queued=70, max_run=7)
     bounds = Pbs(ClusterTable(partition="workq")).bounds()
     assert (bounds.jobs, bounds.running) == (70, 7)
@@ -494,7 +498,7 @@ def test_openpbs_says_how_many_jobs_a_user_may_have(server: pbs.Server) -> None:
     assert bounds.whose["wall_s"] == "resources_max.walltime of workq"
 
 
-def test_a_wrong_queue_has_no_limits_of_its_own(server: pbs.Server) -> None:
+def test_an_unknown_queue_has_no_limit_of_time(server: pbs.Server) -> None:
     assert Pbs(ClusterTable(partition="nope")).bounds().wall_s is None
 
 
@@ -514,7 +518,7 @@ FULL_TABLE = ClusterTable(
 
 
 @pytest.mark.parametrize("dialect", list(Dialect))
-def test_scripts_are_these(dialect: Dialect) -> None:
+def test_scripts_equal_the_recorded_ones(dialect: Dialect) -> None:
     folder = Path("/shared") / HOSTILE
     words = ("python3", "-I", "-S", str(folder / "array_task.py"), str(folder))
     request = Request(NAME, "batch 12ab of swarm", (0, 1, 2, 3), folder, folder / "logs", words)
@@ -529,7 +533,7 @@ def test_scripts_are_these(dialect: Dialect) -> None:
 # recorded answers
 
 
-def test_a_recorded_array_of_openpbs_is_read() -> None:
+def test_a_recorded_array_of_openpbs_is_parsed() -> None:
     records = qstat.own(qstat.json_records((DATA / "arrt.json").read_text()), "arr", "pbsu")
     tasks = list(qstat.tasks(records))
     assert [(task.job, task.element, task.state) for task in tasks] == [("5[].pbs1", i, State.ENDED) for i in range(6)]
@@ -537,14 +541,14 @@ def test_a_recorded_array_of_openpbs_is_read() -> None:
     assert [task.reason for task in tasks] == ["", "", "", "Exit_status 7", "", ""]
 
 
-def test_of_a_recorded_array_without_elements_the_whole_is_told() -> None:
+def test_a_recorded_array_without_array_tasks_is_reported_as_a_whole() -> None:
     (task,) = qstat.tasks(qstat.own(qstat.json_records((DATA / "arr.json").read_text()), "arr", "pbsu"))
     assert (task.job, task.element, task.state) == ("5[].pbs1", None, State.ENDED)
 
 
 @pytest.mark.parametrize(("answer", "reason"), [("ended-forgotten", ""), ("ended-remembered", "Exit_status 7")])
-def test_a_recorded_array_that_lives_is_read(answer: str, reason: str) -> None:
-    """Element 1 ended with 7, and element 2 well; without a history, and with one."""
+def test_a_recorded_running_array_is_parsed(answer: str, reason: str) -> None:
+    """Array task 1 ended with 7 and array task 2 with 0; without a history, and with one."""
     tasks = list(qstat.tasks(list(qstat.json_records((DATA / f"{answer}.json").read_text()))))
     states = [State.RUNNING, State.ENDED, State.ENDED, State.RUNNING]
     assert [(task.element, task.state) for task in tasks] == list(enumerate(states))
@@ -552,17 +556,17 @@ def test_a_recorded_array_that_lives_is_read(answer: str, reason: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"timestamp": 1, "pbs_version": "23.06.06"}'])
-def test_an_answer_without_jobs_has_none(text: str) -> None:
+def test_an_answer_without_jobs_has_no_records(text: str) -> None:
     assert list(qstat.json_records(text)) == []
 
 
 @pytest.mark.parametrize("text", ["[", "[]", '{"Jobs": 3}', '{"Jobs": {"1.pbs1": 3}}', '{"Jobs": {"1": {"a": "b"c"}}}'])
-def test_what_is_no_answer_is_said(text: str) -> None:
+def test_an_invalid_answer_is_an_error(text: str) -> None:
     with pytest.raises(ValueError, match=r"."):
         list(qstat.json_records(text))
 
 
-def test_an_old_torque_is_read() -> None:
+def test_an_answer_of_an_old_torque_is_parsed() -> None:
     text = (
         "Job Id: 123-3.server\n    Job_Name = name-3\n    Job_Owner = me@login\n    job_state = R\n"
         "    exec_host = n7/0+n7/1\n\n"
@@ -577,7 +581,7 @@ def test_an_old_torque_is_read() -> None:
 
 
 @given(st.sets(st.integers(0, 300), min_size=1))
-def test_elements_of_places_are_those_that_were_asked_for(elements: set[int]) -> None:
+def test_positions_in_an_array_map_to_the_submitted_indices(elements: set[int]) -> None:
     said = ranges(sorted(elements), "+")
     record = {"Variable_List": f"PBS_O_HOME=/x,{qstat.ELEMENTS}={said}"}
     found = [qstat.element({"id": f"1[{place}].pbs1", **record}) for place in range(len(elements))]
@@ -585,28 +589,28 @@ def test_elements_of_places_are_those_that_were_asked_for(elements: set[int]) ->
 
 
 @pytest.mark.parametrize("said", ["", "1-", "+", "1--2", "1-2-3", "5-3", "x"])
-def test_elements_that_are_damaged_are_not_guessed(said: str) -> None:
+def test_damaged_lists_of_array_tasks_are_not_guessed(said: str) -> None:
     record = {"Variable_List": f"PBS_O_HOME=/x,{qstat.ELEMENTS}={said},PBS_O_PATH=/y"}
     assert qstat.element({"id": "1[0].pbs1", **record}) is None
 
 
 @pytest.mark.integration
 @given(st.text())
-def test_no_text_is_too_odd_to_be_read(text: str) -> None:
+def test_any_text_of_qstat_is_parsed_without_an_error(text: str) -> None:
     list(qstat.tasks(list(qstat.text_records(f"Job Id: 1.pbs1\n{text}\nJob Id: 2[1].pbs1\n    job_state = {text}"))))
 
 
-# what every scheduler holds to
+# conformance of every scheduler
 
 
 @pytest.mark.nightly
-def test_it_is_a_scheduler(server: pbs.Server, tmp_path: Path) -> None:
+def test_pbs_passes_the_conformance_checks_for_schedulers(server: pbs.Server, tmp_path: Path) -> None:
     runners.check(Pbs(ClusterTable()), tmp_path / "shared")
 
 
 @pytest.mark.nightly
 @pytest.mark.real
-def test_it_is_a_scheduler_over_slurm(wrapper: clusters.Slurm) -> None:
+def test_pbs_over_slurm_passes_the_conformance_checks_for_schedulers(wrapper: clusters.Slurm) -> None:
     with clusters.folder() as folder:
         runners.check(Pbs(ClusterTable()), folder)
 
@@ -626,9 +630,9 @@ while not os.path.exists({gate!r}):
 
 
 def begun(server: pbs.Server, root: Path) -> int:
-    """Let jobs begin, once the elements of a batch are there; the number of their job.
+    """Let jobs begin after the array tasks of a batch were submitted; return the number of their job.
 
-    Not before: they wait for a probe, which may have been before them, and to be forgotten.
+    Not earlier: they depend on a probe, which could end and be forgotten before their submission.
     """
     until(lambda: [job for job in sent(root) if job])
     server.begin()
@@ -641,13 +645,13 @@ def sent(root: Path) -> list[str]:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("which", ["one element", "all", "all while they wait"])
-def test_what_somebody_deletes_ends_the_session(server: pbs.Server, tmp_path: Path, which: str) -> None:
+def test_deleted_jobs_end_the_session(server: pbs.Server, tmp_path: Path, which: str) -> None:
     gate = tmp_path / "gate"
     simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
     root = projects.make(tmp_path / "swarm", projects.CONFIG + CLUSTER, simulator=simulator)
     words = (projects.SIERRA, "run", "population_size.Log8", "--on", "pbs", "--no-figures")
     gate.touch()
-    assert projects.quick(root, "run", "population_size=16", *words[3:]).returncode == 0  # nodes are tried out
+    assert projects.quick(root, "run", "population_size=16", *words[3:]).returncode == 0  # nodes are probed
     gate.unlink()
     server.waiting()
     asked = subprocess.Popen(words, cwd=root, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -672,7 +676,7 @@ def test_what_somebody_deletes_ends_the_session(server: pbs.Server, tmp_path: Pa
 
 
 @pytest.mark.nightly
-def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tmp_path: Path) -> None:
+def test_a_batch_completes_although_an_array_task_is_deleted(server: pbs.Server, tmp_path: Path) -> None:
     gate = tmp_path / "gate"
     simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
     table = CLUSTER + 'cancelled = "resubmit"\n'
@@ -704,7 +708,7 @@ def test_a_batch_is_answered_though_an_element_is_deleted(server: pbs.Server, tm
 
 @pytest.mark.nightly
 @openpbs
-def test_an_element_whose_time_was_over_says_so_where_pbs_does_not(server: pbs.Server, tmp_path: Path) -> None:
+def test_an_array_task_reports_its_expired_time_limit_if_pbs_does_not(server: pbs.Server, tmp_path: Path) -> None:
     gate = tmp_path / "gate"
     simulator = projects.SIMULATOR + WAITS.format(gate=str(gate))
     root = projects.make(tmp_path / "swarm", projects.CONFIG + CLUSTER + "wall = 3\n", simulator=simulator)
@@ -720,7 +724,7 @@ def test_an_element_whose_time_was_over_says_so_where_pbs_does_not(server: pbs.S
 
 
 @pytest.mark.nightly
-def test_runs_see_the_devices_that_a_hook_of_pbs_has_set(
+def test_runs_see_the_devices_that_a_hook_of_pbs_set(
     server: pbs.Server, simulate: Callable[..., Simulated], tmp_path: Path
 ) -> None:
     hooked = tmp_path / "hooked"
@@ -741,7 +745,7 @@ def test_runs_see_the_devices_that_a_hook_of_pbs_has_set(
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_slurms_wrapper_executes_what_is_asked_for(
+def test_slurms_wrapper_executes_jobs_with_the_requested_resources(
     wrapper: clusters.Slurm, ask: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SECRET_THING", "leak")
@@ -761,7 +765,7 @@ def test_slurms_wrapper_executes_what_is_asked_for(
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_over_slurm_elements_are_told_and_cancelled(wrapper: clusters.Slurm, ask: Callable[..., Request]) -> None:
+def test_array_tasks_over_slurm_are_reported_and_cancelled(wrapper: clusters.Slurm, ask: Callable[..., Request]) -> None:
     scheduler = Pbs(ClusterTable())
     assert re.fullmatch(r"slurm \S+ \(its qsub\)", scheduler.version())
     assert scheduler.bounds().array == 1001
@@ -778,7 +782,7 @@ def test_over_slurm_elements_are_told_and_cancelled(wrapper: clusters.Slurm, ask
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_what_the_wrappers_qstat_says_is_read_and_its_qdel_ends_it(
+def test_the_wrappers_qstat_is_parsed_and_its_qdel_cancels_the_job(
     wrapper: clusters.Slurm, ask: Callable[..., Request]
 ) -> None:
     job = Pbs(ClusterTable()).submit(ask("sleep 60", (3,)))
@@ -802,7 +806,7 @@ def test_what_the_wrappers_qstat_says_is_read_and_its_qdel_ends_it(
         (ClusterTable(directives=("-l walltime=x",)), "Invalid"),
     ],
 )
-def test_slurms_wrapper_refuses_in_its_words(
+def test_refusals_of_slurms_wrapper_are_reported_with_its_message(
     wrapper: clusters.Slurm, ask: Callable[..., Request], table: ClusterTable, words: str
 ) -> None:
     with pytest.raises(ConfigError, match=f"qsub refuses: .*{words}"):

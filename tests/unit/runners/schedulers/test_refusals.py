@@ -1,4 +1,4 @@
-"""What a cluster's refusal is about: beside the scheduler's own words, what was asked for, and what the site has."""
+"""Refusals of clusters: the scheduler's message, the requested settings, and the resources of the site."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def assert_about(words: str, table: Sequence[Meaning], settings: str) -> None:
         ("unrecognized option '--nonsense'", "directives"),
     ],
 )
-def test_slurm_s_words_are_about_these_settings(words: str, settings: str) -> None:
+def test_messages_of_slurm_are_matched_to_the_settings_that_they_concern(words: str, settings: str) -> None:
     assert_about(words, SLURM, settings)
 
 
@@ -84,11 +84,11 @@ def test_slurm_s_words_are_about_these_settings(words: str, settings: str) -> No
         ("Unknown resource: ngpus", "gpus constraint directives"),
     ],
 )
-def test_pbs_words_are_about_these_settings(words: str, settings: str) -> None:
+def test_messages_of_pbs_are_matched_to_the_settings_that_they_concern(words: str, settings: str) -> None:
     assert_about(words, PBS, settings)
 
 
-def test_what_nobody_knows_is_told_as_it_is() -> None:
+def test_an_unknown_message_is_reported_unchanged() -> None:
     assert about("slurm is tired", SLURM, ALL, lambda: ["partition debug"]) == "slurm is tired"
 
 
@@ -110,7 +110,7 @@ def test_what_nobody_knows_is_told_as_it_is() -> None:
         ('memory = "1 TB"', r"Memory specification.*; asked for: memory = 1000 GB; the site has"),
     ],
 )
-def test_what_slurm_refuses_is_told_with_what_was_asked_for_and_what_there_is(
+def test_refusals_of_slurm_name_the_requested_settings_and_the_sites_resources(
     tmp_path: Path, slurm: Slurm, table: str, words: str
 ) -> None:
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}[runners.slurm]\n{table}\n")
@@ -122,7 +122,7 @@ def test_what_slurm_refuses_is_told_with_what_was_asked_for_and_what_there_is(
 
 
 @pytest.mark.integration
-def test_status_tells_the_same_of_what_was_left(tmp_path: Path, slurm: Slurm) -> None:
+def test_status_reports_the_same_for_a_detached_batch(tmp_path: Path, slurm: Slurm) -> None:
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}[runners.slurm]\ncpus = 99\n")
     assert projects.sierra(root, "run", "noise=1", "--on", "slurm", "--detach").returncode == 0
     told = projects.sierra(root, "status").stdout
@@ -130,7 +130,7 @@ def test_status_tells_the_same_of_what_was_left(tmp_path: Path, slurm: Slurm) ->
 
 
 @pytest.mark.parametrize("dialect", ["openpbs", "torque"])
-def test_what_pbs_refuses_is_told_with_what_was_asked_for_and_what_there_is(
+def test_refusals_of_pbs_name_the_requested_settings_and_the_sites_resources(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dialect: str, request_of: Callable[[Path], Request]
 ) -> None:
     server = pbs.Server(tmp_path / "pbs", dialect)

@@ -32,7 +32,7 @@ def scheduler(**table: Any) -> Slurm:
 
 @pytest.fixture
 def request_of(tmp_path: Path) -> Callable[..., Request]:
-    """Makes a request that executes a shell script, in a folder with an odd name; `$1` is the element there."""
+    """Return a function that makes a request to execute a shell script, in a folder with an odd name; `$1` is the index."""
     folder = tmp_path / ODD
     (folder / "logs").mkdir(parents=True)
 
@@ -45,7 +45,7 @@ def request_of(tmp_path: Path) -> Callable[..., Request]:
 
 
 def until(slurm: Slurm, name: str, condition: Callable[[list[Task]], bool], seconds: float = PATIENCE_S) -> list[Task]:
-    """Look until what is seen is as it should be; what was seen last."""
+    """Query until the tasks meet a condition; return the last tasks."""
     give_up = time.monotonic() + seconds
     while True:
         found = slurm.look(name)
@@ -64,10 +64,10 @@ def running(seen: list[Task]) -> bool:
     return bool(seen) and all(task.state == State.RUNNING for task in seen)
 
 
-# what is written and read, without a cluster
+# scripts and answers, without a cluster
 
 
-def test_a_script_says_all_that_is_asked_for() -> None:
+def test_a_script_contains_all_configured_settings() -> None:
     table = {
         "cpus": 4,
         "memory": "4 GB",
@@ -115,13 +115,13 @@ exec python3 -I 'it'"'"'s' "$SLURM_ARRAY_TASK_ID"
     )
 
 
-def test_a_script_asks_for_nothing_that_is_not_said(request_of: Callable[..., Request]) -> None:
+def test_a_script_requests_nothing_that_is_not_configured(request_of: Callable[..., Request]) -> None:
     script = scheduler().script(request_of())
     assert script.startswith("#!/bin/sh\n")
     assert not [word for word in ("--mem", "--time", "--partition", "--gres", "--dependency", "module") if word in script]
 
 
-def test_a_path_that_no_script_can_hold_is_said(request_of: Callable[..., Request]) -> None:
+def test_a_path_that_a_script_cannot_contain_is_refused(request_of: Callable[..., Request]) -> None:
     with pytest.raises(ConfigError, match="without a line feed"):
         scheduler().script(replace(request_of(), folder=Path("/a\nb")))
     with pytest.raises(ConfigError, match="without a backslash"):
@@ -131,14 +131,14 @@ def test_a_path_that_no_script_can_hold_is_said(request_of: Callable[..., Reques
 @pytest.mark.parametrize(
     ("elements", "text"), [((0,), "0"), ((3, 4), "3-4"), ((0, 1, 2, 3, 4, 5, 7), "0-5,7"), ((1, 3, 5), "1,3,5")]
 )
-def test_elements_are_ranges(elements: tuple[int, ...], text: str) -> None:
+def test_array_tasks_are_written_as_ranges(elements: tuple[int, ...], text: str) -> None:
     assert ranges(elements) == text
 
 
 @pytest.mark.parametrize(
     ("text", "limit"), [("01:00:00", 3600), ("00:01:30", 90), ("2-12:00:00", 216000), ("UNLIMITED", None), ("", None)]
 )
-def test_limits_are_read(text: str, limit: float | None) -> None:
+def test_limits_of_time_are_parsed(text: str, limit: float | None) -> None:
     assert seconds(text) == limit
 
 
@@ -197,18 +197,18 @@ def test_limits_are_read(text: str, limit: float | None) -> None:
         ("7|3|SPECIAL_EXIT||None", State.STUCK, ""),
     ],
 )
-def test_what_is_seen_of_a_task(line: str, state: State, reason: str) -> None:
+def test_lines_of_squeue_give_the_state_and_reason_of_a_task(line: str, state: State, reason: str) -> None:
     [task] = tasks(line)
     assert (task.job, task.element, task.state, task.reason) == ("7", 3, state, reason)
 
 
 @pytest.mark.parametrize(("word", "cancelled"), [("CANCELLED", True), ("FAILED", False), ("TIMEOUT", False), ("RUNNING", None)])
-def test_slurm_tells_what_was_cancelled(word: str, cancelled: bool | None) -> None:
+def test_the_state_in_squeue_tells_if_a_task_was_cancelled(word: str, cancelled: bool | None) -> None:
     [task] = tasks(f"7|3|{word}|n1|None\n")
     assert task.cancelled is cancelled
 
 
-def test_what_has_no_index_is_no_element() -> None:
+def test_tasks_without_an_index_are_not_array_tasks() -> None:
     assert [task.element for task in tasks("7|N/A|PENDING||None\n8|0-5,7|PENDING||None\n9|3|RUNNING|n1|None\n")] == [
         None,
         None,
@@ -216,7 +216,7 @@ def test_what_has_no_index_is_no_element() -> None:
     ]
 
 
-def test_what_is_no_answer_is_passed_over() -> None:
+def test_lines_that_are_not_tasks_are_ignored() -> None:
     assert tasks("") == ()
     assert tasks("welcome to the cluster\n7|1|RUNNING|n1|a\nb|c\n") == (Task("7", 1, State.RUNNING, "a", "n1"),)
 
@@ -251,7 +251,7 @@ POLICY = (
         ("sbatch: fatal: Could not establish a configuration source", Missing, "SLURM: Could not establish"),
     ],
 )
-def test_a_refusal_is_told_from_a_full_queue_and_from_silence(said: str, error: type[SierraError], words: str) -> None:
+def test_refusals_full_queues_and_missing_answers_are_distinguished(said: str, error: type[SierraError], words: str) -> None:
     refused = refusal(said)
     assert type(refused) is error
     assert re.search(words, str(refused))
@@ -260,7 +260,7 @@ def test_a_refusal_is_told_from_a_full_queue_and_from_silence(said: str, error: 
 
 @pytest.fixture
 def sbatch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    """Puts a sbatch on the PATH that is a shell script, as many sites do."""
+    """Return a function that puts a shell script on the PATH as `sbatch`, as many sites do."""
 
     def put(script: str) -> None:
         (tmp_path / "bin").mkdir()
@@ -272,12 +272,14 @@ def sbatch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], N
 
 
 @pytest.mark.parametrize("said", ["12", "12;tux", "You have 3 jobs.\\n12;tux", "12\\nThank you"])
-def test_the_answer_names_the_job(said: str, sbatch: Callable[[str], None], request_of: Callable[..., Request]) -> None:
+def test_the_answer_of_sbatch_names_the_job(
+    said: str, sbatch: Callable[[str], None], request_of: Callable[..., Request]
+) -> None:
     sbatch(f"cat > /dev/null; printf '{said}\\n'; echo welcome >&2")
     assert scheduler().submit(request_of()) == "12"
 
 
-def test_an_answer_that_names_no_job_leaves_open_whether_there_is_one(
+def test_an_answer_without_a_job_is_reported_as_unknown(
     sbatch: Callable[[str], None], request_of: Callable[..., Request]
 ) -> None:
     sbatch("cat > /dev/null; echo Job 12 would start at noon")
@@ -285,7 +287,7 @@ def test_an_answer_that_names_no_job_leaves_open_whether_there_is_one(
         scheduler().submit(request_of())
 
 
-def test_silence_is_not_waited_for_for_ever(
+def test_waiting_for_an_answer_of_sbatch_ends_after_a_time_limit(
     sbatch: Callable[[str], None], request_of: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sierra.runners.schedulers.slurm.PATIENCE_S", 1.0)
@@ -294,7 +296,7 @@ def test_silence_is_not_waited_for_for_ever(
         scheduler().submit(request_of())
 
 
-def test_a_host_without_slurm_is_said(monkeypatch: pytest.MonkeyPatch, request_of: Callable[..., Request]) -> None:
+def test_a_host_without_slurm_is_reported(monkeypatch: pytest.MonkeyPatch, request_of: Callable[..., Request]) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
     for asked in (scheduler().version, scheduler().bounds, lambda: scheduler().submit(request_of())):
         with pytest.raises(Missing, match=r"there is no (sbatch|scontrol) here"):
@@ -307,14 +309,14 @@ def test_a_host_without_slurm_is_said(monkeypatch: pytest.MonkeyPatch, request_o
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_it_says_its_version(slurm: clusters.Slurm) -> None:
+def test_the_version_of_slurm_is_returned(slurm: clusters.Slurm) -> None:
     word, number = scheduler().version().split()
     assert (word, number.count(".")) == ("slurm", 2)
 
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_what_the_site_allows_is_known(slurm: clusters.Slurm) -> None:
+def test_limits_of_the_site_are_returned(slurm: clusters.Slurm) -> None:
     bounds = scheduler().bounds()
     assert (bounds.array, bounds.jobs, bounds.wall_s, bounds.running) == (1001, 10000, 3600, None)
     assert bounds.whose == {"array": "MaxArraySize", "jobs": "MaxJobCount", "wall_s": "MaxTime of partition debug"}
@@ -326,7 +328,7 @@ def test_what_the_site_allows_is_known(slurm: clusters.Slurm) -> None:
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_elements_execute_each_with_its_index(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_array_tasks_execute_with_their_index(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of('echo "$PWD" "$@"; echo trouble >&2', 0, 1, 2, 5)
     job = scheduler().submit(request)
     seen = until(scheduler(), request.name, ended)
@@ -339,7 +341,7 @@ def test_elements_execute_each_with_its_index(slurm: clusters.Slurm, request_of:
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_one_element_is_an_array_too(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_one_array_task_is_submitted_as_an_array(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of('echo "$@"', 3)
     job = scheduler().submit(request)
     [task] = until(scheduler(), request.name, ended)
@@ -348,7 +350,7 @@ def test_one_element_is_an_array_too(slurm: clusters.Slurm, request_of: Callable
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_what_is_asked_for_is_had(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_jobs_get_the_requested_resources(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     table = {"cpus": 3, "memory": 100 << 20, "wall": 90.0, "partition": "debug", "constraint": "fast", "gpus": 1}
     job = scheduler(**table).submit(request_of("sleep 60"))
     told = slurm.command("scontrol", "show", "job", job)
@@ -359,7 +361,9 @@ def test_what_is_asked_for_is_had(slurm: clusters.Slurm, request_of: Callable[..
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_a_site_may_be_told_more(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_directives_add_options_but_never_change_name_or_output(
+    slurm: clusters.Slurm, request_of: Callable[..., Request]
+) -> None:
     request = request_of("sleep 60")
     job = scheduler(directives=("--no-requeue", "--nice=7 --job-name=other", "-o nowhere")).submit(request)
     told = slurm.command("scontrol", "show", "job", job)
@@ -371,7 +375,7 @@ def test_a_site_may_be_told_more(slurm: clusters.Slurm, request_of: Callable[...
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_modules_are_loaded_before_anything(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_modules_are_loaded_before_the_command_executes(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of("echo began")
     job = scheduler(modules=("nope/1.0",)).submit(request)
     [task] = until(scheduler(), request.name, ended)
@@ -383,7 +387,7 @@ def test_modules_are_loaded_before_anything(slurm: clusters.Slurm, request_of: C
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_nothing_of_the_callers_environment_goes_along(
+def test_the_callers_environment_is_not_exported(
     slurm: clusters.Slurm, request_of: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     canaries = {
@@ -411,7 +415,7 @@ def test_nothing_of_the_callers_environment_goes_along(
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_the_callers_variables_for_slurm_change_nothing(
+def test_the_callers_variables_for_slurm_do_not_affect_jobs(
     slurm: clusters.Slurm, request_of: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in {
@@ -437,7 +441,7 @@ def test_the_callers_variables_for_slurm_change_nothing(
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_jobs_of_other_names_are_not_seen_nor_cancelled(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_jobs_of_other_names_are_neither_found_nor_cancelled(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     first, second = request_of("sleep 60", 0, name="sierra-a"), request_of("sleep 60", 0, name="sierra-b")
     scheduler().submit(first)
     job = scheduler().submit(second)
@@ -449,7 +453,7 @@ def test_jobs_of_other_names_are_not_seen_nor_cancelled(slurm: clusters.Slurm, r
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_some_elements_are_cancelled_or_all(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_some_or_all_array_tasks_are_cancelled(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of("sleep 60", *range(16))
     scheduler().submit(request)
     until(scheduler(), request.name, lambda seen: sum(task.state == State.RUNNING for task in seen) == 12)
@@ -466,7 +470,7 @@ def test_some_elements_are_cancelled_or_all(slurm: clusters.Slurm, request_of: C
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_a_cancelled_element_may_end_what_it_does(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_a_cancelled_array_task_gets_sigterm_and_may_finish(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of("trap 'echo asked; exit' TERM; echo began; while :; do sleep 0.05; done")
     job = scheduler().submit(request)
     log = request.logs / f"{job}_0.out"
@@ -492,7 +496,7 @@ def test_a_cancelled_element_may_end_what_it_does(slurm: clusters.Slurm, request
         ({}, (0, 1001), "Invalid job array specification"),
     ],
 )
-def test_what_is_refused_is_said_in_its_words(
+def test_refusals_are_reported_with_slurms_message(
     table: dict[str, Any], elements: tuple[int, ...], words: str, slurm: clusters.Slurm, request_of: Callable[..., Request]
 ) -> None:
     request = request_of("true", *elements)
@@ -514,7 +518,7 @@ def test_what_is_refused_is_said_in_its_words(
         ({"partition": "closed"}, "Job's account not known, so it can't use this partition"),
     ],
 )
-def test_what_never_begins_is_stuck(
+def test_jobs_that_can_never_begin_are_stuck(
     table: dict[str, Any], reason: str, slurm: clusters.Slurm, request_of: Callable[..., Request]
 ) -> None:
     request = request_of("true", 0, 1)
@@ -525,7 +529,7 @@ def test_what_never_begins_is_stuck(
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_what_is_held_by_an_administrator_is_stuck_and_what_its_user_holds_waits(
+def test_jobs_held_by_an_administrator_are_stuck_and_jobs_held_by_the_user_wait(
     slurm: clusters.Slurm, request_of: Callable[..., Request]
 ) -> None:
     request = request_of()
@@ -543,7 +547,7 @@ def test_what_is_held_by_an_administrator_is_stuck_and_what_its_user_holds_waits
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_what_must_come_after_another_waits_for_it(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_a_dependent_job_waits_for_the_other(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     first = scheduler().submit(request_of("sleep 1", name="sierra-first"))
     scheduler().submit(request_of("sleep 1", name="sierra-second", after=first))
     seen = until(scheduler(), "sierra-second", ended)
@@ -552,7 +556,7 @@ def test_what_must_come_after_another_waits_for_it(slurm: clusters.Slurm, reques
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_what_comes_after_a_failure_never_begins(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_a_job_that_depends_on_a_failed_job_never_begins(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     folder = request_of().folder
     first = scheduler().submit(request_of("exit 7", name="sierra-first"))
     until(scheduler(), "sierra-first", ended)
@@ -564,7 +568,7 @@ def test_what_comes_after_a_failure_never_begins(slurm: clusters.Slurm, request_
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_a_task_comes_back_that_lost_its_node(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_a_task_that_lost_its_node_is_requeued(slurm: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of('echo "began $SLURM_RESTART_COUNT"; test -n "$SLURM_RESTART_COUNT" || sleep 60')
     job = scheduler().submit(request)
     log = request.logs / f"{job}_0.out"
@@ -581,7 +585,7 @@ def test_a_task_comes_back_that_lost_its_node(slurm: clusters.Slurm, request_of:
 
 @pytest.fixture
 def small(require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> Iterator[clusters.Slurm]:
-    """A cluster that soon forgets, takes few jobs, and is this test's alone."""
+    """Yield a separate cluster that forgets jobs early and accepts few jobs."""
     clusters.needed(require)
     settings = {"MinJobAge": "2", "MaxJobCount": "5", "MessageTimeout": "2"}
     settings["SchedulerParameters"] = clusters.SETTINGS["SchedulerParameters"] + ",max_array_tasks=4"
@@ -593,9 +597,7 @@ def small(require: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> Itera
 
 @pytest.mark.real
 @pytest.mark.nightly
-def test_a_controller_that_is_gone_means_that_nothing_is_known(
-    small: clusters.Slurm, request_of: Callable[..., Request]
-) -> None:
+def test_the_state_is_unknown_while_the_controller_is_down(small: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of("sleep 60")
     job = scheduler().submit(request)
     until(scheduler(), request.name, running)
@@ -615,7 +617,7 @@ def test_a_controller_that_is_gone_means_that_nothing_is_known(
 
 @pytest.mark.real
 @pytest.mark.nightly
-def test_what_ended_long_ago_is_forgotten(small: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_slurm_forgets_jobs_that_ended_long_ago(small: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     request = request_of()
     scheduler().submit(request)
     until(scheduler(), request.name, ended)
@@ -624,9 +626,7 @@ def test_what_ended_long_ago_is_forgotten(small: clusters.Slurm, request_of: Cal
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_what_is_held_after_it_could_not_be_launched_is_stuck(
-    small: clusters.Slurm, request_of: Callable[..., Request]
-) -> None:
+def test_jobs_held_after_a_failed_launch_are_stuck(small: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     shutil.rmtree(small.root / "spool.n1")
     request = request_of("true", 0, 1)
     scheduler().submit(request)
@@ -638,7 +638,7 @@ def test_what_is_held_after_it_could_not_be_launched_is_stuck(
 
 @pytest.mark.integration
 @pytest.mark.real
-def test_a_full_queue_is_said_at_once(small: clusters.Slurm, request_of: Callable[..., Request]) -> None:
+def test_a_full_queue_is_reported_immediately(small: clusters.Slurm, request_of: Callable[..., Request]) -> None:
     assert scheduler().bounds().array == 4
     scheduler().submit(request_of("sleep 60", 0, 1, 2))
     began = time.monotonic()

@@ -1,4 +1,4 @@
-"""What accounting allows a user of SLURM, by what sacctmgr says; see also `integration/clusters/test_slurm_accounting`."""
+"""Limits of SLURM's accounting for a user, as sacctmgr reports them; see `integration/clusters/test_slurm_accounting`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ENFORCED = {
 
 @dataclass
 class Sacctmgr:
-    """Answers as sacctmgr does."""
+    """A replacement for sacctmgr with fixed answers."""
 
     associations: str = "physics||normal|normal,short||||\n"
     """Account, partition, default QOS, QOS, MaxSubmitJobs, GrpSubmitJobs, MaxJobs, MaxWall."""
@@ -51,7 +51,7 @@ class Sacctmgr:
         return allowed(self, ENFORCED, "ann", ClusterTable.model_validate(table), asked)
 
 
-def test_limits_of_the_default_qos_come_before_those_of_the_association() -> None:
+def test_limits_of_the_default_qos_override_those_of_the_association() -> None:
     asked = Sacctmgr("physics||normal|normal|50|30|4|02:00:00\n", "normal|20|||8|00:30:00\n")
     assert asked.allows() == Allowed(
         jobs=Limit(20, "MaxSubmitJobsPerUser of QOS normal"),
@@ -60,7 +60,7 @@ def test_limits_of_the_default_qos_come_before_those_of_the_association() -> Non
     )
 
 
-def test_what_no_qos_limits_the_association_does() -> None:
+def test_limits_of_the_association_apply_if_the_qos_has_none() -> None:
     asked = Sacctmgr("physics||normal|normal|50|30|4|1-00:00:00\n")
     mine = "your association with account physics"
     assert asked.allows() == Allowed(
@@ -69,17 +69,17 @@ def test_what_no_qos_limits_the_association_does() -> None:
 
 
 @pytest.mark.parametrize("default", ["", "\n"])
-def test_who_has_no_default_account_has_the_first(default: str) -> None:
+def test_a_user_without_a_default_account_has_the_first_account(default: str) -> None:
     asked = Sacctmgr("robots||normal|normal|3|||\n", default=default)
     assert asked.allows().jobs == Limit(3, "MaxSubmitJobs of your association with account robots")
 
 
-def test_the_qos_of_the_partition_comes_first() -> None:
+def test_the_qos_of_the_partition_overrides_others() -> None:
     asked = Sacctmgr(qos="normal|20||||\nwide|200||||\n")
     assert asked.allows(of_partition="wide").jobs == Limit(200, "MaxSubmitJobsPerUser of QOS wide")
 
 
-def test_what_is_asked_for_counts() -> None:
+def test_the_requested_account_partition_and_qos_select_the_limits() -> None:
     associations = "physics||normal|normal|1|||\nrobots||normal|normal,short|2|||\nrobots|debug|normal|normal|3|||\n"
     asked = Sacctmgr(associations, qos="normal|||||\nshort||9|||\n")
     assert asked.allows("long").jobs == Limit(1, "MaxSubmitJobs of your association with account physics")
@@ -96,7 +96,7 @@ def test_what_is_asked_for_counts() -> None:
         ({"qos": "high"}, "QOS 'high' is none of account 'physics'; there are normal, short$"),
     ],
 )
-def test_an_account_or_qos_that_is_not_the_users_is_said_with_those_that_are(table: dict[str, str], words: str) -> None:
+def test_the_error_for_a_foreign_account_or_qos_names_the_users_own(table: dict[str, str], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         Sacctmgr().allows(**table)
 
@@ -110,13 +110,13 @@ def test_an_account_or_qos_that_is_not_the_users_is_said_with_those_that_are(tab
         {},
     ],
 )
-def test_where_nothing_is_enforced_nothing_is_asked(config: dict[str, str]) -> None:
+def test_sacctmgr_is_not_called_if_accounting_enforces_no_limits(config: dict[str, str]) -> None:
     asked = Sacctmgr()
     assert allowed(asked, config, "ann", ClusterTable(account="chemistry"), Partitions((), ())) == Allowed()
     assert asked.asked == []
 
 
-def test_where_accounting_does_not_answer_nothing_is_known() -> None:
+def test_limits_are_unknown_if_accounting_does_not_answer() -> None:
     def deaf(*words: str) -> str:
         raise Missing("Unable to contact slurm database")
 
@@ -147,7 +147,7 @@ esac
 def limited(
     simulate: Callable[..., Simulated], slurm: Slurm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[[str], Simulated]:
-    """Makes a project where SLURM says that it has accounting, and what that allows."""
+    """Return a function that makes a project for a SLURM with accounting and limits."""
     scontrol = shutil.which("scontrol") or "scontrol"
     tools = tmp_path / "tools"
     tools.mkdir()
@@ -169,7 +169,7 @@ ASKED = ("run", "size=1", "--runs", "40", "--on", "slurm", "--no-figures")
 
 
 @pytest.mark.integration
-def test_a_dry_run_keeps_to_what_accounting_allows_and_says_whose_limit_it_is(limited: Callable[[str], Simulated]) -> None:
+def test_a_dry_run_obeys_accounting_limits_and_names_their_origin(limited: Callable[[str], Simulated]) -> None:
     told = limited("array_tasks = 30").quick(*ASKED, "-n", "--explain").stdout
     for line in (
         "array_tasks +5 +the jobs that the site allows \\(MaxSubmitJobsPerUser of QOS normal\\)",
@@ -190,7 +190,7 @@ def test_a_dry_run_keeps_to_what_accounting_allows_and_says_whose_limit_it_is(li
         ('qos = "high"', "QOS 'high' is none of account 'physics'; there are normal, short"),
     ],
 )
-def test_what_accounting_does_not_allow_is_one_line_before_anything_is_lost(
+def test_a_violation_of_accounting_limits_is_refused_in_one_line(
     limited: Callable[[str], Simulated], table: str, words: str
 ) -> None:
     project = limited(table)
@@ -204,10 +204,10 @@ def test_what_accounting_does_not_allow_is_one_line_before_anything_is_lost(
 
 
 @pytest.mark.nightly
-def test_a_site_that_allows_one_job_at_a_time_has_nodes_tried_out_first(
+def test_nodes_are_probed_first_on_a_site_that_allows_one_job_at_a_time(
     simulate: Callable[..., Simulated], slurm: Slurm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # nobody knows of these nodes yet
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # these nodes were never probed
     monkeypatch.setattr(runner, "FULL_S", 0.5)
     submit = scheduler.Slurm.submit
 
