@@ -131,7 +131,7 @@ class Project:
         if PREFIX.fullmatch(word.lower()) and word not in self.config.queries and self.stored():
             if runs or controller or scenario or sets:
                 raise UsageError(
-                    f"batch {word} is executed as it was recorded; without --runs, --controller, --scenario, --set"
+                    f"batch {word} is executed as it was recorded; leave out --runs, --controller, --scenario and --set"
                 )
             return plan_from_record.plan(self._loaded, self.store, word, contained=engine)
         request = requests.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets)
@@ -215,7 +215,7 @@ class Project:
         stays = runners.find(runner, self.config.runners)(1).stays
         if detach and not stays:
             raise UsageError(
-                f"what {runner!r} executes ends with this process: only what is on a cluster can be left to itself"
+                f"cannot detach from runner {runner!r}: its runs end with this process; only cluster jobs can be detached"
             )
         options = RunOptions(
             _slots(jobs),
@@ -360,7 +360,7 @@ class Project:
     def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Estimate | None:
         """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.estimate`.
 
-        Return None if the runner is not a cluster, or if no run must be submitted.
+        Return None if the runner is not a cluster, or if there is no run to submit.
 
         >>> print(project.proposal(project.plan("population_size=8"), "local"))
         None
@@ -500,7 +500,7 @@ class Project:
 
         own = self.config.container.image if self.config.container else ""
         if name is None and not own:
-            raise UsageError(f'{self._loaded.file} names no image; name one here, or there: [container] image = "…"')
+            raise UsageError(f'{self._loaded.file} names no image; give the name of an image, or set [container] image = "…"')
         return resolve.spelled(self.root, name, own) if name else own
 
     def push_sources(self, remote: str | None = None) -> list[Shared]:
@@ -651,11 +651,11 @@ class Project:
         if prefix is not None:
             found = self.store.resolve(prefix)
             if found.kind != "batch":
-                raise NotFound(f"{prefix!r} is a {found.kind}; only a batch will do here")
+                raise NotFound(f"{prefix!r} is the id of another kind ({found.kind}); a batch is required here")
             return found.id
         known = self.batches
         if not known:
-            raise Missing("no batch is recorded yet; sierra run makes one")
+            raise Missing("no batch is recorded yet; record one with sierra run")
         batch: str = known[-1]["batch"]
         return batch
 
@@ -695,5 +695,5 @@ def _slots(jobs: int | None) -> int:
 
     slots = (user.load().jobs or usable_cores()) if jobs is None else jobs
     if slots < 1:
-        raise UsageError(f"{slots} runs at a time; ask for 1 or more")
+        raise UsageError(f"cannot execute {slots} runs at a time; use 1 or more")
     return slots

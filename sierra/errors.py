@@ -1,7 +1,7 @@
 """The tree of SIERRA's errors. Each class carries the exit code with which the command line ends.
 
 Exit codes: 0 success, 1 failure or difference, 2 usage error, 3 something needed is missing, 130 interrupted. A message is one
-line that says what is wrong, which thing is wrong, and what would be right.
+line: what is wrong, which thing is wrong, and what to do.
 """
 
 from __future__ import annotations

@@ -186,7 +186,7 @@ def test_file_in_place_of_the_store_folder_is_reported(project: Path) -> None:
 
 
 def test_zero_slots_are_refused(ask: Ask) -> None:
-    assert ask("run", "noise=1", "-j", "0") == (2, "sierra: 0 runs at a time; ask for 1 or more\n")
+    assert ask("run", "noise=1", "-j", "0") == (2, "sierra: cannot execute 0 runs at a time; use 1 or more\n")
 
 
 def test_failed_run_is_reported_and_gives_exit_code_1(tmp_path: Path) -> None:
