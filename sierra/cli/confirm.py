@@ -12,7 +12,7 @@ from sierra.errors import UsageError
 def agreed(lines: list[str], yes: bool, quiet: bool, what: str) -> bool:
     """Return whether to continue: true with --yes, else the answer on a terminal. Raises UsageError if there is neither."""
     if not yes and not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise UsageError(f"{what}: {'; '.join(lines)}; there is no terminal to ask on, so say --yes")
+        raise UsageError(f"{what}: {'; '.join(lines)}; no terminal to confirm on; use --yes")
     if not quiet:
         print(f"{what}:\n" + "\n".join(f"  {line}" for line in lines))
-    return yes or typer.confirm("go on?", default=False)
+    return yes or typer.confirm("continue?", default=False)

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 SPOOLED = 64 << 20
 SHOWN_FAILURES = 20
 WHICH = {
-    "counts": "the one that counts",
-    "last": "the last one; none counts",
-    "asked": "the one asked for",
+    "counts": "the effective one",
+    "last": "the last one; none is effective",
+    "asked": "the requested one",
     "none": "never executed",
 }
 
@@ -31,21 +31,22 @@ def files(
     prefix: Annotated[
         str,
         typer.Argument(
-            metavar="HASH", autocompletion=complete.ids, help="The beginning of an id, as `sierra show` shows them."
+            metavar="HASH", autocompletion=complete.ids, help="Id of anything that `sierra show` shows; a prefix is enough."
         ),
     ],
     paths: Annotated[
-        list[str] | None, typer.Argument(metavar="PATH", show_default=False, help="Files as listed, or globs of them.")
+        list[str] | None, typer.Argument(metavar="PATH", show_default=False, help="Listed paths, or glob patterns.")
     ] = None,
-    to: Annotated[Path | None, typer.Option("--to", metavar="FOLDER", help="Write them into this folder.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+    to: Annotated[Path | None, typer.Option("--to", metavar="FOLDER", help="Write the files into this folder.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
     """List recorded files, or write them out.
 
-    One PATH is written to standard output. With --to, files go to FOLDER/EXPERIMENT/NUMBER/: the run's input/, output/,
-    stdout and stderr; nothing is overwritten. Of a run, the execution that counts is taken, else its last.
+    Without PATH, lists the files. With PATH, writes the one file that matches to standard output. With --to, writes files to
+    FOLDER/EXPERIMENT/NUMBER/: the run's input/, output/, stdout and stderr; existing files are not overwritten. The files of a
+    run are those of its effective execution; if there is none, those of its last execution.
 
-    What became a table is written from it, as CSV: the same values, though perhaps in other bytes.
+    Files that became tables are written as CSV from the recorded rows: the values are the same, the bytes may differ.
 
     \b
     Examples:
@@ -73,7 +74,7 @@ def files(
 
 
 def _print_one(opened: Project, listed: Listing) -> None:
-    """Write a file's content to standard output, after all of it has been checked against its record."""
+    """Write a file's content to standard output, after the whole file was checked against its record."""
     import shutil
     import tempfile
 
@@ -82,7 +83,7 @@ def _print_one(opened: Project, listed: Listing) -> None:
     from sierra.store.export_files import content
 
     if len(listed.files) > 1:
-        raise UsageError(f"that is {len(listed.files)} files; name one of one run, or say where with --to FOLDER")
+        raise UsageError(f"{len(listed.files)} files match; choose one file of one run, or write all of them with --to FOLDER")
     [file] = listed.files
     with tempfile.SpooledTemporaryFile(SPOOLED) as spooled:
         try:
@@ -90,7 +91,7 @@ def _print_one(opened: Project, listed: Listing) -> None:
         except Damaged as error:
             raise Damaged(f"{readable(file.path)}: {error}") from error
         if file.taken.which == "last" and file.kind != "input":
-            note(_execution(file.taken))
+            note(f"{readable(file.path)} is from {_execution(file.taken)}")
         if not identical:
             note(f"{readable(file.path)}: {_other(file)}")
         spooled.seek(0)
@@ -100,7 +101,9 @@ def _print_one(opened: Project, listed: Listing) -> None:
 
 
 def _other(file: Recorded) -> str:
-    return "written from the table; its bytes are not those that the run wrote" if file.from_rows else file.remark
+    return (
+        "written from the recorded table; the bytes differ from the file that the run wrote" if file.from_rows else file.remark
+    )
 
 
 def _doubt(opened: Project, folder: Path) -> None:
@@ -109,15 +112,15 @@ def _doubt(opened: Project, folder: Path) -> None:
 
     target = folder.resolve()
     if target.is_relative_to(opened.root) and not opened.config.source.paths:
-        note(f"{folder} is in the project, and so counts as its source unless git ignores it: the next runs would be new")
+        note(f"{folder} is in the project, and changes its source (which makes the next runs new) unless git ignores it")
 
 
 def _execution(run: Taken) -> str:
     from sierra.util.hashing import short
 
     if run.execution is None:
-        return "never executed: nothing but its input is recorded"
-    return f"execution {short(run.execution)} ({run.status}) is {WHICH[run.which]}"
+        return "never executed; only the input is recorded"
+    return f"execution {short(run.execution)} ({run.status}), {WHICH[run.which]}"
 
 
 def _print(listed: Listing) -> None:
@@ -128,7 +131,7 @@ def _print(listed: Listing) -> None:
     owner = ("experiment", "number", "run", "execution", "status") if several else ()
     if not several:
         [run] = listed.runs
-        fields({"run": run.run, "experiment": run.experiment, "number": run.number, "files": _execution(run)})
+        fields({"run": run.run, "experiment": run.experiment, "number": run.number, "files from": _execution(run)})
         print()
     rows: list[Sequence[Any]] = []
     for file in listed.files:
@@ -141,11 +144,13 @@ def _print(listed: Listing) -> None:
 
 
 def _doubtful(runs: Iterable[Taken]) -> Iterable[str]:
+    from sierra.util.text import counted
+
     which = [run.which for run in runs]
     if count := which.count("last"):
-        yield f"{count} runs have no execution that counts; these files are from their last one"
+        yield f"{counted(count, 'run')} without an effective execution: files of the last execution"
     if count := which.count("none"):
-        yield f"{count} runs were never executed; their input is all that is recorded"
+        yield f"{counted(count, 'run')} never executed: only the input is recorded"
 
 
 def _told(listed: Listing, outcomes: Sequence[Outcome], folder: Path, *, as_json: bool) -> None:
@@ -160,22 +165,25 @@ def _told(listed: Listing, outcomes: Sequence[Outcome], folder: Path, *, as_json
     for outcome in failures[:SHOWN_FAILURES]:
         print(f"sierra: {readable(outcome.path)}: {outcome.failure}", file=sys.stderr)
     if len(failures) > SHOWN_FAILURES:
-        print(f"sierra: and {len(failures) - SHOWN_FAILURES} more are not written", file=sys.stderr)
+        print(f"sierra: and {len(failures) - SHOWN_FAILURES} more files were not written", file=sys.stderr)
     if failures:
         raise typer.Exit(1)
 
 
 def _summary(listed: Listing, outcomes: Sequence[Outcome], folder: Path) -> None:
+    from sierra.util.text import counted
+
     written = [outcome for outcome in outcomes if not outcome.failure]
     tables = [outcome for outcome in written if outcome.file.kind == "table"]
     identical = sum(outcome.identical for outcome in tables)
     cut = sum(outcome.file.kind == "log" and not outcome.identical for outcome in written)
-    print(f"{len(written)} files of {len({outcome.file.taken for outcome in written})} runs written to {folder}")
+    runs = counted(len({outcome.file.taken for outcome in written}), "run")
+    print(f"{counted(len(written), 'file')} of {runs} written to {folder}")
     if tables:
-        rest = "" if identical == len(tables) else f"; {len(tables) - identical} have the same values in other bytes"
-        print(f"{identical} of {len(tables)} tables are byte for byte what the runs wrote{rest}")
+        rest = "" if identical == len(tables) else f"; {len(tables) - identical} have the same values in different bytes"
+        print(f"{identical} of {len(tables)} tables are byte-identical to the files that the runs wrote{rest}")
     if cut:
-        print(f"{cut} logs were cut when they were recorded: their beginning and end are written")
+        print(f"{counted(cut, 'log')} shortened when recorded: only the beginning and the end are written")
     for line in _doubtful(listed.runs):
         print(line)
 

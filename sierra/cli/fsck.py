@@ -17,17 +17,17 @@ SHOWN = 20
 
 
 def fsck(
-    repair: Annotated[bool, typer.Option("--repair", help="Make again what can be, and put aside what is damaged.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="With --repair: only say what would be done.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+    repair: Annotated[bool, typer.Option("--repair", help="Repair what can be repaired; move damaged segments aside.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="With --repair: only show what would be done.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
-    """Check all that is recorded, and name what is damaged.
+    """Check the whole store, and report all damage.
 
-    Every byte is checked against what vouches for it; every id is made again from its record; all that records refer to must
-    be there; the recorded sources must still be in git. The exit code is 1 if anything of that is not so.
+    Checks every byte against recorded hashes, computes every id again from its record, checks that everything that records
+    refer to exists, and that git still has the recorded sources. The exit code is 1 if any check fails.
 
-    A repair deletes nothing: damaged segments are moved to .sierra/damaged, and what is sound in them is kept. What was lost is
-    executed again by sierra run.
+    A repair deletes nothing: it moves damaged segments to .sierra/damaged, and keeps their intact content. sierra run executes
+    lost runs again.
 
     \b
     Examples:
@@ -52,7 +52,7 @@ def fsck(
             print(("would repair: " if dry_run else "repaired: ") + line)
         _print(report)
         if not done and any(one.kind.repairable for one in report.findings):
-            print("sierra fsck --repair puts aside what is damaged, and keeps the rest; sierra run makes again what is lost")
+            print("sierra fsck --repair moves damaged segments aside and keeps the rest; sierra run executes lost runs again")
     if not report.sound:
         raise typer.Exit(1)
 
@@ -68,6 +68,7 @@ def _report(report: Report) -> dict[str, Any]:
 
 def _print(report: Report) -> None:
     from sierra.cli.output import readable, size
+    from sierra.util.text import counted
 
     for finding in report.findings[:SHOWN]:
         print(readable(str(finding)))
@@ -75,8 +76,9 @@ def _print(report: Report) -> None:
         print(f"and {len(report.findings) - SHOWN} more (--json has them all)")
     wrong = sum(not finding.kind.fine for finding in report.findings)
     print(
-        f"{'sound' if report.sound else f'{wrong} wrong'}: {report.segments} segments, {report.files} files, "
-        f"{size(report.bytes)}, {report.objects} objects, {report.executions} executions checked in {report.seconds:.1f} s"
+        f"{'sound' if report.sound else counted(wrong, 'problem')}: {counted(report.segments, 'segment')}, "
+        f"{counted(report.files, 'file')}, {size(report.bytes)}, {counted(report.objects, 'object')}, "
+        f"{counted(report.executions, 'execution')} checked in {report.seconds:.1f} s"
     )
 
 

@@ -12,18 +12,20 @@ if TYPE_CHECKING:
 
 
 def gc(
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only say what would be done.")] = False,
-    damaged: Annotated[bool, typer.Option("--damaged", help="Also the segments that sierra fsck --repair put aside.")] = False,
-    raw: Annotated[
-        bool, typer.Option("--raw", help="Also the bytes of files that became tables; the rows of the tables stay.")
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only show what would be done.")] = False,
+    damaged: Annotated[
+        bool, typer.Option("--damaged", help="Also remove segments that sierra fsck --repair moved aside.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+    raw: Annotated[
+        bool, typer.Option("--raw", help="Also remove the bytes of files that became tables; the rows stay.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
-    """Remove what nothing needs, and merge small files.
+    """Remove unneeded files, and merge small ones.
 
-    Nothing that was recorded is lost, but with --raw, which says what is. Git's refs/sierra/ stay, because other projects may
-    share the repository. Where there is no terminal to ask on, --yes is needed.
+    No recorded data is lost, except with --raw, which reports the loss. Git's refs/sierra/ stay, because other projects may
+    share the repository. Without a terminal for the confirmation, --yes is required.
 
     \b
     Examples:
@@ -35,13 +37,14 @@ def gc(
     from sierra.cli.confirm import agreed
     from sierra.cli.output import print_json
     from sierra.maintenance.gc import text
+    from sierra.util.text import counted
 
     project = open_project.project()
     if dry_run:
         found: Collection | None = project.collection(damaged=damaged, raw=raw)
     else:
         found = project.collect(
-            damaged=damaged, raw=raw, agree=lambda found: agreed(text(found), yes, as_json, "to be tidied up")
+            damaged=damaged, raw=raw, agree=lambda found: agreed(text(found), yes, as_json, "to be removed or merged")
         )
     if found is None:
         print("nothing was done")
@@ -49,8 +52,8 @@ def gc(
     if as_json:
         print_json({"done": not dry_run, **asdict(found)})
         return
-    print("\n".join(text(found)) or "nothing: there is only what is needed")
+    print("\n".join(text(found)) or "nothing to remove: everything is needed")
     if found.recovered:
-        print(f"{found.recovered} executions that had finished are recorded now")
+        print(f"recorded {counted(found.recovered, 'finished execution')} of sessions that died")
     if found.left:
-        print(f"{found.left} old segments are still being read; the next sierra gc removes them")
+        print(f"old segments that are still being read: {found.left}; the next sierra gc removes them")

@@ -17,21 +17,22 @@ def rm(
     prefixes: Annotated[
         list[str],
         typer.Argument(
-            metavar="HASH...",
+            metavar="HASH",
             autocompletion=complete.ids,
-            help="Batches, experiments, runs or executions, by the beginning of their ids.",
+            help="Ids of batches, experiments, runs or executions; prefixes are enough.",
         ),
     ],
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only say what would be deleted.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only show what would be deleted.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
     """Delete recorded batches, experiments, runs or executions.
 
-    What goes, and what stays because others have it, is said first.
+    First shows what will be deleted, and what stays because other batches contain it.
 
-    A batch goes whole; of an experiment or a run, what was executed goes, and is executed again when it is asked for. Runs of a
-    batch or an experiment that others have too keep their executions. Where there is no terminal to ask on, --yes is needed.
+    A batch is deleted completely. For an experiment or a run, the executions are deleted, and are executed again when a query
+    needs them. Runs of a deleted batch or experiment that other batches contain too keep their executions. Without a terminal
+    for the confirmation, --yes is required.
 
     \b
     Examples:
@@ -41,9 +42,10 @@ def rm(
     from sierra.cli import open_project
     from sierra.cli.confirm import agreed
     from sierra.cli.output import print_json
+    from sierra.util.text import counted
 
     def agree(found: Removal) -> bool:
-        return found.nothing or agreed(_lines(found), yes, as_json, "to be deleted, for good")
+        return found.nothing or agreed(_lines(found), yes, as_json, "to be deleted permanently")
 
     project = open_project.project()
     if dry_run:
@@ -59,14 +61,15 @@ def rm(
     if dry_run:
         print("\n".join(_lines(removal)))
     else:
-        print(f"deleted: {len(removal.batches)} batches, {removal.executions} executions")
+        batches = len(removal.batches)
+        print(f"deleted: {batches} batch{'es' * (batches != 1)}, {counted(removal.executions, 'execution')}")
         if removal.left:
-            print(f"{removal.left} old files are still being read; sierra gc removes them")
+            print(f"old files that are still being read: {removal.left}; sierra gc removes them")
 
 
 def _lines(removal: Removal) -> list[str]:
     from sierra.cli.output import size
     from sierra.maintenance.remove import text
 
-    found = [*text(removal), *([f"{size(removal.bytes)} that these wrote"] if removal.bytes else [])]
-    return found if not removal.nothing else ["nothing: there is no execution of it", *found]
+    found = [*text(removal), *([f"{size(removal.bytes)} of their output"] if removal.bytes else [])]
+    return found if not removal.nothing else ["nothing to delete: there are no executions", *found]

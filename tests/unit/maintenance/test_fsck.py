@@ -59,7 +59,7 @@ def test_damage_is_reported_with_the_command_that_repairs_it(root: Path) -> None
     (segment / "batch_runs.parquet").write_bytes(b"")
     said = projects.quick(root, "fsck").stdout
     assert f"damaged: segments/{segment.name}/batch_runs.parquet: " in said
-    assert said.splitlines()[-1].startswith("sierra fsck --repair puts aside what is damaged")
+    assert said.splitlines()[-1].startswith("sierra fsck --repair moves damaged segments aside")
     assert "--repair puts" not in projects.quick(root, "fsck", "--repair").stdout
 
 

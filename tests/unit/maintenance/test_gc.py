@@ -62,7 +62,7 @@ def test_many_small_segments_are_merged_without_losing_rows(root: Path) -> None:
     assert segments(root) <= 6 < count
     assert everything(root) == before
     assert sierra.open(root).fsck().findings == ()
-    assert projects.quick(root, "gc", "--yes").stdout == "nothing: there is only what is needed\n"
+    assert projects.quick(root, "gc", "--yes").stdout == "nothing to remove: everything is needed\n"
     assert sierra.open(root).run("population_size=1,2", figures=False).executed == 0
 
 

@@ -104,8 +104,8 @@ def test_files_of_a_run_are_listed_with_kind_size_and_hash(project: Path) -> Non
     assert files["output/swarm.csv"]["remark"] == "written from the table; bytes may differ"
     assert {(file["number"], file["which"], file["status"]) for file in files.values()} == {(0, "counts", "ok")}
     said = quick(project, "files", run[:12]).stdout
-    assert "is the one that counts" in said
-    assert "\\n'bé" in said  # a line feed in a name is escaped
+    assert ", the effective one" in said
+    assert "\\n'bé" in said  # a line feed in a name breaks no line
 
 
 @pytest.mark.parametrize(("kind", "runs"), [("batch", 4), ("experiment", 2), ("run", 1), ("execution", 1)])
@@ -144,7 +144,10 @@ def test_an_exported_table_with_other_bytes_has_the_same_values_and_a_note(proje
     run = first_run(project)["run"]
     ended = quick(project, "files", run, "odd.csv")
     assert ended.stdout == "a,b\n1.5,x\n2.25,\n"
-    assert "note: output/odd.csv: written from the table; its bytes are not those that the run wrote" in ended.stderr
+    assert (
+        "note: output/odd.csv: written from the recorded table; the bytes differ from the file that the run wrote"
+        in ended.stderr
+    )
     said = quick(project, "files", run, "said.jsonl").stdout
     assert said == 'text,n\n"a ""quoted"", one",1\n"",\n'
     assert next(csv.reader(io.StringIO(said.partition("\n")[2]))) == ['a "quoted", one', "1"]
@@ -195,7 +198,10 @@ def test_a_batch_is_exported_into_folders_by_experiment_and_number(project: Path
     ended = quick(project, "files", batch_of(project), "--to", str(tmp_path / "new" / "out"))
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "32 files of 4 runs" in ended.stdout
-    assert "4 of 12 tables are byte for byte what the runs wrote; 8 have the same values in other bytes" in ended.stdout
+    assert (
+        "4 of 12 tables are byte-identical to the files that the runs wrote; 8 have the same values in different bytes"
+        in ended.stdout
+    )
     found = written(tmp_path / "new" / "out")
     for file in listed(project, batch_of(project)):
         name = file["path"] + (".csv" if file["path"].endswith(".jsonl") else "")
@@ -221,7 +227,7 @@ def test_all_files_of_one_table_and_of_a_run_in_two_experiments_are_exported(tmp
     assert len(rows(folder, "FROM executions")) == 1
     ended = quick(folder, "files", batch_of(folder), "output/*", "--to", str(tmp_path / "out"))
     assert "8 files of 2 runs" in ended.stdout
-    assert "6 of 8 tables are byte for byte" in ended.stdout
+    assert "6 of 8 tables are byte-identical" in ended.stdout
     experiments = {path.name for path in (tmp_path / "out").iterdir()}
     assert len(experiments) == 2
     for experiment in experiments:
@@ -297,7 +303,7 @@ def test_an_export_into_the_store_is_refused(project: Path) -> None:
 def test_a_target_folder_that_is_part_of_the_source_gets_a_note(project: Path) -> None:
     ended = quick(project, "files", first_run(project)["run"], "empty", "--to", "shown")
     assert (ended.returncode, ended.stderr.count("\n")) == (0, 1)
-    assert "note: shown is in the project, and so counts as its source" in ended.stderr
+    assert "note: shown is in the project, and changes its source" in ended.stderr
 
 
 # damaged, truncated, failed and large files
@@ -371,11 +377,11 @@ def test_files_of_a_failed_run_come_from_its_last_execution(tmp_path: Path) -> N
     assert {(file["execution"], file["which"]) for file in listed(folder, run)} == {(last["id"], "last")}
     ended = quick(folder, "files", run, "stderr")
     assert ended.stdout == "complained\n"
-    assert f"execution {last['id'][:10]} (failed) is the last one; none counts" in ended.stderr
+    assert f"execution {last['id'][:10]} (failed), the last one; none is effective" in ended.stderr
     [other] = rows(folder, "SELECT arg_min(execution, ended) AS id FROM executions")
     assert {file["execution"] for file in listed(folder, other["id"])} == {other["id"]}
     ended = quick(folder, "files", batch_of(folder), "--to", str(tmp_path / "out"))
-    assert "1 runs have no execution that counts; these files are from their last one" in ended.stdout
+    assert "1 run without an effective execution: files of the last execution" in ended.stdout
 
 
 @pytest.mark.integration
