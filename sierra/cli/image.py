@@ -15,30 +15,31 @@ app = typer.Typer(
     name="image",
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Build, pin, look at and carry the images that runs execute in.",
+    help="Build, pin, inspect, import and export the images in which runs execute.",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
 Name = Annotated[
     str | None,
-    typer.Argument(metavar="NAME", help="A tag, a file, or a recipe's folder (default: [container] image of sierra.toml)."),
+    typer.Argument(metavar="NAME", help="A tag, a file, or a recipe's folder (default: [container] image in sierra.toml)."),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 PACKAGES = 12
 
 
 @app.command()
 def build(
     recipes: Annotated[
-        list[str] | None, typer.Argument(metavar="RECIPE...", help="Folders with a Containerfile (default: [container] image).")
+        list[str] | None, typer.Argument(metavar="RECIPE", help="Folders with a Containerfile (default: [container] image).")
     ] = None,
     network: Annotated[bool, typer.Option("--network", help="Let the Containerfile's commands use the network.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Build images from recipes, so that two builds give one id.
+    """Build images from recipes; repeated builds give the same id.
 
-    A recipe is a folder with a Containerfile, and perhaps a program called rootfs, which is run before, with the path of the
-    tar that it must write into the folder. Podman builds; the image of containers/sim is tagged localhost/sierra/sim.
+    A recipe is a folder with a Containerfile. If the folder has a program called rootfs, this program is run first, with the
+    path of the tar file that it must write into the folder. Podman builds the image; the image of containers/sim gets the tag
+    localhost/sierra/sim.
 
     \b
     Examples:
@@ -63,15 +64,15 @@ def build(
 
 @app.command("import")
 def import_(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A docker-archive or an oci-archive.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A docker-archive or oci-archive file.")],
     name: Annotated[
-        str, typer.Option("--name", metavar="TAG", help="The tag that it gets (default: its own, if that is free here).")
+        str, typer.Option("--name", metavar="TAG", help="Tag for the image (default: its own tag, if not in use here).")
     ] = "",
     as_json: AsJson = False,
 ) -> None:
-    """Take in an image that was exported, or saved by podman or docker.
+    """Import an image that was exported, or saved by podman or docker.
 
-    All of it is checked before. It goes into podman's storage; without podman, it is made ready for apptainer.
+    The whole image is checked first. It goes into podman's storage; without podman, it is prepared for apptainer.
 
     \b
     Examples:
@@ -93,12 +94,12 @@ def import_(
 @app.command()
 def export(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A tag, a file, or a recipe's folder.")],
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The archive to be written.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The archive to write.")],
     as_json: AsJson = False,
 ) -> None:
     """Write an image to a file that loads elsewhere as the same image.
 
-    It is the pinned one, where one is pinned. The file is read again before it counts.
+    If the name is pinned, the pinned image is written. The new file is read again and checked.
 
     \b
     Examples:
@@ -116,9 +117,9 @@ def export(
 
 @app.command()
 def pin(name: Name = None, as_json: AsJson = False) -> None:
-    """Pin what an image's name stands for now.
+    """Pin the image that a name refers to now.
 
-    Runs execute in what is pinned. It is written to sierra.lock, which is committed with the project. All of the image is
+    Runs execute in the pinned image. The pin is written to sierra.lock; commit this file with the project. The whole image is
     read, checked and described.
 
     \b
@@ -131,9 +132,9 @@ def pin(name: Name = None, as_json: AsJson = False) -> None:
 
     found = project().pin(name)
     if Path(found.image.name).is_absolute():
-        note(f"{found.image.name} is a path of this machine alone; name a file of the project, or a tag, to have it elsewhere")
+        note(f"{found.image.name} exists only on this machine; for other machines, use a tag or a file in the project")
     if found.user:
-        note(f"the image's USER {found.user!r} is ignored: outside of containers, processes are whoever executes them")
+        note(f"the image's USER {found.user!r} is ignored: processes run as the user who executes them")
     if as_json:
         print_json(_contents(found))
     else:
@@ -144,13 +145,13 @@ def pin(name: Name = None, as_json: AsJson = False) -> None:
 def show(
     name: Name = None,
     programs: Annotated[
-        list[str] | None, typer.Option("--program", metavar="WORD", help="Which program that command would start in it.")
+        list[str] | None, typer.Option("--program", metavar="WORD", help="Show which program this command starts in the image.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show what is in an image.
+    """Show the content of an image.
 
-    That is its identity, layers, labels, recipe, packages, and the programs that are asked for.
+    Prints its id, layers, labels, recipe and packages, and the programs given with --program.
 
     \b
     Examples:
@@ -173,9 +174,9 @@ def show(
 
 @app.command()
 def ls(as_json: AsJson = False) -> None:
-    """List the project's images, and where they are.
+    """List the project's images, and where they are stored.
 
-    moved: the name stands for another image now than the pinned one. gone: it stands for nothing.
+    State "moved": the name now refers to another image than the pinned one. State "gone": it refers to no image.
 
     \b
     Example:
@@ -203,7 +204,7 @@ def ls(as_json: AsJson = False) -> None:
         )
         for one in known
     ]
-    table(("name", "image", "state", "now", "architecture", "where", "size"), rows, right=("size",))
+    table(("name", "image", "state", "current", "architecture", "stored in", "size"), rows, right=("size",))
 
 
 def _image(image: Image) -> dict[str, Any]:
@@ -244,7 +245,7 @@ def _print_part(name: str, part: Any) -> None:
 def _short(value: Any) -> str:
     match value:
         case None:
-            return "there is none"
+            return "not found"
         case dict():
             return ", ".join(f"{key} {text}" for key, text in value.items())
         case list() | tuple():

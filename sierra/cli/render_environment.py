@@ -51,18 +51,18 @@ def _image(image: Mapping[str, Any], reach: Sequence[str]) -> Iterator[tuple[str
 
     yield "name", image.get("name", "not recorded")
     yield "id", image["image"]
-    yield "host access", ", ".join(reach) or "nothing beyond it"
+    yield "host access", ", ".join(reach) or "none"
     if "packages" in image:
         counts = [f"{len(lines)} of {manager}" for manager, lines in image["packages"].items()]
         yield "kind", image["kind"]
         yield "architecture", image["architecture"]
-        yield "packages", ", ".join(counts) or "none that a package manager tells of"
+        yield "packages", ", ".join(counts) or "none found by a package manager"
         yield "created", image["created"]
         yield "size", size(image["size"])
         yield "recipe", "" if not image["recipe"] else f"{len(image['recipe'].splitlines())} lines"
 
 
-MODES = {"run": "one for each run", "worker": "one for all runs of a slot, which is weaker"}
+MODES = {"run": "one for each run", "worker": "one for all runs of a slot (weaker isolation)"}
 
 
 def print_isolation(isolation: Mapping[str, Any]) -> None:
@@ -83,12 +83,12 @@ def _isolation(isolation: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield "version", isolation["version"]
     yield "containers", MODES.get(isolation["mode"], isolation["mode"])
     yield "rootless", "yes" if isolation["rootless"] else "no"
-    yield "user outside", isolation["user"]
+    yield "user on the host", isolation["user"]
     yield "network", isolation["network"].upper() if isolation["network"] == "not isolated" else isolation["network"]
     yield "devices", ", ".join(isolation["devices"])
     yield "mounts", ", ".join(f"{target} from {source}" for target, source in isolation["mounts"].items())
     yield "limits enforced", _limits(isolation["limits_enforced"]) or "none"
-    yield "limits watched", _limits(isolation["limits_watched"])
+    yield "limits monitored", _limits(isolation["limits_watched"])
     yield "LIMITS IGNORED", _limits(isolation["limits_ignored"])
 
 

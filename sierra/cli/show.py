@@ -11,7 +11,7 @@ from sierra.cli import complete
 
 SHOWN_REASONS = 10
 MORE = 4
-"""The largest number of columns that are named if the terminal has no room for them."""
+"""The largest number of column names that are printed if the columns do not fit the terminal."""
 AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
 """The largest number of shown rows, for tables that may be as long as a batch."""
 
@@ -20,15 +20,15 @@ def show(
     prefix: Annotated[
         str,
         typer.Argument(
-            metavar="HASH", autocompletion=complete.anything, help="The beginning of an id, as `sierra ls` shows them."
+            metavar="HASH", autocompletion=complete.anything, help="Id, as `sierra ls` prints it; a prefix is enough."
         ),
     ],
-    long: Annotated[bool, typer.Option("--long", help="Show whole ids, and cut no text to the width of the terminal.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+    long: Annotated[bool, typer.Option("--long", help="Show full ids, and do not shorten text to fit the terminal.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
-    """Show all about a batch, experiment, run, execution or session.
+    """Show the record of a batch, experiment, run, execution or session.
 
-    A batch and a session name their log file: what happened while runs executed.
+    For a batch and a session, this includes the path of the log file, which lists the events while runs executed.
 
     \b
     Examples:
@@ -57,14 +57,14 @@ def show(
         for one in isolations:
             print_isolation(one)
         if not isolations and shown["kind"] == "execution":
-            print("\nisolation: none; it was executed on the host itself")
+            print("\nisolation: none, executed directly on the host")
     if used:
         print_programs(used)
     if around:
         print_environment(around)
     _print_failures(failures)
     if shown["kind"] in ("run", "execution"):
-        print(f"\nsierra files {shown[shown['kind']][:10]} PATH writes a file out again, and --to FOLDER all of them")
+        print(f"\nsierra files {shown[shown['kind']][:10]} PATH prints a recorded file; --to FOLDER writes all files")
 
 
 def _print_commit(known: Mapping[str, Any]) -> None:
@@ -72,12 +72,12 @@ def _print_commit(known: Mapping[str, Any]) -> None:
     from sierra.cli.output import fields
 
     commit = known["commit"]
-    print("\ncommit, as the repository has it now:")
+    print("\ncommit, as in the repository now:")
     told = {
         "subject": commit["subject"],
         "author": f"{commit['author']}, {commit['date']:%Y-%m-%d}",
         "described": known["described"],
-        "in": ", ".join(known["branches"]) or "no branch or tag",
+        "branches, tags": ", ".join(known["branches"]) or "none",
         "remote": known["remote"] or "none",
     }
     fields(told, "  ")
@@ -108,11 +108,11 @@ def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:
         print(f"  {runs}: {readable(failure['reason'])}, e.g. {example}")
     if len(failures) > SHOWN_REASONS:
         runs = sum(failure["runs"] for failure in failures[SHOWN_REASONS:])
-        print(f"  and {len(failures) - SHOWN_REASONS} more reasons, of {runs} runs (--json has them all)")
+        print(f"  and {len(failures) - SHOWN_REASONS} more reasons, {runs} runs (--json has them all)")
 
 
 def _print(shown: dict[str, Any], *, long: bool) -> None:
-    """Print plain values first, then tables and logs. Ids are short unless `long`, apart from the id of the whole."""
+    """Print plain values first, then tables and logs. Ids are short unless `long`, except the id of the shown record."""
     from sierra.cli.output import fields, fitting, short_id, table
     from sierra.util.text import few
 

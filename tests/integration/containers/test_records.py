@@ -140,7 +140,14 @@ def test_show_displays_the_image_and_the_isolation(root: Path, batches: Mapping[
     assert isolation["limits_enforced"] == {"cpus": 1.0, "pids": 50}
     assert isolation["limits_asked"] == {"cpus": 1.0, "memory": 64_000_000, "pids": 50}
     text = succeed(root, "show", identity)
-    for words in (shown["image"]["image"], "2 of dpkg", "COPY old", "nothing beyond it", "one for each run", "cpus 1, pids 50"):
+    for words in (
+        shown["image"]["image"],
+        "2 of dpkg",
+        "COPY old",
+        "host access   none",
+        "one for each run",
+        "cpus 1, pids 50",
+    ):
         assert words in text
     assert "IGNORED" not in text
 
@@ -149,7 +156,7 @@ def test_show_displays_the_image_and_the_isolation(root: Path, batches: Mapping[
 def test_show_highlights_ignored_limits(root: Path, batches: Mapping[str, str]) -> None:
     text = succeed(root, "show", batches["new"])
     assert [line.split() for line in text.splitlines() if "IGNORED" in line] == [["LIMITS", "IGNORED", "cpus", "1"]]
-    assert "limits watched   memory 64 MB" in text
+    assert "limits monitored  memory 64 MB" in text
     [isolation] = said(root, "show", batches["new"])["isolations"]
     assert (isolation["limits_watched"], isolation["limits_ignored"]) == ({"memory": 64_000_000}, {"cpus": 1.0})
 
@@ -167,7 +174,7 @@ def test_show_reports_an_execution_without_a_container(root: Path, batches: Mapp
     forge(root, "isolations", {"isolation": "0" * 64})
     assert "engine  not recorded" in succeed(root, "show", one)
     forge(root, "executions", {"isolation": None})
-    assert "isolation: none; it was executed on the host itself" in succeed(root, "show", one)
+    assert "isolation: none, executed directly on the host" in succeed(root, "show", one)
 
 
 # ---------------------------------------------------------------- compared
@@ -264,7 +271,7 @@ def test_changed_host_access_makes_runs_new(root: Path, lines: list[str], told: 
 
 @pytest.mark.nightly
 def test_changed_files_in_mounts_are_named(root: Path, batches: Mapping[str, str]) -> None:
-    assert "1 runs: reused" in explained(root)
+    assert "1 run: reused" in explained(root)
     maps = root.parent / "maps"
     (maps / "town").write_text("2")
     assert "{mount}/maps/town: 6b86b273ff recorded" in explained(root)
@@ -274,10 +281,10 @@ def test_changed_files_in_mounts_are_named(root: Path, batches: Mapping[str, str
 @pytest.mark.nightly
 def test_swapped_files_in_mounts_execute_runs_again(root: Path) -> None:
     one, other = (root.parent / "maps" / folder / "town" for folder in ("a", "b"))
-    assert "1 runs: reused" in explained(root)
+    assert "1 run: reused" in explained(root)
     one.write_text("b")
     other.write_text("a")
-    assert "1 runs: executed with other programs" in explained(root)
+    assert "1 run: executed with other programs" in explained(root)
 
 
 # ---------------------------------------------------------------- kept

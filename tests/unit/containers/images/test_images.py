@@ -456,7 +456,7 @@ def test_paths_within_the_project_are_pinned_relative_and_others_get_a_note(proj
     assert list(images.pins(project.root)) == ["sim.tar"]
     there = made.docker_archive(project.root.parent / "there.tar", [TOP])
     said = quick(project.root, "image", "pin", str(there))
-    assert f"note: {there} is a path of this machine alone" in said.stderr
+    assert f"note: {there} exists only on this machine; " in said.stderr
 
 
 def test_build_proposes_the_tag_for_recipes_outside_the_project(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
