@@ -37,16 +37,16 @@ def lines(left: Sequence[Any], batch: str) -> list[str]:
     told = [
         f"session {one.session}: {counted(one.array_tasks, 'array task')} in {named(one.jobs)} on {one.runner}" for one in left
     ]
-    return [*told, f"sierra attach {short(batch)} goes on with it, sierra cancel {short(batch)} ends it"]
+    return [*told, f"sierra attach {short(batch)} waits for it, sierra cancel {short(batch)} cancels it"]
 
 
 def named(jobs: Sequence[str]) -> str:
-    """Return jobs by their ids, in words."""
+    """Return a phrase that names jobs by their ids."""
     from sierra.util.text import few
 
     match jobs:
         case []:
-            return "a job that is still to be found"
+            return "a job that was not found yet"
         case [job]:
             return f"job {job}"
         case _:

@@ -15,18 +15,16 @@ def attach(
         typer.Argument(
             metavar="HASH",
             autocompletion=complete.sessions,
-            help="A batch, or a session of `sierra status`, by the beginning of its id.",
+            help="Batch id, or session id from `sierra status`; a prefix is enough.",
         ),
     ],
-    figures: Annotated[
-        bool | None, typer.Option("--figures/--no-figures", help="Draw figures, or nothing (default: figures).")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+    figures: Annotated[bool | None, typer.Option("--figures/--no-figures", help="Draw the figures (default) or not.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
     """Reattach to a detached batch and wait for it.
 
-    What finishes is recorded, what is lost is submitted again; then the figures are drawn, and all is summed up as by
-    sierra run. Ctrl-C asks whether it is to go on by itself.
+    Finished runs are recorded, and lost runs are submitted again. At the end, the figures are drawn, and the summary is
+    printed as by sierra run. Ctrl-C asks whether to detach from the jobs or to cancel them.
 
     \b
     Example:

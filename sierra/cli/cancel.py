@@ -19,12 +19,12 @@ def cancel(
         typer.Argument(
             metavar="HASH",
             autocompletion=complete.sessions,
-            help="A batch, or a session of `sierra status`, by the beginning of its id.",
+            help="Batch id, or session id from `sierra status`; a prefix is enough.",
         ),
     ],
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of text.")] = False,
 ) -> None:
-    """Cancel cluster jobs. Runs that have finished are recorded.
+    """Cancel cluster jobs. Finished runs are recorded.
 
     \b
     Example:
@@ -45,6 +45,6 @@ def cancel(
 def _cancelled(one: Cancelled) -> str:
     from sierra.util.text import counted
 
-    ending = f"; {one.ending} is still ending it" if one.ending else ""
+    ending = f"; {one.ending} is still cancelling its jobs" if one.ending else ""
     failed = f" ({one.failed} of them failed)" if one.failed else ""
     return f"session {one.session}: {counted(one.kept, 'run')} kept{failed}, {one.missing} not executed{ending}"

@@ -17,11 +17,11 @@ def show(proposal: Estimate, *, explain: bool, script: bool) -> None:
         print(line)
     if explain:
         table(
-            ("setting", "value", "why"),
+            ("setting", "value", "reason"),
             [(one.name, "" if one.value is None else one.value, one.why) for one in proposal.settings],
         )
     if script and proposal.script is not None:
-        print(f"the script of {proposal.runner}:")
+        print(f"submission script for {proposal.runner}:")
         print("".join(f"    {line}\n" for line in proposal.script.splitlines()), end="")
 
 
@@ -30,14 +30,14 @@ def _lines(proposal: Estimate) -> Iterator[str]:
     from sierra.execution.progress import duration
     from sierra.util.text import counted
 
-    elements, runs = counted(proposal.array_tasks, "array task"), counted(proposal.longest, "run")
+    tasks, runs = counted(proposal.array_tasks, "array task"), counted(proposal.longest, "run")
     cores = counted(proposal.cpus, "core")
-    wall = "the site's time" if proposal.wall_s is None else duration(proposal.wall_s)
-    yield f"on {proposal.runner} ({proposal.scheduler}): {elements} of up to {runs}, each {cores} for {wall}"
-    most = "" if proposal.most_core_hours is None else f", at most {proposal.most_core_hours:.3g} (all that is asked for)"
+    wall = "the site's default time" if proposal.wall_s is None else duration(proposal.wall_s)
+    yield f"on {proposal.runner} ({proposal.scheduler}): {tasks} of up to {runs}, each {cores} for {wall}"
+    most = "" if proposal.most_core_hours is None else f", at most {proposal.most_core_hours:.3g} (the requested time)"
     if proposal.core_hours is None:
-        yield f"core-hours: nobody knows yet how long runs take{most}"
+        yield f"core-hours: unknown, no run has been timed yet{most}"
     else:
         yield f"core-hours: about {proposal.core_hours:.3g}{most}"
-    wrote = "nobody knows yet how many bytes" if proposal.bytes is None else f"about {size(proposal.bytes)}"
+    wrote = "unknown size" if proposal.bytes is None else f"about {size(proposal.bytes)}"
     yield f"on the shared file system: about {proposal.files} files, {wrote}"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sierra.execution.status import Standing
 
-COLUMNS = ("batch", "query", "session", "on", "jobs", "runs", "done", "failed", "state", "followed by", "since")
+COLUMNS = ("batch", "query", "session", "runner", "jobs", "runs", "done", "failed", "state", "followed by", "submitted")
 LONGEST = 40
 """The largest length of a query in a list."""
 SESSION = 8
@@ -27,7 +27,7 @@ def show(found: Sequence[Standing], *, long: bool = False) -> None:
     )
     for one in found:
         if one.stuck:
-            print(f"{short(one.batch)} ({one.session[:SESSION]}) never begins: {readable(one.stuck)}")
+            print(f"{short(one.batch)} ({one.session[:SESSION]}) cannot start: {readable(one.stuck)}")
 
 
 def lines(found: Sequence[Standing]) -> list[str]:
@@ -39,7 +39,7 @@ def lines(found: Sequence[Standing]) -> list[str]:
     for one in found:
         follower = f", followed by {one.attended}" if one.attended else ""
         stuck = f": {readable(one.stuck)}" if one.stuck else ""
-        how = "no longer there; sierra status records what has finished" if one.is_gone else state(one)
+        how = "the jobs are gone; sierra status records the finished runs" if one.is_gone else state(one)
         told.append(f"on {one.runner} now, {named(one.jobs)} (session {one.session[:SESSION]}): {how}{follower}{stuck}")
     return told
 
@@ -57,8 +57,8 @@ def state(one: Standing) -> str:
         queued = f"{one.queued} queued" + (f" ({readable(one.waits)})" if one.waits else "")
         words += [text for count, text in ((one.queued, queued), (one.running, f"{one.running} running")) if count]
     elif not one.stuck:
-        words.append("gone: sierra attach goes on" if not one.attended else "gone")
-    return ", ".join([*words, *(["never begins"] if one.stuck else [])])
+        words.append("gone: use sierra attach" if not one.attended else "gone")
+    return ", ".join([*words, *(["cannot start"] if one.stuck else [])])
 
 
 def _row(one: Standing, *, long: bool) -> Sequence[Any]:
@@ -72,7 +72,7 @@ def _row(one: Standing, *, long: bool) -> Sequence[Any]:
         query if long or len(query) <= LONGEST else f"{query[: LONGEST - 1]}…",
         one.session if long else one.session[:SESSION],
         one.runner,
-        few(one.jobs, 3) or "not known",
+        few(one.jobs, 3) or "unknown",
         one.runs,
         one.done,
         one.failed,

@@ -16,17 +16,17 @@ def status(
         typer.Argument(
             metavar="HASH",
             autocompletion=complete.sessions,
-            help="A batch, or a session, by the beginning of its id (default: all).",
+            help="Batch id or session id; a prefix is enough (default: all).",
         ),
     ] = None,
-    long: Annotated[bool, typer.Option("--long", help="Show whole ids, and cut no text to the width of the terminal.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
+    long: Annotated[bool, typer.Option("--long", help="Show full ids, and do not shorten text to fit the terminal.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of text.")] = False,
 ) -> None:
     """Show the state of cluster jobs.
 
-    What has finished of that is recorded first, where no other process follows. The scheduler is asked once for each session,
-    how many elements are queued (and why, in its words) and how many are running. A session that is gone has ended with runs
-    missing: sierra attach submits them again.
+    First records finished runs of sessions that no other process follows. Queries the scheduler once for each session: how many
+    array tasks are queued (with the scheduler's reason), and how many are running. State "gone": the jobs ended with runs
+    missing; sierra attach submits these runs again.
 
     \b
     Examples:
@@ -43,4 +43,4 @@ def status(
     elif found:
         render_status.show(found, long=long)
     else:
-        print("nothing is on a cluster" if prefix is None else f"nothing of {prefix} is on a cluster")
+        print("no cluster jobs" if prefix is None else f"no cluster jobs of {prefix}")

@@ -88,7 +88,7 @@ def test_a_detached_run_returns_immediately_and_names_the_next_commands(waiting:
     done = waiting.project.ask("run", *QUERY, "--on", "slurm", "--detach")
     batch = waiting.batch()
     assert done.returncode == 0
-    assert "6 runs: 0 executed, 0 reused, 6 to come" in done.stdout
+    assert "6 runs: 0 executed, 0 reused, 6 pending" in done.stdout
     assert re.search(r"^session [0-9a-f]{16}: 3 array tasks in job \d+ on slurm$", done.stdout, re.MULTILINE)
     assert f"sierra attach {batch}" in done.stdout
     assert f"sierra cancel {batch}" in done.stdout
@@ -146,7 +146,7 @@ def test_status_shows_progress_and_records_finished_runs(waiting: Waiting) -> No
 
 def test_status_without_cluster_jobs_is_not_an_error(waiting: Waiting) -> None:
     done = waiting.project.quick("status")
-    assert (done.returncode, done.stdout) == (0, "nothing is on a cluster\n")
+    assert (done.returncode, done.stdout) == (0, "no cluster jobs\n")
     assert not (waiting.project.folder / ".sierra").exists()
 
 
@@ -165,7 +165,7 @@ def test_status_reports_jobs_that_never_begin_with_the_schedulers_reason(waiting
     [job] = waiting.status()[0]["jobs"]
     waiting.project.until_executed(1)
     waiting.slurm.command("scontrol", "requeuehold", job)
-    until(lambda: "never begins: " in waiting.project.quick("status").stdout, "it is held")
+    until(lambda: "cannot start: " in waiting.project.quick("status").stdout, "it is held")
 
 
 @pytest.mark.nightly
@@ -318,8 +318,8 @@ def test_a_dry_run_shows_the_script_that_is_submitted_later(waiting: Waiting) ->
 def test_a_dry_run_estimates_from_the_times_of_earlier_runs(waiting: Waiting) -> None:
     waiting.open()
     first = waiting.project.quick("run", "size=1", "--runs", "1", "--on", "slurm", "--dry-run").stdout
-    assert "core-hours: nobody knows yet how long runs take" in first
-    assert "nobody knows yet how many bytes" in first
+    assert "core-hours: unknown, no run has been timed yet" in first
+    assert "files, unknown size" in first
     waiting.project.quick("run", "size=1", "--runs", "1", "--no-figures")
     later = waiting.project.quick("run", *QUERY, "--on", "slurm", "--dry-run", "--explain").stdout
     assert "on slurm (slurm " in later

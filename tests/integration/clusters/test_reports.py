@@ -86,9 +86,7 @@ def test_why_ls_show_and_dry_runs_report_runs_on_a_cluster(waiting: Waiting) -> 
     )
     waiting.open()
     until(lambda: waiting.alive() == 0, "the jobs end")
-    over = (
-        f"on slurm now, job {left['jobs'][0]} (session {left['session'][:8]}): no longer there; sierra status records what has"
-    )
+    over = f"on slurm now, job {left['jobs'][0]} (session {left['session'][:8]}): the jobs are gone; sierra status records"
     assert over in waiting.project.quick("run", *QUERY, "-n").stdout
     assert len(waiting.project.work()) == 1, "nothing is recorded, or taken over, by who only asks"
 
@@ -99,7 +97,7 @@ def test_a_dry_run_does_not_propose_runs_that_are_on_a_cluster(waiting: Waiting)
     assert (told["runs"], told["to_execute"], told["on_clusters"], told["reused"]) == (8, 2, 6, 0)
     assert told["proposal"]["runs"] == 2
     again = waiting.project.quick("run", *QUERY, "--on", "slurm", "-n").stdout
-    assert "0 of 6 runs would execute, 6 are on a cluster, and would be followed" in again
+    assert "0 of 6 runs would execute, 6 are on a cluster and would be followed" in again
     assert "#SBATCH" not in again
 
 
