@@ -29,23 +29,23 @@ def diff(
         typer.Argument(
             metavar="A",
             autocompletion=complete.ids,
-            help="A batch, experiment, run or execution, by the beginning of its id.",
+            help="Id of a batch, experiment, run or execution; a prefix is enough.",
         ),
     ],
     after: Annotated[
         str,
         typer.Argument(
-            metavar="B", autocompletion=complete.ids, help="Another one of the same kind; or a run, and an execution."
+            metavar="B", autocompletion=complete.ids, help="Id of the same kind; a run can also be compared with an execution."
         ),
     ],
-    patch: Annotated[bool, typer.Option("--patch", help="Show all of the patch, and of all other details.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead, with all details.")] = False,
+    patch: Annotated[bool, typer.Option("--patch", help="Show the whole patch and all other details.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text, with all details.")] = False,
 ) -> None:
-    """Say what differs between two recorded things.
+    """Show the differences between two batches, experiments, runs or executions.
 
-    What is likely to matter for results stands first: what was asked, platform, command, image, programs, source,
-    variables, inputs, rules, seeds, containers, the machine; and, last, what came out. Nothing is executed, all is told
-    from the record. A run stands for its execution that counts.
+    Differences that probably affect results come first: query, platform, command, image, programs, source, variables,
+    inputs, rules, seeds, containers, the machine. Differences of the results come last. Nothing is executed; the comparison
+    uses only the records. For a run, its effective execution is compared.
 
     The exit code is 0 if nothing differs, and 1 if something does.
 

@@ -1,4 +1,4 @@
-"""Progress of a session: a bar on a terminal, a line now and then elsewhere."""
+"""Progress of a session: a bar on a terminal, occasional lines elsewhere."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def watching(*, quiet: bool) -> Iterator[Display]:
 
 
 class Planning(Observer):
-    """Prints the progress of planning now and then to standard error, unless `quiet`.
+    """Prints the progress of planning to standard error, unless `quiet`.
 
     It asks the user to confirm a large number of runs, unless `agreed`. It raises UsageError without a terminal to ask on,
     typer.Exit if the user declines.
@@ -71,17 +71,17 @@ class Planning(Observer):
 
 
 def _ask(experiments: int, runs: int) -> None:
-    """Ask the user to confirm so many runs."""
+    """Ask the user to confirm a large number of runs."""
     told = f"{counted(experiments, 'experiment')} are {runs} runs"
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise UsageError(f"{told}, which take long to plan; say --yes if that is meant")
-    print(f"{told}, which take long to plan; go on? [y/N] ", end="", file=sys.stderr, flush=True)
+        raise UsageError(f"{told}, which take long to plan; use --yes to confirm")
+    print(f"{told}, which take long to plan; continue? [y/N] ", end="", file=sys.stderr, flush=True)
     if not sys.stdin.readline().strip().lower().startswith("y"):
         raise typer.Exit(2)
 
 
 class _Lines(Display):
-    """Plain lines, for logs."""
+    """Progress as plain lines, for logs."""
 
     def __init__(self) -> None:
         self._began = self._said = time.monotonic()
@@ -97,7 +97,7 @@ class _Lines(Display):
 
 
 class _Bar(Display):
-    """A line that is drawn again and again."""
+    """Progress as a bar that is drawn again and again in one line."""
 
     def __init__(self) -> None:
         from rich.console import Console

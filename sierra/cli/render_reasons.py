@@ -30,8 +30,8 @@ HISTORY = {
     ChangeReason.FINDING: "a problem was found in the last execution: {}",
     ChangeReason.RULES: "evaluated by other rules before: {}",
     ChangeReason.PROGRAMS: "executed with other programs before: {}",
-    ChangeReason.CONCURRENT: "another session executed it at the same time, which this session did not know",
-    ChangeReason.JUST_EXECUTED: "another session had just executed it ({}), which this session did not know",
+    ChangeReason.CONCURRENT: "another session executed it at the same time without this session's knowledge",
+    ChangeReason.JUST_EXECUTED: "another session had just executed it ({}) without this session's knowledge",
     ChangeReason.REPLAY: "a replay{}",
 }
 """Why a session executed a run."""
@@ -50,7 +50,7 @@ def next_run(answer: NextRun) -> list[str]:
         return [f"the query cannot be repeated as it is: {answer.error}"]
     if answer.other_batch:
         recorded = f"(sierra run {short(answer.batch)} executes this batch with the recorded code)"
-        return [f"other runs, those of batch {short(answer.other_batch)}, because:", *answer.differences, recorded]
+        return [f"different runs (batch {short(answer.other_batch)}), because:", *answer.differences, recorded]
     return [*(f"{counted(count, 'run')}: {text(reason, PREVIEW)}" for count, reason in answer.reasons), *answer.differences]
 
 

@@ -71,21 +71,23 @@ def _print(summary: Summary, left: Sequence[Standing]) -> None:
     from sierra.cli.figures import from_here
     from sierra.cli.output import table
     from sierra.util.hashing import short
+    from sierra.util.text import counted
 
     print(f"batch {short(summary.batch)}: {summary.query}")
     axes = list(summary.counts[0].values)
-    rows = [[*counted.values.values(), counted.runs, counted.succeeded, counted.failed] for counted in summary.counts]
+    rows = [[*one.values.values(), one.runs, one.succeeded, one.failed] for one in summary.counts]
     table([*axes, *COUNTED], rows, right=COUNTED)
     failed = f", {summary.failed} failed" if summary.failed else ""
-    missing = f", {summary.missing} {'to come' if left else 'not executed'}" if summary.missing else ""
-    awaited = f" ({summary.awaited} executed meanwhile by another asking)" if summary.awaited else ""
-    judged = f" ({summary.reevaluated} judged anew by the changed [outputs] or [success])" if summary.reevaluated else ""
-    print(f"{summary.runs} runs: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}{judged}")
+    missing = f", {summary.missing} {'pending' if left else 'not executed'}" if summary.missing else ""
+    awaited = f" ({summary.awaited} executed meanwhile by another session)" if summary.awaited else ""
+    judged = f" ({summary.reevaluated} evaluated again by the changed [outputs] or [success])" if summary.reevaluated else ""
+    runs = counted(summary.runs, "run")
+    print(f"{runs}: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}{judged}")
     _print_failures(summary)
     if left:
         print("\n".join(ask_detach.lines(left, summary.batch)))
     elif summary.interrupted:
-        print("interrupted: what had finished is recorded; ask the same again to go on")
+        print("interrupted: finished runs are recorded; run the same command again to continue")
     if summary.figures:
         print("figures:")
         for path in summary.figures:
@@ -98,10 +100,10 @@ def _print_failures(summary: Summary) -> None:
 
     for failure in summary.failures:
         values = ", ".join(f"{name}={value}" for name, value in failure.experiment.items())
-        several = f"{failure.count} runs failed, as" if failure.count > 1 else "failed:"
+        several = f"{failure.count} runs failed, e.g." if failure.count > 1 else "failed:"
         print(f"{several} {short(failure.run)} ({values}, run {failure.number}): {failure.reason}")
         for line in (failure.log or "").splitlines()[-5:]:
             print(f"    {line}")
     more = summary.failed - sum(failure.count for failure in summary.failures)
     if more > 0:
-        print(f"and {more} more, for other reasons: sierra show {short(summary.batch)}")
+        print(f"and {more} more for other reasons (see sierra show {short(summary.batch)})")

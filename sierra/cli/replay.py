@@ -26,42 +26,42 @@ def replay(
         typer.Argument(
             metavar="HASH",
             autocompletion=complete.ids,
-            help="A batch, experiment, run or execution, by the beginning of its id.",
+            help="Id of a batch, experiment, run or execution; a prefix is enough.",
         ),
     ],
     runs: Annotated[
-        int | None, typer.Option("--runs", metavar="K", min=1, help="The first K runs of each experiment alone.")
+        int | None, typer.Option("--runs", metavar="K", min=1, help="Only the first K runs of each experiment.")
     ] = None,
-    jobs: Annotated[int | None, typer.Option("-j", "--jobs", metavar="N", help="Runs at a time (default: cores).")] = None,
+    jobs: Annotated[
+        int | None, typer.Option("-j", "--jobs", metavar="N", help="Number of parallel runs (default: number of cores).")
+    ] = None,
     runner: Annotated[
         str, typer.Option("--on", metavar="RUNNER", help="Where runs execute: local, slurm, pbs, or a cluster of sierra.toml.")
     ] = "local",
     engine: Annotated[
         str | None,
-        typer.Option(
-            "--engine", metavar="ENGINE", help="What contains them: podman, apptainer, none; as recorded where absent."
-        ),
+        typer.Option("--engine", metavar="ENGINE", help="Container engine: podman, apptainer, none (default: as recorded)."),
     ] = None,
     set_tolerance: Annotated[
         list[str] | None,
         typer.Option(
             metavar="[OUTPUT.]COLUMN=KIND:X",
-            help="How far a column may be from its record: abs, rel or ulp. `*` is every column. May be repeated.",
+            help="Allowed difference of a column: abs, rel or ulp. `*` means every column. May be repeated.",
         ),
     ] = None,
     keep: Annotated[
-        bool, typer.Option("--keep", help="Leave the restored source and the runs' folders, and say where.")
+        bool, typer.Option("--keep", help="Keep the restored source and the runs' folders, and print their path.")
     ] = False,
     no_record: Annotated[bool, typer.Option("--no-record", help="Write nothing to the store, which may be read-only.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
-    junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Write the verdicts as JUnit XML, too.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Also write the verdicts as JUnit XML.")] = None,
 ) -> None:
-    """Execute recorded runs again, from the record alone, and compare.
+    """Execute recorded runs again from the record alone, and compare the results.
 
-    The recorded source is restored to a folder of its own, inputs come from the store. Each output is identical (the same
-    bytes), equal (the same values), within tolerance (as declared in sierra.toml), or different: then where, and how far.
-    An experiment whose runs differ in values is equivalent where the metrics of [equivalence] are, over all its runs.
-    The exit code is 0 if nothing is different or failed.
+    The recorded source is restored to a separate folder; inputs come from the store. Each output is identical (same bytes),
+    equal (same values), within tolerance (as declared in sierra.toml), or different. For a different output, the place and
+    the size of the difference are printed. An experiment whose runs have different values is equivalent if the metrics of
+    [equivalence] are equivalent over all its runs. The exit code is 0 if nothing is different or failed.
 
     \b
     Examples:
@@ -80,7 +80,7 @@ def replay(
     asked = tolerances(set_tolerance or ())
     project = open_project.project()
     if junit is not None and not junit.parent.is_dir():
-        raise Missing(f"{junit}: there is no folder {junit.parent}")
+        raise Missing(f"{junit}: the folder {junit.parent} does not exist")
     with watching(quiet=as_json) as display:
         answer = project.replay(
             prefix,
@@ -192,10 +192,8 @@ def _print(answer: Replay) -> None:
     runs = f"{len(answer.runs)} of {answer.of} runs" if len(answer.runs) < answer.of else _many(answer.of)
     print(f"{answer.found.kind} {short(answer.found.id)}: {answer.verdict} ({runs}: {counts})")
     if answer.verdict == "different" and not answer.notes:
-        print(
-            "what is recorded of code, inputs, programs and machine is the same: chance, clock or threads make the difference,"
-        )
-        print("or something that is not recorded; what may differ is declared in [outputs], or with [equivalence]")
+        print("the recorded code, inputs, programs and machine are the same: the cause is randomness, the clock, threads,")
+        print("or something that is not recorded; declare allowed differences in [outputs] or [equivalence]")
     if answer.kept:
         print(f"kept: {answer.kept}")
 
@@ -245,5 +243,5 @@ def _grown(agreement: Agreement) -> str:
 
     apart = list(dropwhile(lambda part: part[1] == 0, agreement.growth))
     same = agreement.growth[: len(agreement.growth) - len(apart)]
-    before = [f"the same until {cell(same[-1][0])}"] if same else []
-    return ", ".join([*before, f"apart {', '.join(f'{distance(far)} until {cell(until)}' for until, far in apart)}"])
+    before = [f"equal until {cell(same[-1][0])}"] if same else []
+    return ", ".join([*before, f"difference {', '.join(f'{distance(far)} until {cell(until)}' for until, far in apart)}"])

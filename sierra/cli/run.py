@@ -26,8 +26,8 @@ def run(
         typer.Argument(
             metavar="QUERY",
             autocompletion=complete.criteria,
-            help="Criteria, one for each axis. The name of a query in sierra.toml stands for its own. "
-            "Or the prefix of a batch's id: its missing runs execute with the recorded code. Or a FILE.json with a request.",
+            help="Criteria, one per axis. The name of a query in sierra.toml stands for its criteria. "
+            "Or a batch id prefix: execute its missing runs with the recorded code. Or a FILE.json with a request.",
         ),
     ],
     runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Runs per experiment.")] = None,
@@ -40,7 +40,9 @@ def run(
     sets: Annotated[
         list[str] | None, typer.Option("--set", metavar="XPATH=VALUE", help="Change the template in all runs. May be repeated.")
     ] = None,
-    jobs: Annotated[int | None, typer.Option("-j", "--jobs", metavar="N", help="Runs at a time (default: cores).")] = None,
+    jobs: Annotated[
+        int | None, typer.Option("-j", "--jobs", metavar="N", help="Number of parallel runs (default: number of cores).")
+    ] = None,
     runner: Annotated[
         str,
         typer.Option(
@@ -50,26 +52,22 @@ def run(
             help="Where runs execute: local, slurm, pbs, or a cluster of sierra.toml.",
         ),
     ] = "local",
-    detach: Annotated[bool, typer.Option("--detach", help="Submit to a cluster, and leave it to itself at once.")] = False,
+    detach: Annotated[bool, typer.Option("--detach", help="Submit to a cluster, and return without waiting.")] = False,
     engine: Annotated[
         str | None,
-        typer.Option(
-            "--engine", metavar="ENGINE", help="What contains runs: podman, apptainer, none (default: the project's)."
-        ),
+        typer.Option("--engine", metavar="ENGINE", help="Container engine: podman, apptainer, none (default: the project's)."),
     ] = None,
-    dry_run: Annotated[bool, typer.Option("-n", "--dry-run", help="Say what would execute, and execute nothing.")] = False,
-    explain: Annotated[bool, typer.Option("--explain", help="Say why runs execute or are reused.")] = False,
-    fail_fast: Annotated[bool, typer.Option("--fail-fast", help="End all at the first run that fails.")] = False,
-    figures: Annotated[
-        bool | None, typer.Option("--figures/--no-figures", help="Draw figures, or nothing (default: figures).")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask, however many runs there are.")] = False,
+    dry_run: Annotated[bool, typer.Option("-n", "--dry-run", help="Show what would execute, and execute nothing.")] = False,
+    explain: Annotated[bool, typer.Option("--explain", help="Show why runs execute or are reused.")] = False,
+    fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failed run.")] = False,
+    figures: Annotated[bool | None, typer.Option("--figures/--no-figures", help="Draw the figures (default) or not.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation of many runs.")] = False,
 ) -> None:
-    """Answer a research query.
+    """Run a query's experiments and reuse finished runs.
 
-    What has no good execution yet is executed and recorded; then the figures are drawn. On a cluster, Ctrl-C asks whether what
-    was submitted is to go on by itself; sierra status, attach and cancel find it again.
+    Executes runs without a successful result, records them, and draws the figures. On a cluster, Ctrl-C asks whether to detach
+    from the jobs or to cancel them; use sierra status, attach and cancel for detached jobs.
 
     \b
     Criteria:
@@ -77,9 +75,9 @@ def run(
       population_size.Linear100.C10    10, 20, ... 100
       max_speed.1.9.C5                 1, 3, 5, 7, 9
       max_speed=0.2,0.4,1.6            these values
-      noise=0:1:5                      from, to, how many
+      noise=0:1:5                      from, to, number of values
       scenario=low,high                groups of changes in sierra.toml
-      montecarlo.C20                   nothing but other seeds
+      montecarlo.C20                   only the random seed changes
 
     \b
     Examples:
@@ -143,7 +141,7 @@ def run(
 
 
 def _from_file(project: Project, query: list[str], asked: dict[str, Any], *, engine: str | None, observer: Observer) -> Plan:
-    """Return the plan of the request in a file. Print a note if the file names another batch than the request makes now."""
+    """Return the plan of the request in a file. Print a note if the file names a batch that the request no longer gives."""
     from sierra.cli.output import note
     from sierra.errors import UsageError
     from sierra.query import request
@@ -151,14 +149,14 @@ def _from_file(project: Project, query: list[str], asked: dict[str, Any], *, eng
 
     if len(query) > 1 or any(asked.values()):
         raise UsageError(
-            f"{query[0]} is a whole request; give no criteria, --runs, --controller, --scenario or --set beside it"
+            f"{query[0]} is a complete request; leave out other criteria, --runs, --controller, --scenario and --set"
         )
     found = request.read(Path(query[0]))
     plan = project.resolve(found.request, engine=engine, observer=observer)
     if found.batch not in (None, plan.batch.id):
         inside = Path(query[0]).resolve().is_relative_to(project.root)
-        hint = " (the file counts as its code: keep it elsewhere, or let git ignore it)" if inside else ""
-        note(f"the project is not as it was when {query[0]} was written{hint}: that was batch {short(found.batch)}")
+        hint = " (the file is part of its source: move it elsewhere, or let git ignore it)" if inside else ""
+        note(f"the project has changed since {query[0]} was written{hint}: then it was batch {short(found.batch)}")
     return plan
 
 
@@ -218,9 +216,9 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
         for line in (*told["new_because"], *told.get("other_programs", ())):
             print(f"  {line}")
     else:
-        beside = f", {len(there)} are on a cluster, and would be followed" if there else ""
-        judged = f", {anew} would be judged anew, as [outputs] or [success] have changed" if anew else ""
-        print(f"{todo} of {len(states)} runs would execute{judged}{beside}")
+        beside = f", {len(there)} {'is' if len(there) == 1 else 'are'} on a cluster and would be followed" if there else ""
+        judged = f", {anew} would be evaluated again because [outputs] or [success] have changed" if anew else ""
+        print(f"{todo} of {counted(len(states), 'run')} would execute{judged}{beside}")
     for line in render_status.lines(now):
         print(line)
     return told
@@ -236,8 +234,8 @@ def _check_log(plan: Plan) -> None:
     log = plan.seen.named(STDERR)
     if log is not None:
         raise UsageError(
-            f"what this says is written to {log}, which counts as code of the project, so that no run would count: "
-            f"write it elsewhere, or have git ignore it ({plan.seen.advice([os.fsencode(log)])})"
+            f"output is redirected into the project ({log}), which would change its source and make all runs fail; "
+            f"redirect it elsewhere, or let git ignore it ({plan.seen.advice([os.fsencode(log)])})"
         )
 
 
@@ -248,5 +246,5 @@ def _again(project: Project, plan: Plan) -> dict[str, Any]:
 
     why = why_again(plan, project.stored())
     if why:
-        note(f"this was asked before, and executes again: {'; '.join(why)}")
+        note(f"this query was submitted before, but its runs execute again: {'; '.join(why)}")
     return {"new_because": why} if why else {}

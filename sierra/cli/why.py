@@ -23,15 +23,15 @@ def why(
         typer.Argument(
             metavar="HASH",
             autocompletion=complete.ids,
-            help="A batch, experiment, run or execution, by the beginning of its id.",
+            help="Id of a batch, experiment, run or execution; a prefix is enough.",
         ),
     ],
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
-    """Say why runs were executed, or not, and which count.
+    """Explain why runs were executed or not, and which executions are effective.
 
-    Each asking and each replay, in order, and why it executed what it executed: because it was new (and what made it so), had
-    failed, or was executed with other programs or judged by other rules. Nothing is executed.
+    Lists each session and each replay in order, with the reasons why it executed runs: a run was new (with the change that made
+    it new), had failed, or was executed with other programs or evaluated by other rules before. Nothing is executed.
 
     \b
     Examples:
@@ -83,7 +83,7 @@ def _print(answer: Why) -> None:
         _print_event(event, answer, because=event.batch not in told)
         told.add(event.batch)
     if idle:
-        print(f"submitted again {idle} time{'s' * (idle > 1)}: nothing of it was executed")
+        print(f"submitted again {idle} time{'s' * (idle > 1)}: no run was executed")
     if not answer.history:
         print("it was never executed")
     print("effective executions:")
@@ -102,8 +102,12 @@ def _standing(one: EffectiveRuns) -> str:
     from sierra.util.hashing import short
 
     if one.is_effective:
-        return f"execution {short(one.execution or '')}: " if one.runs == 1 else f"of {one.runs} runs, "
-    return "no execution: " if one.runs == 1 else f"none of {one.runs} runs (run {short(one.run)}, …): "
+        return f"execution {short(one.execution or '')}: " if one.runs == 1 else f"{one.runs} runs: "
+    return (
+        "no effective execution: "
+        if one.runs == 1
+        else f"{one.runs} runs without an effective execution (run {short(one.run)}, …): "
+    )
 
 
 def _print_event(event: Event, answer: Why, *, because: bool) -> None:
@@ -115,7 +119,7 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
     failed = f", {event.failed} of them failed" if many else " and failed"
     reused = f", {event.reused} reused" if event.reused is not None and answer.found.kind == "batch" else ""
     counts = f"{_runs(event.executed)} " * many + "executed" + failed * bool(event.failed) + reused
-    unended = "" if event.ended else ", and did not come to its end"
+    unended = "" if event.ended else ", and did not finish"
     what = "submitted" if event.kind == "session" else event.kind
     print(f"{cell(event.when)} {what} (batch {short(event.batch)}): {counts}{unended}")
     for cause in event.causes[:LINES]:
@@ -129,11 +133,11 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
             for line in answer.new_because.get(event.batch, ()):
                 print(f"    {readable(line)}")
     if event.reevaluated:
-        print(readable(f"  {_runs(event.reevaluated)} judged anew by other rules, not executed: {event.other_rules}"))
+        print(readable(f"  {_runs(event.reevaluated)} evaluated again by other rules, not executed: {event.other_rules}"))
     for line in event.notes:
         print(f"  {readable(line)}")
     if len(event.causes) > LINES:
-        print(f"  and for {len(event.causes) - LINES} more reasons (--json has them all)")
+        print(f"  and {len(event.causes) - LINES} more reasons (--json has them all)")
 
 
 def _runs(count: int) -> str:

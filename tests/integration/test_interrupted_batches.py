@@ -187,7 +187,7 @@ def test_failed_runs_are_recorded_and_the_other_runs_continue(simulate: Simulate
     done = project.quick("run", "size.Log4", "--runs", "3", "--no-figures")
     assert done.returncode == 1
     assert "3 failed" in done.stdout
-    assert "3 runs failed, as" in done.stdout
+    assert "3 runs failed, e.g." in done.stdout
     assert done.stdout.count("exit status 9") == 1
     assert done.stdout.count("    no room") == 1
     rows = project.sql("SELECT status, count(*) AS n, max(log_tail) AS log FROM executions GROUP BY 1 ORDER BY 1")

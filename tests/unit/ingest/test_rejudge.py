@@ -231,15 +231,15 @@ def test_changed_mismatch_rule_evaluates_again_without_executing_runs(tmp_path: 
 @pytest.mark.integration
 def test_dry_run_why_and_run_report_how_many_runs_are_evaluated_again(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
-    assert f"{RUNS} runs: [outputs] or [success] have changed: judged anew from the record" in project.said(
+    assert f"{RUNS} runs: [outputs] or [success] have changed: evaluated again from the record" in project.said(
         "run", *ASK, "--dry-run", "--explain"
     )
-    assert f"0 of {RUNS} runs would execute, {RUNS} would be judged anew" in project.said("run", *ASK, "--dry-run")
+    assert f"0 of {RUNS} runs would execute, {RUNS} would be evaluated again" in project.said("run", *ASK, "--dry-run")
     batch = project.value("SELECT batch FROM batches")
-    assert "judged anew from the record" in project.said("why", batch)
-    assert f"{RUNS} runs: 0 executed, {RUNS} reused ({RUNS} judged anew" in project.said("run", *ASK)
+    assert "evaluated again from the record" in project.said("why", batch)
+    assert f"{RUNS} runs: 0 executed, {RUNS} reused ({RUNS} evaluated again" in project.said("run", *ASK)
     told = project.said("why", batch)
-    assert f"{RUNS} runs judged anew by other rules, not executed" in told
+    assert f"{RUNS} runs evaluated again by other rules, not executed" in told
 
 
 @pytest.mark.integration
@@ -262,7 +262,7 @@ def test_rules_that_do_not_change_parsing_need_no_raw_files(tmp_path: Path) -> N
     project.declare(SWARM + 'units = { coverage = "m" }\n' + WIDE)
     assert project.ask()["reevaluated"] == RUNS, "what is declared for the first time is read as it was"
     project.declare(WIDE + "min_rows = 4\n")
-    assert f"0 of {RUNS} runs would execute, {RUNS} would be judged anew" in project.said("run", *ASK, "--dry-run")
+    assert f"0 of {RUNS} runs would execute, {RUNS} would be evaluated again" in project.said("run", *ASK, "--dry-run")
     short = project.value("SELECT count(*) FROM (SELECT run FROM wide GROUP BY run HAVING count(*) = 3)")
     answer = project.ask(1)
     assert (answer["executed"], answer["reevaluated"], answer["failed"]) == (0, RUNS, short)

@@ -142,7 +142,7 @@ def test_output_redirected_into_the_project_is_refused_unless_git_ignores_it(sim
     with log.open("w") as out:
         refused = subprocess.run(ask, cwd=project.folder, stdout=out, stderr=out, check=False, timeout=PATIENCE_S)
     assert (refused.returncode, log.read_text().count("\n")) == (2, 1)
-    assert "is written to nohup.out, which counts as code of the project" in log.read_text()
+    assert "output is redirected into the project (nohup.out), which would change its source" in log.read_text()
     (project.folder / ".gitignore").write_text("*.out\n")
     log.unlink()
     projects.commit(project.folder)

@@ -345,7 +345,7 @@ def test_verdicts_are_written_as_junit_on_request(make: Make, tmp_path: Path) ->
     failures = [case.find("failure") for suite in suites for case in suite]
     assert any(failure is not None and "row " in str(failure.text) for failure in failures)
     ended = projects.quick(root, "replay", batch, "--junit", str(tmp_path / "no" / "replay.xml"))
-    assert (ended.returncode, "there is no folder" in ended.stderr) == (3, True)
+    assert (ended.returncode, "does not exist" in ended.stderr) == (3, True)
 
 
 @pytest.mark.integration
