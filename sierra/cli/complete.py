@@ -1,8 +1,8 @@
 """Shell completion of ids, names in `sierra.toml`, tables and columns.
 
-It must answer within the time of a key press. It looks at file names first, and queries the store only for what these do not
-tell: the columns of a table that exists, and ids of runs after 4 digits. On any error it prints nothing, because its output
-would appear in the line that the user types.
+It must answer within the time of a key press. It looks at file names first, and queries the store only for data that file
+names do not contain: the columns of an existing table, and ids of runs after 4 digits. On any error it prints nothing, because
+its output would appear in the line that the user types.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 SESSION = re.compile("[0-9a-f]{16}")
 IGNORED = (Exception, SystemExit)
-"""Errors that are ignored: nothing is completed then."""
+"""Errors that are ignored: then there are no completions."""
 
 
 MOST = 50
-"""The largest number of completions that the store is asked for."""
+"""The largest number of completions that are read from the store."""
 DIGITS = re.compile("[0-9a-f]{4,}")
 IDS = """
 SELECT DISTINCT left(id, greatest(10, length($p) + 2)) AS id FROM (
@@ -96,7 +96,7 @@ def runners(incomplete: str) -> list[str]:
 
 
 def columns(context: typer.Context, incomplete: str) -> list[str]:
-    """Return the columns of the table that the command line names before."""
+    """Return the columns of the table that precedes in the command line."""
     table = context.params.get("output")
     return _beginning(_asked(COLUMNS, t=table), incomplete) if table in tables("") else []
 

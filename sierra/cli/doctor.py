@@ -8,9 +8,9 @@ import typer
 
 
 def doctor(
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of text.")] = False,
 ) -> None:
-    """Say what is installed, what is missing, and what to do.
+    """Show what is installed, what is missing, and how to fix it.
 
     \b
     Example:

@@ -13,16 +13,16 @@ from sierra.cli import complete
 def figures(
     prefix: Annotated[
         str | None,
-        typer.Argument(metavar="HASH", autocompletion=complete.batches, help="The batch (default: the last asked for)."),
+        typer.Argument(metavar="HASH", autocompletion=complete.batches, help="Batch id or prefix (default: the last batch)."),
     ] = None,
     name: Annotated[
         str | None, typer.Argument(metavar="NAME", autocompletion=complete.figures, help="One figure (default: all).")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list of files instead.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list of files instead of text.")] = False,
 ) -> None:
     """Draw the figures of a batch again.
 
-    They are drawn from what is recorded; nothing executes.
+    Figures are drawn from recorded results; nothing is executed.
 
     \b
     Examples:

@@ -18,29 +18,29 @@ T = TypeVar("T")
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where the project is or is to be.")] = Path(),
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The project's folder.")] = Path(),
     example: Annotated[
-        str | None, typer.Option("--example", metavar="NAME", help="Copy a bundled example there: swarm.")
+        str | None, typer.Option("--example", metavar="NAME", help="Copy a bundled example to FOLDER: swarm.")
     ] = None,
-    template: Annotated[str | None, typer.Option("--template", metavar="FILE", help="The XML file of the simulator.")] = None,
+    template: Annotated[str | None, typer.Option("--template", metavar="FILE", help="The simulator's XML input file.")] = None,
     command: Annotated[
-        str | None, typer.Option("--command", metavar="TEXT", help="How it is started: 'python3 sim.py {input}'.")
+        str | None, typer.Option("--command", metavar="TEXT", help="Command that starts it: 'python3 sim.py {input}'.")
     ] = None,
     variables: Annotated[
         list[str] | None, typer.Option("--variable", metavar="NAME=XPATH", help="An independent variable. May be repeated.")
     ] = None,
-    seed: Annotated[str | None, typer.Option("--seed", metavar="XPATH", help="Where the seed goes; - is nowhere.")] = None,
+    seed: Annotated[str | None, typer.Option("--seed", metavar="XPATH", help="XPath of the random seed; - for none.")] = None,
     source: Annotated[
         list[str] | None,
         typer.Option("--source", metavar="PATH", help="Code that results depend on (default: all). May be repeated."),
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; take what was found.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Ask nothing; print a JSON object of what was written.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask; use the detected values.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Do not ask; print the written settings as JSON.")] = False,
 ) -> None:
     """Write a sierra.toml, or copy the bundled example.
 
-    What the folder shows is found out; the rest is asked for, on a terminal. A sierra.toml that is there is never
-    written over.
+    Settings are detected from the files in the folder; on a terminal, sierra asks for the others. An existing sierra.toml is
+    never overwritten.
 
     \b
     Examples:
@@ -97,9 +97,9 @@ def _say(folder: Path, path: Path, guess: Guess, *, as_json: bool) -> None:
     for text in guess.notes:
         note(_one_line(text))
     if command:
-        print(f"now: {command}    (it shows what would execute; without -n it does)")
+        print(f"next: {command}    (this only shows the runs; without -n they execute)")
     else:
-        print(f'now: name a variable in {path}, under [variables]: name = "XPATH"')
+        print(f'next: add a variable to {path}, under [variables]: name = "XPATH"')
 
 
 def _answer(path: Path, guess: Guess) -> dict[str, Any]:
@@ -125,7 +125,7 @@ def _say_example(folder: Path, files: list[str], *, as_json: bool) -> None:
     print(f"{folder}: {', '.join(files)}")
     if absent := _absent(folder):
         print(f"first: {absent}")
-    print(f"now: {command}")
+    print(f"next: {command}")
 
 
 def _absent(folder: Path) -> str | None:

@@ -9,8 +9,8 @@ import typer
 
 
 def ls(
-    long: Annotated[bool, typer.Option("--long", help="Show whole ids, and cut no text to the width of the terminal.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead.")] = False,
+    long: Annotated[bool, typer.Option("--long", help="Show full ids, and do not shorten text to fit the terminal.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of text.")] = False,
 ) -> None:
     """List batches, most recent last.
 

@@ -74,7 +74,7 @@ def _unforeseen(error: Exception) -> int:
     try:
         return _say(f"{message}; {told} with {_report(error)}", 1)
     except OSError:
-        return _say(f"{message}; {told} (SIERRA_DEBUG=1 shows where)", 1)
+        return _say(f"{message}; {told} (SIERRA_DEBUG=1 shows the traceback)", 1)
 
 
 def _report(error: Exception) -> str:

@@ -9,14 +9,14 @@ import typer
 
 
 def schema(
-    name: Annotated[str | None, typer.Argument(metavar="TABLE", help="One table of the store (default: all).")] = None,
-    toml: Annotated[bool, typer.Option("--toml", help="All keys of sierra.toml instead, as commented TOML.")] = False,
+    name: Annotated[str | None, typer.Argument(metavar="TABLE", help="A table of the store (default: all).")] = None,
+    toml: Annotated[bool, typer.Option("--toml", help="Print all keys of sierra.toml instead, as commented TOML.")] = False,
     write: Annotated[
-        Path | None, typer.Option("--write", metavar="FOLDER", help="Write the contracts there, as in schemas/.")
+        Path | None, typer.Option("--write", metavar="FOLDER", help="Write the schema files to this folder, as in schemas/.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="The tables as JSON; with --toml, the JSON Schema.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the tables as JSON; with --toml, the JSON Schema.")] = False,
 ) -> None:
-    """Say what tables, columns and the keys of sierra.toml mean.
+    """Describe the tables and columns of the store, or the keys of sierra.toml.
 
     \b
     Examples:
@@ -39,7 +39,7 @@ def schema(
         return
     tables = published_schemas.tables()
     if name is not None and name not in tables:
-        raise NotFound(f"the store has no table {name!r} of its own; it has {', '.join(tables)} (sierra sql 'SHOW TABLES')")
+        raise NotFound(f"unknown table {name!r}; the store's own tables are {', '.join(tables)} (sierra sql 'SHOW TABLES')")
     chosen = [tables[name]] if name else list(tables.values())
     if as_json:
         print_json([asdict(one) for one in chosen])

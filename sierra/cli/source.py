@@ -20,17 +20,17 @@ app = typer.Typer(
 
 Remote = Annotated[
     str | None,
-    typer.Argument(metavar="REMOTE", help="A remote's name or address (default: what the branch follows, or origin)."),
+    typer.Argument(metavar="REMOTE", help="A remote's name or URL (default: the branch's upstream, or origin)."),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 
 
 @app.command()
 def push(remote: Remote = None, as_json: AsJson = False) -> None:
-    """Push the recorded code to a remote, so that other clones can replay.
+    """Push the recorded code to a git remote, so that other clones can replay runs.
 
-    Code that was changed and not committed is kept in git under refs/sierra/, which git push leaves out. Submodules push to
-    their own remotes. No branch or tag changes.
+    Uncommitted code is recorded in git under refs/sierra/, which git push does not include. Submodules are pushed to their
+    own remotes. No branch or tag changes.
 
     \b
     Examples:
@@ -44,7 +44,7 @@ def push(remote: Remote = None, as_json: AsJson = False) -> None:
 
 @app.command()
 def fetch(remote: Remote = None, as_json: AsJson = False) -> None:
-    """Fetch the recorded code that others have pushed with sierra source push.
+    """Fetch the recorded code that others pushed with sierra source push.
 
     Files, branches and tags stay as they are.
 
@@ -55,7 +55,7 @@ def fetch(remote: Remote = None, as_json: AsJson = False) -> None:
     """
     from sierra.cli.open_project import project
 
-    _tell(project().fetch_sources(remote), "here, from", as_json=as_json)
+    _tell(project().fetch_sources(remote), "fetched from", as_json=as_json)
 
 
 def _tell(shared: list[Shared], what: str, *, as_json: bool) -> None:

@@ -37,9 +37,9 @@ class Format(StrEnum):
 def sql(
     statement: Annotated[
         str | None,
-        typer.Argument(metavar="STATEMENT", help="One SQL statement; - reads standard input; without: a prompt."),
+        typer.Argument(metavar="STATEMENT", help="One SQL statement; - reads it from standard input (default: a prompt)."),
     ] = None,
-    format: Annotated[Format, typer.Option("--format", "-f", help="How the answer is written.")] = Format.table,
+    format: Annotated[Format, typer.Option("--format", "-f", help="Output format.")] = Format.table,
     batch: Annotated[
         str | None,
         typer.Option(
@@ -47,18 +47,18 @@ def sql(
             "-b",
             metavar="HASH",
             autocompletion=complete.batches,
-            help="See the runs and outputs of this batch alone.",
+            help="Query only the runs and outputs of this batch.",
         ),
     ] = None,
-    long: Annotated[bool, typer.Option("--long", help="Show whole ids, and cut no text to the width of the terminal.")] = False,
-    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write it to a file.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Short for --format json.")] = False,
+    long: Annotated[bool, typer.Option("--long", help="Show full ids, and do not shorten text to fit the terminal.")] = False,
+    output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the result to a file.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Same as --format json.")] = False,
 ) -> None:
-    """Ask the store in SQL (DuckDB's).
+    """Query the store with SQL (DuckDB's dialect).
 
-    Nothing is changed, and nothing but the store can be read. Without --batch, outputs are those of all batches, whatever
-    code and settings they were made with. A column that holds numbers in some runs and texts in others is two: the texts of v
-    are in v_text.
+    Statements cannot change anything, and can read nothing except the store. Without --batch, outputs are those of all
+    batches, regardless of their code and settings. A column v that has numbers in some runs and texts in others becomes two
+    columns: v has the numbers, and v_text has the texts.
 
     \b
     Examples:
@@ -79,7 +79,7 @@ def sql(
         return
     text = sys.stdin.read() if statement == "-" else statement
     if not text.strip():
-        raise UsageError('no statement; ask something, as in: sierra sql "SHOW TABLES"')
+        raise UsageError('no SQL statement; give one, for example: sierra sql "SHOW TABLES"')
     format = Format.json if as_json else format
     write(_ask(opened.store, text, within, format), format, output, long=long)
 
@@ -138,7 +138,7 @@ def write(answer: Result, format: Format, output: Path | None, *, long: bool = F
     if answer.notes:
         note(answer.notes)
     if output is None and format is Format.parquet and sys.stdout.isatty():
-        raise UsageError("Parquet is not for a terminal; say where with -o FILE")
+        raise UsageError("Parquet cannot be printed on a terminal; write it to a file with -o FILE")
     brief = output is None and format is Format.table and sys.stdout.isatty() and not long
     data = _table(answer, brief=True) if brief else FORMATS[format](answer)
     if output is not None:

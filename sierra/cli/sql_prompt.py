@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator
 from sierra.errors import SierraError
 from sierra.store.layout import user_state
 
-WELCOME = "SQL, each statement ended by a semicolon. .help says more; .quit, exit or Ctrl-D ends."
+WELCOME = "End each SQL statement with a semicolon. .help shows help; .quit, exit or Ctrl-D quits."
 HELP = """\
-SELECT …;       a statement may take several lines; Ctrl-C drops what is typed so far, or stops the snapshot
-.tables         the tables that there are (DESCRIBE name; says what is in one)
-.help           this
-.quit           end, as do .exit, exit, quit, \\q and Ctrl-D"""
+SELECT …;       a statement may have several lines; Ctrl-C discards the typed lines, or stops the running statement
+.tables         list the tables (DESCRIBE name; shows the columns of a table)
+.help           show this help
+.quit           quit; so do .exit, exit, quit, \\q and Ctrl-D"""
 LEAVE = frozenset((".quit", ".exit", "quit", "exit", "\\q"))
 TABLES = 'SELECT table_name AS "table" FROM information_schema.tables ORDER BY ALL'
 HISTORY = "sql_history"
@@ -51,7 +51,7 @@ def _answer(answer: Callable[[str], None], text: str) -> None:
         case ".help":
             print(HELP)
         case word if word.startswith(".") and word != ".tables":
-            print(f"sierra: there is no {text}; .help says what there is", file=sys.stderr)
+            print(f"sierra: unknown command {text}; .help lists the commands", file=sys.stderr)
         case word:
             answer(TABLES if word == ".tables" else text)
 

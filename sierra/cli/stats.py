@@ -32,35 +32,41 @@ class Times(StrEnum):
 def stats(
     output: Annotated[
         str,
-        typer.Argument(metavar="OUTPUT", autocompletion=complete.tables, help="The output, as SHOW TABLES in SQL has it."),
+        typer.Argument(metavar="OUTPUT", autocompletion=complete.tables, help="The output, as listed by SHOW TABLES in SQL."),
     ],
-    column: Annotated[str, typer.Argument(metavar="COLUMN", autocompletion=complete.columns, help="One of its columns.")],
+    column: Annotated[str, typer.Argument(metavar="COLUMN", autocompletion=complete.columns, help="A column of the output.")],
     batch: Annotated[
         str | None,
         typer.Option(
-            "--batch", "-b", metavar="HASH", autocompletion=complete.batches, help="The batch (default: the last asked for)."
+            "--batch",
+            "-b",
+            metavar="HASH",
+            autocompletion=complete.batches,
+            help="Batch id or prefix (default: the last batch).",
         ),
     ] = None,
     measure: Annotated[
-        Measure | None, typer.Option("--measure", "-m", help="What a run is reduced to (default: final, its last value).")
+        Measure | None, typer.Option("--measure", "-m", help="Value of a run (default: final, its last value).")
     ] = None,
     threshold: Annotated[
-        float | None, typer.Option("--threshold", metavar="X", help="For time_to: the value to be reached or exceeded.")
+        float | None, typer.Option("--threshold", metavar="X", help="For time_to: the value to reach or exceed.")
     ] = None,
     times: Annotated[
         Times | None,
-        typer.Option("--times", help="A row for each time instead: the runs' own, or common ones (carried, interpolated)."),
+        typer.Option(
+            "--times", help="Print a row for each time: the runs' own, or common times (values carried, interpolated)."
+        ),
     ] = None,
-    format: Annotated[Format, typer.Option("--format", "-f", help="How the table is written.")] = Format.table,
-    file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write it to a file.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Short for --format json.")] = False,
+    format: Annotated[Format, typer.Option("--format", "-f", help="Output format.")] = Format.table,
+    file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the result to a file.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Same as --format json.")] = False,
 ) -> None:
-    """Compute statistics over the runs.
+    """Compute statistics of a column over the runs of each experiment.
 
-    For one column, and each experiment: n, mean, sd, the 95 % interval of the mean (low, high), median, quartiles,
-    whiskers, range, interquartile mean (iqm) with its interval, and how many values are missing or infinite, or how many
-    runs never reached the threshold. Of a rate, a column that is 0 or 1 (false or true) in all runs, the interval is Wilson's;
-    the column `interval` says so. (A column of fractions is a rate only if both 0 and 1 occur in the batch.)
+    Prints n, mean, sd, the 95 % interval of the mean (low, high), median, quartiles, whiskers, range, the interquartile mean
+    (iqm) with its interval, and the number of missing or infinite values, or of runs that never reached the threshold. A column
+    that is 0 or 1 (false or true) in all runs is a rate: its interval is Wilson's, as the column `interval` shows. (A column of
+    fractions is a rate only if both 0 and 1 occur in the batch.)
 
     \b
     Examples:
@@ -72,7 +78,7 @@ def stats(
     from sierra.cli.open_project import project
 
     if (measure is Measure.time_to) != (threshold is not None):
-        raise UsageError("--measure time_to and --threshold X go together")
+        raise UsageError("--measure time_to and --threshold X must be used together")
     if times and measure:
         raise UsageError("--times gives a row for each time, --measure one for each experiment; choose one of them")
     reduced = None if times else (measure or Measure.final).value

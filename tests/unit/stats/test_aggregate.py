@@ -577,7 +577,7 @@ def test_the_stats_command_supports_all_measures_and_rows_per_time(simulated: An
 
 
 def test_contradictory_options_of_the_stats_command_are_refused(simulated: Any) -> None:
-    together, choose = "--measure time_to and --threshold X go together", "choose one of them"
+    together, choose = "--measure time_to and --threshold X must be used together", "choose one of them"
     for words, complaint in {
         ("--measure", "time_to"): together,
         ("--threshold", "4"): together,
