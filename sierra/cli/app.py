@@ -31,8 +31,8 @@ from sierra.cli import (
 )
 
 EXIT_CODES = (
-    "Exit codes: 0 fine; 1 a run failed, results differ, or the store is damaged; 2 usage; "
-    "3 something needed is missing; 130 interrupted."
+    "Exit codes: 0 success; 1 a run failed, results differ, or the store is damaged; "
+    "2 usage error; 3 something required is missing; 130 interrupted."
 )
 
 app = typer.Typer(
@@ -65,15 +65,20 @@ def _listen(context: typer.Context, level: int) -> int:
 
 @app.callback()
 def _options(
-    version: Annotated[bool, typer.Option("--version", help="Say the version.", callback=_version, is_eager=True)] = False,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)] = False,
     verbose: Annotated[
         int,
         typer.Option(
-            "-v", "--verbose", count=True, callback=_listen, help="Log events to standard error; -vv: also commands and runs."
+            "-v",
+            "--verbose",
+            count=True,
+            callback=_listen,
+            show_default=False,
+            help="Log events to standard error; -vv: also commands and runs.",
         ),
     ] = 0,
 ) -> None:
-    """From a research query to evidence that a stranger can check.
+    """From a research question to results that anyone can verify.
 
     \b
     Example:
@@ -105,9 +110,7 @@ for command in (
     doctor.doctor,
     schema.schema,
 ):
-    app.command(epilog=EXIT_CODES)(command)
+    app.command()(command)
 
 for group in (image.app, source.app):
-    for registered in group.registered_commands:
-        registered.epilog = EXIT_CODES
-    app.add_typer(group, epilog=EXIT_CODES)
+    app.add_typer(group)
