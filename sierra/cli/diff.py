@@ -41,7 +41,7 @@ def diff(
     patch: Annotated[bool, typer.Option("--patch", help="Show the whole patch and all other details.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text, with all details.")] = False,
 ) -> None:
-    """Show the differences between two batches, experiments, runs or executions.
+    """Compare two batches, experiments, runs or executions.
 
     Differences that probably affect results come first: query, platform, command, image, programs, source, variables,
     inputs, rules, seeds, containers, the machine. Differences of the results come last. Nothing is executed; the comparison

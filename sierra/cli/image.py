@@ -15,7 +15,7 @@ app = typer.Typer(
     name="image",
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Build, pin, inspect, import and export the images in which runs execute.",
+    help="Build, pin, inspect, import and export images for runs.",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 

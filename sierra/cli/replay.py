@@ -56,12 +56,12 @@ def replay(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
     junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Also write the verdicts as JUnit XML.")] = None,
 ) -> None:
-    """Execute recorded runs again from the record alone, and compare the results.
+    """Execute recorded runs again, and compare the results.
 
-    The recorded source is restored to a separate folder; inputs come from the store. Each output is identical (same bytes),
-    equal (same values), within tolerance (as declared in sierra.toml), or different. For a different output, the place and
-    the size of the difference are printed. An experiment whose runs have different values is equivalent if the metrics of
-    [equivalence] are equivalent over all its runs. The exit code is 0 if nothing is different or failed.
+    A replay uses only the record: the source is restored to a separate folder, and inputs come from the store. Each output is
+    identical (same bytes), equal (same values), within tolerance (as declared in sierra.toml), or different. For a different
+    output, the place and the size of the difference are printed. An experiment whose runs have different values is equivalent
+    if the metrics of [equivalence] are equivalent over all its runs. The exit code is 0 if nothing is different or failed.
 
     \b
     Examples:

@@ -16,7 +16,7 @@ def schema(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the tables as JSON; with --toml, the JSON Schema.")] = False,
 ) -> None:
-    """Describe the tables and columns of the store, or the keys of sierra.toml.
+    """Describe the tables of the store, or the keys of sierra.toml.
 
     \b
     Examples:

@@ -26,7 +26,7 @@ def show(
     long: Annotated[bool, typer.Option("--long", help="Show full ids, and do not shorten text to fit the terminal.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
-    """Show the record of a batch, experiment, run, execution or session.
+    """Show a batch, experiment, run, execution or session.
 
     For a batch and a session, this includes the path of the log file, which lists the events while runs executed.
 

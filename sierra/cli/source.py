@@ -27,10 +27,10 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text
 
 @app.command()
 def push(remote: Remote = None, as_json: AsJson = False) -> None:
-    """Push the recorded code to a git remote, so that other clones can replay runs.
+    """Push the recorded code to a git remote.
 
-    Uncommitted code is recorded in git under refs/sierra/, which git push does not include. Submodules are pushed to their
-    own remotes. No branch or tag changes.
+    Then other clones can replay the runs. Uncommitted code is recorded in git under refs/sierra/, which git push does not
+    include. Submodules are pushed to their own remotes. No branch or tag changes.
 
     \b
     Examples:

@@ -28,10 +28,11 @@ def why(
     ],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
-    """Explain why runs were executed or not, and which executions are effective.
+    """Explain why runs were executed or not.
 
     Lists each session and each replay in order, with the reasons why it executed runs: a run was new (with the change that made
-    it new), had failed, or was executed with other programs or evaluated by other rules before. Nothing is executed.
+    it new), had failed, or was executed with other programs or evaluated by other rules before. Then shows which executions are
+    effective. Nothing is executed.
 
     \b
     Examples:
