@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 
 class Project:
-    """A project: its `sierra.toml`, and the store beside it. `sierra.open` makes one.
+    """A project: its `sierra.toml` and its store. `sierra.open` returns one.
 
     Methods accept ids as prefixes of at least 4 digits. All errors are subclasses of `SierraError`. A method that waits for
     runs shows its progress in a notebook; elsewhere it shows none. `progress` overrides this: True shows it, False does not.
@@ -89,7 +89,7 @@ class Project:
 
     @property
     def config(self) -> project_file.Project:
-        """The content of `sierra.toml`; if there is none, what the store implies."""
+        """The content of `sierra.toml`; if there is no such file, the settings that the store implies."""
         return self._loaded.config
 
     @property
@@ -233,10 +233,10 @@ class Project:
     def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> Result:
         """Return the result of one SQL statement: an Arrow table that notebooks show (see `Result`).
 
-        `$name` in the statement takes its value from the keyword. `within` is a prefix of a batch's id: then members, runs
-        and outputs are those of that batch. Otherwise they are those of all batches, whatever code made them. If a column v
-        holds numbers in some runs and texts in others, the texts are in v_text, and the schema's metadata `sierra:note`
-        reports it. Raises SqlError.
+        `$name` in the statement takes its value from the keyword `name`. `within` is a prefix of a batch's id: then the
+        tables show only the runs and outputs of that batch. Otherwise they show those of all batches, regardless of their code.
+        If a column v has numbers in some runs and texts in others, the texts are in v_text, and the schema's metadata
+        `sierra:note` reports it. Raises SqlError.
 
         >>> project.sql("SELECT max(coverage) AS most FROM swarm WHERE tick = $t", within=summary.batch, t=0).num_rows
         1
@@ -341,7 +341,7 @@ class Project:
         observer: Observer | None = None,
         progress: bool | None = None,
     ) -> Replay:
-        """Replay what an id names from the record alone, and compare the results.
+        """Replay a batch, experiment, run or execution from the record alone, and compare the results.
 
         `runs`: replay at most this number of runs of each experiment, the first ones. `tolerances`: by output and column (`*`:
         all); they override those in `sierra.toml`. `keep`: do not remove the restored source and the folders of the runs.
@@ -447,9 +447,9 @@ class Project:
         return why.why(self._loaded, self.store, prefix)
 
     def pin(self, name: str | None = None) -> Contents:
-        """Pin the image that a name (default: `[container] image`) stands for now, in `sierra.lock`; return its content.
+        """Pin the image that a name (default: `[container] image`) refers to now in `sierra.lock`; return its content.
 
-        Raises Missing if there is no image of that name, Damaged if its content does not have its hash; nothing is pinned then.
+        Raises Missing if there is no image of that name, Damaged if its content does not match its hash; it pins nothing then.
         """
         from sierra.containers import images
 
@@ -477,7 +477,7 @@ class Project:
         return import_export.export(self.root, self._image(name), Path(file))
 
     def image(self, name: str | None = None) -> Contents:
-        """Return the content of an image: of the pinned one, otherwise of the one that its name stands for now."""
+        """Return the content of an image: of the pinned image, otherwise of the image that the name refers to now."""
         from sierra.containers import images
 
         name = self._image(name)
@@ -546,7 +546,7 @@ class Project:
         return remove.plan(self.store, prefixes)
 
     def remove(self, *prefixes: str, agree: Callable[[Removal], bool] = lambda removal: True) -> Removal | None:
-        """Remove what these ids name, if `agree` returns true for the preview; return None if it returns false.
+        """Remove the records of these ids, if `agree` returns true for the preview; return None if it returns false.
 
         Runs that other batches have keep their executions. Raises NotFound for an unknown id, Missing if the disk is full, and
         SierraError while one of the batches is executing. If it raises, nothing changes.
@@ -575,10 +575,10 @@ class Project:
         raw: bool = False,
         agree: Callable[[Collection], bool] = lambda collection: True,
     ) -> Collection | None:
-        """Remove what nothing needs and merge small segments, if `agree` returns true for the preview; otherwise return None.
+        """Remove unneeded files and merge small segments, if `agree` returns true for the preview; otherwise return None.
 
         `damaged`: also remove segments that a repair put aside; `raw`: also remove the bytes of files that became tables.
-        Raises Missing if the disk is full; nothing is lost then.
+        Raises Missing if the disk is full; then nothing is lost.
 
         >>> project.collect(agree=lambda collection: False) is None or project.collection().nothing
         True
@@ -588,7 +588,7 @@ class Project:
         return gc.collect(self.store, damaged=damaged, raw=raw, agree=agree)
 
     def files(self, prefix: str, *paths: str, to: str | os.PathLike[str] | None = None) -> Listing | list[Outcome]:
-        """Return a list of the recorded files of what an id names; with `to`, write them there and return the outcomes.
+        """Return a list of the recorded files of an id; with `to`, write them to that folder and return the outcomes.
 
         `paths` are paths in the listing, or globs; without any, all files. Raises NotFound for a path that matches nothing.
 
@@ -609,7 +609,7 @@ class Project:
         return self.draw(prefix, name)[0]
 
     def draw(self, prefix: str | None = None, name: str | None = None) -> tuple[list[Path], list[str]]:
-        """Draw as `figures` does; return the files, and what could not be drawn and why.
+        """Draw as `figures` does; return the files, and notes on figures that could not be drawn.
 
         >>> drawn, notes = project.draw(summary.batch)
         """

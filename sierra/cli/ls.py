@@ -32,7 +32,7 @@ def ls(
         "query": [row["query"] for row in batches],
         **_where_any("controller", [row["controller"] or "" for row in batches]),
         **_where_any("scenario", [row["scenario"] or "" for row in batches]),
-        **_where_any("set", [" ".join(row["overrides"]) for row in batches]),
+        **_where_any("overrides", [" ".join(row["overrides"]) for row in batches]),
         **_where_any("changed", [", ".join(row["changed"]) for row in batches]),
         **{name: [row[name] for row in batches] for name in ("experiments", "runs")},
         "state": [_state(row) for row in batches],
