@@ -77,7 +77,7 @@ def _print_commit(known: Mapping[str, Any]) -> None:
         "subject": commit["subject"],
         "author": f"{commit['author']}, {commit['date']:%Y-%m-%d}",
         "described": known["described"],
-        "branches, tags": ", ".join(known["branches"]) or "none",
+        "branches/tags": ", ".join(known["branches"]) or "none",
         "remote": known["remote"] or "none",
     }
     fields(told, "  ")

@@ -142,7 +142,7 @@ def test_summary_counts_runs_of_concurrent_sessions_apart_from_earlier_ones(simu
     ends = [project.end_of(process) for process in (one, two)]
     assert [end.returncode for end in ends] == [0, 0]
     assert "2 runs: 1 executed, 1 reused\n" in ends[0].stdout
-    assert "3 runs: 1 executed, 2 reused (1 executed meanwhile by another asking)\n" in ends[1].stdout
+    assert "3 runs: 1 executed, 2 reused (1 executed meanwhile by another session)\n" in ends[1].stdout
 
 
 # ---------------------------------------------------------------- claims

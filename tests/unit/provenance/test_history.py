@@ -162,12 +162,12 @@ def test_show_names_the_recorded_commit_and_diff_the_commits_between(tmp_path: P
     assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode == 0
     before, after = (row["batch"] for row in json.loads(projects.quick(root, "ls", "--json").stdout))
     shown = projects.quick(root, "show", after).stdout
-    section = dict(line.split(maxsplit=1) for line in shown.split("has it now:\n")[1].splitlines()[:5])
+    section = dict(line.split(maxsplit=1) for line in shown.split("in the repository now:\n")[1].splitlines()[:5])
     assert section.pop("author").startswith("a, 20")
     assert section == {
         "subject": "Say more",
         "described": "v2",
-        "in": f"{git(root, 'branch', '--show-current')}, v2",
+        "branches/tags": f"{git(root, 'branch', '--show-current')}, v2",
         "remote": "https://example.org/swarm.git",
     }
     assert "secret" not in shown

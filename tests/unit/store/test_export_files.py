@@ -391,7 +391,7 @@ def test_large_files_and_truncated_logs_are_exported(tmp_path: Path) -> None:
     assert quick(folder, "run", "population_size=1", "--no-figures").returncode == 0
     ended = quick(folder, "files", batch_of(folder), "great", STDOUT, "--to", str(tmp_path / "out"))
     assert ended.returncode == 0
-    assert "2 logs were cut when they were recorded" in ended.stdout
+    assert "2 logs shortened when recorded" in ended.stdout
     great = list((tmp_path / "out").rglob("great"))
     assert len(great) == 2
     expected = b"".join(bytes([part]) * (1 << 20) for part in range(20))
