@@ -120,7 +120,7 @@ def test_statements_span_lines_until_a_semicolon_and_errors_do_not_end_the_promp
     terminal.type(".help\n")
     assert "Ctrl-D" in terminal.until("sql> ")
     terminal.type(".nope\n")
-    assert "there is no .nope" in terminal.until("sql> ")
+    assert "unknown command .nope" in terminal.until("sql> ")
     assert terminal.process.poll() is None
 
 
