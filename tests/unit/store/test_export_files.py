@@ -105,7 +105,7 @@ def test_files_of_a_run_are_listed_with_kind_size_and_hash(project: Path) -> Non
     assert {(file["number"], file["which"], file["status"]) for file in files.values()} == {(0, "counts", "ok")}
     said = quick(project, "files", run[:12]).stdout
     assert ", the effective one" in said
-    assert "\\n'bé" in said  # a line feed in a name breaks no line
+    assert "\\n'bé" in said  # a line feed in a name is escaped
 
 
 @pytest.mark.parametrize(("kind", "runs"), [("batch", 4), ("experiment", 2), ("run", 1), ("execution", 1)])
