@@ -99,7 +99,7 @@ def test_a_replay_names_a_program_that_is_not_built(tmp_path: Path) -> None:
     (root / "build" / "sim").unlink()
     code, _, err = replayed(root)
     assert code == 3
-    assert f"{root}/build/sim is not there; runs need it, and the recorded source does not hold it" in err
+    assert f"{root}/build/sim does not exist; runs need it, and the recorded source does not contain it" in err
 
 
 @pytest.mark.integration

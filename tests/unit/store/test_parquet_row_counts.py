@@ -81,7 +81,7 @@ def test_a_run_of_two_experiments_appears_at_both_points(tmp_path: Path) -> None
 def test_values_that_give_the_same_runs_are_reported(tmp_path: Path) -> None:
     capped = '[variables.capped]\nchanges = [{ set = "//swarm/@count", value = "{min(capped, 3)}" }]\n'
     project = sierra.open(projects.make(tmp_path, projects.CONFIG + capped))
-    said = "capped=3 and capped=4 are the same runs: nothing in the input differs (as in 1 other cases)"
+    said = "capped=3 and capped=4 have the same runs: their inputs do not differ (also in 1 other cases)"
     assert said in project.plan("capped=2,3,4,5").notes
     assert not any("same runs" in note for note in project.plan("montecarlo.C2").notes)
 
@@ -235,7 +235,7 @@ def test_the_reason_is_reported_before_runs_execute_again(tmp_path: Path) -> Non
     (root / "arena.xml").write_text(projects.TEMPLATE.replace("an arena", "the arena"))
     assert "executes again: the template arena.xml has changed" in ask(2)
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace('"//swarm/@count"', '"/arena/@size"'))
-    assert "executes again: sierra.toml makes other changes to the template" in ask(2)
+    assert "executes again: sierra.toml changes the template differently" in ask(2)
     assert "asked before" not in projects.quick(root, "run", "population_size=1", "--runs", "3", "--no-figures").stderr
 
 
