@@ -52,7 +52,7 @@ def inputs(snapshot: Snapshot, before: Side, after: Side, notes: list[Note]) -> 
     for (name, _), those in found.items():
         yield _told(f"{name}: " if several else "", those, len(looked), read, before, after)
     if len(looked) < others:
-        text = f"inputs differ in {others} of the {runs} runs that are compared; {len(looked)} of these were read"
+        text = f"inputs differ in {others} of the {runs} compared runs; {len(looked)} of them were read"
         notes.append(Note(text, "inputs"))
 
 
@@ -115,7 +115,7 @@ def _told(name: str, those: Sequence[tuple[_Pair, Spot]], looked: int, read: str
         return Difference("inputs", "the seed", f"input, the seed: {line}", first.was, first.now)
     asked = all(_is_asked(pair, spot, before, after) for pair, spot in those)
     kind = "as asked" if asked else first.path
-    return Difference("inputs", kind, f"input{', as asked' if asked else ''}: {line}", first.was, first.now, first.lines)
+    return Difference("inputs", kind, f"input{', as requested' if asked else ''}: {line}", first.was, first.now, first.lines)
 
 
 def _line(spot: Spot) -> str:
@@ -127,9 +127,9 @@ def _line(spot: Spot) -> str:
         case "removed":
             return f"{spot.path} is gone: was {shown(spot.was)}"
         case "order":
-            return f"{spot.path}: what it holds stands in another order"
+            return f"{spot.path}: the content is in a different order"
         case "writing":
-            return f"{spot.path} is only written differently: white space, order of attributes or comments"
+            return f"{spot.path}: only white space, order of attributes or comments differ"
         case _:
             return f"{spot.path}: {spot.was} {ARROW} {spot.now}"
 

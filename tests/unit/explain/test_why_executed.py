@@ -61,7 +61,7 @@ def test_first_batch_is_new_and_its_executions_are_effective(root: Path) -> None
     [event] = said["history"]
     assert (event["kind"], event["executed"], event["reused"], event["ended"]) == ("session", 4, 0, True)
     assert causes(said) == ["new"]
-    assert said["new_because"] == {batch: ["nothing over these variables was recorded before"]}
+    assert said["new_because"] == {batch: ["no batch with these variables was recorded before"]}
     assert [(one["runs"], one["is_effective"]) for one in said["effective"]] == [(4, True)]
     assert said["next_run"] == ["4 runs: reused"]
 
