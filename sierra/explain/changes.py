@@ -220,5 +220,5 @@ def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:
     now = batch_row(plan)
     names = [name for name in ASKED if name not in now["axes"]]
     lines = [f"{name} was {before[name]!r} and is {now[name]!r}" for name in names if before[name] != now[name]]
-    lines += [f"--set {change} is new" for change in now["overrides"] if change not in before["overrides"]]
-    return lines + [f"--set {change} is gone" for change in before["overrides"] if change not in now["overrides"]]
+    lines += [f"--set {change} was added" for change in now["overrides"] if change not in before["overrides"]]
+    return lines + [f"--set {change} was removed" for change in before["overrides"] if change not in now["overrides"]]

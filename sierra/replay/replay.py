@@ -326,7 +326,7 @@ def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
     """Yield a line for each program that differs from the record; the code is in `root`."""
     if now.id != of.fingerprint:
         words = mentioned(of.spec.command, root)
-        yield from (f"other programs: {line}" for line in programs.told(of.programs, now, words))
+        yield from (f"different programs: {line}" for line in programs.told(of.programs, now, words))
 
 
 def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> Iterator[str]:
@@ -335,7 +335,7 @@ def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> 
         for name, was, found in environment.differing(row, around):
             if name in ARITHMETIC:
                 old, new = (", ".join(one) or "none" if isinstance(one, list) else one or "none" for one in (was, found))
-                yield f"other machine: {name} {'that differ: ' if isinstance(was, list) else ''}was {old}, is {new}"
+                yield f"different machine: {name} {'that differ: ' if isinstance(was, list) else ''}was {old}, is now {new}"
 
 
 def _inputs(record: _Record, store: Store) -> Iterator[tuple[Run, Files]]:

@@ -109,7 +109,7 @@ def _told(name: str, those: Sequence[tuple[_Pair, Spot]], looked: int, read: str
     first = those[0][1]
     values = {(spot.what, spot.was, spot.now) for _, spot in those}
     where = "" if before.is_one else f" (in {'all' if len(those) == looked else f'{len(those)} of'} {read})"
-    varying = f", and {len(values) - 1} other pairs of values" if len(values) > 1 else ""
+    varying = f", and {len(values) - 1} different pairs of values" if len(values) > 1 else ""
     line = f"{name}{_line(first)}{varying}{where}"
     if all(_is_seed(pair, spot) for pair, spot in those):
         return Difference("inputs", "the seed", f"input, the seed: {line}", first.was, first.now)
@@ -123,9 +123,9 @@ def _line(spot: Spot) -> str:
         case "changed":
             return f"{spot.path}: {shown(spot.was)} {ARROW} {shown(spot.now)}"
         case "added":
-            return f"{spot.path} is new: {shown(spot.now)}"
+            return f"{spot.path} was added: {shown(spot.now)}"
         case "removed":
-            return f"{spot.path} is gone: was {shown(spot.was)}"
+            return f"{spot.path} was removed: it was {shown(spot.was)}"
         case "order":
             return f"{spot.path}: the content is in a different order"
         case "writing":

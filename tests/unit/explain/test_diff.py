@@ -180,7 +180,7 @@ def test_query_difference_is_reported_before_the_input_difference(make: Make) ->
     before = ask(root)
     said = diff(root, before, ask(root, sets=[("//noise", "0.2")]))
     assert kinds(said) == ["query", "inputs", "results"]
-    assert lines(said, "query") == ["--set //noise=0.2 is new"]
+    assert lines(said, "query") == ["--set //noise=0.2 was added"]
     assert lines(said, "inputs") == ["input, as requested: //noise: 0.1 → 0.2 (in all 4 runs)"]
 
 
@@ -345,7 +345,7 @@ def test_inputs_missing_from_the_store_are_noted_and_the_rest_is_compared(make: 
     for path in root.glob(".sierra/segments/*/objects.parquet"):
         path.unlink()
     said = diff(root, before, after)
-    assert lines(said, "query") == ["--set //noise=0.2 is new"]
+    assert lines(said, "query") == ["--set //noise=0.2 was added"]
     assert "inputs" not in said["same"]
     assert any("not in the store" in note for note in said["notes"])
 

@@ -130,4 +130,4 @@ def test_a_program_next_to_the_project_is_found_relative_to_the_project(tmp_path
     simulator.write_text(projects.SIMULATOR.replace("count * tick", "count * tick + 1"))
     code, _, err = replayed(root)
     assert code == 1
-    assert "other programs: sim.py: " in err
+    assert "different programs: sim.py: " in err

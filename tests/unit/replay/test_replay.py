@@ -129,7 +129,7 @@ def test_a_changed_program_is_reported_before_the_verdict_and_a_missing_one_is_a
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,2\\n' > out.csv\n")
     code, said = replay(root, batch)
     assert code == 1
-    assert said["notes"][0].startswith("other programs: sim: ")
+    assert said["notes"][0].startswith("different programs: sim: ")
     program.unlink()
     ended = projects.quick(root, "replay", batch)
     assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
@@ -145,9 +145,9 @@ def test_another_machine_is_reported_before_the_verdict(make: Make, monkeypatch:
     other = sierra.open(root).replay(batch)
     assert other.verdict == "identical"
     [flags, libc] = other.notes
-    assert flags.startswith("other machine: cpu_flags that differ: was ")
+    assert flags.startswith("different machine: cpu_flags that differ: was ")
     assert "gone" in flags.partition(", is ")[2]
-    assert libc == f"other machine: libc was {facts['libc']}, is musl 1.2"
+    assert libc == f"different machine: libc was {facts['libc']}, is now musl 1.2"
 
 
 @pytest.mark.integration
@@ -481,7 +481,7 @@ def test_a_changed_program_that_git_ignores_is_used_and_reported(tmp_path: Path)
     assert (code, said["verdict"], said["notes"]) == (0, "identical", [])
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,2\\n' > out.csv\n")
     code, said = replay(root, batch)
-    assert (code, said["notes"][0].startswith("other programs: {project}/build/sim: ")) == (1, True)
+    assert (code, said["notes"][0].startswith("different programs: {project}/build/sim: ")) == (1, True)
 
 
 @pytest.mark.integration

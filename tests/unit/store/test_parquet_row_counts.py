@@ -203,7 +203,7 @@ def test_the_failure_of_a_csv_file_without_a_header_suggests_header_false(tmp_pa
 
 def test_a_text_instead_of_a_number_of_the_template_is_reported(tmp_path: Path) -> None:
     plan = sierra.open(projects.make(tmp_path)).plan("population_size=1-8")
-    assert any("'1-8'" in note and "the template has 1" in note for note in plan.notes)
+    assert any("'1-8'" in note and "the template has the number 1" in note for note in plan.notes)
 
 
 @pytest.mark.integration
