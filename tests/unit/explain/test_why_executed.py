@@ -109,7 +109,7 @@ def test_earlier_failure_is_the_reason_for_another_execution(root: Path, tmp_pat
     flag.unlink()
     ask(root)
     said = why(root, a_run(root))
-    assert causes(said) == ["new", "the last one failed: exit status 3"]
+    assert causes(said) == ["new", "the last execution failed: exit status 3"]
     assert [(event["executed"], event["failed"]) for event in said["history"]] == [(1, 1), (1, 0)]
 
 
@@ -170,7 +170,7 @@ def test_later_finding_is_the_reason_for_another_execution(root: Path) -> None:
     ask(root, "population_size=1", runs=2)
     ask(root, "population_size=1", runs=8)
     ask(root, "population_size=1", runs=8)
-    assert any("was found to be no good" in cause for cause in causes(why(root, a_run(root))))
+    assert any("a problem was found in the last execution" in cause for cause in causes(why(root, a_run(root))))
 
 
 @pytest.mark.integration
