@@ -33,7 +33,7 @@ from sierra.version import __version__
 TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
 """Names of a first column that make it the time axis, if the project declares no time column."""
 MEASURES = ("final", "mean", "time_to")
-ONE_FILE = "[outputs.{}] file may name one of them"
+ONE_FILE = "file in [outputs.{}] can name one of them"
 AT_MOST = 16
 """The largest number of default figures of one batch; others are reported, and drawn on request."""
 
@@ -91,7 +91,7 @@ def statistics(
             table, text = stats.by_experiment(samples, measure, stats.STATISTICS, seen, threshold, whole=whole)
             notes = []
         if stats.is_rate(table):
-            notes.append(f"{column} is 0 or 1 everywhere: low and high are Wilson's 95 % interval of a rate")
+            notes.append(f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate")
         notes = [*gallery.taken, *stats.left_out([table], seen, gallery.planned, threshold), *notes]
         told = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
         return _with_axes(table, frame).replace_schema_metadata(told)
@@ -99,13 +99,15 @@ def statistics(
 
 def _check_reduction(measure: str | None, threshold: float | None, times: str | None) -> None:
     if measure is not None and measure not in MEASURES:
-        raise UsageError(f"unknown measure {measure!r}; known are {', '.join(MEASURES)}, or None for each time")
+        raise UsageError(f"unknown measure {measure!r}; known are {', '.join(MEASURES)}, or None for statistics at each time")
     if (measure == "time_to") != (threshold is not None):
-        raise UsageError("measure 'time_to' needs a threshold, as in threshold = 0.9; no other measure has one")
+        raise UsageError("measure 'time_to' needs a threshold, for example threshold = 0.9; no other measure has one")
     if threshold is not None and not isfinite(threshold):
-        raise UsageError(f"a threshold is a finite number, not {threshold}")
+        raise UsageError(f"a threshold must be a finite number, not {threshold}")
     if measure is not None and times is not None:
-        raise UsageError(f"times {times!r} needs statistics for each time; a measure ({measure!r}) gives one for all")
+        raise UsageError(
+            f"times {times!r} needs statistics at each time, but a measure ({measure!r}) gives one value for all times"
+        )
 
 
 def _with_axes(table: Any, frame: Frame) -> Any:
@@ -186,18 +188,18 @@ class _Gallery:
         if name is not None:
             everything = {**self._default()[0], **declared}
             if name not in everything:
-                raise NotFound(f"no figure {name!r} of this batch; there is {', '.join(everything) or 'none'}")
+                raise NotFound(f"this batch has no figure {name!r}; its figures: {', '.join(everything) or 'none'}")
             return {name: everything[name]}, []
         if not declared and len(found) > AT_MOST:
             left = list(found)[AT_MOST:]
             kept = {name: found[name] for name in list(found)[:AT_MOST]}
-            return kept, [*notes, f"{len(left)} more figures can be drawn, as in: sierra figures HASH {left[0]}"]
+            return kept, [*notes, f"{len(left)} more figures can be drawn, for example: sierra figures HASH {left[0]}"]
         return found, notes
 
     def _default(self) -> tuple[dict[str, Figure], list[str]]:
         """Return the default figures that fit each output; and notes on outputs and columns without one, and why."""
         found: dict[str, Figure] = {}
-        notes = [] if self._outputs else ["no run wrote a table, so there is no figure; look at: sierra sql 'FROM artifacts'"]
+        notes = [] if self._outputs else ["no run wrote a table, so there is no figure; see: sierra sql 'FROM artifacts'"]
         for output in self._outputs.values():
             time = self.time(output)
             columns = [column for column in output.columns if column != time]
@@ -270,13 +272,12 @@ class _Gallery:
         found = self._frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
         if found is None:
             if declared is None and output.rows > 1:
-                told = f"output {output.name!r} has no time: its rows are counted instead"
-                self.taken.append(
-                    f'{told}, as no column increases alike in all runs (time = "COLUMN" in [outputs.{output.name}] names one)'
-                )
+                told = f"output {output.name!r} has no time column: row numbers are used instead"
+                hint = f'to name one, set time = "COLUMN" in [outputs.{output.name}]'
+                self.taken.append(f"{told}, because no column increases equally in all runs ({hint})")
             return ""
-        told = f"{found!r} is taken for the time of output {output.name!r}, as it increases alike in all runs"
-        self.taken.append(f'{told} (time = "COLUMN" in [outputs.{output.name}] names another)')
+        told = f"{found!r} is used as the time of output {output.name!r}, because it increases equally in all runs"
+        self.taken.append(f'{told} (to name another, set time = "COLUMN" in [outputs.{output.name}])')
         return found
 
     def _coverage(self, output: OutputTable) -> stats.Coverage:
@@ -290,13 +291,15 @@ class _Gallery:
             except UsageError as error:
                 if output.files < 2:
                     raise
-                raise UsageError(f"{error}. A run has {output.files} files of it: {ONE_FILE.format(output.name)}") from error
+                raise UsageError(
+                    f"{error}. A run has {output.files} files of this output: {ONE_FILE.format(output.name)}"
+                ) from error
         return self._seen[output.name]
 
     def _output(self, figure: Figure) -> OutputTable:
         if figure.table:
             if figure.table not in self._outputs:
-                raise NotFound(f"no output {figure.table!r} in this batch; it has {', '.join(self._outputs) or 'none'}")
+                raise NotFound(f"this batch has no output {figure.table!r}; its outputs: {', '.join(self._outputs) or 'none'}")
             return self._outputs[figure.table]
         having = [o for o in self._outputs.values() if all(column in o.columns for column in figure.columns)]
         if self._outputs and not having:
@@ -304,7 +307,9 @@ class _Gallery:
                 f"no output has {' and '.join(map(repr, figure.columns))} as numeric columns (sierra sql 'SHOW TABLES')"
             )
         if len(having) != 1:
-            raise NotFound(f"say which output it is of: table = one of {', '.join(self._outputs) or '(none was written)'}")
+            raise NotFound(
+                f"name the output of the figure: set table to one of {', '.join(self._outputs) or '(none was written)'}"
+            )
         return having[0]
 
     def _labelled(self, axis: Axis) -> Axis:

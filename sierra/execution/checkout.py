@@ -117,7 +117,9 @@ def _bring(there: Path, root: Path, name: Path) -> None:
     if here.exists() and not here.is_symlink():
         return
     if not there.is_file():
-        raise Missing(f"{there} is not there; runs need it, and the recorded source does not hold it: build or fetch it again")
+        raise Missing(
+            f"{there} does not exist; runs need it, and the recorded source does not contain it: build or fetch it again"
+        )
     if len(name.parts) > 2 and (there.parent.parent / VENV).is_file():
         there, name = there.parent.parent, name.parent.parent
     for folder in reversed(name.parents):

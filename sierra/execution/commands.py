@@ -65,14 +65,14 @@ def command(platform: Platform, root: Path, *, contained: bool = False) -> tuple
     for word in words:
         if contained and ABOVE.search(word):
             raise ConfigError(
-                f"command: {word!r} leaves the project, and a container has no more; name it in [container] mounts"
+                f"command: {word!r} is outside of the project, which is all that a container sees; add it to [container] mounts"
             )
         if SPLICED in word.replace(f"{{{SPLICED}}}", "") and word != SPLICED:
-            raise ConfigError(f"command: {SPLICED} stands for several words; write it as a word of its own, not {word!r}")
+            raise ConfigError(f"command: {SPLICED} expands to several words; write it as a separate word, not {word!r}")
         for _, name in PLACEHOLDER.findall(word):
             if name and name not in KNOWN:
                 known = ", ".join("{" + known + "}" for known in KNOWN)
-                told = f"known are {known}; {{{{{name}}}}} stands for {{{name}}} itself"
+                told = f"known are {known}; write {{{{{name}}}}} for the text {{{name}}}"
                 raise ConfigError(f"command: unknown placeholder {{{name}}} in {word!r}; {told}")
     return words
 
@@ -88,7 +88,7 @@ def environment(platform: Platform, project: Project) -> dict[str, str]:
         ("[container] variables:", boxed),
     ):
         if own := [name for name in names if name in OWN or name.startswith("SIERRA_")]:
-            raise ConfigError(f"{table} {own[0]}: each run has its own; take another name")
+            raise ConfigError(f"{table} {own[0]}: SIERRA sets this variable for each run; use another name")
     passed = {name: os.environ[name] for name in project.environment.pass_ if name in os.environ}
     return {**FIXED, **platform.environment(), **passed, **project.environment.set}
 
@@ -138,7 +138,7 @@ def arguments(files: Files) -> tuple[str, ...]:
     """Return the arguments in the input files of a run. Raises ConfigError if there are none."""
     content = next((content for name, content in files if name == ARGUMENTS), None)
     if content is None:
-        raise ConfigError(f"command: {SPLICED} needs a template that gives arguments; this one gives none")
+        raise ConfigError(f"command: {SPLICED} needs a template that provides arguments; this one provides none")
     return tuple(json.loads(content))
 
 

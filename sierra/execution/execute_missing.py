@@ -119,7 +119,7 @@ class Executor:
             if self.left:
                 return
             if rest <= self._open and not self.interrupted:
-                raise Missing(f"{self.session.paths.root}: the worker has ended, and said of no run how it went")
+                raise Missing(f"{self.session.paths.root}: the worker ended without reporting a result for any run")
             if len(rest) == len(wanted) and not self._open and not odd:
                 return
 
@@ -150,7 +150,7 @@ class Executor:
         anew = judge_anew(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
         for lack, count in Counter(anew.unread.values()).most_common(NOTED):
             self._options.observer.notice(
-                f"executing {counted(count, 'run')} again, which cannot be judged by the changed rules: {lack}"
+                f"executing {counted(count, 'run')} again; their records cannot be evaluated by the changed rules: {lack}"
             )
         if anew.judged:
             find_odd(self.store, self.session.paths, self._context)
@@ -241,11 +241,11 @@ class Executor:
         programs = checkout.programs_in(root)
         meanwhile = "while they were being copied for the cluster"
         if plan.checkout is None and (doubt := plan.seen.doubt(meanwhile)):
-            raise Missing(f"{doubt}; ask again")
+            raise Missing(f"{doubt}; run the command again")
         if programs.id != plan.programs.id:
-            raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; ask again")
+            raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; run the command again")
         if made and (left_out := checkout.left_out()):  # reported last: the callback may write to a file of the project
-            what = "nodes have of these only what the command, a variable or the template names"
+            what = "nodes get only those that the command, a variable or the template names"
             self._options.observer.notice(f"git ignores {left_out} in the project: {what}")
         return root, programs
 
@@ -257,7 +257,7 @@ class Executor:
         session = self._adopted(wanted)
         if session is None and self._options.detach:
             self._options.observer.notice(
-                f"{len(wanted)} runs are executed by other processes already; they are not waited for"
+                f"other processes already execute {len(wanted)} runs; this command does not wait for them"
             )
             return False
         session = session or self._until_free(wanted)
@@ -297,7 +297,7 @@ class Executor:
     def _join(self, session: Session, wanted: AbstractSet[str]) -> None:
         """Follow runs that were submitted before."""
         mine = sessions.claims(session.paths) & wanted
-        self._options.observer.notice(f"{len(mine)} runs have been submitted before ({session.id}); they are followed")
+        self._options.observer.notice(f"following {len(mine)} runs that were submitted before (session {session.id})")
         attached = attach(self.store, session, _Joined(self._tally, mine), detach=self._options.detach)
         self.notes += attached.notes
         self.left += [session.paths] if attached.left else []

@@ -58,7 +58,7 @@ def recorded(store: Store, runs: Sequence[str]) -> Times | None:
     if not took:
         return None
     greatest = max(took.values())
-    return Times(tuple(took.get(run, greatest) for run in runs), (), "as they were recorded")
+    return Times(tuple(took.get(run, greatest) for run in runs), (), "recorded durations")
 
 
 def estimate(values: Mapping[str, Value], known: Sequence[Timed]) -> float:
@@ -159,4 +159,4 @@ def _how(timed: int, of: int, axes: Sequence[object]) -> str:
         return "runs with the same values were timed"
     if timed == 0:
         return "estimated from runs with other values" if axes else "estimated from runs with other settings"
-    return f"{timed} of {of} experiments were timed, the others are estimated from these"
+    return f"{timed} of {of} experiments were timed; the others are estimated from them"

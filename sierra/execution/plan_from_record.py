@@ -124,11 +124,11 @@ def engine(store: Store, batch: str, spec: RunSpec, name: str | None, tables: Ta
     """
     if spec.image is None:
         if name not in (None, "none"):
-            raise UsageError(f"--engine {name}: batch {short(batch)} was executed without an image; leave it out")
+            raise UsageError(f"--engine {name}: batch {short(batch)} was executed without an image; remove the option")
         return engines.find("none")
     if name == "none" and not hosted:
         raise UsageError(
-            f"batch {short(batch)} was executed in an image, and so is what is missing of it; leave out --engine none"
+            f"batch {short(batch)} was executed in an image, and its missing runs need it too; remove --engine none"
         )
     if name is None:
         [row] = store.rows(
@@ -150,7 +150,7 @@ def image_contents(store: Store, identity: str) -> Contents:
     """Return the record of an image. Raises Missing."""
     rows = store.rows("SELECT * FROM images WHERE image = $i LIMIT 1", i=identity)
     if not rows:
-        raise Missing(f"the image {identity} is neither pinned nor recorded; sierra image import brings it, then pin it")
+        raise Missing(f"the image {identity} is neither pinned nor recorded; import it with sierra image import, then pin it")
     return Contents.of_row(rows[0], store.object(rows[0]["files"]))
 
 
@@ -193,12 +193,12 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
     found = store.resolve(prefix)
     if found.kind != "batch":
         of = f": sierra run {short(found.batch)}" if found.batch else ""
-        raise NotFound(f"{prefix!r} is a {found.kind}; what is missing is executed of a whole batch{of}")
+        raise NotFound(f"{prefix!r} is a {found.kind}; missing runs can only be executed for a whole batch{of}")
     with store.snapshot() as snapshot:
         row = _one(snapshot, "SELECT * FROM batches WHERE batch = $b", b=found.id)
         last = _one(snapshot, LAST, b=found.id)
     if last["ingest_rules"] is None:
-        raise Missing(f"batch {short(found.id)}: no asking for it has come to an end; ask by its query: {row['query']}")
+        raise Missing(f"batch {short(found.id)}: none of its sessions has finished; submit its query instead: {row['query']}")
     recalled = recall(store, found.id, last["programs"], last["ingest_rules"])
     checkout = recalled.checkout(project, store)
     used = checkout.programs()
@@ -262,5 +262,7 @@ def _one(snapshot: Snapshot, statement: str, **parameters: Any) -> dict[str, Any
     rows: list[dict[str, Any]] = snapshot.rows(statement, **parameters)
     if not rows:
         table = statement.split(" FROM ")[1].split()[0]
-        raise Damaged(f"the store's {table} lack {', '.join(short(str(value)) for value in parameters.values())}")
+        raise Damaged(
+            f"the store's table {table} has no row for {', '.join(short(str(value)) for value in parameters.values())}"
+        )
     return rows[0]

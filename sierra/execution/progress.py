@@ -82,7 +82,7 @@ def text(progress: Progress, seconds: float) -> str:
         parts.append(f"{progress.running} running")
     if progress.queued:
         why = f" ({progress.waits})" if progress.waits else ""
-        parts.append(f"{counted(progress.queued, 'element')} queued{why}")
+        parts.append(f"{counted(progress.queued, 'array task')} queued{why}")
     if progress.elsewhere:
         parts.append(f"{progress.elsewhere} in another session")
     if progress.done and seconds > 0:

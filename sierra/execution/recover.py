@@ -34,7 +34,7 @@ def finish_dead(store: Store) -> int:
             _sweep(paths)
             count = recover(store, paths)
             recovered += count
-            log.warning("session %s has died; %d of its finished executions are recorded now", paths.root.name, count)
+            log.warning("session %s has died; recorded %d of its finished executions", paths.root.name, count)
     return recovered
 
 

@@ -104,14 +104,18 @@ def resolve(project: LoadedProject, request: QueryRequest) -> Query:
     config, words = project.config, request.criteria
     names = [word for word in words if word in config.queries]
     if len(names) > 1:
-        raise QueryError(f"{names[0]!r} and {names[1]!r} are queries of their own; ask for one, with more criteria if need be")
+        raise QueryError(f"{names[0]!r} and {names[1]!r} are both named queries; use one of them, with more criteria if needed")
     for word in words:
         if word == grammar.MONTE_CARLO:
-            raise QueryError(f"{word!r} needs a number of experiments, which differ in their seeds alone; use {word}.C20")
+            raise QueryError(
+                f"{word!r} needs a number of experiments, which differ only in their seeds; use, for example, {word}.C20"
+            )
         if word not in names and BARE.fullmatch(word):
             close = difflib.get_close_matches(word, config.queries, 1, cutoff=0.5)
-            hint = f"; did you mean {close[0]!r}?" if close else f"; a criterion has a range, as in {word}.Log8 or {word}=1,2"
-            raise QueryError(f"{word!r} is no query of sierra.toml{hint}")
+            hint = (
+                f"; did you mean {close[0]!r}?" if close else f"; a criterion needs a range, such as {word}.Log8 or {word}=1,2"
+            )
+            raise QueryError(f"{word!r} is not a query in sierra.toml{hint}")
     named = config.queries[names[0]] if names else None
     spelled = [part for word in words for part in (named.criteria if named and word in names else (word,))]
     return Query(
@@ -165,7 +169,9 @@ def plan(
     expansion = Expansion(designed, template, platform, spec)
     batch = expansion.batch(report)
     if commands.SPLICED in command and ARGUMENTS not in batch.runs[0].names:
-        raise ConfigError(f"command: {commands.SPLICED} needs a template that gives arguments; {config.template} gives none")
+        raise ConfigError(
+            f"command: {commands.SPLICED} needs a template that provides arguments; {config.template} provides none"
+        )
     used = programs_in(spec, code.manifest, root, data)
     checkout = _committed(root, spec, code, used) if code.checkout else None
     executed = checkout.programs() if checkout else used
@@ -197,7 +203,7 @@ def plan(
             *_texts(designed, config, template),
             *_same(batch),
             *used.notes,
-            *(f"{file} is named by the query alone: a change of it would not be seen" for file in uncounted),
+            *(f"{file} is named only by the query: changes of this file are not detected" for file in uncounted),
         ),
     )
 
@@ -212,7 +218,7 @@ def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image 
     if engine.name == "none":
         return engine, None
     if container is None:
-        raise ConfigError(f'{engine.name} needs an image: [container] image = "…" in {project.file}')
+        raise ConfigError(f'{engine.name} needs an image: set [container] image = "…" in {project.file}')
     image = images.pinned(project.root, container.image)
     images.verify(project.root, image)
     return engine, image
@@ -220,7 +226,7 @@ def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image 
 
 def _outdated(root: Path, image: Image | None) -> Iterator[str]:
     if image and images.outdated(root, StorePaths(ProjectPaths(root).store), image):
-        yield f"{image.name} has changed since its image was built: sierra image build {image.name}, then pin it"
+        yield f"{image.name} has changed since its image was built: run sierra image build {image.name}, then pin it"
 
 
 def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:
@@ -253,21 +259,21 @@ def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
     meant = [word for word in words if word not in made and (logs is None or any(Path(word).name in log for log in logs))]
     if meant:
         first = os.path.normpath(os.path.relpath(template.parent / meant[0], root))
-        lies = "it lies" if len(meant) == 1 else "they lie"
+        where = "it is" if len(meant) == 1 else "they are"
         yield (
             f"the template names {few([repr(word) for word in meant], 3)} by a relative path: "
-            f"{lies} in the project, and runs execute elsewhere; {_reached(plan, first)}"
+            f"{where} in the project, but runs execute in other folders; {_reached(plan, first)}"
         )
 
 
 def _reached(plan: Plan, path: str) -> str:
     """Return a hint how a template can name a file of the project."""
     if plan.image is not None:
-        return f"write its path in the container, {PROJECT}/{path}"
+        return f"use its path in the container: {PROJECT}/{path}"
     link = path.split("/")[0]
-    linked = f"""command = "sh -c 'ln -s {{project}}/{link} {{run}}/ && exec …'", which links it beside the input"""
-    absolute = "write its absolute path (all ids are then those of this machine)"
-    return absolute if link == os.pardir else f"write {linked}, or {absolute.removeprefix('write ')}"
+    linked = f"""command = "sh -c 'ln -s {{project}}/{link} {{run}}/ && exec …'" to link it next to the input"""
+    absolute = "use its absolute path (all ids then depend on this machine)"
+    return absolute if link == os.pardir else f"use {linked}, or {absolute}"
 
 
 def versioned(plan: Plan) -> Plan:
@@ -332,12 +338,13 @@ def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
     mentioned = " ".join(command)
     seeded = any(mentions(change, "seed") for change in designed.per_run)
     if designed.query.runs > 1 and not seeded and "{seed}" not in mentioned:
-        yield 'the seed goes nowhere: say where with seed = "XPATH", or {seed} in the command (SIERRA_SEED has it too)'
+        told = 'set seed = "XPATH", or use {seed} in the command (SIERRA_SEED also has it)'
+        yield f"neither inputs nor command contain the seed: {told}"
     for name, values in designed.lists.items():
         if len(values) < designed.query.runs:
-            yield f"[per_run] {name} has {len(values)} items for {designed.query.runs} runs: run {len(values)} takes the first"
+            yield f"[per_run] {name} has {len(values)} items for {designed.query.runs} runs: run {len(values)} uses the first"
     if not any(word in mentioned for word in ("{input}", "{run}", commands.SPLICED)):
-        yield "the command does not name {input}: unless it finds the generated file itself, all experiments are the same"
+        yield "the command does not contain {input}: all experiments are the same unless it finds the generated file itself"
 
 
 def _texts(designed: Design, config: Project, template: templates.Template) -> Iterator[str]:
@@ -347,7 +354,8 @@ def _texts(designed: Design, config: Project, template: templates.Template) -> I
         if variable is not None and variable.set is not None and not axis.numeric:
             here = template.find(variable.set)
             if here and all(re.fullmatch(r"\s*[+-]?\d+(\.\d*)?\s*", value) for value in here):
-                yield f"{axis.name} gets texts ({axis.values[0]!r}, …), and the template has {here[0].strip()} there"
+                texts = f"{axis.name} has text values ({axis.values[0]!r}, …)"
+                yield f"{texts}, but the template has the number {here[0].strip()} there"
 
 
 def _set_by(designed: Design) -> set[str]:
@@ -369,8 +377,8 @@ def _same(batch: Batch) -> Iterator[str]:
     first: dict[tuple[str, ...], Experiment] = {}
     again = [(one, other) for other in batch.experiments if (one := first.setdefault(_key(other), other)) is not other]
     for one, other in again[:1]:
-        more = f" (as in {len(again) - 1} other cases)" if again[1:] else ""
-        yield f"{_called(one)} and {_called(other)} are the same runs: nothing in the input differs{more}"
+        more = f" (also in {len(again) - 1} other cases)" if again[1:] else ""
+        yield f"{_called(one)} and {_called(other)} have the same runs: their inputs do not differ{more}"
 
 
 def _key(experiment: Experiment) -> tuple[str, ...]:
@@ -388,13 +396,15 @@ def _check_names(project: LoadedProject) -> None:
     """
     for name, output in project.config.outputs.items():
         if not check_name(name):
-            raise ConfigError(f"{project.file}: [outputs.{name}]: the store has a table {name!r} of its own; take another name")
+            raise ConfigError(f"{project.file}: [outputs.{name}]: the store itself has a table {name!r}; use another name")
         if output.columns and output.header:
-            told = "columns are the names of a CSV without header; write header = false too, or leave columns out"
+            told = "columns is only for a CSV without header; set header = false too, or remove columns"
             raise ConfigError(f"{project.file}: [outputs.{name}]: {told}")
     for name in project.config.variables:
         if name.lower() in RESERVED:
-            raise ConfigError(f"{project.file}: variable {name!r}: the store has a column of that name; take another name")
+            raise ConfigError(
+                f"{project.file}: variable {name!r}: the store itself has a column of that name; use another name"
+            )
     root = ProjectPaths(project.root)
     if root.store.exists() and not root.store.is_dir():
-        raise Missing(f"{root.store} is a file; the store is to be a folder there")
+        raise Missing(f"{root.store} is a file, but the store must be a folder with this path")

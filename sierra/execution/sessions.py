@@ -67,7 +67,7 @@ class Session:
             _own(self.paths, 0)
             self._lock = _locked(self.paths.lock)
         _sign(self._lock)
-        self._log_begin("begins" if logged else None)
+        self._log_begin("started" if logged else None)
         if elsewhere is not None:
             self._execute_below(elsewhere)
 
@@ -93,7 +93,7 @@ class Session:
                 return None
             made._generation = generation
         _sign(made._lock)
-        made._log_begin(f"is taken over as generation {made._generation}")
+        made._log_begin(f"was taken over as generation {made._generation}")
         return made
 
     def _log_begin(self, what: str | None) -> None:
@@ -109,10 +109,10 @@ class Session:
 
     def _log_end(self) -> None:
         if error := sys.exc_info()[1]:
-            log.warning("session %s ends by %s: %s", self.id, type(error).__name__, error)
+            log.warning("session %s ended with %s: %s", self.id, type(error).__name__, error)
             log.debug("".join(traceback.format_exception(error)))
         else:
-            log.info("session %s %s", self.id, "ends" if self.recorded else "is left, to be continued")
+            log.info("session %s %s", self.id, "ended" if self.recorded else "was left open, to be continued")
         self._end_log()
 
     def _execute_below(self, folder: Path) -> None:

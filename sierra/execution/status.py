@@ -26,7 +26,7 @@ from sierra.util.fs import read_record
 
 AT_ONCE = 8
 """Parallel queries to schedulers; one that cannot be reached takes long to fail."""
-PROBED = "nodes are tried out first"
+PROBED = "nodes are tested first"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ def named(store: Store, prefix: str | None) -> list[SessionPaths]:
     try:
         batch = store.resolve(prefix)
         if batch.kind != "batch":
-            raise NotFound(f"{prefix!r} is a {batch.kind}; only a batch, or a session, is on a cluster")
+            raise NotFound(f"{prefix!r} is a {batch.kind}; only batches and sessions can be on a cluster")
     except NotFound:
         begin = prefix.lower()
         mine = [paths for paths in found if PREFIX.fullmatch(begin) and paths.root.name.startswith(begin)]
@@ -205,7 +205,7 @@ def _asked(store: Store, row: Standing) -> Standing:
         return row
     queued, running = (len(submission_record.elements(paths, by[state])) for state in (State.QUEUED, State.RUNNING))
     stuck = [task for task in (*tasks, *probing) if task.state is State.STUCK]
-    never = "; ".join(dict.fromkeys(scheduler.explain(task.reason or "it does not say why") for task in stuck)) or None
+    never = "; ".join(dict.fromkeys(scheduler.explain(task.reason or "no reason given") for task in stuck)) or None
     return replace(row, queued=queued, running=running, waits=_waits(tasks, probing), stuck=never)
 
 

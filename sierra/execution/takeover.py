@@ -58,7 +58,7 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
             continue
         if row.query is None:
             observer.notice(
-                f"session {row.session} is of a replay that nobody awaits any more: it is recorded, and nothing is compared"
+                f"session {row.session} belongs to a replay that has ended: its runs are recorded, but not compared"
             )
         told.append(attach(store, session, _tally(store, row, observer)))
         left += [row.session] if told[-1].left else []
@@ -92,7 +92,9 @@ def found(store: Store, prefix: str) -> list[Standing]:
     """Return the sessions on clusters for this id prefix, attended or not. Raises NotFound if there are none."""
     rows = [row for paths in named(store, prefix) if (row := submitted(paths))]
     if not rows:
-        raise NotFound(f"nothing of {prefix!r} is on a cluster now; sierra status shows what is, sierra ls what is recorded")
+        raise NotFound(
+            f"{prefix!r} has no jobs on a cluster; sierra status lists cluster jobs, sierra ls lists recorded batches"
+        )
     return rows
 
 

@@ -39,18 +39,18 @@ SELECT (SELECT count(*) FROM batches WHERE batch = $batch) AS kept,
 """
 SHOWN = 10
 ASKED = ("query", "runs", "controller", "scenario", "base_seed")
-CHANGES = "sierra.toml makes other changes to the template (variables, changes, controllers, scenarios, seed, platforms)"
+CHANGES = "sierra.toml changes the template differently (variables, changes, controllers, scenarios, seed, platforms)"
 
 
 def why_new(plan: Plan, store: Store | None) -> list[str]:
     """Return the differences between a plan and the last batch over the same axes, one line each."""
     if store is None:
-        return ["nothing is recorded here yet"]
+        return ["the store is still empty"]
     if is_kept(plan, store):
-        return ["this batch is recorded; an asking that was ended left these runs for later"]
+        return ["this batch is recorded; an earlier session ended before it executed these runs"]
     rows = store.rows(LIKE, axes=[axis.name for axis in plan.batch.axes], batch=plan.batch.id)
     if not rows:
-        return ["no batch over these variables is recorded"]
+        return ["no batch with these variables is recorded"]
     before = rows[0]
     lines = [*_made_from(plan, store, before), *_asked(plan, before)]
     return [f"compared with batch {short(before['batch'])} ({before['query']}):", *(lines or [CHANGES])]
@@ -108,7 +108,7 @@ def respelled(plan: Plan, store: Store) -> Iterator[str]:
         if not store.rows(SHARED, batch=before["batch"], runs=runs):
             yield (
                 f"{name}={now} is written {then} in batch {short(before['batch'])} ({before['query']}), "
-                f"so that the input has other bytes and runs are new; write {name}={then} to reuse those"
+                f"so the input has different bytes and runs are new; write {name}={then} to reuse the recorded runs"
             )
             return
 
@@ -176,7 +176,7 @@ def _image(plan: Plan, store: Store, before: dict[str, Any]) -> Iterator[str]:
         if was and now:
             yield _inside(was, now, mentioned(spec.command, plan.project.root))
     if reach := other_host_access(before["host_access"] or (), spec.host_access):
-        yield f"what runs reach beyond the image has changed: {', '.join(reach)}"
+        yield f"the host access of runs has changed: {', '.join(reach)}"
 
 
 def _recorded(store: Store, identity: str | None) -> Contents | None:
@@ -201,9 +201,9 @@ def _inside(was: Contents, now: Contents, words: frozenset[str]) -> str:
         for change in those
     ]
     if changes:
-        return f"other packages in it: {few(changes, SHOWN)}"
+        return f"the images differ in packages: {few(changes, SHOWN)}"
     texts = [change.text for change in files(was.listing, now.listing)]
-    return f"other files in it: {few(texts, SHOWN)}" if texts else "it has the same packages and files"
+    return f"the images differ in files: {few(texts, SHOWN)}" if texts else "both images have the same packages and files"
 
 
 def _source(plan: Plan, store: Store, tree: str) -> list[str]:
@@ -220,5 +220,5 @@ def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:
     now = batch_row(plan)
     names = [name for name in ASKED if name not in now["axes"]]
     lines = [f"{name} was {before[name]!r} and is {now[name]!r}" for name in names if before[name] != now[name]]
-    lines += [f"--set {change} is new" for change in now["overrides"] if change not in before["overrides"]]
-    return lines + [f"--set {change} is gone" for change in before["overrides"] if change not in now["overrides"]]
+    lines += [f"--set {change} was added" for change in now["overrides"] if change not in before["overrides"]]
+    return lines + [f"--set {change} was removed" for change in before["overrides"] if change not in now["overrides"]]

@@ -70,7 +70,7 @@ def _why(snapshot: Snapshot, row: dict[str, Any]) -> Reason:
 
 
 def _other(snapshot: Snapshot, row: dict[str, Any]) -> str:
-    return few([*_differences(snapshot, row)], SHOWN) or "which programs or rules is not recorded"
+    return few([*_differences(snapshot, row)], SHOWN) or "the differing programs or rules are not recorded"
 
 
 def _differences(snapshot: Snapshot, row: dict[str, Any]) -> Iterator[str]:

@@ -17,7 +17,7 @@ from sierra.explain.diff.environment import other_programs, other_rules
 from sierra.model import Purpose
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
-from sierra.util.text import few
+from sierra.util.text import counted, few
 
 SHOWN = 4
 
@@ -190,14 +190,14 @@ def _more(snapshot: Snapshot) -> dict[str, list[str]]:
     """Return, by session, lines about runs that were started or executed more often than requested, and the reasons."""
     told: dict[str, list[str]] = {}
     for row in snapshot.rows(CUT):
-        why = few([trouble for trouble in row["errors"] if trouble], SHOWN) or "nobody says by what"
-        which = f"elements were cut off {row['times']} times" if row["times"] > 1 else "an element was cut off"
-        line = f"{which}, with {row['interrupted']} of its runs in flight, which were begun again: {why}"
+        why = few([trouble for trouble in row["errors"] if trouble], SHOWN) or "unknown cause"
+        which = f"array tasks were interrupted {row['times']} times" if row["times"] > 1 else "an array task was interrupted"
+        line = f"{which} while {counted(row['interrupted'], 'run')} executed; these runs were started again: {why}"
         told.setdefault(row["session"], []).append(line)
     for row in snapshot.rows(COPIED):
-        other = f"{row['other']} of them with other results" if row["other"] else "with the same results"
-        which = f"{row['copies']} (as {short(row['execution'])}), {other}"
-        line = f"executed twice, as two copies of an element lived at a time: {which}"
+        other = f"{row['other']} of them with different results" if row["other"] else "with the same results"
+        which = f"{row['copies']} (for example, {short(row['execution'])}), {other}"
+        line = f"executed twice, because two copies of an array task ran at the same time: {which}"
         told.setdefault(row["session"], []).append(line)
     return told
 
@@ -209,7 +209,7 @@ def _cause(snapshot: Snapshot, row: Mapping[str, Any], replay: Mapping[str, Any]
 
 def _why(snapshot: Snapshot, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> Reason:
     if row["purpose"] != Purpose.RUN:
-        of = f" of {replay['kind']} {short(replay['target'])}: {replay['verdict']}" if replay else ", which was not ended"
+        of = f" of {replay['kind']} {short(replay['target'])}: {replay['verdict']}" if replay else " that did not end"
         return Reason(ChangeReason.REPLAY, of)
     if row["worth"] is None:
         return Reason(ChangeReason.CONCURRENT if row["beside"] else ChangeReason.NEW)
@@ -225,4 +225,4 @@ def _why(snapshot: Snapshot, row: Mapping[str, Any], replay: Mapping[str, Any] |
 
 
 def _lines(changes: Iterator[Any]) -> str:
-    return few([change.line for change in changes], SHOWN) or "which ones is not recorded"
+    return few([change.line for change in changes], SHOWN) or "the differences are not recorded"

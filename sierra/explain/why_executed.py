@@ -108,7 +108,7 @@ def _before(snapshot: Snapshot, batch: str) -> str | None:
 def _because(project: LoadedProject, store: Store, batch: str, before: str | None) -> Iterator[str]:
     """Yield the reasons why the runs of a batch were new in its first session."""
     if before is None:
-        yield "nothing over these variables was recorded before"
+        yield "no batch with these variables was recorded before"
         return
     yield f"compared with batch {short(before)}:"
     yield from diff.made_other(project, store, before, batch)

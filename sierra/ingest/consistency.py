@@ -16,6 +16,7 @@ from sierra.store.layout import SessionPaths
 from sierra.store.store import Store
 from sierra.store.type_inference import AS_TEXT, own_kind, right_kind
 from sierra.store.views import ORDER
+from sierra.util.text import counted
 
 ANY_TABLE = "SELECT 1 FROM all_artifacts WHERE kind = 'table' LIMIT 1"
 
@@ -86,15 +87,15 @@ def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | No
     """Yield the executions among siblings whose table `name` differs, each with the difference."""
     having = [row for row in siblings if row["rows"] is not None]
     lacking = [row for row in siblings if row["rows"] is None]
-    count = len(siblings) - 1  # a run is not its own sibling
+    others = f"the {counted(len(siblings) - 1, 'other run')} of its experiment"
     ragged = declared is not None and declared.mismatch == "ragged"
     if declared is None or declared.required:
         if len(having) < len(lacking):
             for row in having:
-                yield row["execution"], f"there is a table {name!r}, which {len(lacking)} of its {count} siblings do not have"
+                yield row["execution"], f"there is a table {name!r}, but {len(lacking)} of {others} have none"
             return
         for row in lacking:
-            yield row["execution"], f"table {name!r} is not there; {len(having)} of its {count} siblings have it"
+            yield row["execution"], f"table {name!r} is missing, but {len(having)} of {others} have it"
     forms = Counter(form for row in having for form in row["forms"])
     parsed = {form: json.loads(form) for form in forms}
     likely = _likely([(parsed[form], number) for form, number in forms.items()])
@@ -108,14 +109,14 @@ def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | No
         most = max(rows, key=lambda number: (rows[number], number))
         for row in having:
             if row["rows"] != most:
-                told = f"has {row['rows']} rows where {rows[most]} of its {count} siblings have {most}"
+                told = f"has {row['rows']} rows, but {rows[most]} of {others} have {most}"
                 yield row["execution"], f"table {name!r} {told} {allow}"
 
 
 def _allowing(name: str, undeclared: str | None) -> str:
     """Return the hint about the declaration that allows tables to differ."""
     file = f"file = {json.dumps(undeclared, ensure_ascii=False)}, " if undeclared else ""
-    return f'(if that may be so: {file}mismatch = "ragged" in [outputs.{name}])'
+    return f'(to allow this, set {file}mismatch = "ragged" in [outputs.{name}])'
 
 
 def _likely(forms: Sequence[tuple[Mapping[str, Any], int]]) -> dict[str, Any]:
@@ -154,19 +155,19 @@ def _kind(kinds: Mapping[str, int]) -> str:
 def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any], ragged: bool, allow: str) -> str | None:
     """Return how a table differs from its siblings', apart from the number of rows; None if it does not."""
     if form["file"] != likely["file"]:
-        return f"comes from {form['file']!r} where its siblings' come from {likely['file']!r}"
+        return f"comes from {form['file']!r}, but in other runs from {likely['file']!r}"
     columns = tuple(form["columns"])
     if columns and columns != likely["columns"] and not ragged:
         return f"{difference(columns, likely['columns'])} {allow}"
     if wrong := _misfit(form["columns"], likely["kinds"]):
         name, kind = wrong
         if (hint := form.get("hints", {}).get(name)) and likely["kinds"][name] == "number":
-            return f"is unlike its siblings': {hint}"
-        told = f"has {many(kind)} in the column {name!r} where its siblings have {many(likely['kinds'][name])}"
+            return f"differs from other runs: {hint}"
+        told = f"has {many(kind)} in column {name!r}, but other runs have {many(likely['kinds'][name])}"
         again = kind.endswith(AS_TEXT) or likely["kinds"][name] == "text"
-        return told + " (it was recorded before most of them; asked again, it is read as they are)" * again
+        return told + " (it was recorded before most of them; run the query again to read it like them)" * again
     if likely["ended"] and not form["ended"]:
-        return "is cut short: its last line has no line feed at its end"
+        return "is truncated: its last line does not end with a line feed"
     return None
 
 

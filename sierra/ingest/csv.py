@@ -21,8 +21,8 @@ from sierra.store.duckdb_files import csv_given
 DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
 """The number of bytes of a first line that a worker reports."""
-COMMENTS = "comments are not read; write them to another file"
-QUOTING = "write a field with quotes in it in quotes, and those in it twice"
+COMMENTS = "comments are not supported; write them to another file"
+QUOTING = "put fields that contain quotes in quotes, and double the quotes inside"
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 """Control characters that are not allowed in column names."""
 
@@ -41,7 +41,7 @@ class Csv(Text):
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         for file in files:
             if file.bytes == 0 and self.shape.header:
-                self.fault(file, "is empty; not even a header")
+                self.fault(file, "is empty and has no header")
         self._cut(self.sound(files))
         heads = {file.path: _first_record(file) for file in self.sound(files)}
         described = self._described(Counter(heads.values()))
@@ -65,17 +65,17 @@ class Csv(Text):
         delimiter = self.shape.delimiter or delimiter_of(head)
         names = split(head, delimiter)
         if not any(names):
-            return "is empty, where the names of the columns should be"
+            return "is empty, but must contain the column names"
         if "\ufffd" in head or CONTROL.search(head):
-            return f"is no text in UTF-8 (is it compressed?): {head[:80]!r}"
+            return f"is not UTF-8 text (is it compressed?): {head[:80]!r}"
         if head.count('"') % 2:
             return f"quotes are not closed: {head[:80]!r}"
         if all(reads_as_number(name) for name in names):
-            return "numbers, no names of columns (if it has no header: header = false in [outputs.…])"
+            return "numbers instead of column names (if the file has no header, set header = false in [outputs.…])"
         names = tuple(name or f"column{place}" for place, name in enumerate(names))
         doubled = [name for name, count in Counter(names).items() if count > 1]
         if doubled:
-            return f"the column {doubled[0]!r} is there twice"
+            return f"the column {doubled[0]!r} occurs twice"
         return Part(names, delimiter)
 
     def _numbered(self, head: str, delimiter: str) -> Part | None:
@@ -127,7 +127,7 @@ class Csv(Text):
 
     @property
     def _first_line(self) -> str:
-        return "the names of the columns" if self.shape.header else "the first row"
+        return "the column names" if self.shape.header else "the first row"
 
     @property
     def _empty(self) -> bool:
@@ -141,9 +141,9 @@ class Csv(Text):
 
     def miscount(self, file: Written, counted: int, read: int) -> str:
         if not self.part.names:
-            return f"line 1: is empty, and {counted} rows follow; name the columns (columns = [...] in [outputs.…])"
+            return f"line 1: is empty, but {counted} rows follow; name the columns (set columns = [...] in [outputs.…])"
         told = self.first_fault(file, self.part.names, dict.fromkeys(self.part.names, "VARCHAR"))
-        return told or f"{super().miscount(file, counted, read)} ({QUOTING}, and end all lines alike)"
+        return told or f"{super().miscount(file, counted, read)} ({QUOTING}, and end all lines in the same way)"
 
     def _unquoted(self, file: Written) -> str:
         """Return the position of the first error in quotes; if all quotes have a partner, the first line with an odd number."""
@@ -162,8 +162,8 @@ class Csv(Text):
         names = [name for place, name in enumerate(self.part.names) if name != f"column{place}" and not reads_as_number(name)]
         for file in files if self.shape.header else ():
             if names and all(found[name].get(file.path) == "VARCHAR" for name in names) and (line := self._header_again(file)):
-                told = f"line {line}: the header is there again: {_first_record(file)[:80]!r}"
-                yield file, f"{told} (is it appended to? write it once, before all rows)"
+                told = f"line {line}: the header is repeated: {_first_record(file)[:80]!r}"
+                yield file, f"{told} (did the run append to the file? write the header once, before all rows)"
 
     def _header_again(self, file: Written) -> int | None:
         """Return the first line that repeats the header; None if a single column of texts contains the name as a value."""
@@ -198,7 +198,7 @@ class Csv(Text):
         ended = len(files) - len(cut) + self.shape.ended
         if ended >= len(cut) + self.shape.files - self.shape.ended:
             for file in cut:
-                self.fault(file, f"line {file.lines + 1}: its last line is cut short (no line feed at its end)")
+                self.fault(file, f"line {file.lines + 1}: the last line is truncated (it does not end with a line feed)")
 
     def first_fault(self, file: Written, names: Sequence[str], types: Mapping[str, str]) -> str | None:
         ends: set[str] = set()
@@ -215,7 +215,7 @@ class Csv(Text):
             if fault := self._fault_in(record, names, types):
                 if only_comments and line > 1 and not is_comment:
                     return (
-                        f"line 1: is a comment, where {self._first_line} should be: {_first_record(file)[:80]!r} ({COMMENTS})"
+                        f"line 1: is a comment, but {self._first_line} must be here: {_first_record(file)[:80]!r} ({COMMENTS})"
                     )
                 about = f" ({COMMENTS})" if is_comment else ""
                 return f"line {line}: {fault}{about}"
@@ -233,7 +233,7 @@ class Csv(Text):
             return f"{few} fields ({len(record)}, not {len(names)}): {text[:80]!r}"
         for name, cell in zip(names, record, strict=False):
             if types[name] == "DOUBLE" and cell and not reads_as_number(cell):
-                return f"text where numbers are in column {name!r}: {cell[:80]!r}"
+                return f"text in the numeric column {name!r}: {cell[:80]!r}"
         return None
 
 
@@ -285,7 +285,7 @@ def _read_slowly(file: Written, delimiter: str) -> Iterator[tuple[int, list[str]
                 yield line, record, "\n" if reader.line_num > line and not file.ended else _end(ends)
                 line = reader.line_num + 1
         except csv.Error as error:
-            yield line, f"quotes are not closed, or not as CSV has them ({error})", ""
+            yield line, f"quotes are not closed or not valid in CSV ({error})", ""
 
 
 def _end(ends: list[str]) -> str:

@@ -33,7 +33,7 @@ class Jsonl(Text):
         """Return the keys of each file's objects, by path."""
         rows = self.fetch(
             f"SELECT DISTINCT {identifier(FILE)}, CASE WHEN json_type(json) <> 'OBJECT' THEN error('not an object') "
-            "WHEN len(json_keys(json)) <> len(list_distinct(json_keys(json))) THEN error('a key is there twice') "
+            "WHEN len(json_keys(json)) <> len(list_distinct(json_keys(json))) THEN error('a key occurs twice') "
             f"ELSE json_keys(json) END FROM {self._objects()}",
             files,
         )
@@ -67,16 +67,16 @@ class Jsonl(Text):
                 try:
                     pairs = json.loads(text, object_pairs_hook=_Pairs)
                 except (ValueError, RecursionError):
-                    return f"line {line}: is cut short, or no JSON: {shown(text.strip())[:80]!r}"
+                    return f"line {line}: is truncated or not JSON: {shown(text.strip())[:80]!r}"
                 if not isinstance(pairs, _Pairs):
                     return f"line {line}: is not an object: {text.strip()[:80]!r}"
                 doubled = [key for key, count in Counter(key for key, _ in pairs).items() if count > 1]
                 if doubled:
-                    return f"line {line}: the key {doubled[0]!r} is there twice"
+                    return f"line {line}: the key {doubled[0]!r} occurs twice"
                 for key, value in pairs:
                     number = value is None or (isinstance(value, int | float) and not isinstance(value, bool))
                     if types.get(key) == "DOUBLE" and not number:
-                        return f"line {line}: text where numbers are in column {key!r}: {str(value)[:80]!r}"
+                        return f"line {line}: text in the numeric column {key!r}: {str(value)[:80]!r}"
         return None
 
 

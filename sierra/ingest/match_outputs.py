@@ -18,10 +18,10 @@ from sierra.util.text import natural
 AUTOMATIC_AT_MOST = 20
 """The limit on undeclared tables of one run; if a run has more such files, all of them are recorded as files."""
 NOTED_AT_MOST = 1000
-IN_FOLDERS = 'undeclared, in a subfolder ([outputs.NAME] file = "{glob}" makes a table of them)'
-TOO_MANY = f'undeclared, and of more than {AUTOMATIC_AT_MOST} in a run ([outputs.NAME] file = "{{glob}}" makes a table of them)'
-TAKEN = 'undeclared, and another has the table of that name already ([outputs.NAME] file = "{file}" makes it a table)'
-NOT_UTF8 = "with a name that is no UTF-8"
+IN_FOLDERS = 'undeclared and in a subfolder ([outputs.NAME] file = "{glob}" makes a table of them)'
+TOO_MANY = f'undeclared, and more than {AUTOMATIC_AT_MOST} in a run ([outputs.NAME] file = "{{glob}}" makes a table of them)'
+TAKEN = 'undeclared, and another file already makes the table of that name ([outputs.NAME] file = "{file}" makes it a table)'
+NOT_UTF8 = "with a name that is not UTF-8"
 """The reasons why files that look like tables are recorded as files."""
 
 

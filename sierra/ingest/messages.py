@@ -18,8 +18,8 @@ def difference(has: tuple[str, ...], names: tuple[str, ...]) -> str:
     if missing:
         parts.append(f"lacks the column{'s' * (len(missing) > 1)} {_few(map(repr, missing))}")
     if extra:
-        parts.append(f"has the further column{'s' * (len(extra) > 1)} {_few(map(repr, extra))}")
-    return (" and ".join(parts) or "has its columns in another order") + f" (its siblings have {_few(names)})"
+        parts.append(f"has the additional column{'s' * (len(extra) > 1)} {_few(map(repr, extra))}")
+    return (" and ".join(parts) or "has its columns in another order") + f" (other runs have {_few(names)})"
 
 
 def _few(names: Iterable[str]) -> str:

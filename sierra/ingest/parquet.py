@@ -36,7 +36,9 @@ class Parquet(TableReader):
             self._found = self._schemas(self._readable(files))
         for file in self.sound(files):
             if name := self._wide.get(file.path):
-                self.fault(file, f"the column {name!r} has decimals of more than {DIGITS} digits, the most that a table keeps")
+                self.fault(
+                    file, f"the column {name!r} has decimals of more than {DIGITS} digits, which is the maximum of a table"
+                )
         return {path: Part(tuple(columns)) for path, columns in self._found.items()}
 
     def one(self, files: Sequence[Written]) -> None:

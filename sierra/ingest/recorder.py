@@ -166,9 +166,9 @@ class Recorder:
     def _twice(self) -> Iterator[str]:
         """Yield a warning about runs that two attempts executed at the same time."""
         if self._copied:
-            told = f"{self._copied} runs were executed twice, because copies of their elements lived at a time"
-            unlike = f"; {self._unlike} of them came out differently: they are not deterministic" if self._unlike else ""
-            yield f"{told}{unlike}; the table duplicates has them"
+            told = f"{self._copied} runs were executed twice, because copies of their array tasks ran at the same time"
+            unlike = f"; {self._unlike} of them have different results: they are not deterministic" if self._unlike else ""
+            yield f"{told}{unlike}; see the table duplicates"
 
     def _write(self, writer: Writer) -> list[Judgement]:
         """Write everything pending and return the final judgements."""

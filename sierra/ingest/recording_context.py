@@ -114,7 +114,9 @@ class Context:
                 return made
         except (ValueError, LookupError, TypeError, AttributeError):
             pass
-        raise Damaged(f"{path}: is no context that this SIERRA wrote; move {path.parent} away, or go on with the one that did")
+        raise Damaged(
+            f"{path}: was not written by this version of SIERRA; move {path.parent} away, or continue with the other version"
+        )
 
 
 def rules_of(declared: Mapping[str, Any]) -> tuple[dict[str, Output], Success, Used]:

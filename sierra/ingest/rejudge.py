@@ -57,7 +57,7 @@ BYTES = 256 << 20
 """The approximate number of bytes of files that are unpacked at a time."""
 LOGS = (RUN_STDOUT, RUN_STDERR)
 NOT_KEPT = "the bytes of {path!r} are not in the store ([store] raw = false, sierra gc --raw, or an older SIERRA)"
-CUT = "of its {path} only the beginning and the end are in the store"
+CUT = "the store has only the beginning and the end of {path}"
 
 Artifact = Mapping[str, Any]
 
@@ -338,7 +338,7 @@ class _Group:
             written = write_again(snapshot, writer, tables, {one.judgement: result.execution for one, result in good})
         for name, rows in tables.items():
             if rows != written[name]:
-                raise Damaged(f"table {name!r} has {written[name]} rows where {rows} were recorded; see sierra fsck")
+                raise Damaged(f"table {name!r} has {written[name]} rows, but {rows} were recorded; see sierra fsck")
         return Recalled(self.context.outputs, recorded=recorded)
 
     def _is_worth(self, past: Past, one: Judgement) -> bool:

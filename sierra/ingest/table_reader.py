@@ -105,7 +105,7 @@ class TableReader:
 
     def miscount(self, file: Written, counted: int, read: int) -> str:
         """Return the message for a file with a different number of rows than were read."""
-        return f"{counted} rows are in it, but {read} were read: it is not as other readers take it"
+        return f"it contains {counted} rows, but {read} were read: other readers read it differently"
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         """Return the columns (and the delimiter) of each valid file by its path; None if it has no rows and no columns."""
@@ -131,7 +131,7 @@ class TableReader:
             part = found[file.path]
             place = None if part is None else places.setdefault(self.key(part), len(places))
             if place is not None and place >= PARTS:
-                self.fault(file, f"has other columns than {PARTS} other sets of columns; a table has at most so many")
+                self.fault(file, f"has different columns, but a table has at most {PARTS} different sets of columns")
                 continue
             if part is not None and place == len(self.parts):
                 self.parts.append(part)

@@ -20,8 +20,8 @@ from sierra.store.type_inference import AS_TEXT
 from sierra.store.union_files import TEXT
 from sierra.util.text import counted
 
-COMMENT = "the first line is a comment, and comments are not read; begin with the names of the columns, without '#'"
-SEVERAL = "is it several columns? (delimiter = {delimiter} in [outputs.{output}])"
+COMMENT = "the first line is a comment, but comments are not supported; begin with the column names, without '#'"
+SEVERAL = "are these several columns? (set delimiter = {delimiter} in [outputs.{output}])"
 
 
 class TableWarnings:
@@ -52,8 +52,8 @@ class TableWarnings:
             declared = self._context.outputs.get(name)
             alone = sum(number == 1 for number in counts.values())
             if name in self._shapes and len(counts) > 1 and alone and (declared is None or declared.mismatch == "strict"):
-                whose = "one run has columns" if alone == 1 else f"{alone} runs have columns, each its own,"
-                yield f"output {name!r}: {whose} that no other run has; none of its experiment shows whether that is right"
+                whose = "one run has columns" if alone == 1 else f"{alone} runs each have columns"
+                yield f"output {name!r}: {whose} that no other run has; no other run of the experiment can confirm them"
 
     def _renamed(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         """Yield warnings about columns that have another name in SQL, because an axis has their name but other values."""
@@ -64,8 +64,8 @@ class TableWarnings:
             axes = {axis.lower(): axis for axis in snapshot.views.axes()}
             for name in (name for name in self._shapes if not axes.keys().isdisjoint(columns.get(name, ()))):
                 for axis, column, called in _hidden(snapshot, name, axes):
-                    told = f"the column {column!r} of output {name!r} is called {called!r} in SQL"
-                    yield f"{told}: {axis!r} there is the independent variable, and its values are others"
+                    told = f"column {column!r} of output {name!r} is named {called!r} in SQL"
+                    yield f"{told}, because {axis!r} is the independent variable, which has other values"
 
     def _of_kinds(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         """Yield warnings about columns of different kinds in different runs, and about texts that are probably numbers."""
@@ -78,9 +78,9 @@ class TableWarnings:
             stored = {"text" if kind.endswith(AS_TEXT) else kind for kind in counts}
             if len(stored) > 1:
                 held = ", ".join(f"{many(kind)} in {count}" for kind, count in sorted(counts.items()))
-                apart = f"the numbers in {name!r}, and what is none in {name + TEXT!r}"
-                seen = apart if "number" in stored else "all as text"
-                yield f"column {name!r} of output {output!r} holds {held} runs; SQL shows {seen}"
+                apart = f"numbers in {name!r} and other values in {name + TEXT!r}"
+                seen = apart if "number" in stored else "all values as text"
+                yield f"column {name!r} of output {output!r} has {held} runs; SQL shows {seen}"
         yield from self._texts(kinds)
 
     def _texts(self, kinds: Mapping[tuple[str, str], Counter[str]]) -> Iterator[str]:
@@ -89,7 +89,7 @@ class TableWarnings:
         for output, name in texts[:NOTED_AT_MOST]:
             if told := self._as_one_column(kinds, output, name) or self._numeric(kinds, output, name):
                 runs = kinds[output, name].total()
-                yield f"column {name!r} of output {output!r} is text in {counted(runs, 'run')}, and has no figure: {told}"
+                yield f"column {name!r} of output {output!r} is text in {counted(runs, 'run')}, so it has no figure: {told}"
 
     def _as_one_column(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
         """Return advice for a table that has one column because its delimiter or its header was not recognized."""
@@ -126,15 +126,15 @@ def _instead(output: str, name: str, look: str, cells: int, example: str) -> str
     """Return what to write instead of a cell that prevents its column from being numeric."""
     match look.partition(" "):
         case ("comma", _, _):
-            return f"write {example.replace(',', '.')!r} for {example!r}, with a decimal point"
+            return f"write {example.replace(',', '.')!r} instead of {example!r}, with a decimal point"
         case ("grouped", _, _):
-            return f"write {example!r} without what groups its digits"
+            return f"write {example!r} without separators between digits"
         case ("unit", _, unit):
             key = json.dumps(name, ensure_ascii=False)
             told = f"[outputs.{output}] units = {{ {key} = {json.dumps(unit, ensure_ascii=False)} }}"
-            return f"write {example!r} without {unit!r} ({told} says the unit)"
+            return f"write {example!r} without {unit!r} ({told} declares the unit)"
         case ("other" | "missing", _, _):
-            return f"where there is no number, leave the cell empty instead of {example!r} ({counted(cells, 'such cell')})"
+            return f"leave cells without a number empty instead of writing {example!r} ({counted(cells, 'such cell')})"
     return "some further down do not"
 
 
@@ -142,7 +142,7 @@ def lost(names: Sequence[str]) -> Iterator[str]:
     """Yield a warning about entries of the output folder that are not files."""
     if names:
         others = f" and {counted(len(names) - 1, 'other')} are" if len(names) > 1 else " is"
-        yield f"{shown(names[0])!r}{others} not recorded: only files are, and where a link leads is not followed"
+        yield f"{shown(names[0])!r}{others} not recorded: only files are recorded, and links are not followed"
 
 
 def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:

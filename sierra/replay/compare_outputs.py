@@ -120,8 +120,8 @@ class _Contents:
     def rows(self, artifact: Artifact) -> Any:
         rows = self._rows.get(_key(artifact))
         if (count := 0 if rows is None else rows.num_rows) != artifact["rows"]:
-            told = f"{count} of {artifact['rows']} rows of {artifact['output']!r} are in the store"
-            raise Damaged(f"{told}, as execution {artifact['execution'][:10]} wrote them")
+            told = f"{count} of the {artifact['rows']} rows that execution {artifact['execution'][:10]} wrote"
+            raise Damaged(f"the store has {told} to {artifact['output']!r}")
         return rows
 
     def lost(self, was: Artifact, now: Artifact) -> str | None:
@@ -130,7 +130,7 @@ class _Contents:
             known = [row["counted_rows"] for row in (one, other) if row["counted_rows"] is not None]
             truth = next(iter(known), one["rows"])
             if (count := self._counted.get(_key(one), 0)) != truth:
-                return f"the same bytes, but of its {truth} rows the {whose} table has {count} (see sierra fsck)"
+                return f"the same bytes, but the {whose} table has {count} of {truth} rows (see sierra fsck)"
         return None
 
     def bytes(self, artifact: Artifact) -> bytes:
@@ -143,9 +143,9 @@ def _of_artifacts(
     agreements: dict[str | None, Agreement] = {}
     for path in sorted(was.keys() | now.keys()):
         if path not in now:
-            agreements[path] = Agreement(Verdict.DIFFERENT, "was written, and is not there now", form=True)
+            agreements[path] = Agreement(Verdict.DIFFERENT, "was written before and is missing now", form=True)
         elif path not in was:
-            agreements[path] = Agreement(Verdict.DIFFERENT, "was not written, and is there now", form=True)
+            agreements[path] = Agreement(Verdict.DIFFERENT, "was not written before and is new", form=True)
         elif was[path]["sha256"] == now[path]["sha256"]:
             agreements[path] = _identical(contents, was[path], now[path])
         else:

@@ -118,9 +118,11 @@ def other_columns(was: Sequence[str], now: Sequence[str]) -> str:
     """Return a line with the columns that only one of two tables has; it names the first few."""
     lost, more = ([name for name in a if name not in b] for a, b in ((was, now), (now, was)))
     sides = [
-        f"{few([_cut(repr(name)) for name in names], NAMED)} {what}" for names, what in ((lost, "gone"), (more, "new")) if names
+        f"{what} {few([_cut(repr(name)) for name in names], NAMED)}"
+        for names, what in ((lost, "missing"), (more, "new"))
+        if names
     ]
-    return f"other columns: {', '.join(sides)}" if sides else "the same columns in another order"
+    return f"different columns: {', '.join(sides)}" if sides else "the same columns in another order"
 
 
 def _of_columns(recorded: Any, found: Any, columns: list[str], rules: Rules) -> Agreement:
@@ -132,7 +134,7 @@ def _of_columns(recorded: Any, found: Any, columns: list[str], rules: Rules) -> 
         return answer
     answer = _of_rows(_sorted(recorded), _sorted(found), rules, unlike)
     equal = answer.verdict is Verdict.EQUAL
-    return replace(answer, reason="the same rows in another order" if equal else f"rows sorted: {answer.reason}")
+    return replace(answer, reason="the same rows in another order" if equal else f"after sorting the rows: {answer.reason}")
 
 
 def _volatile(recorded: Any, found: Any, rules: Rules) -> list[str]:
@@ -173,20 +175,20 @@ def _of_rows(recorded: Any, found: Any, rules: Rules, unlike: Sequence[str] = ()
     beyond = [one for one in parted if not one.keeps_to(rules.of(one.name))]
     if not beyond:
         far = max(parted, key=lambda one: one.rel)
-        return far.told(Verdict.WITHIN, f"at most {far.far()} in {far.called()}")
+        return far.told(Verdict.WITHIN, f"differences of at most {far.far()} in {far.called()}")
     first = min(beyond, key=lambda one: one.first or 0)
     return first.told(Verdict.DIFFERENT, _in_a_line(first, beyond))
 
 
 def _equal(distances: Sequence[_Distance], unlike: Sequence[str]) -> str:
     """Return the reason why two tables with different bytes are equal."""
-    digits = " (of fractions, the 17 digits that a number holds)" * any(one.fractions for one in distances)
+    digits = " (fractions: the 17 digits that a double holds)" * any(one.fractions for one in distances)
     if not unlike:
-        return f"the same values{digits}, written in other bytes"
-    every = " (which is every column)" * (not distances)
+        return f"the same values{digits}, but different bytes"
+    every = " (which are all columns)" * (not distances)
     named = few([_cut(repr(name)) for name in unlike], NAMED)
-    rest = f"; all else has the same values{digits}" if digits else ""
-    return f"only what is declared volatile{every} differs: {named}{rest}"
+    rest = f"; all other values are the same{digits}" if digits else ""
+    return f"only volatile columns{every} differ: {named}{rest}"
 
 
 def _other_length(was: int, now: int, parted: Sequence[_Distance]) -> Agreement:
@@ -228,8 +230,8 @@ def of_texts(recorded: bytes, found: bytes, volatile: Sequence[str] = ()) -> Agr
         for content in (recorded, found)
     )
     if ours == theirs:
-        every = " (which is every line)" * (not ours)
-        return Agreement(Verdict.EQUAL, f"only what is declared volatile{every} differs")
+        every = " (which are all lines)" * (not ours)
+        return Agreement(Verdict.EQUAL, f"only volatile lines{every} differ")
     if not all(map(_is_text, (recorded, found))):
         return Agreement(Verdict.DIFFERENT, _of_bytes(recorded, found))
     both = zip(ours, theirs, strict=False)
@@ -333,14 +335,14 @@ class _Distance:
 
     def how_far(self) -> str:
         """Return the greatest distance as text; empty if the column is not numeric, or if the distance is not finite."""
-        return f"at worst {self.far()}" if self.numeric and self.abs < float("inf") else ""
+        return f"largest difference {self.far()}" if self.numeric and self.abs < float("inf") else ""
 
     def far(self) -> str:
         known = [
             *([f"relative {self.rel:.3g}"] if self.rel < float("inf") else []),
             *([f"{self.ulp:.3g} ulp"] if self.ulp < MANY_ULP else []),
         ]
-        return f"{self.abs:.3g} apart" + (f" ({', '.join(known)})" if known else "")
+        return f"{self.abs:.3g}" + (f" ({', '.join(known)})" if known else "")
 
     def told(self, verdict: Verdict, why: str) -> Agreement:
         was, now = self._values()
@@ -355,7 +357,7 @@ class _Distance:
 
 def distance(far: float) -> str:
     """Return a distance as text; one that is not finite is not written as a number."""
-    return f"{far:.3g}" if far < float("inf") else "by no number"
+    return f"{far:.3g}" if far < float("inf") else "not finite"
 
 
 def _value(value: Any) -> str:

@@ -53,9 +53,9 @@ def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
 
 
 def _told(run: Compared) -> str:
-    executed = f"run {short(run.taken.run)}, executed twice,"
+    executed = f"run {short(run.taken.run)} was executed twice:"
     if run.verdict is Verdict.IDENTICAL:
-        return f"{executed} left the same bytes"
+        return f"{executed} both executions wrote the same bytes"
     worst = next((path, one) for path, one in run.outputs.items() if one.verdict is run.verdict)
-    told = f"{executed} came out {run.verdict}: {f'{worst[0]}: ' if worst[0] else ''}{worst[1].reason}"
-    return told if run.verdict.fine else f"{told}; runs with one seed are not deterministic"
+    told = f"{executed} the second execution is {run.verdict}: {f'{worst[0]}: ' if worst[0] else ''}{worst[1].reason}"
+    return told if run.verdict.fine else f"{told}; runs with the same seed are not deterministic"

@@ -80,19 +80,19 @@ def _compare(name: str, metric: Equivalence, pairs: list[tuple[float, float]]) -
     alone = sum(any(map(math.isnan, pair)) for pair in pairs)
     if alone or len(pairs) < 2:
         why = (
-            f"{alone} of {len(pairs)} runs have a value only once"
+            f"{alone} of {len(pairs)} runs have no value in the record or in the replay"
             if alone
-            else f"{len(pairs)} runs with a value; two are needed"
+            else f"{len(pairs)} runs have a value, but two are needed"
         )
         return Metric(name, metric, None, None, None, f"{name}: {why}")
     mean, now = (equivalence.mean_of(values) for values in zip(*pairs, strict=True))
     differences = [new - old for old, new in pairs]
     if not all(map(math.isfinite, differences)):
-        return Metric(name, metric, mean, now, None, f"{name}: values differ by more than the largest number")
+        return Metric(name, metric, mean, now, None, f"{name}: values differ by more than the largest possible number")
     margin = metric.margin or (metric.relative or 0.0) * abs(mean)
     if not margin > 0:
         return Metric(
-            name, metric, mean, None, None, f"{name}: the recorded mean is 0, and so is 'relative' of it; use 'margin'"
+            name, metric, mean, None, None, f"{name}: the recorded mean is 0, so 'relative' gives a margin of 0; use 'margin'"
         )
     tested = equivalence.test(differences, margin, metric.alpha)
     return Metric(name, metric, mean, now, tested, _told(name, tested))

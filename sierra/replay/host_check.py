@@ -30,7 +30,7 @@ def unlike(spec: RunSpec, inside: Contents, root: Path) -> Iterator[str]:
     found = programs.find(words, variables, root)
     other = [line for one in found.all if (line := _other(one, inside, root))]
     if other:
-        yield f"not contained, and with other programs than those of {inside.image.name}: {few(other, SHOWN)}"
+        yield f"not executed in a container, and with other programs than in image {inside.image.name}: {few(other, SHOWN)}"
 
 
 def _other(one: Program, inside: Contents, root: Path) -> str | None:

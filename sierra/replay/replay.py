@@ -100,7 +100,7 @@ def replay(
     Raises NotFound for an unknown id, Missing if the source, a program or an input no longer exists.
     """
     if not os.access(store.paths.root, os.W_OK):
-        raise Missing(f"cannot write to {store.paths.root}; a replay with --no-record does not need to")
+        raise Missing(f"cannot write to {store.paths.root}; use --no-record to replay without writing there")
     observer = observer or Observer()
     recover.finish_dead(store)
     record = _look_up(store, store.resolve(prefix), options.runs)
@@ -193,9 +193,9 @@ def unrecorded(
     Raises the same errors as `replay`, and UsageError for options that need the record: to keep folders, or to use a cluster.
     """
     if options.keep:
-        raise UsageError("--keep leaves folders in the store; ask without --no-record")
+        raise UsageError("--keep keeps folders in the store; remove --no-record")
     if runners.find(options.runner, project.config.runners)(options.slots).stays:
-        raise UsageError(f"what {options.runner!r} executes is found again by the record; ask without --no-record")
+        raise UsageError(f"runner {options.runner!r} needs the record to find its runs again; remove --no-record")
     own = project.config.store.model_copy(update={"work_folder": None})  # the temporary store is in that folder already
     inner = replace(project, config=project.config.model_copy(update={"store": own}))
     with store.beside(project.config.store.place()) as other:
@@ -210,7 +210,9 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         good = [one for one in named if one.status == "ok"]
         taken = [one for one in good if runs is None or one.number < runs]
         if not taken:
-            raise NotFound(f"{found.kind} {short(found.id)} has no good execution to compare with; sierra run makes one")
+            raise NotFound(
+                f"{found.kind} {short(found.id)} has no successful execution to compare with; execute it with sierra run"
+            )
         snapshot.views.make(("batch_runs", "experiments", "batches"))
         batch = where(snapshot, found).batch
         snapshot.register("taken", pa.table({"execution": [str(one.judgement) for one in taken]}))
@@ -237,13 +239,15 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
     )
     left = sum(one.judgement in wrote for one in taken)
     if not left:
-        raise Missing(f"{found.kind} {short(found.id)} left nothing but logs, which are not compared")
+        raise Missing(f"{found.kind} {short(found.id)} wrote only logs, and logs are not compared")
     if left < len(taken):
-        record.notes.append(f"{len(taken) - left} of {len(taken)} runs left nothing but logs, which are not compared")
+        record.notes.append(f"{len(taken) - left} of {len(taken)} runs wrote only logs, and logs are not compared")
     if without := len(named) - len(good):
-        record.notes.append(f"{without} of {len(named)} runs have no good execution to compare with; they are left out")
+        record.notes.append(
+            f"{without} of {len(named)} runs have no successful execution to compare with; they are not replayed"
+        )
     if len({(row["programs"], row["ingest_rules"]) for row in by}) > 1:
-        record.notes.append("not all runs were recorded with the same programs and rules; those of the first are heeded")
+        record.notes.append("not all runs were recorded with the same programs and rules; the first ones are used")
     return record
 
 
@@ -271,7 +275,7 @@ def _declared(record: _Record, project: LoadedProject, tolerances: Tolerances) -
     declared = {**record.of.outputs, **project.config.outputs}
     known = sorted({*declared, *record.tables})
     if unknown := tolerances.keys() - {"*", *known}:
-        raise UsageError(f"--set-tolerance: no output {min(unknown)!r}; there is {', '.join(known) or 'none'}")
+        raise UsageError(f"--set-tolerance: unknown output {min(unknown)!r}; known outputs: {', '.join(known) or 'none'}")
     for name, columns in tolerances.items():
         _check_columns(name, columns, record.tables)
     for name, output in declared.items():
@@ -308,13 +312,13 @@ def _metrics(
     if not project.config.equivalence or record.found.kind not in ("batch", "experiment"):
         return None
     if not record.whole:
-        record.notes.append("equivalence is judged of whole experiments alone: replay without --runs")
+        record.notes.append("equivalence is tested only for whole experiments: replay without --runs")
         return None
     executions = {one.run: str(one.judgement) for one in record.runs}
     try:
         return equivalence.values(store, record.of.batch, executions, project.config.equivalence, declared)
     except NotFound as error:
-        record.notes.append(f"[equivalence]: {error}; no experiment is judged by it")
+        record.notes.append(f"[equivalence]: {error}; no experiment is tested for equivalence")
         return None
 
 
@@ -322,7 +326,7 @@ def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
     """Yield a line for each program that differs from the record; the code is in `root`."""
     if now.id != of.fingerprint:
         words = mentioned(of.spec.command, root)
-        yield from (f"other programs: {line}" for line in programs.told(of.programs, now, words))
+        yield from (f"different programs: {line}" for line in programs.told(of.programs, now, words))
 
 
 def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> Iterator[str]:
@@ -331,7 +335,7 @@ def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> 
         for name, was, found in environment.differing(row, around):
             if name in ARITHMETIC:
                 old, new = (", ".join(one) or "none" if isinstance(one, list) else one or "none" for one in (was, found))
-                yield f"other machine: {name} {'that differ: ' if isinstance(was, list) else ''}was {old}, is {new}"
+                yield f"different machine: {name} {'that differ: ' if isinstance(was, list) else ''}was {old}, is now {new}"
 
 
 def _inputs(record: _Record, store: Store) -> Iterator[tuple[Run, Files]]:
@@ -388,7 +392,7 @@ def _experiments(
         try:
             now = equivalence.values(store, record.of.batch, executions, project.config.equivalence, declared)
         except NotFound as error:
-            record.notes.append(f"[equivalence]: {error}; the replay has no value of it")
+            record.notes.append(f"[equivalence]: {error}; the replay has no values to compare")
             now = {name: {} for name in project.config.equivalence}
     for place, runs in by_place.items():
         found: tuple[Metric, ...] = ()

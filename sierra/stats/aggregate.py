@@ -240,7 +240,7 @@ def at_times(
         runs = seen.runs.values()
         differ = max(runs) > 1 and seen.rows / max(1, table.num_rows) < sum(runs) / len(runs) / 2
         if times == "own" or not differ:
-            return table, text, ["times differ: each run at its own"] if differ else []
+            return table, text, ["times differ: each run has its own times"] if differ else []
     grid = _common(frame, seen)
     table, text = resampled(frame, grid, statistics, seen, linear=times == "linear", whole=whole)
     how = "interpolated linearly" if times == "linear" else "last values carried forward"
@@ -348,7 +348,7 @@ def _check(figure: Figure, axes: Sequence[Axis], frames: Mapping[str, Frame]) ->
     if not frames:
         raise UsageError(f"a {figure.kind} figure needs a column; name one with `column`")
     if figure.kind == "heatmap" and len(axes) != 2:
-        raise UsageError(f"a heatmap needs two independent variables, this batch has {len(axes)}; use a summary")
+        raise UsageError(f"a heatmap needs two independent variables, but this batch has {len(axes)}; use a summary")
     if figure.kind != "stacked" and len(frames) != 1:
         raise UsageError(f"a {figure.kind} figure shows one column, not {len(frames)}: {', '.join(frames)}")
 
@@ -376,7 +376,7 @@ def left_out(
     wanted = sum((planned or {}).values())
     absent = sum(max(0, count - seen.runs.get(experiment, 0)) for experiment, count in (planned or {}).items())
     if absent:
-        notes.append(f"{absent} of {_count(wanted, 'run')} absent")
+        notes.append(f"{absent} of {_count(wanted, 'run')} missing")
     for name, what in (("missing", "missing value"), ("infinite", "infinite value")):
         if count := sum(_total(table, name) for table in tables):
             notes.append(f"{_count(count, what)} left out")

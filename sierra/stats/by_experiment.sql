@@ -1,6 +1,6 @@
--- x, per experiment: the finite values that its runs were reduced to, sorted, so that no statistic depends on the order in
--- which threads deliver rows; how many of them are neither 0 nor 1; how many values were not numbers, or infinite, or (never) are not known because the run
--- ended before its time came.
+-- x, per experiment: the finite values of its runs, one per run, sorted, so that no statistic depends on the order in which
+-- threads deliver rows. Also counted: values that are neither 0 nor 1, values that are not numbers or infinite, and (never)
+-- runs that ended before they reached the threshold.
 SELECT
   experiment,
   coalesce(list_sort(list(value) FILTER (isfinite(value))), []) AS x,

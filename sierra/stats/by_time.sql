@@ -1,5 +1,5 @@
 -- x, per experiment and time: the finite values of all runs, sorted, so that no statistic depends on the order in which
--- threads deliver rows; how many of them are neither 0 nor 1. What is not a number or infinite is not in x; it is counted.
+-- threads deliver rows; and the number of values that are neither 0 nor 1. Values that are not numbers or infinite are only counted.
 SELECT
   experiment,
   t,

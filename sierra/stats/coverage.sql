@@ -1,5 +1,5 @@
--- coverage, per experiment: how many runs there are, the most rows of one, the span of their times,
--- how many rows have no finite time (left out of everything), and how many runs have two rows at one time.
+-- coverage, per experiment: the number of runs, the largest number of rows of a run, the first and the last time, the number
+-- of rows without a finite time (no statistic uses them), and the number of runs with two rows at the same time.
 SELECT
   experiment,
   count(*) AS runs,

@@ -53,7 +53,7 @@ def test(differences: Sequence[float], margin: float, alpha: float) -> Tested:
     """Test n differences of pairs. Raises ValueError for fewer than two, one that is not finite, or a margin not above 0."""
     n = len(differences)
     if n < 2 or not margin > 0 or not all(map(isfinite, differences)):
-        raise ValueError(f"{n} pairs and a margin of {margin}: two pairs, all finite, and a margin above 0 are needed")
+        raise ValueError(f"{n} pairs and a margin of {margin}: at least two pairs, all finite, and a margin above 0 are needed")
     mean, error = mean_of(differences), _error(differences)
     if error == 0:
         within = abs(mean) < margin

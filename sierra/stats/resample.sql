@@ -1,6 +1,6 @@
 -- value(g) of each run at each time g of $grid, from its samples (t₁, v₁), (t₂, v₂), … where tᵢ ≤ g < tᵢ₊₁:
 --   vᵢ, the last observation carried forward, or, with $linear, vᵢ + (vᵢ₊₁ − vᵢ) · (g − tᵢ) / (tᵢ₊₁ − tᵢ).
--- Nothing before a run's first time or after its last; a missing value stays missing until the run has another.
+-- A run has no value before its first time or after its last; a missing value stays missing until the run's next value.
 SELECT
   points.experiment,
   points.run,

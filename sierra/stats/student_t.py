@@ -32,7 +32,7 @@ def quantile(p: float, df: float) -> float:
     Raises ValueError unless 0 < p < 1 and df ≥ 1.
     """
     if not 0 < p < 1 or not df >= 1:
-        raise ValueError(f"no Student-t quantile for p = {p} and df = {df}; p lies between 0 and 1, df from 1 upwards")
+        raise ValueError(f"no Student-t quantile for p = {p} and df = {df}; p must be between 0 and 1, and df at least 1")
     if p == 0.5:
         return 0.0
     if p < 0.5:

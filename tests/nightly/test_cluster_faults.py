@@ -316,7 +316,7 @@ def test_preempted_array_tasks_continue_with_their_remaining_runs(
     assert rows(gated.project, "SELECT count(*) AS n FROM attempts WHERE state = 'cut off' AND interrupted_runs = 1") == [
         {"n": 3}
     ]
-    assert "elements were cut off 3 times, with 3 of its runs in flight, which were begun again" in why(gated)
+    assert "array tasks were interrupted 3 times while 3 runs executed; these runs were started again" in why(gated)
     at_rest(gated.slurm, gated.project)
 
 

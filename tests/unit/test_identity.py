@@ -159,7 +159,7 @@ def test_new_runs_caused_only_by_another_spelling_of_a_number_are_reported(tmp_p
         ran = projects.quick(folder, "run", "noise=0.0,0.5", *words)
         [line] = [line for line in ran.stderr.splitlines() if "written" in line]
         assert line.startswith("note: noise=0.0 is written 0 in batch ")
-        assert line.endswith("write noise=0 to reuse those")
+        assert line.endswith("write noise=0 to reuse the recorded runs")
     assert "is written" not in projects.quick(folder, "run", "noise=0.0,0.5", "-n").stderr
 
 

@@ -507,8 +507,8 @@ def test_template_may_render_arguments_and_several_files(plain: Path, tmp_path: 
 
 def test_arguments_placeholder_needs_a_suitable_template_and_must_be_a_whole_word(plain: Path) -> None:
     change(plain, "python3 sim.py {input}", "python3 sim.py {arguments}")
-    told = "sierra: command: {arguments} needs a template that gives arguments; arena.xml gives none"
+    told = "sierra: command: {arguments} needs a template that provides arguments; arena.xml provides none"
     assert refused(plain, "run", "population_size=1") == told
     change(plain, "{arguments}", "--all={arguments}")
-    told = "sierra: command: {arguments} stands for several words; write it as a word of its own, not '--all={arguments}'"
+    told = "sierra: command: {arguments} expands to several words; write it as a separate word, not '--all={arguments}'"
     assert refused(plain, "run", "population_size=1") == told

@@ -347,7 +347,7 @@ def scale_values(plot: Any, axis: Axis, *, log: bool, margin: float = 0.04) -> N
         return
     values = [float(value) for value in axis.values]
     if log and min(values) <= 0:
-        raise UsageError(f"log_x needs values above 0, {axis.name} has {number(min(values))}")
+        raise UsageError(f"log_x needs values above 0, but {axis.name} has {number(min(values))}")
     if log or geometric(axis.values):
         plot.set_xscale("log", base=2)
     low, high = min(values), max(values)
@@ -387,7 +387,7 @@ def scale_y(plot: Any, drawing: Drawing, lowest: float, highest: float) -> None:
     if not drawing.figure.log_y:
         return
     if not highest > 0:
-        raise UsageError("log_y needs values above 0, and there is none")
+        raise UsageError("log_y needs values above 0, but there are none")
     plot.set_yscale("log", nonpositive="clip")
     log_ticks(plot, lowest, highest)
 

@@ -58,7 +58,7 @@ def stacked(drawing: Drawing) -> Figure:
     units = {name: drawing.units.get(name, "") for name in drawing.tables}
     if len(set(units.values())) > 1:
         told = ", ".join(f"{name} [{unit}]" if unit else f"{name} (no unit)" for name, unit in units.items())
-        raise UsageError(f"only columns of one unit can be stacked, not {told}; see units in [outputs]")
+        raise UsageError(f"only columns with the same unit can be stacked, not {told}; see units in [outputs]")
     if "t" in next(iter(drawing.tables.values())).column_names:
         return _stacked_over_time(drawing, center)
     return _stacked_over_axis(drawing, center)
@@ -100,7 +100,9 @@ def with_n(entries: list[str], counts: list[int]) -> list[str]:
 
 def _panel_count(drawing: Drawing, combinations: list[Any]) -> int:
     if len(combinations) > PANELS:
-        raise UsageError(f"{len(combinations)} panels are more than {PANELS}; draw a summary or a heatmap")
+        raise UsageError(
+            f"the figure needs {len(combinations)} panels, but at most {PANELS} are possible; draw a summary or a heatmap"
+        )
     return len(combinations)
 
 

@@ -23,7 +23,8 @@ def source(store: Store, root: Path, before: Side, after: Side) -> Iterator[Diff
     if was == now:
         return
     if was is None or now is None:
-        yield Difference("source", "tree", f"source: {'none counted' if was is None else 'none counts now'}", was, now)
+        told = "not part of the identity before" if was is None else "no longer part of the identity"
+        yield Difference("source", "tree", f"source: {told}", was, now)
     else:
         yield _tree(store, root, before, after)
 
@@ -33,8 +34,8 @@ def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
     try:
         old, new = (State(side.spec["source"], store.object(side.source["files"])) for side in (before, after))
     except (KeyError, NotFound, Damaged) as error:
-        why = "the list of its files is not in the store" if isinstance(error, KeyError | NotFound) else error
-        return Difference("source", "tree", f"source: another tree; {why}", was, now)
+        why = "the list of files is not in the store" if isinstance(error, KeyError | NotFound) else error
+        return Difference("source", "tree", f"source: the files differ; {why}", was, now)
     found = patch.between(old, new, root, lambda blob: _blob(store, blob))
     commits = _commits(root, before, after)
     files = [_file(file, known=file.path not in found.unknown) for file in found.files]
@@ -56,7 +57,7 @@ def _file(file: File, *, known: bool) -> str:
         case what:
             counts = f"+{file.added} −{file.removed}" if file.added is not None else ""
             told = ", ".join(filter(None, ("" if what == "changed" else what, counts)))
-            return f"{file.path} ({told or ('binary' if known else 'content gone')})"
+            return f"{file.path} ({told or ('binary' if known else 'content lost')})"
 
 
 def _blob(store: Store, blob: str) -> bytes | None:
@@ -75,13 +76,13 @@ def _how(commits: Commits, after: Side) -> str:
     """Return a text about the commits between both sides, and about uncommitted changes of the later one."""
     told = []
     if commits.on:
-        told.append(f"{commits.on} commit{'s' * (commits.on > 1)} on")
+        told.append(f"{commits.on} commit{'s' * (commits.on > 1)} ahead")
     if commits.back:
-        told.append(f"{commits.back} commit{'s' * (commits.back > 1)} back")
+        told.append(f"{commits.back} commit{'s' * (commits.back > 1)} behind")
     if commits.missing:
-        told.append(f"commit {' and '.join(commit[:10] for commit in commits.missing)} not in git here")
+        told.append(f"commit {' and '.join(commit[:10] for commit in commits.missing)} not in this repository")
     if after.source.get("dirty"):
-        told.append("with changes that are not committed")
+        told.append("with uncommitted changes")
     return f"; {', '.join(told)}" if told else ""
 
 
@@ -100,9 +101,7 @@ def _relation(commits: Commits) -> str:
         return "the first commit is an ancestor of the second"
     if not commits.on:
         return "the second commit is an ancestor of the first"
-    return (
-        f"neither commit is an ancestor of the other; both follow {commits.base[:10] if commits.base else 'no common commit'}"
-    )
+    return f"neither commit is an ancestor of the other; common ancestor: {commits.base[:10] if commits.base else 'none'}"
 
 
 def has_commits(before: Side, after: Side) -> bool:

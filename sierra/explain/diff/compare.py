@@ -81,7 +81,7 @@ AROUND = (
     ("rules", "ingest_rules", environment.rules),
 )
 """Kinds, the columns of `executions` that identify them, and the functions that compare them."""
-NOT_EXECUTED = "{kind}: not compared, since nothing was executed"
+NOT_EXECUTED = "{kind}: not compared, because no run was executed"
 
 
 def _parts(
@@ -112,9 +112,7 @@ def _parts(
             yield ("seed",), query.seeds(snapshot, before, after)
             yield ("inputs",), run_inputs.inputs(snapshot, before, after, notes)
         else:
-            notes.append(
-                Note("no experiment is in both, so that inputs and seeds are not compared, nor their results", "results")
-            )
+            notes.append(Note("no experiment is in both; inputs, seeds and results are not compared", "results"))
         if results_too and before.is_one:
             yield ("status", "results"), results.of_one(snapshot, store, project, before, after, notes)
         elif results_too:

@@ -58,7 +58,7 @@ def _programs(rows: Rows) -> dict[tuple[str | None, str], list[Mapping[str, Any]
 
 
 def _which(rows: Rows) -> str:
-    return " and ".join(dict.fromkeys(map(_one, rows))) or "not there"
+    return " and ".join(dict.fromkeys(map(_one, rows))) or "not present"
 
 
 def _one(row: Mapping[str, Any]) -> str:
@@ -74,7 +74,7 @@ def _versions(was: Rows, now: Rows, words: frozenset[str]) -> Iterator[str]:
             old, new = map(versions, listed)
             for name in by_likelihood(old.keys() | new.keys(), words):
                 if old.get(name) != new.get(name):
-                    yield f"{name} {old.get(name) or 'not there'} {ARROW} {new.get(name) or 'not there'}"
+                    yield f"{name} {old.get(name) or 'not present'} {ARROW} {new.get(name) or 'not present'}"
         if was[0]["path"] != now[0]["path"]:
             yield f"{was[0]['path']} {ARROW} {now[0]['path']}"
 
@@ -115,17 +115,17 @@ def _runners(snapshot: Snapshot, side: Side) -> Rows:
 
 ISOLATION = {
     "engine": "engine",
-    "version": "engine's version",
-    "mode": "one container for each",
-    "rootless": "engine without root",
-    "user": "user outside of the container",
+    "version": "engine version",
+    "mode": "one container per",
+    "rootless": "rootless engine",
+    "user": "user on the host",
     "network": "network of the container",
     "limits_enforced": "limits enforced",
-    "limits_watched": "limits that SIERRA watched over",
+    "limits_watched": "limits monitored by SIERRA",
     "limits_ignored": "limits ignored",
 }
 """Compared columns of an isolation, and their names in a line. Devices and mounts are compared as host access."""
-NOT_CONTAINED = "none, on the host itself"
+NOT_CONTAINED = "none (on the host)"
 
 
 def isolations(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
@@ -136,7 +136,7 @@ def isolations(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Differ
     )
     if bool(old) != bool(new):
         was, now = (facts.get("version", NOT_CONTAINED) for facts in (old, new))
-        yield from changed("isolation", "engine", was, now, called="contained by")
+        yield from changed("isolation", "engine", was, now, called="isolated by")
         return
     for name, words in ISOLATION.items():
         yield from changed("isolation", name, old.get(name), new.get(name), called=words)
@@ -165,7 +165,7 @@ def other_rules(snapshot: Snapshot, before: Sequence[str], after: Sequence[str])
     if all(len(texts) == 1 for texts in declared):
         yield from changed("rules", "declared", declared[0][0], declared[1][0], called="[outputs] and [success]")
     else:
-        yield Difference("rules", "declared", "[outputs] and [success]: others than before", before, after)
+        yield Difference("rules", "declared", "[outputs] and [success] differ", before, after)
 
 
 def _declared(snapshot: Snapshot, ids: Sequence[str]) -> list[str]:

@@ -32,7 +32,7 @@ def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Pat
             yield from _inside(store, old, new, mentioned(after.spec["command"], root))
     before_reach, reach = (side.spec["host_access"] or [] for side in (before, after))
     if told := other_host_access(before_reach, reach):
-        yield Difference("image", "reach", f"what runs reach beyond the image: {', '.join(told)}", before_reach, reach)
+        yield Difference("image", "reach", f"host access of runs: {', '.join(told)}", before_reach, reach)
 
 
 def _row(snapshot: Snapshot, identity: str | None) -> Mapping[str, Any] | None:
@@ -43,7 +43,7 @@ def _row(snapshot: Snapshot, identity: str | None) -> Mapping[str, Any] | None:
 def _called(identity: str | None, row: Mapping[str, Any] | None) -> str:
     if identity is None:
         return "none"
-    return f"{row['name']} ({images.short(identity)})" if row else f"{images.short(identity)}, of which nothing is recorded"
+    return f"{row['name']} ({images.short(identity)})" if row else f"{images.short(identity)} (not recorded)"
 
 
 def _inside(store: Store, old: Mapping[str, Any], new: Mapping[str, Any], words: frozenset[str]) -> Iterator[Difference]:
@@ -61,9 +61,9 @@ def _files(store: Store, old: Mapping[str, Any], new: Mapping[str, Any]) -> Diff
     try:
         changes = files(*(store.object(row["files"]) for row in (old, new)))
     except (NotFound, Damaged):
-        return Difference("image", "files", f"{called}: the list of them is not in the store", old["files"], new["files"])
+        return Difference("image", "files", f"{called}: the list of files is not in the store", old["files"], new["files"])
     if not changes:
-        return Difference("image", "files", f"{called}: all the same", old["files"], new["files"])
+        return Difference("image", "files", f"{called}: no differences", old["files"], new["files"])
     return _told("files", called, changes)
 
 

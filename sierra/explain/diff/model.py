@@ -123,7 +123,7 @@ def _parts(was: Any, now: Any) -> Iterator[str]:
             more, less = ([one for one in a if one not in b] for a, b in ((now, was), (was, now)))
             told = [*(f"+{shown(one)}" for one in more), *(f"−{shown(one)}" for one in less)]
             if told:
-                yield " ".join(told) if len(told) <= 12 else f"{len(more)} more and {len(less)} less than there were"
+                yield " ".join(told) if len(told) <= 12 else f"{len(more)} added and {len(less)} removed"
 
 
 def flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:

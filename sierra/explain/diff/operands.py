@@ -59,7 +59,7 @@ def check(before: Found, after: Found) -> None:
     """Check that two objects can be compared by their kinds. Raises UsageError."""
     if before.kind != after.kind and not (before.kind in ONE and after.kind in ONE):
         raise UsageError(
-            f"{short(before.id)} is a {before.kind} and {short(after.id)} a {after.kind}; compare two of one kind, "
+            f"{short(before.id)} is a {before.kind} and {short(after.id)} is a {after.kind}; compare two of the same kind, "
             "or a run with an execution"
         )
 

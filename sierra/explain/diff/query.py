@@ -31,7 +31,7 @@ def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterat
     old_sets, new_sets = before.batch["overrides"], after.batch["overrides"]
     for change in (*old_sets, *new_sets):
         if (change in old_sets) != (change in new_sets):
-            what = "is gone" if change in old_sets else "is new"
+            what = "was removed" if change in old_sets else "was added"
             was, now = (change if change in sets else None for sets in (old_sets, new_sets))
             yield Difference("query", "set", f"--set {change} {what}", was, now)
 
@@ -65,7 +65,7 @@ def _cells(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Itera
     ]
     if any(only) and (len(before.batch["axes"]) > 1 or before.batch["axes"] != after.batch["axes"]):
         line = f"experiments: {len(before.cells)} {ARROW} {len(after.cells)}, {len(pairs)} of them in both"
-        details = (*(f"gone: {name}" for name in only[0]), *(f"new: {name}" for name in only[1])) if pairs else ()
+        details = (*(f"removed: {name}" for name in only[0]), *(f"added: {name}" for name in only[1])) if pairs else ()
         yield Difference("query", "experiments", line, only[0], only[1], details)
 
 

@@ -45,7 +45,7 @@ def of_one(
     was, now = (_execution(snapshot, side) for side in (before, after))
     if was is None or now is None:
         called = (before if was is None else after).called
-        text = f"{called} was never executed, so that no results are compared"
+        text = f"{called} was never executed; results are not compared"
         notes += [Note(text, "results"), Note(text, "status")]
         return
     yield from changed("status", "status", _ended(was), _ended(now))
@@ -65,7 +65,7 @@ def good(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
         for side in (before, after)
     )
     if (was == before.runs) != (now == after.runs) or (before.runs == after.runs and was != now):
-        line = f"runs with an execution that counts: {was} of {before.runs} {ARROW} {now} of {after.runs}"
+        line = f"runs with an effective execution: {was} of {before.runs} {ARROW} {now} of {after.runs}"
         yield Difference("status", "good", line, was, now)
 
 
@@ -91,7 +91,7 @@ def _outputs(
         notes.append(Note(f"{run}results cannot be compared: {error}", "results"))
         return
     if not compared:
-        notes.append(Note(f"{run}nothing was left but logs, which are not compared", "results"))
+        notes.append(Note(f"{run}only logs were written, and logs are not compared", "results"))
     for path, agreement in compared.items():
         if agreement.verdict is Verdict.EQUAL:
             notes.append(Note(f"{run}{path}: {agreement.reason}"))
@@ -113,7 +113,7 @@ def _declared(snapshot: Snapshot, rules: str, project: LoadedProject) -> dict[st
 def _growth(agreement: Agreement) -> Iterator[str]:
     """Yield a line that shows how a difference grows over the rows."""
     if agreement.growth:
-        yield ", ".join(f"{distance(far)} apart until {shown(until)}" for until, far in agreement.growth)
+        yield ", ".join(f"difference {distance(far)} until {shown(until)}" for until, far in agreement.growth)
 
 
 SHARED = """
@@ -135,7 +135,7 @@ def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: l
     """Yield differences of runs that both sides have with different effective executions."""
     [(count, others, same)] = snapshot.run(SHARED)
     if count:
-        notes.append(Note(f"{count} runs are in both; of {same} of them the same execution counts"))
+        notes.append(Note(f"{count} runs are in both; {same} of them have the same effective execution"))
     if not others:
         return
     details: list[str] = []
@@ -149,7 +149,7 @@ def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: l
         differing += bool(found)
         details += [difference.line.removeprefix("results: ") for difference in found]
     if differing or others > len(looked):
-        line = f"results: {others} of the {count} runs that both have wrote other bytes"
+        line = f"results: {others} of the {count} runs that are in both wrote different bytes"
         yield Difference("results", "runs", line, None, others, tuple(details))
 
 
@@ -175,7 +175,7 @@ def means(
 ) -> Iterator[Difference]:
     """Yield differences of the means of these pairs of experiments, unless their outputs have more than `ROWS` rows."""
     if rows > ROWS:
-        text = f"means are not compared, of {rows} rows; sierra stats OUTPUT COLUMN -b HASH computes those of a batch"
+        text = f"means of {rows} rows are not compared; compute those of a batch with sierra stats OUTPUT COLUMN -b HASH"
         notes.append(Note(text, "results"))
         return
     done, left = 0, []
@@ -192,7 +192,9 @@ def means(
             done += 1
             yield from _apart(before, chosen, old, new, output, column)
     if left:
-        notes.append(Note(f"the means of {done} columns are compared; not those of {few(left, SHOWN)}", "results"))
+        notes.append(
+            Note(f"the means of {done} columns are compared; the means of these are not: {few(left, SHOWN)}", "results")
+        )
 
 
 OTHER = "was <> now AND other_result AND was_executed IS NOT NULL AND now_executed IS NOT NULL"
@@ -202,7 +204,7 @@ def of_places(snapshot: Snapshot) -> Iterator[Difference]:
     """Yield a difference with the number of paired runs that wrote other bytes, if the runs themselves are different."""
     [(count, all_runs)] = snapshot.run(f"SELECT count(*) FILTER ({OTHER}), count(*) FROM both_sides")  # noqa: S608 - our own
     if count:
-        yield Difference("results", "bytes", f"results: {count} of {all_runs} runs wrote other bytes", None, count)
+        yield Difference("results", "bytes", f"results: {count} of {all_runs} runs wrote different bytes", None, count)
 
 
 def others(snapshot: Snapshot, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -275,7 +277,7 @@ def _apart(
         line = f"{called}: {lines[0].removeprefix(f'{_where(before, other[0][0])}: ')}"
         yield Difference("results", f"{output}.{column}", line, other[0][1].mean, other[0][2].mean)
         return
-    counts = f"other in {len(other)} of {len(both)} experiments"
+    counts = f"different in {len(other)} of {len(both)} experiments"
     line = f"{called}: {counts}; 0 is outside the 95 % interval of the difference in {beyond or 'none'} of them"
     yield Difference(
         "results", f"{output}.{column}", line, [m.mean for _, m, _ in both], [m.mean for _, _, m in both], tuple(lines)

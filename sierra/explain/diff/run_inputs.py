@@ -52,7 +52,7 @@ def inputs(snapshot: Snapshot, before: Side, after: Side, notes: list[Note]) -> 
     for (name, _), those in found.items():
         yield _told(f"{name}: " if several else "", those, len(looked), read, before, after)
     if len(looked) < others:
-        text = f"inputs differ in {others} of the {runs} runs that are compared; {len(looked)} of these were read"
+        text = f"inputs differ in {others} of the {runs} compared runs; {len(looked)} of them were read"
         notes.append(Note(text, "inputs"))
 
 
@@ -109,13 +109,13 @@ def _told(name: str, those: Sequence[tuple[_Pair, Spot]], looked: int, read: str
     first = those[0][1]
     values = {(spot.what, spot.was, spot.now) for _, spot in those}
     where = "" if before.is_one else f" (in {'all' if len(those) == looked else f'{len(those)} of'} {read})"
-    varying = f", and {len(values) - 1} other pairs of values" if len(values) > 1 else ""
+    varying = f", and {len(values) - 1} different pairs of values" if len(values) > 1 else ""
     line = f"{name}{_line(first)}{varying}{where}"
     if all(_is_seed(pair, spot) for pair, spot in those):
         return Difference("inputs", "the seed", f"input, the seed: {line}", first.was, first.now)
     asked = all(_is_asked(pair, spot, before, after) for pair, spot in those)
     kind = "as asked" if asked else first.path
-    return Difference("inputs", kind, f"input{', as asked' if asked else ''}: {line}", first.was, first.now, first.lines)
+    return Difference("inputs", kind, f"input{', as requested' if asked else ''}: {line}", first.was, first.now, first.lines)
 
 
 def _line(spot: Spot) -> str:
@@ -123,13 +123,13 @@ def _line(spot: Spot) -> str:
         case "changed":
             return f"{spot.path}: {shown(spot.was)} {ARROW} {shown(spot.now)}"
         case "added":
-            return f"{spot.path} is new: {shown(spot.now)}"
+            return f"{spot.path} was added: {shown(spot.now)}"
         case "removed":
-            return f"{spot.path} is gone: was {shown(spot.was)}"
+            return f"{spot.path} was removed: it was {shown(spot.was)}"
         case "order":
-            return f"{spot.path}: what it holds stands in another order"
+            return f"{spot.path}: the content is in a different order"
         case "writing":
-            return f"{spot.path} is only written differently: white space, order of attributes or comments"
+            return f"{spot.path}: only white space, order of attributes or comments differ"
         case _:
             return f"{spot.path}: {spot.was} {ARROW} {spot.now}"
 

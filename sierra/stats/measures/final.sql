@@ -1,4 +1,4 @@
--- final = v(t_max): the value at the run's largest time. If it is missing there, it is missing: no earlier one replaces it.
+-- final = v(t_max): the value at the run's largest time. A missing value is not replaced by an earlier one.
 SELECT
   experiment,
   run,

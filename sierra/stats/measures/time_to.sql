@@ -1,5 +1,5 @@
--- time to threshold = min { t : v(t) ≥ $threshold }; a run with values of which none reaches it is censored: its time is
--- unknown, later than its end. It is counted as `never`, and has no value that could be averaged.
+-- time to threshold = min { t : v(t) ≥ $threshold }; a run whose values never reach it is censored: its time is unknown,
+-- but later than its end. The run is counted as `never`, and has no value in means.
 SELECT
   experiment,
   run,

@@ -1,3 +1,3 @@
--- ends: x₁ and xₙ, the smallest and the largest value; only a step, so that what follows need not carry all values
+-- ends: x₁ and xₙ, the smallest and the largest value; an intermediate step, so that later steps do not need all values
 x[1] AS _first,
 x[n] AS _last

@@ -1,2 +1,2 @@
--- n: how many finite values there are
+-- n: the number of finite values
 len(x) AS n

@@ -141,7 +141,7 @@ def test_status_shows_progress_and_records_finished_runs(waiting: Waiting) -> No
     assert waiting.project.work() == []
     late = waiting.project.quick("attach", waiting.batch())
     assert late.returncode == 2
-    assert "is on a cluster now; sierra status shows what is, sierra ls what is recorded" in late.stderr
+    assert "has no jobs on a cluster; sierra status lists cluster jobs, sierra ls lists recorded batches" in late.stderr
 
 
 def test_status_without_cluster_jobs_is_not_an_error(waiting: Waiting) -> None:
@@ -245,7 +245,7 @@ def test_attach_refuses_a_batch_that_another_process_follows(waiting: Waiting) -
     assert f"is followed by process {asking.pid} on " in done.stderr
     detached = waiting.project.quick("run", *QUERY, "--on", "slurm", "--detach")
     assert detached.returncode == 0
-    assert "6 runs are executed by other processes already" in detached.stderr
+    assert "other processes already execute 6 runs" in detached.stderr
     waiting.open()
     assert waiting.project.end_of(asking).returncode == 0
 
@@ -327,7 +327,7 @@ def test_a_dry_run_estimates_from_the_times_of_earlier_runs(waiting: Waiting) ->
     assert re.search(r"core-hours: about [\d.e-]+, at most 0\.5 ", later)
     assert re.search(r"^elements +3 +as sierra.toml says$", later, re.MULTILINE)
     assert re.search(r"^wall +600 +6 times what is expected, at least 10 minutes$", later, re.MULTILINE)
-    told = r"^time of a run +[\d.]+ to [\d.]+ s, [\d.]+ s in the mean +1 of 3 experiments were timed, the others are estimated"
+    told = r"^time of a run +[\d.]+ to [\d.]+ s, [\d.]+ s in the mean +1 of 3 experiments were timed; the others are estimated"
     assert re.search(told, later, re.MULTILINE)
     assert "#SBATCH --array=0-2" in later
 

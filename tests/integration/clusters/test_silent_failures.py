@@ -546,7 +546,7 @@ def test_a_note_reports_ignored_files_that_nodes_do_not_get(clustered: Callable[
     )
     assert (summary.executed, summary.failed) == (3, 0)
     [note] = [text for text in said if "ignores" in text]
-    assert note.startswith("git ignores big.npy, maps/ in the project: nodes have of these only what the command")
+    assert note.startswith("git ignores big.npy, maps/ in the project: nodes get only those that the command")
 
 
 def test_files_that_change_before_they_are_copied_for_nodes_are_named(clustered: Callable[..., Clustered]) -> None:

@@ -534,7 +534,7 @@ def test_a_replay_on_a_host_with_other_programs_names_them(tmp_path: Path, busyb
     says(folder, *RUN)
     [batch] = rows(folder, "SELECT batch FROM batches")
     said = says(folder, "replay", batch["batch"], "--engine", "none")
-    assert f"note: not contained, and with other programs than those of {busybox}: " in said
+    assert f"note: not executed in a container, and with other programs than in image {busybox}: " in said
     assert "in the image" in said
     assert "identical (4 runs: 4 identical)" in said
     assert rows(folder, "SELECT engine, verdict FROM replays") == [{"engine": "none", "verdict": "identical"}]

@@ -202,7 +202,7 @@ def test_isolations_are_compared_by_enforced_and_ignored_limits(root: Path, batc
     assert told == {
         "limits_enforced": "limits enforced: cpus 1 → nothing",
         "limits_ignored": "limits ignored: cpus nothing → 1",
-        "version": "engine's version: podman 1, runc 1 → podman 2, runc 1",
+        "version": "engine version: podman 1, runc 1 → podman 2, runc 1",
     }
 
 
@@ -220,7 +220,7 @@ def test_executions_with_and_without_a_container_are_compared(root: Path, batche
     plain = ask(root, "population_size=1")
     found = differences(root, batches["old"], plain)
     assert found["image", "image"]["line"].endswith(" → none")
-    assert found["isolation", "engine"]["line"] == "contained by: podman 1, runc 1 → none, on the host itself"
+    assert found["isolation", "engine"]["line"] == "isolated by: podman 1, runc 1 → none (on the host)"
 
 
 @pytest.mark.nightly
@@ -229,7 +229,7 @@ def test_images_without_recorded_content_are_compared_by_id(root: Path, batches:
         path.unlink()
     found = differences(root, batches["old"], batches["new"])
     assert [name for kind, name in found if kind == "image"] == ["image"]
-    assert "of which nothing is recorded" in found["image", "image"]["line"]
+    assert "(not recorded)" in found["image", "image"]["line"]
 
 
 # ---------------------------------------------------------------- why runs are new
@@ -244,7 +244,7 @@ def test_another_image_makes_runs_new_and_changed_packages_are_named(root: Path,
     configure(root, "old")
     text = explained(root)
     assert "the image was ../new.tar (sha256:" in text
-    assert "other packages in it: libc6 2.36-10 → 2.36-9 (dpkg), zlib 3 gone (dpkg), tzdata 1 new (dpkg)" in text
+    assert "the images differ in packages: libc6 2.36-10 → 2.36-9 (dpkg), zlib 3 gone (dpkg), tzdata 1 new (dpkg)" in text
     assert sierra.open(root).why(batches["new"]).next_run.differences[0].startswith("the image was ")
 
 
@@ -253,7 +253,7 @@ def test_why_reports_differences_of_images_and_host_access(root: Path, batches: 
     text = succeed(root, "why", batches["new"])
     assert "image: ../old.tar (sha256:" in text
     assert "libc6 2.36-9 → 2.36-10" in text
-    assert "what runs reach beyond the image: mount /maps is new, network is new" in succeed(root, "why", batches["reaching"])
+    assert "host access of runs: mount /maps is new, network is new" in succeed(root, "why", batches["reaching"])
 
 
 @pytest.mark.nightly
@@ -266,7 +266,7 @@ def test_why_reports_differences_of_images_and_host_access(root: Path, batches: 
 )
 def test_changed_host_access_makes_runs_new(root: Path, lines: list[str], told: str) -> None:
     configure(root, "new", *lines)
-    assert f"what runs reach beyond the image has changed: {told}" in explained(root)
+    assert f"the host access of runs has changed: {told}" in explained(root)
 
 
 @pytest.mark.nightly

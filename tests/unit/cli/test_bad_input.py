@@ -74,16 +74,16 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         (
             "",
             '[outputs.x]\nfile = "a.csv"\ncolumns = ["t"]',
-            "[outputs.x]: columns are the names of a CSV without header; write header = false too, or leave columns out",
+            "[outputs.x]: columns is only for a CSV without header; set header = false too, or remove columns",
         ),
-        ("", '[outputs.runs]\nfile = "a.csv"', "the store has a table 'runs' of its own; take another name"),
+        ("", '[outputs.runs]\nfile = "a.csv"', "the store itself has a table 'runs'; use another name"),
         ("", '[outputs.x]\nfile = "../a.csv"', "'../a.csv' should be a path within the run's output folder"),
         ("", '[outputs.x]\nfile = "/etc/passwd"', "'/etc/passwd' should be a path within the run's output folder"),
-        ("", '[environment.set]\nHOME = "/"', "HOME: each run has its own; take another name"),
+        ("", '[environment.set]\nHOME = "/"', "HOME: SIERRA sets this variable for each run; use another name"),
         (
             "",
             '[container]\nimage = "any"\nengine = "none"\nvariables = { SIERRA_SEED = "1" }',
-            "[container] variables: SIERRA_SEED: each run has its own",
+            "[container] variables: SIERRA_SEED: SIERRA sets this variable for each run",
         ),
         ("", '[environment.set]\nA = "a\\u0000b"', "contains the character NUL; remove it"),
         ("", '[source]\npaths = ["nope"]', "there is no 'nope'"),
@@ -97,7 +97,7 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         (COMMAND, "", "needs a command"),
         (COMMAND, 'command = "python3 \'sim.py"', "command: No closing quotation"),
         (COMMAND, 'command = "python3 sim.py {inputs}"', "unknown placeholder {inputs}"),
-        ("noise =", "number =", "variable 'number': the store has a column of that name"),
+        ("noise =", "number =", "variable 'number': the store itself has a column of that name"),
         ("//random/@seed", "//rnd/@seed", "//rnd/@seed matches nothing"),
         ("", '[[changes]]\nset = "//nothing"\nvalue = 3', "//nothing matches nothing"),
     ],
@@ -182,7 +182,7 @@ def test_file_in_place_of_the_store_folder_is_reported(project: Path) -> None:
     ended = quick(project, "run", "noise=1")
     assert ended.returncode == 3
     assert ended.stderr.count("\n") == 1
-    assert "is a file; the store is to be a folder there" in ended.stderr
+    assert "is a file, but the store must be a folder with this path" in ended.stderr
 
 
 def test_zero_slots_are_refused(ask: Ask) -> None:

@@ -276,7 +276,7 @@ def test_invalid_or_unknown_ids_are_refused_in_one_line(answered: Path, prefix: 
 def test_unknown_figure_is_refused_with_a_list_of_known_figures(answered: Path, answer: dict[str, Any]) -> None:
     ended = quick(answered, "figures", answer["batch"], "nope")
     assert ended.returncode == 2
-    assert "no figure 'nope' of this batch; there is " in ended.stderr
+    assert "this batch has no figure 'nope'; its figures: " in ended.stderr
 
 
 # sql

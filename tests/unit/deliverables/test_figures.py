@@ -79,7 +79,7 @@ def drawing(
         cells=cells(axes),
         tables=given,
         runs=reduced(count) if kind in ("box", "violin") else None,
-        note="mean, 95 % CI, n = 8–10; 2 of 40 runs absent",
+        note="mean, 95 % CI, n = 8–10; 2 of 40 runs missing",
         sql=SQL,
         batch=BATCH,
         units={"energy": "J", "time": "s"},
@@ -565,7 +565,7 @@ def test_empty_data_are_refused_without_writing_files(tmp_path: Path) -> None:
         (drawing(tables={"energy": table(4, 5, mean=np.full(20, -1.0))}, log_y=True), "log_y needs values above 0"),
         (drawing("stacked", tables={"a": table(4, 5, mean=np.full(20, -1.0))}), "values of at least 0"),
         (drawing("stacked", tables={"energy": table(4, 5), "lifted": table(4, 5)}), r"not energy \[J\], lifted \(no unit\)"),
-        (drawing(axes=(SIZES, Axis("seed", tuple(range(40))))), "40 panels are more than 36"),
+        (drawing(axes=(SIZES, Axis("seed", tuple(range(40))))), "the figure needs 40 panels, but at most 36 are possible"),
     ],
 )
 def test_data_that_do_not_fit_the_kind_of_figure_are_refused(shown: Drawing, complaint: str, tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ def test_statistics_and_figures_refuse_outputs_with_several_rows_per_time(tmp_pa
     assert summary.figures == ()
     [note] = [note for note in summary.notes if "figure" in note]
     assert note.startswith(f"no figure of output 'floor': {REFUSED}")
-    assert note.endswith("A run has 12 files of it: [outputs.floor] file may name one of them")
+    assert note.endswith("A run has 12 files of this output: file in [outputs.floor] can name one of them")
     for measure in ("final", "mean", None):
         with pytest.raises(UsageError, match=REFUSED):
             project.statistics(summary.batch, "floor", "heat", measure=measure)
@@ -137,4 +137,4 @@ def test_equivalence_metric_refuses_outputs_with_several_rows_per_time(tmp_path:
     summary = project.run("population_size=1", figures=False)
     [note] = [note for note in project.replay(summary.batch).notes if "equivalence" in note]
     assert note.startswith(f"[equivalence]: output 'floor': {REFUSED}")
-    assert note.endswith("no experiment is judged by it")
+    assert note.endswith("no experiment is tested for equivalence")

@@ -77,7 +77,7 @@ def test_runs_are_expected_to_take_as_long_as_runs_with_the_same_values(simulate
     assert slow > 0.9
     assert beyond == pytest.approx(2 * slow) or beyond > 2 * slow
     assert times.new == tuple(range(6, 12))
-    assert times.how == "2 of 4 experiments were timed, the others are estimated from these"
+    assert times.how == "2 of 4 experiments were timed; the others are estimated from them"
     new = {run.id for run in plan.batch.experiments[0].runs}
     assert expected_durations.expected(plan, project.store, new) is not None
     assert expected_durations.expected(plan, None, new) is None

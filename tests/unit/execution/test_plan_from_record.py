@@ -77,7 +77,7 @@ def test_runs_unknown_ids_and_changed_options_are_refused_for_a_recorded_batch(h
     root, batch = half
     [row] = sierra.open(root).sql("SELECT run FROM runs LIMIT 1").to_pylist()
     for words, said in (
-        ((row["run"],), f"is a run; what is missing is executed of a whole batch: sierra run {batch[:10]}"),
+        ((row["run"],), f"is a run; missing runs can only be executed for a whole batch: sierra run {batch[:10]}"),
         ((batch, "--runs", "3"), "is executed as it was recorded"),
         (("0123456789",), "no batch, experiment, run or execution begins with"),
     ):

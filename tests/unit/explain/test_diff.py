@@ -98,7 +98,7 @@ def test_changed_code_is_reported_with_its_patch_and_the_changed_results(make_ei
         in source["details"]
     )
     bytes_too, mean = [one for one in said["differences"] if one["kind"] == "results"]
-    assert bytes_too["line"] == "results: 4 of 4 runs wrote other bytes"
+    assert bytes_too["line"] == "results: 4 of 4 runs wrote different bytes"
     assert [now - was for was, now in zip(mean["before"], mean["after"], strict=True)] == pytest.approx([1, 1])
     assert {"query", "command", "programs", "inputs", "seed", "environment", "rules"} <= set(said["same"])
 
@@ -138,13 +138,13 @@ def test_commits_in_between_and_uncommitted_changes_are_reported(tmp_path: Path)
     git(root, "commit", "-q", "-a", "-m", "Add one")
     middle = ask(root)
     [source] = [one for one in diff(root, before, middle)["differences"] if one["kind"] == "source"]
-    assert source["line"].endswith("; 1 commit on")
+    assert source["line"].endswith("; 1 commit ahead")
     assert source["details"][0].endswith(" Add one")
     git(root, "commit", "-q", "--allow-empty", "-m", "Say nothing")
     assert ask(root, "population_size=1,2", runs=3) != middle
     (root / "sim.py").write_text(OTHER + "# not yet\n")
     [source] = [one for one in diff(root, middle, ask(root))["differences"] if one["kind"] == "source"]
-    assert source["line"].endswith("; 1 commit on, with changes that are not committed")
+    assert source["line"].endswith("; 1 commit ahead, with uncommitted changes")
 
 
 @pytest.mark.integration
@@ -155,7 +155,7 @@ def test_other_commit_with_the_same_files_is_reported_after_relevant_differences
     git(root, "commit", "-q", "--allow-empty", "-m", "Say nothing")
     said = diff(root, before, ask(root, "population_size=1,2,4"))
     assert kinds(said) == ["query", "commit"]
-    assert "the same files; 1 commit on" in lines(said, "commit")[0]
+    assert "the same files; 1 commit ahead" in lines(said, "commit")[0]
 
 
 @pytest.mark.integration
@@ -170,7 +170,7 @@ def test_difference_is_reported_without_patch_if_git_lost_the_code(tmp_path: Pat
     git(root, "init", "-q")
     [source] = [one for one in diff(root, before, after)["differences"] if one["kind"] == "source"]
     assert "1 file differs: sim.py" in source["line"]
-    assert "not in git here" in source["line"]
+    assert "not in this repository" in source["line"]
     assert any("neither in git nor in the store" in line for line in source["details"])
 
 
@@ -180,8 +180,8 @@ def test_query_difference_is_reported_before_the_input_difference(make: Make) ->
     before = ask(root)
     said = diff(root, before, ask(root, sets=[("//noise", "0.2")]))
     assert kinds(said) == ["query", "inputs", "results"]
-    assert lines(said, "query") == ["--set //noise=0.2 is new"]
-    assert lines(said, "inputs") == ["input, as asked: //noise: 0.1 → 0.2 (in all 4 runs)"]
+    assert lines(said, "query") == ["--set //noise=0.2 was added"]
+    assert lines(said, "inputs") == ["input, as requested: //noise: 0.1 → 0.2 (in all 4 runs)"]
 
 
 @pytest.mark.integration
@@ -191,7 +191,7 @@ def test_changed_values_and_run_counts_are_reported_and_common_runs_are_compared
     said = diff(root, before, ask(root, "population_size=2,4", runs=3))
     assert lines(said, "query") == ["population_size: 1, 2 → 2, 4", "runs per experiment: 2 → 3"]
     assert kinds(said) == ["query"]
-    assert any("2 runs are in both; of 2 of them the same execution counts" in note for note in said["notes"])
+    assert any("2 runs are in both; 2 of them have the same effective execution" in note for note in said["notes"])
 
 
 @pytest.mark.integration
@@ -216,7 +216,7 @@ def test_two_experiments_and_two_runs_can_be_compared(make: Make) -> None:
     one, other = sierra.open(root).sql("SELECT experiment FROM experiments ORDER BY ordinal").column(0).to_pylist()
     said = diff(root, one, other)
     assert lines(said, "query") == ["population_size: 1 → 2"]
-    assert lines(said, "inputs") == ["input, as asked: //swarm/@count: 1 → 2 (in all 2 runs)"]
+    assert lines(said, "inputs") == ["input, as requested: //swarm/@count: 1 → 2 (in all 2 runs)"]
     runs = sierra.open(root).sql("SELECT run FROM batch_runs WHERE ordinal = 0 ORDER BY number").column(0).to_pylist()
     said = diff(root, *runs)
     assert kinds(said) == ["seed", "inputs", "results"]
@@ -242,7 +242,7 @@ def test_template_change_without_effect_is_reported_as_formatting_only(make: Mak
     (root / "arena.xml").write_text(projects.TEMPLATE.replace("an arena", "the arena"))
     said = diff(root, before, ask(root))
     assert kinds(said) == ["inputs", "template"]
-    assert "only written differently" in lines(said, "inputs")[0]
+    assert "only white space, order of attributes or comments differ" in lines(said, "inputs")[0]
 
 
 @pytest.mark.integration
@@ -289,7 +289,7 @@ def test_replay_equals_its_record_except_for_volatile_content(make_either: Make)
     sierra.open(root).replay(executions(root)[0]["run"])
     said = diff(root, executions(root)[0]["execution"], executions(root, "replay")[0]["execution"])
     assert said["differences"] == []
-    assert "log.txt: only what is declared volatile differs" in said["notes"]
+    assert "log.txt: only volatile lines differ" in said["notes"]
 
 
 @pytest.mark.integration
@@ -345,7 +345,7 @@ def test_inputs_missing_from_the_store_are_noted_and_the_rest_is_compared(make: 
     for path in root.glob(".sierra/segments/*/objects.parquet"):
         path.unlink()
     said = diff(root, before, after)
-    assert lines(said, "query") == ["--set //noise=0.2 is new"]
+    assert lines(said, "query") == ["--set //noise=0.2 was added"]
     assert "inputs" not in said["same"]
     assert any("not in the store" in note for note in said["notes"])
 
@@ -359,7 +359,7 @@ def test_runs_without_executions_report_neither_equal_results_nor_programs(make:
     said = diff(root, one, other)
     assert kinds(said) == ["seed", "inputs"]
     assert not {"results", "status", "programs", "environment"} & set(said["same"])
-    assert any("was never executed, so that no results are compared" in note for note in said["notes"])
+    assert any("was never executed; results are not compared" in note for note in said["notes"])
 
 
 @pytest.mark.integration
@@ -367,7 +367,7 @@ def test_changed_results_that_are_not_tables_are_reported(make: Make) -> None:
     root = make("open('picture.bin', 'wb').write(b'\\0one')\n")
     before = ask(root)
     (root / "sim.py").write_text("open('picture.bin', 'wb').write(b'\\0two')\n")
-    assert lines(diff(root, before, ask(root)), "results") == ["results: 4 of 4 runs wrote other bytes"]
+    assert lines(diff(root, before, ask(root)), "results") == ["results: 4 of 4 runs wrote different bytes"]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -411,4 +411,4 @@ def test_runs_with_only_logs_do_not_report_equal_results(make: Make) -> None:
     one, other = executions(root)
     said = diff(root, one["execution"], other["execution"])
     assert "results" not in said["same"]
-    assert any("nothing was left but logs" in note for note in said["notes"])
+    assert any("only logs were written" in note for note in said["notes"])

@@ -61,7 +61,7 @@ def test_first_batch_is_new_and_its_executions_are_effective(root: Path) -> None
     [event] = said["history"]
     assert (event["kind"], event["executed"], event["reused"], event["ended"]) == ("session", 4, 0, True)
     assert causes(said) == ["new"]
-    assert said["new_because"] == {batch: ["nothing over these variables was recorded before"]}
+    assert said["new_because"] == {batch: ["no batch with these variables was recorded before"]}
     assert [(one["runs"], one["is_effective"]) for one in said["effective"]] == [(4, True)]
     assert said["next_run"] == ["4 runs: reused"]
 
@@ -109,7 +109,7 @@ def test_earlier_failure_is_the_reason_for_another_execution(root: Path, tmp_pat
     flag.unlink()
     ask(root)
     said = why(root, a_run(root))
-    assert causes(said) == ["new", "the last one failed: exit status 3"]
+    assert causes(said) == ["new", "the last execution failed: exit status 3"]
     assert [(event["executed"], event["failed"]) for event in said["history"]] == [(1, 1), (1, 0)]
 
 
@@ -170,7 +170,7 @@ def test_later_finding_is_the_reason_for_another_execution(root: Path) -> None:
     ask(root, "population_size=1", runs=2)
     ask(root, "population_size=1", runs=8)
     ask(root, "population_size=1", runs=8)
-    assert any("was found to be no good" in cause for cause in causes(why(root, a_run(root))))
+    assert any("a problem was found in the last execution" in cause for cause in causes(why(root, a_run(root))))
 
 
 @pytest.mark.integration

@@ -275,29 +275,29 @@ def test_json_values_are_read_back_exactly(tmp_path: Path, values: list[Any]) ->
 
 FAULTS = {
     "too few fields": ("write(good.replace('1,1.5', '1'))", "line 3: too few fields (1, not 2): '1'"),
-    "cut short in a line": ("write(good[:-5])", "line 4: its last line is cut short"),
-    "a last line without its end": ("write(good[:-2])", "line 4: its last line is cut short"),
-    "fewer rows": ("write(good[:-6])", "has 2 rows where 3 of its 3 siblings have 3"),
-    "more rows": ("write(good + '3,3.5\\n')", "has 4 rows where 3 of its 3 siblings have 3"),
+    "cut short in a line": ("write(good[:-5])", "line 4: the last line is truncated"),
+    "a last line without its end": ("write(good[:-2])", "line 4: the last line is truncated"),
+    "fewer rows": ("write(good[:-6])", "has 2 rows, but 3 of the 3 other runs of its experiment have 3"),
+    "more rows": ("write(good + '3,3.5\\n')", "has 4 rows, but 3 of the 3 other runs of its experiment have 3"),
     "a missing column": (
         "write('tick\\n0\\n1\\n2\\n')",
-        "table 'out' lacks the column 'v' (its siblings have tick, v) (if that may be so",
+        "table 'out' lacks the column 'v' (other runs have tick, v) (to allow this, set ",
     ),
-    "a further column": ("write(good.replace('\\n', ',w\\n', 1).replace('5\\n', '5,1\\n'))", "has the further column 'w'"),
+    "a further column": ("write(good.replace('\\n', ',w\\n', 1).replace('5\\n', '5,1\\n'))", "has the additional column 'w'"),
     "another order": ("write('v,tick\\n0,0\\n0,1\\n0,2\\n')", "has its columns in another order"),
-    "text among numbers": ("write(good.replace('1.5', 'oops'))", "line 3: text where numbers are in column 'v': 'oops'"),
-    "the header again": ("write(good.replace('1,1.5', 'tick,v'))", "line 3: the header is there again: 'tick,v'"),
-    "a doubled header": ("write(good.replace('v', 'v,v', 1))", "line 1: the column 'v' is there twice"),
+    "text among numbers": ("write(good.replace('1.5', 'oops'))", "line 3: text in the numeric column 'v': 'oops'"),
+    "the header again": ("write(good.replace('1,1.5', 'tick,v'))", "line 3: the header is repeated: 'tick,v'"),
+    "a doubled header": ("write(good.replace('v', 'v,v', 1))", "line 1: the column 'v' occurs twice"),
     "too many fields": ("write(good.replace('1.5', '1.5,9'))", "line 3: too many fields (3, not 2)"),
-    "no bytes": ("write('')", "is empty; not even a header"),
-    "a header only": ("write('tick,v\\n')", "has 0 rows where 3 of its 3 siblings have 3"),
+    "no bytes": ("write('')", "is empty and has no header"),
+    "a header only": ("write('tick,v\\n')", "has 0 rows, but 3 of the 3 other runs of its experiment have 3"),
     "no UTF-8": ("write(good.encode().replace(b'1.5', b'\\xff'))", "line 3: is not UTF-8"),
     "an open quote": ("write(good.replace('2.5', '\"2.5'))", "line 4: quotes are not closed"),
     "mixed line ends": ("write(good.replace('\\n', '\\r\\n', 2))", "some lines end in CR LF, and some in LF"),
-    "no table": ("pass", "table 'out' is not there; 3 of its 3 siblings have it"),
+    "no table": ("pass", "table 'out' is missing, but 3 of the 3 other runs of its experiment have it"),
     "one table more": (
         "write(good); write(good, 'more.csv')",
-        "there is a table 'more', which 3 of its 3 siblings do not have",
+        "there is a table 'more', but 3 of the 3 other runs of its experiment have none",
     ),
 }
 
@@ -400,9 +400,9 @@ def test_several_faults_in_one_batch_are_reported_separately(make: Make) -> None
 @pytest.mark.parametrize(
     ("bad", "said"),
     [
-        (b'{"a":1,"b":', "line 1: is cut short, or no JSON"),
+        (b'{"a":1,"b":', "line 1: is truncated or not JSON"),
         (b"[1]\n", "line 1: is not an object"),
-        (b'{"a":1,"b":"x"}\n{"a":1,"a":2,"b":"x"}\n', "line 2: the key 'a' is there twice"),
+        (b'{"a":1,"b":"x"}\n{"a":1,"a":2,"b":"x"}\n', "line 2: the key 'a' occurs twice"),
     ],
 )
 def test_faulty_json_lines_are_detected(tmp_path: Path, bad: bytes, said: str) -> None:
@@ -429,14 +429,14 @@ def test_faulty_parquet_files_are_detected(tmp_path: Path, bad: bytes) -> None:
 def test_first_line_with_text_among_json_numbers_is_noted(tmp_path: Path) -> None:
     good, bad = b'{"a":1,"b":"x"}\n', b'{"a":1,"b":"x"}\n{"a":"q","b":"x"}\n'
     reading, _ = table(tmp_path, [good, bad, good, good], "jsonl")
-    assert reading.hints == {("e1", "out.jsonl"): {"a": "out.jsonl: line 2: text where numbers are in column 'a': 'q'"}}
+    assert reading.hints == {("e1", "out.jsonl"): {"a": "out.jsonl: line 2: text in the numeric column 'a': 'q'"}}
 
 
 def test_decimals_with_more_than_38_digits_are_a_fault(tmp_path: Path) -> None:
     wide, good = (pa.array([Decimal("1.5")], pa.decimal256(60, 20)), pa.array([Decimal("1.5")], pa.decimal128(38, 20)))
     reading, rows = table(tmp_path, [parquet(tmp_path, {"v": column}) for column in (good, wide, good)], "parquet")
     assert list(reading.faults) == ["e1"]
-    assert reading.faults["e1"].endswith("the column 'v' has decimals of more than 38 digits, the most that a table keeps")
+    assert reading.faults["e1"].endswith("the column 'v' has decimals of more than 38 digits, which is the maximum of a table")
     assert len(rows) == 2
 
 
@@ -551,8 +551,8 @@ def test_runs_with_other_columns_than_their_siblings_fail(make: Make, kind: str)
     assert run(project, "n=1,2").failed == 2
     assert failed(project) == [1]
     [reason] = reasons(project)
-    assert "has the further column 'x1' (its siblings have " in reason
-    assert f'(if that may be so: file = "out.{kind}", mismatch = "ragged" in [outputs.out])' in reason
+    assert "has the additional column 'x1' (other runs have " in reason
+    assert f'(to allow this, set file = "out.{kind}", mismatch = "ragged" in [outputs.out])' in reason
 
 
 @pytest.mark.parametrize("kind", BY_N)
@@ -574,7 +574,7 @@ def test_run_with_odd_columns_fails_even_if_recorded_first(make: Make) -> None:
 def test_truncated_header_is_detected_even_with_one_run_per_experiment(make: Make) -> None:
     project = make("write('tic' if n == 3 else good)")
     assert run(project, "n=1,2,3,4", runs=1).failed == 1
-    assert reasons(project) == ["out.csv: line 1: its last line is cut short (no line feed at its end)"]
+    assert reasons(project) == ["out.csv: line 1: the last line is truncated (it does not end with a line feed)"]
 
 
 @pytest.mark.integration
@@ -609,7 +609,7 @@ def test_texts_that_look_like_numbers_stay_the_same_in_any_recording_order(
     monkeypatch.setattr(Recorder, "due", lambda self: apart and bool(self._pending))
     again = run(project, runs=8, jobs=1).failed
     assert 0 <= again <= 2 * apart
-    assert all("asked again, it is read as they are" in reason for reason in reasons(project))
+    assert all("run the query again to read it like them" in reason for reason in reasons(project))
     assert column(project, "sha") == [*[text] * (2 - again), *["3ab"] * 6]
     assert run(project, runs=8, jobs=1).failed == 0
     assert column(project, "sha") == [text, text, *["3ab"] * 6]
@@ -637,37 +637,43 @@ def test_text_among_numbers_is_detected_wherever_recordings_are_split(
         assert project.sql("SELECT avg(v) AS v FROM out").to_pylist() == [{"v": 1.5}]
 
 
-LOOKS_NUMERIC = "column 'v' of output 'out' is text in 2 runs, and has no figure: most of its values look like numbers; "
-ONE_COLUMN = "column {!r} of output 'out' is text in 2 runs, and has no figure: "
+LOOKS_NUMERIC = "column 'v' of output 'out' is text in 2 runs, so it has no figure: most of its values look like numbers; "
+ONE_COLUMN = "column {!r} of output 'out' is text in 2 runs, so it has no figure: "
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("t;v\n0;1,5\n1;2,5\n", LOOKS_NUMERIC + "write '1.5' for '1,5', with a decimal point"),
+        ("t;v\n0;1,5\n1;2,5\n", LOOKS_NUMERIC + "write '1.5' instead of '1,5', with a decimal point"),
         (
             "t,v\n0,1.5\n1,2.5\n2,NA\n",
-            LOOKS_NUMERIC + "where there is no number, leave the cell empty instead of 'NA' (2 such cells)",
+            LOOKS_NUMERIC + "leave cells without a number empty instead of writing 'NA' (2 such cells)",
         ),
         (
             "t,v\n0,1e5 m\n1,2e5 m\n",
-            LOOKS_NUMERIC + """write '1e5 m' without 'm' ([outputs.out] units = { "v" = "m" } says the unit)""",
+            LOOKS_NUMERIC + """write '1e5 m' without 'm' ([outputs.out] units = { "v" = "m" } declares the unit)""",
         ),
         (
             "t,v\n0,50%\n1,7.5%\n",
-            LOOKS_NUMERIC + """write '50%' without '%' ([outputs.out] units = { "v" = "%" } says the unit)""",
+            LOOKS_NUMERIC + """write '50%' without '%' ([outputs.out] units = { "v" = "%" } declares the unit)""",
         ),
-        ("t;v\n0;1'234.5\n1;2'000\n", LOOKS_NUMERIC + """write "1'234.5" without what groups its digits"""),
-        ("t;v\n0;1_234.5\n1;2_000\n", LOOKS_NUMERIC + "write '1_234.5' without what groups its digits"),
+        ("t;v\n0;1'234.5\n1;2'000\n", LOOKS_NUMERIC + """write "1'234.5" without separators between digits"""),
+        ("t;v\n0;1_234.5\n1;2_000\n", LOOKS_NUMERIC + "write '1_234.5' without separators between digits"),
         (
             "t,v\n0,1.5\n1,n/a\n2,NA\n3,NA\n4,-\n",
-            LOOKS_NUMERIC + "where there is no number, leave the cell empty instead of '-' (8 such cells)",
+            LOOKS_NUMERIC + "leave cells without a number empty instead of writing '-' (8 such cells)",
         ),
         ("t,v\n0,ab\n1,NA\n2,NA\n", None),
-        ("t,my speed\n0,-\n1,2\n2,3\n", LOOKS_NUMERIC.replace("'v'", "'my speed'") + "where there is no number, leave"),
-        ("t v\n0 1.5\n", ONE_COLUMN.format("t v") + 'is it several columns? (delimiter = " " in [outputs.out])'),
-        ("# t v\n0 1.5\n", ONE_COLUMN.format("# t v") + "the first line is a comment, and comments are not read; begin with"),
-        ("# a\nt\n0\n1\n2\n", ONE_COLUMN.format("# a") + "the first line is a comment, and comments are not read; begin with"),
+        ("t,my speed\n0,-\n1,2\n2,3\n", LOOKS_NUMERIC.replace("'v'", "'my speed'") + "leave cells without a number"),
+        ("t v\n0 1.5\n", ONE_COLUMN.format("t v") + 'are these several columns? (set delimiter = " " in [outputs.out])'),
+        (
+            "# t v\n0 1.5\n",
+            ONE_COLUMN.format("# t v") + "the first line is a comment, but comments are not supported; begin with",
+        ),
+        (
+            "# a\nt\n0\n1\n2\n",
+            ONE_COLUMN.format("# a") + "the first line is a comment, but comments are not supported; begin with",
+        ),
         ("t,v\n0,ab\n", None),
         ("t,v\n0,3ab\n1,4cd\n2,77f\n", None),
         ("t,v\n0,2020-01-01\n", None),
@@ -684,14 +690,14 @@ def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(
 
 def test_comment_with_as_many_fields_as_the_header_is_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     assert not run(make("write('# a, b\\nt,v\\n0,1\\n1,2\\n')"), runs=2).failed
-    told = "is text in 2 runs, and has no figure: the first line is a comment, and comments are not read; "
+    told = "is text in 2 runs, so it has no figure: the first line is a comment, but comments are not supported; "
     assert [told in note for note in noted()] == [True, True]
 
 
 def test_wrong_declared_delimiter_is_noted_with_the_right_one(make: Make, noted: Callable[[], list[str]]) -> None:
     project = make("write('t,v\\n0,1\\n1,2\\n')", '[outputs.out]\nfile = "out.csv"\ndelimiter = ";"\n')
     assert not run(project, runs=2).failed
-    assert noted() == [ONE_COLUMN.format("t,v") + 'is it several columns? (delimiter = "," in [outputs.out])']
+    assert noted() == [ONE_COLUMN.format("t,v") + 'are these several columns? (set delimiter = "," in [outputs.out])']
 
 
 @pytest.mark.parametrize(
@@ -710,20 +716,19 @@ def test_repeated_header_fails_runs_even_if_all_runs_have_it(make: Make, content
     project = make(f"write({content!r})")
     assert run(project, runs=3).failed == 3
     header = content.strip("\ufeff").splitlines()[0]
-    assert reasons(project) == [
-        f"out.csv: line {line}: the header is there again: {header!r} (is it appended to? write it once, before all rows)"
-    ]
+    hint = "did the run append to the file? write the header once, before all rows"
+    assert reasons(project) == [f"out.csv: line {line}: the header is repeated: {header!r} ({hint})"]
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("# made by sim\nt,v\n0,1\n", "line 1: is a comment, where the names of the columns should be: '# made by sim'"),
-        ("t,v\n# warm-up\n0,1\n", "line 2: too few fields (1, not 2): '# warm-up' (comments are not read; write them to"),
+        ("# made by sim\nt,v\n0,1\n", "line 1: is a comment, but the column names must be here: '# made by sim'"),
+        ("t,v\n# warm-up\n0,1\n", "line 2: too few fields (1, not 2): '# warm-up' (comments are not supported; write them to"),
         ("# t,v\n0,1\n1\n", "line 3: too few fields (1, not 2): '1'"),
         (
             "# made by sim\n# version 3\nt,v\n0,1\n",
-            "line 1: is a comment, where the names of the columns should be: '# made by",
+            "line 1: is a comment, but the column names must be here: '# made by",
         ),
     ],
 )
@@ -780,16 +785,14 @@ def test_unnamed_columns_are_all_kept(tmp_path: Path) -> None:
 def test_invalid_number_among_numbers_of_many_runs_is_noted_and_kept_as_text(tmp_path: Path, odd: bytes) -> None:
     files = [b"a,b\n0.5,x_y\n"] * 20 + [b"a,b\n" + odd + b",x_y\n"] + [b"a,b\n1.5,x_y\n"] * 20
     reading, rows = table(tmp_path, files)
-    assert reading.hints == {
-        ("e20", "out.csv"): {"a": f"out.csv: line 2: text where numbers are in column 'a': {odd.decode()!r}"}
-    }
+    assert reading.hints == {("e20", "out.csv"): {"a": f"out.csv: line 2: text in the numeric column 'a': {odd.decode()!r}"}}
     assert sorted(row[0] for row in rows) == sorted([*["0.5"] * 20, odd.decode(), *["1.5"] * 20])
 
 
 @pytest.mark.parametrize("content", [b"\x1f\x8b\x08\0a\n1\n", "a,b\n1,2\n".encode("utf-16"), b"gr\xf6\xdfe\n1\n", b"\0\0\n"])
 def test_header_that_is_not_utf_8_is_detected(tmp_path: Path, content: bytes) -> None:
     reading, _ = table(tmp_path, [content])
-    assert "line 1: is no text in UTF-8" in reading.faults["e0"]
+    assert "line 1: is not UTF-8 text" in reading.faults["e0"]
 
 
 @pytest.mark.parametrize("content", [b"\na,b\n1,2\n", b",,\n1,2,3\n", b'"a,b\n1,2\n'])
@@ -840,9 +843,9 @@ def test_tables_that_are_kept_as_files_are_noted(make: Make, noted: Callable[[],
     lines = "for folder in ('d', 'logs'): os.mkdir(folder); write(good, folder + '/1.csv'); write(good, folder + '/2.csv')"
     run(make(lines + "\nwrite(good, 'x-y.csv'); write(good, 'x_y.csv'); write('', 'a.txt')", toml))
     assert noted() == [
-        "'logs/1.csv' and 1 others are kept as files: undeclared, in a subfolder "
+        "'logs/1.csv' and 1 others are kept as files: undeclared and in a subfolder "
         '([outputs.NAME] file = "logs/*.csv" makes a table of them)',
-        "'x_y.csv' is kept as a file: undeclared, and another has the table of that name already "
+        "'x_y.csv' is kept as a file: undeclared, and another file already makes the table of that name "
         '([outputs.NAME] file = "x_y.csv" makes it a table)',
     ]
 
@@ -850,7 +853,7 @@ def test_tables_that_are_kept_as_files_are_noted(make: Make, noted: Callable[[],
 def test_too_many_undeclared_tables_are_kept_as_files_and_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     run(make("for i in range(21): write(good, f'{i:02}.csv')"))
     assert noted() == [
-        "'00.csv' and 20 others are kept as files: undeclared, and of more than 20 in a run "
+        "'00.csv' and 20 others are kept as files: undeclared, and more than 20 in a run "
         '([outputs.NAME] file = "*.csv" makes a table of them)'
     ]
 
@@ -862,9 +865,7 @@ def test_column_hidden_by_a_variable_is_noted_if_its_values_differ(
 ) -> None:
     project = make(f"write(f'tick,N\\n0,{{{value}}}\\n')")
     run(project, "n=1,2")
-    told = (
-        "the column 'N' of output 'out' is called 'N_' in SQL: 'n' there is the independent variable, and its values are others"
-    )
+    told = "column 'N' of output 'out' is named 'N_' in SQL, because 'n' is the independent variable, which has other values"
     assert noted() == [told] * said
     assert len(column(project, "N_")) == 8
 
@@ -873,7 +874,7 @@ def test_columns_that_only_one_run_has_are_noted(make: Make, noted: Callable[[],
     project = make("write(good if n != 2 else 'tick,w\\n0,1\\n1,1\\n2,1\\n')")
     assert run(project, "n=1,2,3", runs=1).failed == 0
     assert noted() == [
-        "output 'out': one run has columns that no other run has; none of its experiment shows whether that is right"
+        "output 'out': one run has columns that no other run has; no other run of the experiment can confirm them"
     ]
 
 
@@ -893,7 +894,7 @@ def test_links_pipes_and_odd_names_among_outputs_are_harmless(make: Make) -> Non
     summary = run(project)
     assert summary.failed == 0
     assert project.store.outputs() == ["new_line", "out"]
-    assert "'link.csv' and 1 other are not recorded: only files are, and where a link leads is not followed" in summary.notes
+    assert "'link.csv' and 1 other are not recorded: only files are recorded, and links are not followed" in summary.notes
 
 
 @pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])

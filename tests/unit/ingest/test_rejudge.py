@@ -209,7 +209,7 @@ def test_truncated_logs_cannot_be_evaluated_again_so_their_runs_are_executed(tmp
     project.ask(0, "population_size=1", "--runs", "1", "--no-figures")
     project.declare('[success]\nmarker = "stdout"\ncontains = "done"\n')
     told = project.said("run", "population_size=1", "--runs", "1", "--no-figures")
-    assert "of its stdout only the beginning and the end are in the store" in told
+    assert "the store has only the beginning and the end of stdout" in told
     assert project.executed == 2
 
 
@@ -250,7 +250,7 @@ def test_runs_are_executed_again_with_the_reason_if_their_raw_files_are_not_stor
     project.declare(WIDE + 'delimiter = ";"\n')
     assert "the bytes of 'swarm.csv' are not in the store" in project.said("run", *ASK, "--dry-run", "--explain")
     told = project.said("run", *ASK)
-    assert f"executing {RUNS} runs again, which cannot be judged by the changed rules: the bytes of" in told
+    assert f"executing {RUNS} runs again; their records cannot be evaluated by the changed rules: the bytes of" in told
     assert project.executed == 2 * RUNS
 
 
@@ -287,7 +287,7 @@ def test_reevaluation_fails_if_the_number_of_copied_rows_differs_from_the_record
     project.declare(WIDE + "min_rows = 1\n")
     ended = quick(project.root, "run", *ASK)
     assert ended.returncode == 1
-    assert "rows where" in ended.stderr
+    assert "were recorded; see sierra fsck" in ended.stderr
 
 
 @pytest.mark.integration

@@ -132,8 +132,8 @@ def test_odd_number_of_quotes_is_a_fault_with_its_line_number(tmp_path: Path) ->
     reading, _ = read_files(tmp_path, make(tmp_path, [b'a,b\n1,2\n3,5"\n4,5\n', OPEN_QUOTE]))
     assert reading.faults == {
         "e0": "out.csv: line 3: an odd number of quotes: '3,5\"' "
-        "(write a field with quotes in it in quotes, and those in it twice)",
-        "e1": "out.csv: line 52: quotes are not closed, or not as CSV has them (unexpected end of data)",
+        "(put fields that contain quotes in quotes, and double the quotes inside)",
+        "e1": "out.csv: line 52: quotes are not closed or not valid in CSV (unexpected end of data)",
     }
 
 
@@ -169,7 +169,7 @@ def test_rows_of_valid_csv_files_are_counted_correctly(
 def test_empty_first_line_without_header_is_a_fault_instead_of_lost_rows(tmp_path: Path) -> None:
     reading, _ = read_files(tmp_path, make(tmp_path, [b"\n1,2\n3,4\n"]), shape=Shape("csv", header=False))
     assert reading.faults == {
-        "e0": "out.csv: line 1: is empty, and 2 rows follow; name the columns (columns = [...] in [outputs.…])"
+        "e0": "out.csv: line 1: is empty, but 2 rows follow; name the columns (set columns = [...] in [outputs.…])"
     }
 
 
@@ -213,7 +213,7 @@ def test_fault_is_reported_if_the_parser_reads_fewer_rows_than_the_file_has(
     monkeypatch.setattr(reader, "write", losing)
     reading, rows = read_files(tmp_path, paths, kind=kind)
     assert list(reading.faults) == ["e1"]
-    assert "4 rows are in it, but 3 were read" in reading.faults["e1"]
+    assert "it contains 4 rows, but 3 were read" in reading.faults["e1"]
     assert {name: len(some) for name, some in rows.items()} == {"e0": 4, "e2": 4}
 
 

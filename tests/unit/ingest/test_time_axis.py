@@ -12,7 +12,7 @@ from tests import projects
 from tests.projects import quick
 
 TIMESTEP = projects.SIMULATOR.replace("tick,coverage", "timestep,coverage").replace("print(tick, ", "print(tick * 10, ")
-TAKEN = "'timestep' is taken for the time of output 'swarm', as it increases alike in all runs"
+TAKEN = "'timestep' is used as the time of output 'swarm', because it increases equally in all runs"
 
 
 def times(root: Path, *words: str) -> tuple[set[Any], str]:
@@ -35,18 +35,18 @@ def test_column_that_increases_alike_in_all_runs_is_the_time_and_is_reported(tmp
     assert TAKEN in told
     ended = quick(tmp_path, "figures")
     assert ended.returncode == 0
-    assert f'{TAKEN} (time = "COLUMN" in [outputs.swarm] names another)' in ended.stderr
-    assert ended.stderr.count("is taken for the time") == 1
+    assert f'{TAKEN} (to name another, set time = "COLUMN" in [outputs.swarm])' in ended.stderr
+    assert ended.stderr.count("is used as the time") == 1
 
 
 @pytest.mark.integration
 def test_declared_or_conventionally_named_time_column_is_used_without_a_report(tmp_path: Path) -> None:
     root = asked(tmp_path / "called", projects.SIMULATOR)
     assert times(root)[0] == {0, 1, 2, 3, 4}
-    assert "is taken for" not in times(root)[1]
+    assert "is used as" not in times(root)[1]
     declared = asked(tmp_path / "declared", TIMESTEP, '[outputs.swarm]\nfile = "swarm.csv"\ntime = "timestep"\n')
     assert times(declared)[0] == {0, 10, 20, 30, 40}
-    assert "is taken for" not in times(declared)[1]
+    assert "is used as" not in times(declared)[1]
 
 
 def test_time_column_is_found_in_runs_of_different_lengths(tmp_path: Path) -> None:
@@ -72,14 +72,17 @@ def test_columns_that_do_not_increase_alike_in_all_runs_are_not_the_time(written
     simulator = TIMESTEP.replace("print(tick * 10, ", f"print({written}, ")
     found, told = times(asked(tmp_path, simulator))
     assert found == {0, 1, 2, 3, 4}
-    assert "is taken for" not in told
-    assert "output 'swarm' has no time: its rows are counted instead, as no column increases alike in all runs" in told
+    assert "is used as" not in told
+    assert (
+        "output 'swarm' has no time column: row numbers are used instead, because no column increases equally in all runs"
+        in told
+    )
     config = tmp_path / "sierra.toml"
     config.write_text(config.read_text() + '[outputs.swarm]\nfile = "swarm.csv"\n')
-    assert "are counted instead" not in times(tmp_path)[1], "who declares an output has said that it has no time"
+    assert "are used instead" not in times(tmp_path)[1], "who declares an output has said that it has no time"
 
 
 def test_no_column_is_chosen_as_the_time_for_a_single_run(tmp_path: Path) -> None:
     projects.make(tmp_path, simulator=TIMESTEP)
     assert quick(tmp_path, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
-    assert "is taken for" not in times(tmp_path)[1]
+    assert "is used as" not in times(tmp_path)[1]

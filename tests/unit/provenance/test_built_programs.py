@@ -99,7 +99,7 @@ def test_a_replay_names_a_program_that_is_not_built(tmp_path: Path) -> None:
     (root / "build" / "sim").unlink()
     code, _, err = replayed(root)
     assert code == 3
-    assert f"{root}/build/sim is not there; runs need it, and the recorded source does not hold it" in err
+    assert f"{root}/build/sim does not exist; runs need it, and the recorded source does not contain it" in err
 
 
 @pytest.mark.integration
@@ -130,4 +130,4 @@ def test_a_program_next_to_the_project_is_found_relative_to_the_project(tmp_path
     simulator.write_text(projects.SIMULATOR.replace("count * tick", "count * tick + 1"))
     code, _, err = replayed(root)
     assert code == 1
-    assert "other programs: sim.py: " in err
+    assert "different programs: sim.py: " in err

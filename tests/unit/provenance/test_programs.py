@@ -344,9 +344,9 @@ def test_a_note_reports_that_files_named_only_by_the_query_are_not_recorded(tmp_
         (tmp_path / "maps" / name).write_text(name)
     (project.root / "held.pgm").touch()
     notes = project.plan("map=a.pgm,gone.pgm", sets=[("//e/@n", f"{tmp_path}/maps/b.pgm")]).notes
-    named = sorted(note.split()[0] for note in notes if "named by the query" in note)
+    named = sorted(note.split()[0] for note in notes if "named only by the query" in note)
     assert named == [f"{tmp_path}/maps/a.pgm", f"{tmp_path}/maps/b.pgm"]
-    assert not [note for note in project.plan("n=held.pgm").notes if "named by the query" in note]
+    assert not [note for note in project.plan("n=held.pgm").notes if "named only by the query" in note]
 
 
 def test_hostile_texts_of_a_template_are_not_recorded_as_referenced_files(tmp_path: Path) -> None:
@@ -373,7 +373,7 @@ def test_a_note_for_a_failed_relative_include_says_how_to_link_it(tmp_path: Path
     failed = project.run("n=1", figures=False)
     assert failed.failed == 1
     [told] = [note for note in failed.notes if "relative path" in note]
-    assert told.startswith("the template names 'parts/arm.xml' by a relative path: it lies in the project")
+    assert told.startswith("the template names 'parts/arm.xml' by a relative path: it is in the project")
     linked = "sh -c 'ln -s {project}/parts {run}/ && exec python3 {project}/sim.py {input}'"
     assert linked.split("exec")[0] in told
     toml = project.root / "sierra.toml"

@@ -75,8 +75,8 @@ def test_changed_programs_are_not_reported_as_nondeterminism(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("simulator", "said"),
     [
-        (projects.SIMULATOR, "executed twice, left the same bytes"),
-        (NOISY, "came out different: swarm.csv: row 0: 'coverage' was"),
+        (projects.SIMULATOR, "was executed twice: both executions wrote the same bytes"),
+        (NOISY, "the second execution is different: swarm.csv: row 0: 'coverage' was"),
     ],
 )
 def test_a_probe_executes_one_run_twice_before_the_batch_and_reports_the_result(

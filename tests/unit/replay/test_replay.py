@@ -129,7 +129,7 @@ def test_a_changed_program_is_reported_before_the_verdict_and_a_missing_one_is_a
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,2\\n' > out.csv\n")
     code, said = replay(root, batch)
     assert code == 1
-    assert said["notes"][0].startswith("other programs: sim: ")
+    assert said["notes"][0].startswith("different programs: sim: ")
     program.unlink()
     ended = projects.quick(root, "replay", batch)
     assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
@@ -145,9 +145,9 @@ def test_another_machine_is_reported_before_the_verdict(make: Make, monkeypatch:
     other = sierra.open(root).replay(batch)
     assert other.verdict == "identical"
     [flags, libc] = other.notes
-    assert flags.startswith("other machine: cpu_flags that differ: was ")
+    assert flags.startswith("different machine: cpu_flags that differ: was ")
     assert "gone" in flags.partition(", is ")[2]
-    assert libc == f"other machine: libc was {facts['libc']}, is musl 1.2"
+    assert libc == f"different machine: libc was {facts['libc']}, is now musl 1.2"
 
 
 @pytest.mark.integration
@@ -211,7 +211,7 @@ def test_an_invalid_tolerance_is_refused(make: Make, text: str) -> None:
 def test_a_tolerance_of_an_unknown_output_is_refused_before_any_run_executes(make: Make) -> None:
     root = make()
     ended = projects.quick(root, "replay", ask(root), "--set-tolerance", "swamp.coverage=rel:1")
-    assert (ended.returncode, "no output 'swamp'; there is swarm" in ended.stderr) == (2, True)
+    assert (ended.returncode, "unknown output 'swamp'; known outputs: swarm" in ended.stderr) == (2, True)
     assert not sierra.open(root).sql("SELECT 1 FROM executions WHERE purpose <> 'run'").num_rows
 
 
@@ -247,7 +247,7 @@ def test_a_volatile_column_that_differs_is_named(make: Make) -> None:
     code, said = replay(root, ask(root))
     assert (code, said["verdict"]) == (0, "equal")
     whys = {one["reason"] for one in said["outputs"] if one["verdict"] == "equal"}
-    assert whys == {"only what is declared volatile differs: 'coverage'"}
+    assert whys == {"only volatile columns differ: 'coverage'"}
 
 
 @pytest.mark.integration
@@ -306,7 +306,7 @@ def test_equivalence_needs_whole_experiments_and_never_hides_failed_runs(make: M
     assert (code, said["verdict"], said["notes"]) == (
         1,
         "different",
-        ["equivalence is judged of whole experiments alone: replay without --runs"],
+        ["equivalence is tested only for whole experiments: replay without --runs"],
     )
     declare(root, '[limits]\noutput = "1 B"\n')
     assert replay(root, batch)[1]["verdict"] == "failed"
@@ -329,7 +329,7 @@ def test_a_metric_without_a_value_in_the_replay_is_reported(make: Make, tmp_path
     (tmp_path / "flag").touch()
     code, said = replay(root, batch)
     assert (code, said["verdict"]) == (1, "different")
-    assert any("[equivalence]" in note and "the replay has no value of it" in note for note in said["notes"])
+    assert any("[equivalence]" in note and "the replay has no values to compare" in note for note in said["notes"])
 
 
 @pytest.mark.integration
@@ -462,9 +462,9 @@ def test_runs_without_comparable_outputs_are_not_reported_as_identical(make: Mak
     root = make(only_logs + "if b'count=\"2\"' in open(sys.argv[1], 'rb').read(): open('x.txt', 'w').write('x')\n")
     batch = ask(root, "population_size=1")
     ended = projects.quick(root, "replay", batch)
-    assert (ended.returncode, "left nothing but logs, which are not compared" in ended.stderr) == (3, True)
+    assert (ended.returncode, "wrote only logs, and logs are not compared" in ended.stderr) == (3, True)
     code, said = replay(root, ask(root))
-    assert (code, said["notes"]) == (0, ["2 of 4 runs left nothing but logs, which are not compared"])
+    assert (code, said["notes"]) == (0, ["2 of 4 runs wrote only logs, and logs are not compared"])
 
 
 @pytest.mark.integration
@@ -481,7 +481,7 @@ def test_a_changed_program_that_git_ignores_is_used_and_reported(tmp_path: Path)
     assert (code, said["verdict"], said["notes"]) == (0, "identical", [])
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,2\\n' > out.csv\n")
     code, said = replay(root, batch)
-    assert (code, said["notes"][0].startswith("other programs: {project}/build/sim: ")) == (1, True)
+    assert (code, said["notes"][0].startswith("different programs: {project}/build/sim: ")) == (1, True)
 
 
 @pytest.mark.integration
@@ -505,7 +505,7 @@ def test_rows_missing_from_the_store_are_an_error(make: Make) -> None:
     pq.write_table(pq.read_table(file).slice(0, 17), file)
     ended = projects.quick(root, "replay", batch)
     assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
-    assert "2 of 5 rows of 'swarm' are in the store" in ended.stderr
+    assert "the store has 2 of the 5 rows that execution " in ended.stderr
 
 
 @pytest.mark.integration
@@ -523,7 +523,7 @@ def test_the_same_bytes_are_different_if_the_record_lacks_some_of_their_rows(mak
     pq.write_table(pa.Table.from_pylist(rows, schema=artifacts.schema), file.with_name("artifacts.parquet"))
     code, said = replay(root, batch)
     assert (code, said["verdict"], said["counts"]) == (1, "different", {"identical": 3, "different": 1})
-    assert "the same bytes, but of its 5 rows the recorded table has 4 (see sierra fsck)" in json.dumps(said)
+    assert "the same bytes, but the recorded table has 4 of 5 rows (see sierra fsck)" in json.dumps(said)
 
 
 @pytest.mark.integration
@@ -549,8 +549,8 @@ def test_columns_of_lists_and_structures_are_compared() -> None:
 
 
 def test_outputs_that_are_entirely_volatile_are_reported() -> None:
-    assert "every column" in of_tables(pa.table({"v": [1]}), pa.table({"v": [2]}), Rules(volatile=["v"])).reason
-    assert "every line" in of_texts(b"a\n", b"b\n", ["^"]).reason
+    assert "all columns" in of_tables(pa.table({"v": [1]}), pa.table({"v": [2]}), Rules(volatile=["v"])).reason
+    assert "all lines" in of_texts(b"a\n", b"b\n", ["^"]).reason
 
 
 def change(root: Path, table: str, **columns: list[Any]) -> None:
@@ -598,13 +598,12 @@ def table(**columns: list[Any]) -> pa.Table:
 
 def test_equal_values_are_reported_with_the_digits_that_are_stored() -> None:
     assert of_tables(table(v=[0.1]), table(v=[0.1])).reason == (
-        "the same values (of fractions, the 17 digits that a number holds), written in other bytes"
+        "the same values (fractions: the 17 digits that a double holds), but different bytes"
     )
-    assert of_tables(table(v=[1]), table(v=[1])).reason == "the same values, written in other bytes"
+    assert of_tables(table(v=[1]), table(v=[1])).reason == "the same values, but different bytes"
     beside = of_tables(table(v=[0.1], when=[1]), table(v=[0.1], when=[2]), Rules(volatile=["when"]))
     assert beside.reason == (
-        "only what is declared volatile differs: 'when'; all else has the same values (of fractions, the 17 digits that a "
-        "number holds)"
+        "only volatile columns differ: 'when'; all other values are the same (fractions: the 17 digits that a double holds)"
     )
     old, new = (
         pa.table({"v": pa.array([Decimal(text)], pa.decimal128(38, 30))}) for text in (f"0.{'1' * 20}1", f"0.{'1' * 20}2")
@@ -617,7 +616,7 @@ def test_equal_values_are_reported_with_the_digits_that_are_stored() -> None:
 def test_differences_of_large_integers_are_exact() -> None:
     said = of_tables(table(v=[2**53]), table(v=[2**53 + 1]))
     assert (said.verdict, said.max_abs) == (Verdict.DIFFERENT, 1.0)
-    assert "at worst 1 apart" in said.reason
+    assert "largest difference 1" in said.reason
     assert of_tables(table(v=[2**60 + 1]), table(v=[2**60 + 300])).max_abs == 299
     assert of_tables(table(v=[2**53]), table(v=[2**53 + 1]), Rules({"v": Tolerance(abs=1)})).verdict is Verdict.WITHIN
     assert of_tables(table(v=[2**53 + 1]), table(v=[2.0**53])).max_abs == 1
@@ -626,14 +625,14 @@ def test_differences_of_large_integers_are_exact() -> None:
 def test_missing_values_nan_and_infinity_have_no_reported_distance() -> None:
     for was, now in ((1.0, None), (1.0, float("nan")), (1.0, float("inf")), (None, 1.0)):
         said = of_tables(pa.table({"v": pa.array([was], pa.float64())}), pa.table({"v": pa.array([now], pa.float64())}))
-        assert "apart" not in said.reason
+        assert "difference" not in said.reason
         assert "None" not in said.reason
     assert (
         "'v' was 1.0 and is missing"
         in of_tables(table(v=[1.0, 2.0]), pa.table({"v": pa.array([None, 2.0], pa.float64())})).reason
     )
     said = of_tables(table(v=[0.0]), table(v=[0.5]))
-    assert "at worst 0.5 apart;" in said.reason
+    assert "largest difference 0.5;" in said.reason
     assert "relative" not in said.reason
 
 
@@ -648,16 +647,16 @@ def test_all_differing_columns_are_named_or_counted() -> None:
 def test_shared_rows_and_columns_are_compared_if_others_were_added_or_removed() -> None:
     wide = {f"column{n}": [1.0, 2.0] for n in range(500)}
     said = of_tables(table(**wide, gone=[1, 1]), table(**wide, new=[1, 1]))
-    assert said.reason == "other columns: 'gone' gone, 'new' new; 500 columns in both: the same"
+    assert said.reason == "different columns: missing 'gone', new 'new'; 500 columns in both: the same"
     said = of_tables(table(**wide, gone=[1, 1]), table(**{**wide, "column7": [1.0, 3.0]}))
     assert (said.verdict, said.form, said.row, said.column) == (Verdict.DIFFERENT, True, 1, "column7")
-    assert "other columns: 'gone' gone; 500 columns in both: row 1: 'column7' was 2.0 and is 3.0" in said.reason
+    assert "different columns: missing 'gone'; 500 columns in both: row 1: 'column7' was 2.0 and is 3.0" in said.reason
     assert len(of_tables(table(**wide), table(x=[1, 1])).reason) < 200
     assert of_tables(table(v=[1, 2]), table(v=[1, 2, 3])).reason == "2 rows were recorded, 3 found; the first 2 are the same"
     said = of_tables(table(v=[1, 2, 3]), table(v=[1, 5]))
     assert (
         said.reason
-        == "3 rows were recorded, 2 found; row 1: 'v' was 2 and is 5; at worst 3 apart (relative 1.5); in 1 of 2 rows"
+        == "3 rows were recorded, 2 found; row 1: 'v' was 2 and is 5; largest difference 3 (relative 1.5); in 1 of 2 rows"
     )
 
 

@@ -384,7 +384,7 @@ def test_a_figure_interpolates_linearly_on_request_and_notes_it() -> None:
 def test_a_figure_uses_the_runs_own_times_on_request_and_notes_that_they_differ() -> None:
     computed = stats.compute(figure(times="own"), AXIS, {"energy": Memory(SHIFTED)})
     assert computed.tables["energy"].num_rows == 160
-    assert computed.note == "mean, no interval, n = 1; times differ: each run at its own"
+    assert computed.note == "mean, no interval, n = 1; times differ: each run has its own times"
 
 
 @pytest.mark.parametrize("times", ["carry", "linear"])
@@ -420,7 +420,7 @@ def test_the_note_reports_absent_runs_and_left_out_values() -> None:
     frame = Memory([(0, 0, 0.0, 1.0), (0, 1, 0.0, None), (0, 2, 0.0, math.inf), (0, 3, math.nan, 5.0), (1, 0, 0.0, 2.0)])
     note = stats.compute(figure("summary"), AXIS, {"energy": frame}, planned={0: 5, 1: 4}).note
     assert note == (
-        "mean, no interval, n = 1; 4 of 9 runs absent; 1 missing value left out; 1 infinite value left out;"
+        "mean, no interval, n = 1; 4 of 9 runs missing; 1 missing value left out; 1 infinite value left out;"
         " 1 row without a time left out"
     )
 
@@ -458,7 +458,7 @@ def test_the_note_reports_how_often_a_threshold_was_not_reached(kind: str, mark:
 
 
 def test_a_heatmap_of_one_variable_is_refused() -> None:
-    with pytest.raises(UsageError, match="two independent variables, this batch has 1"):
+    with pytest.raises(UsageError, match="two independent variables, but this batch has 1"):
         stats.compute(figure("heatmap"), AXIS, {"energy": Memory([(0, 0, 0.0, 1.0)])})
 
 
@@ -582,7 +582,7 @@ def test_contradictory_options_of_the_stats_command_are_refused(simulated: Any) 
         ("--measure", "time_to"): together,
         ("--threshold", "4"): together,
         ("--times", "own", "--measure", "mean"): choose,
-        ("--measure", "time_to", "--threshold", "nan"): "a threshold is a finite number, not nan",
+        ("--measure", "time_to", "--threshold", "nan"): "a threshold must be a finite number, not nan",
     }.items():
         asked = simulated.quick("stats", "swarm", "v", *words)
         assert (asked.returncode, asked.stdout) == (2, "")
@@ -594,7 +594,7 @@ def test_statistics_in_python_accept_times_and_contain_the_note(simulated: Any) 
     table = project.statistics(None, "swarm", "v", measure=None, times="carry")
     assert table.schema.metadata[b"sierra:note"] == b"last values carried forward to 4 common times"
     assert project.statistics(None, "swarm", "v", measure=None).num_rows == 12
-    with pytest.raises(UsageError, match="times 'own' needs statistics for each time"):
+    with pytest.raises(UsageError, match="times 'own' needs statistics at each time"):
         project.statistics(None, "swarm", "v", times="own")
     with pytest.raises(UsageError, match="'time_to' needs a threshold"):
         project.statistics(None, "swarm", "v", measure="time_to")
@@ -614,7 +614,7 @@ def test_booleans_are_a_rate_with_wilsons_interval_and_this_is_reported(simulate
     said = project.quick("stats", "swarm", "good", "--json")
     found = [(row["mean"], round(row["low"], 4), round(row["high"], 4), row["interval"]) for row in json.loads(said.stdout)]
     assert found == [(0, 0, 0.4345, "Wilson"), (1, 0.5655, 1, "Wilson")]
-    assert said.stderr.count("good is 0 or 1 everywhere: low and high are Wilson's 95 % interval of a rate") == 1
+    assert said.stderr.count("all values of good are 0 or 1: low and high are Wilson's 95 % interval of a rate") == 1
     assert {row["interval"] for row in json.loads(project.quick("stats", "swarm", "n", "--json").stdout)} == {"Wilson"}
     batch = sierra.open(project.folder).batches[-1]["batch"]
     assert project.quick("figures", batch, "swarm_good_summary").returncode == 0

@@ -81,7 +81,7 @@ def test_a_run_of_two_experiments_appears_at_both_points(tmp_path: Path) -> None
 def test_values_that_give_the_same_runs_are_reported(tmp_path: Path) -> None:
     capped = '[variables.capped]\nchanges = [{ set = "//swarm/@count", value = "{min(capped, 3)}" }]\n'
     project = sierra.open(projects.make(tmp_path, projects.CONFIG + capped))
-    said = "capped=3 and capped=4 are the same runs: nothing in the input differs (as in 1 other cases)"
+    said = "capped=3 and capped=4 have the same runs: their inputs do not differ (also in 1 other cases)"
     assert said in project.plan("capped=2,3,4,5").notes
     assert not any("same runs" in note for note in project.plan("montecarlo.C2").notes)
 
@@ -203,7 +203,7 @@ def test_the_failure_of_a_csv_file_without_a_header_suggests_header_false(tmp_pa
 
 def test_a_text_instead_of_a_number_of_the_template_is_reported(tmp_path: Path) -> None:
     plan = sierra.open(projects.make(tmp_path)).plan("population_size=1-8")
-    assert any("'1-8'" in note and "the template has 1" in note for note in plan.notes)
+    assert any("'1-8'" in note and "the template has the number 1" in note for note in plan.notes)
 
 
 @pytest.mark.integration
@@ -235,7 +235,7 @@ def test_the_reason_is_reported_before_runs_execute_again(tmp_path: Path) -> Non
     (root / "arena.xml").write_text(projects.TEMPLATE.replace("an arena", "the arena"))
     assert "execute again: the template arena.xml has changed" in ask(2)
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace('"//swarm/@count"', '"/arena/@size"'))
-    assert "execute again: sierra.toml makes other changes to the template" in ask(2)
+    assert "execute again: sierra.toml changes the template differently" in ask(2)
     assert "submitted before" not in projects.quick(root, "run", "population_size=1", "--runs", "3", "--no-figures").stderr
 
 
