@@ -248,7 +248,7 @@ def _check_count(query: Query, axes: Sequence[Axis], report: PlanningProgress) -
     experiments = math.prod(len(axis.values) for axis in axes)
     if experiments * query.runs > AT_MOST:
         raise QueryError(
-            f"{experiments} experiments of {query.runs} runs are {experiments * query.runs} runs; a batch can have at most {AT_MOST}"
+            f"{experiments} experiments of {query.runs} runs are {experiments * query.runs} runs; a batch has at most {AT_MOST}"
         )
     report(0, experiments, experiments * query.runs)
 

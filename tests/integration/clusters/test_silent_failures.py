@@ -406,7 +406,7 @@ def test_array_tasks_that_could_not_begin_are_submitted_again_with_a_notice(
         made.project.plan(*QUERY, runs=1), runner="here", observer=Observing(notice=said.append), figures=False
     )
     assert (summary.executed, summary.failed) == (3, 0)
-    assert "1 element is submitted again: launch failed requeued held (CANCELLED)" in said
+    assert "1 array task is submitted again: launch failed requeued held (CANCELLED)" in said
 
 
 def gives_back(project: Project) -> Callable[[Progress], None]:

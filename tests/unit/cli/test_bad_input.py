@@ -124,7 +124,7 @@ def test_mistakes_in_the_project_file_are_refused_with_a_specific_message(
         ([""], "a criterion must not be empty"),
         (["noise=1", "--runs", "0"], "0 runs per experiment; request 1 or more"),
         (["noise=1", "--runs", "-3"], "-3 runs per experiment; request 1 or more"),
-        (["noise=1", "--runs", "99999999999"], "a batch can have at most 1000000"),
+        (["noise=1", "--runs", "99999999999"], "a batch has at most 1000000"),
         (["noise=1", "--runs", "many"], "invalid value for '--runs'"),
         (["noise=1", "--controller", "fast"], "controller 'fast' changes nothing"),
         (["scenario=open,closed"], "scenario 'open' changes nothing"),

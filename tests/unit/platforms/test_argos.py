@@ -723,7 +723,9 @@ def test_a_fixed_arena_conflicts_with_a_growing_one(tmp_path: Path) -> None:
 def test_a_density_with_different_populations_per_scenario_is_refused(tmp_path: Path) -> None:
     folder = argos_project(tmp_path / "p", CONFIG + BIG)
     told = refused(folder, "scenario=plain,big", "population_variable_density.1p0.3p0.C3")
-    assert "population_variable_density is 1, 2, 3 with scenario=plain, but 4, 8, 12 with scenario=big; use one of these" in told
+    assert (
+        "population_variable_density is 1, 2, 3 with scenario=plain, but 4, 8, 12 with scenario=big; use one of these" in told
+    )
 
 
 @pytest.mark.parametrize("query", [("population_variable_density.1p0.3p0.C3",), ("population_size.Log4",)])
@@ -746,7 +748,9 @@ changes = [{ add = "//controllers", xml = '<other id="other"><params><wheel_turn
 """
     folder = argos_project(tmp_path / "p", CONFIG + more)
     told = refused(folder, "speed=1,2", "scenario=more")
-    assert "speed=1 is overwritten: scenario=more changes the same value later; use only one of them, or in another order" in told
+    assert (
+        "speed=1 is overwritten: scenario=more changes the same value later; use only one of them, or in another order" in told
+    )
     assert projects.quick(folder, "run", "scenario=more", "speed=1,2", "-n").returncode == 0
 
 

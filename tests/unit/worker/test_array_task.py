@@ -716,7 +716,7 @@ def test_a_record_of_another_version_is_reported(tmp_path: Path) -> None:
 def test_paths_out_of_a_runs_folder_are_refused(packed: Pack, tmp_path: Path, path: str) -> None:
     ended = next(event for event in Pack(packed.path).read() if isinstance(event, Ended))
     hostile = Ended(ended.result, ((path, *ended.files[0][1:]),), ended.at)
-    with pytest.raises(Damaged, match="does not lie in a run's folder"):
+    with pytest.raises(Damaged, match="is not in a run's folder"):
         packed.extract(hostile, tmp_path / "in" if (tmp_path / "in").mkdir() else tmp_path / "in" / "taken")
     assert [entry.name for entry in tmp_path.rglob("*")] == ["in"]
 
