@@ -113,7 +113,7 @@ def _criterion(text: str) -> Criterion:
         raise QueryError("a criterion must not contain blanks; use noise=0,0.5,1")
     name, separator, rest = _split(text)
     if not _NAME.fullmatch(name):
-        raise QueryError(f"{_shown(name)} is not a valid name (letters, digits and _); {_right_name(name)}")
+        raise QueryError(f"{_shown(name)} is not a name of letters, digits and _; {_right_name(name)}")
     if not rest:
         raise QueryError(f"{name} has no range; {_forms(name)}")
     if (name == MONTE_CARLO) != bool(separator == "." and _ONLY_COUNT.fullmatch(rest)):

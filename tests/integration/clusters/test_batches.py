@@ -387,7 +387,7 @@ def test_a_probe_without_output_ends_the_session_before_any_run(gated: Gated) ->
         ('python = "/no/python3"', "/no/python3"),
         ("wall = 1e9", "more than the site allows"),
         ("cpus = 4000", "cpus = 4000"),
-        ('scratch = "/nowhere/runs"', "scratch = /nowhere/runs: there is no folder to make it in"),
+        ('scratch = "/nowhere/runs"', "scratch = /nowhere/runs: its parent folder does not exist"),
     ],
 )
 def test_settings_that_the_site_cannot_satisfy_are_refused_in_one_line(gated: Gated, line: str, words: str) -> None:

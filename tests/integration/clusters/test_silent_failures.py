@@ -473,7 +473,7 @@ def test_a_program_that_changes_during_the_batch_gives_no_result(clustered: Call
             tool.with_name("new").replace(tool)
             made.gate.touch()
 
-    with pytest.raises(SierraError, match="is another than on the host that submitted"):
+    with pytest.raises(SierraError, match="differs from the one on the submitting host"):
         made.project.run(*QUERY, runs=1, runner="here", observer=Observing(watch), figures=False)
     assert made.rows("SELECT * FROM executions") == []
 

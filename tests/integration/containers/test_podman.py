@@ -141,7 +141,7 @@ def test_runs_are_isolated_by_default(tmp_path: Path, python: Path, isolation: s
 
 def test_runs_do_not_share_a_container_of_an_image_without_python(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, 'isolation = "worker"')
-    assert "each run has a container of its own" in says(folder, *RUN)
+    assert "each run gets its own container" in says(folder, *RUN)
     assert rows(folder, "SELECT mode FROM isolations") == [{"mode": "run"}]
 
 

@@ -736,7 +736,7 @@ def test_a_population_that_another_change_overwrites_is_refused_as_an_axis(tmp_p
 
 def test_two_axes_that_set_one_attribute_by_different_paths_are_refused(tmp_path: Path) -> None:
     told = refused(argos_project(tmp_path / "p"), "length=30,60", "seconds=10,20")
-    assert "length=30 is overwritten: seconds=10 changes the same value later; use only one of them" in told
+    assert "length=30 is overwritten: seconds=10 changes the same value later; use one of them" in told
 
 
 def test_an_axis_before_a_scenario_that_adds_robots_is_refused(tmp_path: Path) -> None:
@@ -749,7 +749,7 @@ changes = [{ add = "//controllers", xml = '<other id="other"><params><wheel_turn
     folder = argos_project(tmp_path / "p", CONFIG + more)
     told = refused(folder, "speed=1,2", "scenario=more")
     assert (
-        "speed=1 is overwritten: scenario=more changes the same value later; use only one of them, or in another order" in told
+        "speed=1 is overwritten: scenario=more changes the same value later; use one of them, or in another order" in told
     )
     assert projects.quick(folder, "run", "scenario=more", "speed=1,2", "-n").returncode == 0
 
