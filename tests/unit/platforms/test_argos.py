@@ -748,9 +748,7 @@ changes = [{ add = "//controllers", xml = '<other id="other"><params><wheel_turn
 """
     folder = argos_project(tmp_path / "p", CONFIG + more)
     told = refused(folder, "speed=1,2", "scenario=more")
-    assert (
-        "speed=1 is overwritten: scenario=more changes the same value later; use one of them, or in another order" in told
-    )
+    assert "speed=1 is overwritten: scenario=more changes the same value later; use one of them, or in another order" in told
     assert projects.quick(folder, "run", "scenario=more", "speed=1,2", "-n").returncode == 0
 
 
