@@ -108,7 +108,7 @@ def _verify_tag(root: Path, image: Image) -> None:
         found = None if called is None else podman_images.identify(called)
     if found is not None and found != image.id:
         raise Missing(
-            f"the image {image.name} has changed: it is {short(found)} now, but the pin is {short(image.id)}; "
+            f"the tag of the image {image.name} has moved: it is {short(found)} now, but the pin is {short(image.id)}; "
             f"tag the pinned image again, or run: sierra image pin {image.name}"
         )
 

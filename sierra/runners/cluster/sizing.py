@@ -48,7 +48,7 @@ def size(count: int, times: Times | None, table: ClusterTable, bounds: Bounds, *
     site does not allow.
     """
     if table.wall is not None and bounds.wall_s is not None and table.wall > bounds.wall_s:
-        where = bounds.whose.get("wall_s", "the site's")
+        where = bounds.whose.get("wall_s", "the site's limit")
         raise ConfigError(f"wall = {table.wall:g} s is more than the site allows, {bounds.wall_s:g} s ({where}); request less")
     first = _first(count, times) if waits and table.array_tasks is None and count > UNKNOWN else ()
     seconds, how = (times.mean, times.how) if times else (None, "")

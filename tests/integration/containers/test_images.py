@@ -183,7 +183,7 @@ def test_a_tag_that_moved_is_detected(project: Project, storages: Storages) -> N
     image = project.pin(tag).image
     images.verify(project.root, image)
     second = project.import_image(project.root / "second.tar", tag).image.id
-    with pytest.raises(Missing, match="has changed") as said:
+    with pytest.raises(Missing, match="has moved") as said:
         images.verify(project.root, image)
     assert images.short(first) in str(said.value)
     assert images.short(second) in str(said.value)

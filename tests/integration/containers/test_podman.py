@@ -369,7 +369,7 @@ def test_a_run_fails_if_its_container_has_no_space_left(tmp_path: Path, python: 
     says(folder, "run", "population_size=1,2", "--runs", "1", "--no-figures", "-j1", code=1)
     ended = rows(folder, "SELECT population_size AS n, status, reason FROM executions JOIN points USING (run) ORDER BY n")
     assert [(row["n"], row["status"]) for row in ended] == [(1, "failed"), (2, "ok")]
-    assert "no room left in its container: /dev/shm" in ended[0]["reason"]
+    assert "no space was left in its container: /dev/shm" in ended[0]["reason"]
 
 
 @pytest.mark.nightly

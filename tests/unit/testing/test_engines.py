@@ -120,7 +120,7 @@ class Unsure(NoEngine):
         (Talking, conformance.keeps_output_apart, "standard error became"),
         (Unsure, conformance.says_what_it_can, "start another engine"),
         (NoEngine, conformance.has_no_rights, "Cap"),
-        (NoEngine, conformance.has_no_name_of_the_hosts, "the host is called"),
+        (NoEngine, conformance.has_no_name_of_the_hosts, "the container's host name is"),
         (NoEngine, conformance.says_what_cannot_be_started, "became|No such file"),
     ],
 )
