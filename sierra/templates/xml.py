@@ -360,7 +360,7 @@ class XmlDocument:
         way = re.match("/{0,2}", step)[0]  # type: ignore[index]
         there = [at + name for name in self._names(good, way, at)]
         if not there:
-            return f"; {good} matches" if good else ""
+            return f"; only {good} matches" if good else ""
         more = ", …" if len(there) > 8 else ""
         return f"; {f'{good} has' if good else 'there are'} {', '.join(there[:8])}{more}"
 

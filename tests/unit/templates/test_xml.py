@@ -304,7 +304,7 @@ def test_any_bytes_are_a_template_or_are_refused(data: bytes) -> None:
 
 def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     for path in (tmp_path / "none.xml", tmp_path / "a\nb", tmp_path / "nul\0"):
-        with pytest.raises(Missing, match=r"cannot be read$") as caught:
+        with pytest.raises(Missing, match=r"cannot read the template$") as caught:
             templates.read(path)
         assert str(caught.value).isprintable()
 
@@ -347,9 +347,9 @@ def test_paths_may_use_the_documents_prefixes_and_underscore_for_the_default() -
         ("//a\0", "is not an XPath"),
         ("nope()", "is not an XPath"),
         ("$x", "is not an XPath"),
-        ("count(//*)", "gives a number"),
-        ("string(//*)", "gives a string"),
-        ("1 = 1", "gives a boolean"),
+        ("count(//*)", "returns a number"),
+        ("string(//*)", "returns a string"),
+        ("1 = 1", "returns a boolean"),
         ("//namespace::*", "selects namespaces"),
     ],
 )

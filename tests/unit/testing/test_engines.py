@@ -114,7 +114,7 @@ class Unsure(NoEngine):
 @pytest.mark.parametrize(
     ("engine", "claim", "complaint"),
     [
-        (Leaking, conformance.passes_the_environment_exactly, "variables of the caller's"),
+        (Leaking, conformance.passes_the_environment_exactly, "variables of the caller"),
         (Splitting, conformance.passes_words_as_they_are, "became"),
         (Deaf, conformance.ends_a_program_that_does_not_care, "did not end"),
         (Talking, conformance.keeps_output_apart, "standard error became"),
