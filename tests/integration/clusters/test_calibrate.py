@@ -95,7 +95,7 @@ def test_the_first_and_last_run_are_timed_to_distribute_the_others(
     pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.array_task = 0 ORDER BY 1")
     assert [tuple(row.values()) for row in pair] == [(1, 0), (2, 11)]
     again = project.quick("run", "size=1,2", "--runs", "24", "--on", runner, "--no-figures")
-    assert "go first" not in again.stderr
+    assert "are executed first" not in again.stderr
 
 
 def test_runs_with_values_that_were_never_timed_go_first(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
@@ -180,7 +180,7 @@ def test_the_other_runs_are_submitted_when_the_user_detaches(waiting: Simulated,
 @pytest.mark.nightly
 def test_no_runs_go_first_with_the_option_detach(waiting: Simulated, slurm: Slurm) -> None:
     told = waiting.quick(*ASKED, "--detach")
-    assert "go first" not in told.stderr
+    assert "are executed first" not in told.stderr
     assert sent(waiting) == [list(range(16))]
     opened(waiting)
     assert waiting.quick(*ASKED).returncode == 0

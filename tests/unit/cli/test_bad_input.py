@@ -128,7 +128,7 @@ def test_mistakes_in_the_project_file_are_refused_with_a_specific_message(
         (["noise=1", "--runs", "many"], "invalid value for '--runs'"),
         (["noise=1", "--controller", "fast"], "controller 'fast' changes nothing"),
         (["scenario=open,closed"], "scenario 'open' changes nothing"),
-        (["noise=1", "--set", "//arena/@size"], "write it as XPATH=VALUE"),
+        (["noise=1", "--set", "//arena/@size"], "use XPATH=VALUE"),
         (["noise=1", "--set", "//nothing=3"], "//nothing matches nothing"),
         (["noise=1", "--set", "//arena[=3"], "XPATH=VALUE"),
         (["noise=1", "--set", "//arena/@size={1/0}"], "1/0"),
