@@ -117,7 +117,7 @@ def test_mistakes_in_the_project_file_are_refused_with_a_specific_message(
     [
         (["population_size.Log3"], "3 is not a power of two; use Log2 or Log4"),
         (["population_sise.Log2"], "did you mean 'population_size'?"),
-        (["noise=1", "noise=2"], "'noise' is asked for already"),
+        (["noise=1", "noise=2"], "'noise' is already an axis"),
         (["noise=1,1"], "1 is listed twice; use it once"),
         (["montecarlo.C0"], "a count must be 1 or more, not 0"),
         (["seed=1,2"], "'seed' is a column of the store"),

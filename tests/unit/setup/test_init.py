@@ -263,7 +263,7 @@ def test_a_module_of_the_project_is_found_from_the_folder_of_a_run(folder: Path)
     ("command", "said"),
     [
         ("./sim {input}", "the program './sim' is not there yet"),
-        ("./arena.xml {input}", "is not executable; put its interpreter before it"),
+        ("./arena.xml {input}", "is no program; name its interpreter"),
         ("python3 sim.py {input} > out.csv", "no shell reads the command, so that '>' is given to the program"),
         ("python3 sim.py", "the command does not name {input}"),
         ("python3 sim.py {input} maps", "'maps' is a folder here"),

@@ -104,7 +104,7 @@ def test_missing_commands_of_pbs_are_reported(
     monkeypatch.setenv("PATH", str(tmp_path))
     scheduler = Pbs(ClusterTable())
     for called in (scheduler.version, scheduler.bounds, lambda: scheduler.submit(ask())):
-        with pytest.raises(Missing, match="no qsub here"):
+        with pytest.raises(Missing, match="qsub is not installed here"):
             called()
     assert scheduler.look(NAME) is None
 
