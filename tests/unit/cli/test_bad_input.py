@@ -85,7 +85,7 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
             '[container]\nimage = "any"\nengine = "none"\nvariables = { SIERRA_SEED = "1" }',
             "[container] variables: SIERRA_SEED: each run has its own",
         ),
-        ("", '[environment.set]\nA = "a\\u0000b"', "has the character NUL in it; leave it out"),
+        ("", '[environment.set]\nA = "a\\u0000b"', "contains the character NUL; remove it"),
         ("", '[source]\npaths = ["nope"]', "'nope' does not exist"),
         ("runs = 2", "per_run = { a = [] }", "per_run.a should not be empty"),
         ("runs = 2", "per_run = { noise = [1] }", "expressions already have another 'noise'"),

@@ -262,11 +262,11 @@ def test_a_module_of_the_project_is_found_from_the_folder_of_a_run(folder: Path)
 @pytest.mark.parametrize(
     ("command", "said"),
     [
-        ("./sim {input}", "the program './sim' is not there yet"),
-        ("./arena.xml {input}", "is no program; name its interpreter"),
-        ("python3 sim.py {input} > out.csv", "no shell reads the command, so that '>' is given to the program"),
-        ("python3 sim.py", "the command does not name {input}"),
-        ("python3 sim.py {input} maps", "'maps' is a folder here"),
+        ("./sim {input}", "the program './sim' does not exist yet"),
+        ("./arena.xml {input}", "is not executable; add its interpreter to the command"),
+        ("python3 sim.py {input} > out.csv", "no shell starts the command, so the program gets '>' as an argument"),
+        ("python3 sim.py", "the command does not contain {input}"),
+        ("python3 sim.py {input} maps", "'maps' is a folder here, but each run starts in its own folder"),
     ],
 )
 def test_a_suspicious_command_is_written_with_a_note(folder: Path, command: str, said: str) -> None:
