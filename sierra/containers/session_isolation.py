@@ -199,9 +199,9 @@ def contain(
     shared, notes = given.isolation == "worker", []
     if shared and not inside.program(PYTHON):
         shared = False
-        notes.append(f'isolation = "worker" needs {PYTHON} in the image, which it lacks: each run has a container of its own')
+        notes.append(f'isolation = "worker" needs {PYTHON} in the image, which lacks it: each run gets its own container')
     if inside.user:
-        notes.append(f"the image's USER {inside.user!r} is ignored: outside of the container, processes are {able.user}")
+        notes.append(f"the image's USER {inside.user!r} is ignored: outside the container, processes belong to {able.user}")
     if not elsewhere:
         _check_devices(spec)
     box = ContainerSpec(
@@ -227,7 +227,7 @@ def _mounts(spec: RunSpec, given: Container, project: Path) -> Iterator[Mount]:
     """Yield the additional mounts of a run specification, with the project's sources. Raises ConfigError, Missing."""
     for target in (one.removeprefix(MOUNT) for one in spec.host_access if one.startswith(MOUNT)):
         if target not in given.mounts:
-            raise ConfigError(f"runs need a mount at {target}; name what is to be there in [container] mounts")
+            raise ConfigError(f"runs need a mount at {target}; add its source to [container] mounts")
         yield Mount(str(_there(project, target, given.mounts[target])), target)
 
 
@@ -250,7 +250,7 @@ def _there(project: Path, target: str, source: str) -> Path:
     """Return the path of a mount's source. Raises Missing if it does not exist."""
     path = project / source
     if not path.exists():
-        raise Missing(f"[container] mounts: {path} is not there, which runs are to have at {target}")
+        raise Missing(f"[container] mounts: {path} does not exist, but runs need it at {target}")
     return path
 
 
@@ -258,9 +258,9 @@ def _check_devices(spec: RunSpec) -> None:
     """Check that this machine has the devices that runs use. Raises Missing."""
     for path in (one.removeprefix(DEVICE) for one in spec.host_access if one.startswith(DEVICE)):
         if not Path(path).exists():
-            raise Missing(f"[container] devices: there is no {path} on this machine")
+            raise Missing(f"[container] devices: {path} does not exist on this machine")
     if GPU in spec.host_access and not NVIDIA.exists():
-        raise Missing("[container] gpu: there is no driver of NVIDIA's on this machine")
+        raise Missing("[container] gpu: this machine has no NVIDIA driver")
 
 
 def _check_variables(image: Image, inside: Contents) -> None:
@@ -269,7 +269,8 @@ def _check_variables(image: Image, inside: Contents) -> None:
     Raises Missing.
     """
     if inside.config and dict(image.variables) != oci.variables(inside.config):
-        raise Missing(f"the variables of {image.name} in sierra.lock are not the image's; run: sierra image pin {image.name}")
+        differs = f"the variables of {image.name} in sierra.lock differ from the image's"
+        raise Missing(f"{differs}; run: sierra image pin {image.name}")
 
 
 def program(command: Sequence[str], path: str | None, inside: Contents) -> str:
@@ -280,7 +281,7 @@ def program(command: Sequence[str], path: str | None, inside: Contents) -> str:
     word = PYTHON if command[0] == "{python}" else command[0]
     found = word if "{" in word else inside.program(word, path)
     if found is None:
-        raise Missing(f"the program {word!r} is not in the image {inside.image.name}; sierra image show lists what is")
+        raise Missing(f"the program {word!r} is not in the image {inside.image.name}; sierra image show lists its contents")
     return found
 
 
@@ -292,4 +293,4 @@ def _ignored(engine: Engine, able: Capabilities, box: ContainerSpec) -> Iterator
     for name in sorted(box.limits.keys() - able.enforced - WATCHED):
         yield f"LIMIT IGNORED: {engine.name} does not enforce {name} here ({able.version})"
     if not box.network and not able.isolated:
-        yield f"NOT ISOLATED: {engine.name} gives containers the network here ({able.version})"
+        yield f"NOT ISOLATED: containers of {engine.name} have network access here ({able.version})"

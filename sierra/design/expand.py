@@ -92,9 +92,9 @@ def _named(rendered: Files, platform: Platform) -> Files:
 
 def _check_streams(last: int, runs: int) -> None:
     if runs > STREAM:
-        raise QueryError(f"montecarlo takes at most {STREAM} runs an experiment; this asks for {runs}")
+        raise QueryError(f"montecarlo allows at most {STREAM} runs per experiment; this query requests {runs}")
     if last >= STREAMS:
-        raise QueryError(f"montecarlo takes at most {STREAMS} experiments; this asks for {last + 1}")
+        raise QueryError(f"montecarlo allows at most {STREAMS} experiments; this query requests {last + 1}")
 
 
 def run_id(spec: str, inputs: Iterable[tuple[str, str]], seed: int) -> str:

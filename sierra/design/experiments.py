@@ -206,7 +206,7 @@ def _check_same(first: Sequence[Spanned], here: Sequence[Spanned], chosen: Seque
             there = ", ".join(f"{name}={starts[name]}" for name, _ in differ)
             where = ", ".join(f"{name}={value}" for name, value in differ)
             raise QueryError(
-                f"{one.name} is {_few(one)} with {there}, but {_few(other)} with {where}; ask for one of these at a time"
+                f"{one.name} is {_few(one)} with {there}, but {_few(other)} with {where}; use one of these per query"
             )
 
 
@@ -241,7 +241,7 @@ def _check_independent(spanned: Sequence[Spanned]) -> None:
             place = (change.path, change.attribute)
             other = setters.setdefault(place, axis.name)
             if other != axis.name:
-                raise QueryError(f"{other!r} and {axis.name!r} both set {change.path!r}; ask for one of them")
+                raise QueryError(f"{other!r} and {axis.name!r} both set {change.path!r}; use only one of them")
 
 
 def _check_count(query: Query, axes: Sequence[Axis], report: PlanningProgress) -> None:
@@ -257,7 +257,7 @@ def _check_lists(project: Project, axes: Sequence[Axis]) -> None:
     """Raise ConfigError if a list has a name that already has a meaning in expressions."""
     for name in project.per_run:
         if name in {"seed", "run", *GROUPED, *(axis.name for axis in axes)}:
-            raise ConfigError(f"[per_run] {name}: expressions know another {name!r} already; take another name")
+            raise ConfigError(f"[per_run] {name}: expressions already have another {name!r}; use another name")
 
 
 def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change, ...]) -> None:
@@ -268,7 +268,7 @@ def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change
             if name is None or name in _groups(project, kind):
                 continue
             if not any(mentions(change, kind) for change in (*cell.changes, *per_run)):
-                raise QueryError(f"{kind} {name!r} changes nothing; sierra.toml declares none ([{kind}s.{name}])")
+                raise QueryError(f"{kind} {name!r} changes nothing; sierra.toml does not declare it ([{kind}s.{name}])")
 
 
 def mentions(change: Change, name: str) -> bool:
@@ -284,12 +284,12 @@ def _unknown(name: str, project: Project, platform: Platform) -> str:
     known = [*project.variables, *platform.criteria(), *(kind for kind in GROUPED if _groups(project, kind)), "montecarlo"]
     close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
     hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}"
-    return f"unknown variable {name!r}; {hint} (sierra.toml: [variables] declares them)"
+    return f"unknown variable {name!r}; {hint} ([variables] in sierra.toml declares them)"
 
 
 def _grouped(criterion: Criterion, project: Project) -> tuple[Axis, tuple[Point, ...]]:
     if not isinstance(criterion.scale, Listed):
-        raise QueryError(f"{criterion.name!r} takes names, as in {criterion.name}=one,two")
+        raise QueryError(f"the values of {criterion.name!r} must be names; use {criterion.name}=one,two")
     values = criterion.scale.values
     points = tuple(Point(value, _group(project, criterion.name, str(value))) for value in values)
     return Axis(criterion.name, tuple(map(str, values)), criterion.name.capitalize()), points

@@ -166,10 +166,10 @@ def _marks(rendered: Rendered) -> int:
 def _overwritten(made: Input, number: int, change: Set) -> str:
     layer = made.layers[number]
     found = next((n for n in range(number + 1, len(made.layers)) if _blamed(made, n, number, change)), None)
-    who = made.layers[found] if found is not None else Layer("what comes later", ())
+    who = made.layers[found] if found is not None else Layer("a later change", ())
     order = ", or in another order" if layer.axis and who.axis else ""
-    right = "only one of them can set it" if who.each_run else f"ask for one of them{order}"
-    return f"{layer.name} does not last: {who.name} changes what it sets; {right}"
+    right = "only one of them can set it" if who.each_run else f"use one of them{order}"
+    return f"{layer.name} is overwritten: {who.name} changes the same value later; {right}"
 
 
 def _blamed(made: Input, later: int, number: int, change: Set) -> bool:

@@ -40,9 +40,9 @@ def seed(base: int, number: int, stream: str = "") -> int:
     number outside 0 … 2**31-2, or a stream that is not Unicode.
     """
     if not 0 <= base < 2**63:
-        raise QueryError(f"a base seed is from 0 to {2**63 - 1}, not {base}")
+        raise QueryError(f"a base seed must be from 0 to {2**63 - 1}, not {base}")
     if not 0 <= number < LARGEST:
-        raise QueryError(f"a run's number is from 0 to {LARGEST - 1}, not {number}")
+        raise QueryError(f"a run's number must be from 0 to {LARGEST - 1}, not {number}")
     key = _key(base, stream)
     return _permuted(number + 1, key) or _permuted(0, key)
 
@@ -50,7 +50,7 @@ def seed(base: int, number: int, stream: str = "") -> int:
 @lru_cache(maxsize=1024)
 def _key(base: int, stream: str) -> tuple[int, ...]:
     if any("\ud800" <= character <= "\udfff" for character in stream):
-        raise QueryError(f"a stream's name is Unicode, without surrogates, unlike {stream!r}")
+        raise QueryError(f"a stream's name must be Unicode without surrogates, not {stream!r}")
     key = bytes.fromhex(digest("seeds", {"base": str(base), "stream": stream}))
     return tuple(int.from_bytes(key[at : at + 4]) for at in range(0, len(key), 4))
 

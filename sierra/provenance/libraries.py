@@ -49,7 +49,7 @@ def loaded(program: str, variables: Mapping[str, str]) -> Loaded:
     if not loader or not Path(loader).exists():
         return NONE
     if not _is_systems(loader):
-        return Loaded({}, doubt=f"its loader {loader} is none of the system's")
+        return Loaded({}, doubt=f"its loader {loader} does not belong to the system")
     heard = {name: variables[name] for name in HEARD if name in variables}
     try:
         done = subprocess.run(
@@ -62,7 +62,7 @@ def loaded(program: str, variables: Mapping[str, str]) -> Loaded:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        return Loaded({}, doubt=f"the loader {loader} gives no answer ({type(error).__name__})")
+        return Loaded({}, doubt=f"the loader {loader} does not answer ({type(error).__name__})")
     return _read(os.fsdecode(done.stdout), os.fsdecode(done.stderr))
 
 

@@ -47,8 +47,8 @@ def find(
     first = shutil.which(argv[0], path=search)
     if first is None:
         if Path(argv[0]).is_file():
-            raise Missing(f"{argv[0]} is no program; name its interpreter (python3 …), or make it one with chmod +x")
-        raise Missing(f"the program {argv[0]!r} is not there; install it, or mend the command of the project in {root}")
+            raise Missing(f"{argv[0]} is not executable; put its interpreter before it (python3 …), or run chmod +x")
+        raise Missing(f"the program {argv[0]!r} was not found; install it, or correct the command of the project in {root}")
     scripts = {Path(word).parent for word in argv if Path(word).is_relative_to(root) and Path(word).is_file()}
     finding = _Finding(root, variables, project or root, scripts)
     finding.start(argv[0], first, needed=True)
@@ -120,7 +120,7 @@ class _Finding:
         loaded = libraries.loaded(path, self._variables)
         if loaded.lacking and needed:
             raise Missing(
-                f"{called(name)} needs {loaded.lacking[0]}, which is not found; install it, or name its folder in "
+                f"{called(name)} needs {loaded.lacking[0]}, which was not found; install it, or add its folder to "
                 "LD_LIBRARY_PATH in [environment]"
             )
         if loaded.doubt:
@@ -192,7 +192,7 @@ def told(before: Iterable[Mapping[str, Any]], now: Programs, words: frozenset[st
         else:
             yield f"{name}: {_said(was) if was else 'not'} recorded, {_said(program) if program else 'not'} found"
     if loaded:
-        yield f"libraries other than recorded: {few(loaded, SHOWN)}"
+        yield f"libraries that differ from the record: {few(loaded, SHOWN)}"
 
 
 def _ambiguous(names: Iterable[str]) -> set[str]:

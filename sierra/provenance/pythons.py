@@ -157,8 +157,8 @@ def check(name: str, folders: Iterable[Path], root: Path, project: Path, scripts
             there = folder / file.relative_to(restored)
             if not there.is_file() or there.read_bytes() != file.read_bytes():
                 raise Missing(
-                    f"{name} imports from {folder} (an editable install, or its path), where {there.name} is not the recorded "
-                    "one: other code would execute; check the recorded one out there, or install it in another way"
+                    f"{name} imports from {folder} (an editable install, or its path), where {there.name} differs from the "
+                    "recorded file, so other code would execute; check out the recorded code there, or install it differently"
                 )
 
 

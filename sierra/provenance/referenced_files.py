@@ -80,7 +80,7 @@ def data(template: Path, texts: Iterable[str], root: Path, source: Container[byt
                 raise Missing(f"{path} is larger than 1 GB")
             found[path] = _file(path, root, digests)
         except (Missing, OSError) as error:
-            notes[path] = f"{error}: the template names it, and a change of it would not be seen"
+            notes[path] = f"{error}: the template names it, but changes to it are not detected"
     digests.save()
     return Programs(tuple(found[path] for path in sorted(found)), tuple(notes.values()))
 

@@ -74,13 +74,13 @@ def parse_all(texts: Iterable[str]) -> tuple[Criterion, ...]:
     """
     criteria = tuple(parse(text) for text in texts)
     if not criteria:
-        raise QueryError("a query has at least one criterion; use population_size.Log8")
+        raise QueryError("a query needs at least one criterion; use population_size.Log8")
     first: dict[str, Criterion] = {}
     for criterion in criteria:
         _check_axis(criterion, first.setdefault(criterion.name.lower(), criterion))
     if math.prod(ranges.count(criterion.scale) for criterion in criteria) > ranges.MOST:
         together = " ".join(text(criterion) for criterion in criteria)
-        raise QueryError(f"{_shown(together)} ask for more than {ranges.MOST} experiments; use fewer values")
+        raise QueryError(f"{_shown(together)} expand to more than {ranges.MOST} experiments; use fewer values")
     return criteria
 
 
@@ -92,23 +92,25 @@ def text(criterion: Criterion) -> str:
     ranges.check(criterion.scale)
     written = criterion.name + _written(criterion.scale)
     if parse(written) != criterion:
-        raise QueryError(f"{_shown(written)} asks for something else than {_shown(criterion)}")
+        raise QueryError(f"{_shown(written)} does not mean the same as {_shown(criterion)}")
     return written
 
 
 def _check_axis(criterion: Criterion, first: Criterion) -> None:
     name = criterion.name
     if name.lower() in RESERVED:
-        raise QueryError(f"{_shown(text(criterion))}: {name!r} is a column of the store; use another, as in my_{name}")
+        raise QueryError(
+            f"{_shown(text(criterion))}: {name!r} is a column of the store; use another name, for example my_{name}"
+        )
     if first is not criterion:
-        raise QueryError(f"{_shown(text(criterion))}: {name!r} is asked for already, by {_shown(text(first))}; use one of them")
+        raise QueryError(f"{_shown(text(criterion))}: {name!r} is already an axis, by {_shown(text(first))}; use one of them")
 
 
 def _criterion(text: str) -> Criterion:
     if not text:
-        raise QueryError("a criterion is not empty; use population_size.Log8")
+        raise QueryError("a criterion must not be empty; use population_size.Log8")
     if not text.isprintable() or " " in text:
-        raise QueryError("a criterion has no blanks; use noise=0,0.5,1")
+        raise QueryError("a criterion must not contain blanks; use noise=0,0.5,1")
     name, separator, rest = _split(text)
     if not _NAME.fullmatch(name):
         raise QueryError(f"{_shown(name)} is not a name of letters, digits and _; {_right_name(name)}")
@@ -155,7 +157,7 @@ def _spelled(name: str, rest: str) -> Scale:
         return Listed(tuple(_item(word) for word in rest.split(",")))
     parts = rest.split(":")
     if len(parts) != 3 or not _WHOLE.fullmatch(parts[2]):
-        raise QueryError(f"a span says from, to and how many; use {name}=0:1:5")
+        raise QueryError(f"a range needs from, to and a count; use {name}=0:1:5")
     return Span(_fraction(parts[0]), _fraction(parts[1]), _whole(parts[2]))
 
 
@@ -174,7 +176,7 @@ def _item(word: str) -> Value:
 def _float(word: str) -> float:
     exact, number = _fraction(word), float(word)
     if math.isinf(number) or (exact and not number):
-        raise QueryError(f"{word} is not within the floats; use one from 1e-307 to 1e308")
+        raise QueryError(f"{word} is outside the range of floats; use a number from 1e-307 to 1e308")
     return number + 0.0  # -0.0 becomes 0.0
 
 
@@ -184,14 +186,14 @@ def _whole(word: str) -> int:
 
 def _step(word: str) -> Fraction:
     if _LEADING_ZERO.match(word):
-        raise QueryError(f"{_shown(word)} has leading zeros; use none, as in 5 or 0p5")
+        raise QueryError(f"{_shown(word)} has leading zeros; leave them out, as in 5 or 0p5")
     return _fraction(word.replace("p", "."))
 
 
 def _fraction(word: str) -> Fraction:
     """Return the exact number; its digits and exponent are limited, so that a hostile text cannot take long."""
     if len(word) > DIGITS:
-        raise QueryError(f"a number of {len(word)} characters is too long; use at most {DIGITS}")
+        raise QueryError(f"a number of {len(word)} characters is too long; use at most {DIGITS} characters characters")
     if not _NUMBER.fullmatch(word) or _LEADING_ZERO.match(word):
         raise QueryError(_almost(word))
     return Fraction(word)
@@ -201,11 +203,11 @@ def _almost(word: str) -> str:
     """Return a message about a word that should be a number."""
     plain = word.lower().replace("p", ".", 1).replace("_", "")
     if len(word) > DIGITS or not _NUMBER.fullmatch(plain):
-        return f"{_shown(word)} is not a number; use one as 5, -0.5 or 1e-3"
+        return f"{_shown(word)} is not a number; use a number such as 5, -0.5 or 1e-3"
     sign, digits = ("-" if plain[0] == "-" else ""), plain.lstrip("+-")
     digits = digits.lstrip("0") if digits.strip("0") else "0"
     right = sign + (digits if digits[0].isdigit() else "0" + digits)
-    return f"{word} is not how a number is written here; use {right}"
+    return f"{word} is not in the number format of queries; use {right}"
 
 
 def _written(scale: Scale) -> str:
@@ -248,25 +250,25 @@ def _density(number: Fraction) -> str:
 def _dotted_mistaken(name: str, rest: str) -> str:
     """Return a message that `rest` is not a dotted scale, with a proposal."""
     if re.fullmatch(rf"{_STEP}\.{_STEP}", rest):
-        return f"it does not say how many values from {rest.replace('.', ' to ')}; use {name}.1.9.C5"
+        return f"the number of values from {rest.replace('.', ' to ')} is missing; use {name}.1.9.C5"
     if re.fullmatch(r"[0-9.+-]+(\.C[0-9]+)?", rest):
-        return f"steps are from, to and how many, with p for the decimal point; use {name}.0p5.2p5.C5"
+        return f"steps need from, to and a count, with p for the decimal point; use {name}.0p5.2p5.C5"
     if (word := re.match(r"[A-Za-z]+", rest)) is None:
-        return f"{_shown(rest)} is not a scale; {_forms(name)}"
+        return f"{_shown(rest)} is not a range; {_forms(name)}"
     close = difflib.get_close_matches(word[0][:DIGITS].capitalize(), ("Log", "Linear"), 1, 0.5)
     if not close:
-        return f"unknown scale {_shown(rest)}; {_forms(name)}"
+        return f"unknown range {_shown(rest)}; {_forms(name)}"
     meant = close[0] + rest[word.end() :].replace("c", "C")
     if not (_LOG.fullmatch(meant) or _LINEAR.fullmatch(meant)):
         meant = {"Log": "Log8", "Linear": "Linear100.C10"}[close[0]]
-    return f"unknown scale {_shown(rest)}; did you mean {name}.{meant}?"
+    return f"unknown range {_shown(rest)}; did you mean {name}.{meant}?"
 
 
 def _monte_carlo_mistaken(name: str, rest: str) -> str:
     if name == MONTE_CARLO:
-        return f"{MONTE_CARLO} has nothing but a count; use {MONTE_CARLO}.C20"
+        return f"{MONTE_CARLO} takes only a count; use {MONTE_CARLO}.C20"
     if name.lower() == MONTE_CARLO:
-        return f"{name} is written small; use {MONTE_CARLO}.{rest}"
+        return f"{name} must be in small letters; use {MONTE_CARLO}.{rest}"
     return f"{name} has a count, but no range; use {name}.1.9.C5, or {MONTE_CARLO}.{rest} to vary seeds only"
 
 
@@ -299,4 +301,4 @@ def setting(text: str) -> tuple[str, str]:
             depth -= 1
         elif character == "=" and depth == 0 and place:
             return text[:place], text[place + 1 :]
-    raise UsageError(f"--set {text!r}: write it as XPATH=VALUE, as in --set \"//numeric[@name='noise']/@data=0.5\"")
+    raise UsageError(f"--set {text!r}: use XPATH=VALUE, for example --set \"//numeric[@name='noise']/@data=0.5\"")

@@ -48,7 +48,7 @@ def values(scale: Scale) -> tuple[Value, ...]:
         case MonteCarlo(count):
             return tuple(range(1, count + 1))
         case ConstantDensity() | VariableDensity():
-            raise QueryError("densities only fit a platform's own criterion; use steps, as in =0.5:2:4")
+            raise QueryError("densities are only valid for a criterion of the platform; use steps, for example =0.5:2:4")
         case _:
             assert_never(scale)
 
@@ -129,7 +129,7 @@ def _value(numerator: int, denominator: int) -> int | float:
 
 def _check_log(end: int) -> None:
     if end < 1:
-        raise QueryError(f"Log ends at 1 or more, not {end}; use Log8")
+        raise QueryError(f"Log must end at 1 or more, not {end}; use Log8")
     _check_size(end)
     if end.bit_count() > 1:
         below = 1 << (end.bit_length() - 1)
@@ -139,14 +139,14 @@ def _check_log(end: int) -> None:
 
 def _check_linear(end: int, count: int) -> None:
     if end < 1:
-        raise QueryError(f"Linear ends at 1 or more, not {end}; use Linear100.C10")
+        raise QueryError(f"Linear must end at 1 or more, not {end}; use Linear100.C10")
     _check_size(end)
     _check_count(count)
     if end % count:
         near = [_linear(end, divisor) for divisor in _divisors(end, count) if divisor > 1]
         multiples = (end // count * count, (end // count + 1) * count)
         near += [_linear(multiple, count) for multiple in multiples if 0 < multiple <= LARGEST]
-        raise QueryError(f"{end} does not divide into {count} equal whole steps; use {_either(near)}")
+        raise QueryError(f"{end} cannot be divided into {count} equal whole steps; use {_either(near)}")
 
 
 def _linear(end: int, count: int) -> str:
@@ -160,13 +160,13 @@ def _check_steps(start: int, end: int, count: int) -> None:
         near = [f".{start}.{end}.C{gaps + 1}" for gaps in _divisors(distance, count - 1) if gaps < MOST]
         if max(abs(start), abs(end)) <= EXACT and _apart(Fraction(start), Fraction(end), count):
             near.insert(0, f"={start}:{end}:{count}")
-        raise QueryError(f"{start} to {end} does not divide into {count - 1} equal whole gaps; use {_either(near)}")
+        raise QueryError(f"{start} to {end} cannot be divided into {count - 1} equal whole steps; use {_either(near)}")
 
 
 def _check_span(start: Fraction, end: Fraction, count: int) -> None:
     _check_ends(start, end, count)
     if not _apart(start, end, count):
-        raise QueryError("its values lie closer together than floats can tell apart; use fewer, or a wider range")
+        raise QueryError("its values are too close together to differ as floats; use fewer values, or a wider range")
     _check_mixed(_spread(start, end, count) if max(abs(start), abs(end)) > EXACT else ())
 
 
@@ -181,19 +181,19 @@ def _check_ends(start: Fraction | int, end: Fraction | int, count: int) -> None:
     _check_size(start)
     _check_size(end)
     if start == end:
-        raise QueryError(f"it starts where it ends, at {plain(start)}; use ={plain(start)} for one value")
+        raise QueryError(f"its start and end are the same, {plain(start)}; use ={plain(start)} for one value")
     if count == 1:
-        raise QueryError("one value has no start and end; use 2 or more")
+        raise QueryError("a range needs at least two values; use a count of 2 or more")
     _check_count(count)
 
 
 def _check_listed(listed: tuple[Value, ...]) -> None:
     if not listed:
-        raise QueryError("it lists no values; use =1,2,4")
+        raise QueryError("its list of values is empty; use =1,2,4")
     _check_count(len(listed))
     names = [value for value in listed if isinstance(value, str)]
     if names and len(names) < len(listed):
-        raise QueryError(f"{names[0]!r} is a name among numbers; use all numbers, or all names")
+        raise QueryError(f"{names[0]!r} is a name in a list of numbers; use only numbers, or only names")
     seen: set[Value] = set()
     for value in listed:
         if not isinstance(value, str):
@@ -208,35 +208,35 @@ def _check_mixed(values: tuple[Value, ...]) -> None:
     """Raise QueryError for large whole numbers among decimals: they become floats, which must represent them exactly."""
     large = [value for value in values if isinstance(value, int) and abs(value) > EXACT]
     if large and any(isinstance(value, float) for value in values):
-        told = f"{large[0]} is beyond 2**53, where a decimal can't be told from its neighbours"
-        raise QueryError(f"{told}; use whole numbers alone, or smaller ones")
+        told = f"{large[0]} is beyond 2**53, where a float cannot represent all whole numbers"
+        raise QueryError(f"{told}; use only whole numbers, or smaller ones")
 
 
 def _check_listed_size(number: int | float) -> None:
     if isinstance(number, int):
         _check_size(number)
     elif not math.isfinite(number):
-        raise QueryError(f"{number} is not a finite number; use one up to 1e308")
+        raise QueryError(f"{number} is not a finite number; use a number up to 1e308")
 
 
 def _check_positive(number: Fraction, what: str, right: str) -> None:
     _check_size(number)
     if number <= 0:
-        raise QueryError(f"{what} is more than 0, not {plain(number)}; use {right}")
+        raise QueryError(f"{what} must be more than 0, not {plain(number)}; use {right}")
 
 
 def _check_count(count: int) -> None:
     if count < 1:
-        raise QueryError(f"a count is 1 or more, not {count}; use C5")
+        raise QueryError(f"a count must be 1 or more, not {count}; use C5")
     if count > MOST:
         raise QueryError(f"{count} values are too many; use at most {MOST}")
 
 
 def _check_size(number: Fraction | int) -> None:
     if not -LARGEST <= number <= LARGEST:
-        raise QueryError(f"a number is too large; use at most {LARGEST}")
+        raise QueryError(f"a number is too large; use a number up to {LARGEST}")
     if 10**PLACES % number.denominator:
-        raise QueryError(f"{number} is not a decimal of at most {PLACES} places; use a shorter one")
+        raise QueryError(f"{number} has more than {PLACES} decimal places; use fewer")
 
 
 def _divisors(number: int, near: int) -> list[int]:

@@ -34,9 +34,9 @@ class QueryRequest(_Model):
     """A research query: criteria, and the settings that all experiments share."""
 
     criteria: tuple[str, ...] = Field(min_length=1, description="a criterion for each axis, or names of queries in sierra.toml")
-    runs: PositiveInt | None = Field(None, description="runs per experiment; the project's number if absent")
-    controller: str | None = Field(None, description="name of the controller; the project's if absent")
-    scenario: str | None = Field(None, description="name of the scenario; the project's if absent")
+    runs: PositiveInt | None = Field(None, description="runs per experiment; default: the project's number")
+    controller: str | None = Field(None, description="name of the controller; default: the project's")
+    scenario: str | None = Field(None, description="name of the scenario; default: the project's")
     overrides: tuple[Override, ...] = Field((), description="values that are set in the template of all runs")
 
 

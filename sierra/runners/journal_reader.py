@@ -38,7 +38,7 @@ class Stalled:
     def told(self, where: str = "") -> str:
         """Return the message for the user; `where` is the node, for example ` on n1`."""
         when = time.strftime("%H:%M:%S", time.localtime(self.since))
-        cure = f"kill -CONT {self.pid}{where} continues it, and wall in [limits] ends such runs"
+        cure = f"continue it with kill -CONT {self.pid}{where}, or set wall in [limits] to end such runs"
         return f"run {short(self.run)} makes no progress: a signal stopped its processes{where} at {when}; {cure}"
 
 

@@ -58,7 +58,7 @@ class Local:
         threading.Thread(target=self._feed, args=(work.jobs, self._process), daemon=True).start()
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
-        raise NotImplementedError("what ran here ended with the process that started it")
+        raise NotImplementedError("local runs ended with the process that started them")
 
     def _feed(self, jobs: Iterable[Job], process: subprocess.Popen[bytes]) -> None:
         """Send all jobs, and hold the pipe open until the worker has ended."""
@@ -101,7 +101,7 @@ class Local:
             self._process.terminate()
 
     def leave(self) -> None:
-        raise NotImplementedError("what runs here ends with this process")
+        raise NotImplementedError("local runs end with this process")
 
     def close(self) -> None:
         pass
@@ -114,7 +114,7 @@ class Local:
             raise self._trouble
         if process.returncode not in (0, 1):
             orphans.end([self._session])
-            raise Missing(f"the worker ended with {ending}; what had finished by then is kept")
+            raise Missing(f"the worker ended with {ending}; the finished runs are kept")
 
 
 def line(job: Job) -> bytes:

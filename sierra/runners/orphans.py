@@ -30,7 +30,7 @@ def end(sessions: Sequence[SessionPaths]) -> None:
     give_up = time.monotonic() + PATIENCE_S
     while left := _left(sessions):
         if time.monotonic() > give_up:
-            raise Missing(f"process {min(left)}, which an asking that died has left, cannot be ended; end it and ask again")
+            raise Missing(f"process {min(left)} of a dead session cannot be ended; end it and run the command again")
         for pid in left:
             for kill in (os.killpg, os.kill):
                 with contextlib.suppress(ProcessLookupError, PermissionError):

@@ -79,14 +79,14 @@ def _piece(match: re.Match[str], text: str) -> str | _Expression:
     if found in ("{{", "}}"):
         return found[0]
     if match[1] is None:
-        raise ConfigError(f"{text!r} has a brace without its partner; write {found * 2} for a literal {found}")
+        raise ConfigError(f"{text!r} has an unmatched brace; write {found * 2} for a literal {found}")
     return _Expression(found, _tree(match[1], found))
 
 
 def _tree(source: str, shown: str) -> ast.expr:
     source = " ".join(source.split())
     if not source:
-        raise ConfigError(f"{shown!r} holds no expression; write {{{{ and }}}} for literal braces")
+        raise ConfigError(f"{shown!r} contains no expression; write {{{{ and }}}} for literal braces")
     if len(source) > MAX_LENGTH:
         raise ConfigError(f"{shown[:40] + '…'!r} is longer than {MAX_LENGTH} characters")
     if source.isidentifier():  # so that a variable may have the name `lambda`
@@ -95,7 +95,9 @@ def _tree(source: str, shown: str) -> ast.expr:
         with warnings.catch_warnings(action="ignore"):  # Python's own warnings about unusual literals
             tree = ast.parse(source, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ConfigError(f"{shown!r} is not an expression; write one as {{n * 2}}, or {{{{ and }}}} for braces") from error
+        raise ConfigError(
+            f"{shown!r} is not an expression; write one such as {{n * 2}}, or {{{{ and }}}} for braces"
+        ) from error
     _allow(tree, shown)
     return tree
 
@@ -119,7 +121,7 @@ def _allow(node: ast.expr, shown: str) -> None:
                 _allow(argument, shown)
         case _:
             allowed = f"numbers, names, + - * / // % ** and {', '.join(FUNCTIONS)}"
-            raise ConfigError(f"{ast.unparse(node)!r} is not allowed in {shown!r}; allowed are {allowed}")
+            raise ConfigError(f"{ast.unparse(node)!r} is not allowed in {shown!r}; allowed: {allowed}")
 
 
 def _names(node: ast.expr) -> Iterable[str]:
@@ -260,4 +262,4 @@ def _nearest(name: str, known: Iterable[str]) -> str:
     known = sorted(known)
     close = difflib.get_close_matches(name, known, 1)
     hint = f"; did you mean {close[0]!r}?" if close else ";"
-    return f"{hint} known are {', '.join(known)}" if known else "; no names are known here"
+    return f"{hint} known are {', '.join(known)}" if known else "; no names are available here"

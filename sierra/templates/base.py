@@ -106,10 +106,10 @@ def read(path: Path, tables: Tables | None = None) -> Template:
     name = _one_line(str(path))
     try:
         if path.exists() and not path.is_file():
-            raise TemplateError(f"{name}: not a file; a template is one")
+            raise TemplateError(f"{name}: not a file; a template must be a file")
         data = path.read_bytes()
     except (OSError, ValueError) as error:
-        raise Missing(f"{name}: {getattr(error, 'strerror', None) or error}; the template cannot be read") from error
+        raise Missing(f"{name}: {getattr(error, 'strerror', None) or error}; cannot read the template") from error
     ending = path.suffix.removeprefix(".").lower()
     made: Template = TEMPLATES.make(ending if ending in TEMPLATES.names() else "xml", tables or {}, data, name)
     return made

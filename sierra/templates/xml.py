@@ -64,7 +64,7 @@ class XmlTemplate:
 
     def reread(self, rendered: Rendered, name: str) -> XmlTemplate:
         if not isinstance(rendered, bytes):
-            raise TemplateError(f"{name}: an XML template is one file, not {len(rendered)}")
+            raise TemplateError(f"{name}: an XML template must be one file, not {len(rendered)}")
         return XmlTemplate(rendered, name)
 
     def find(self, path: str) -> tuple[str, ...]:
@@ -114,7 +114,7 @@ class XmlDocument:
         shown = _line(path)
         if not xpath_time_limit.ends(path, self._namespaces, self._root):
             raise TemplateError(
-                f"{who}{shown} takes more than {xpath_time_limit.LIMIT_S} s of computing in {self._frame.name}; "
+                f"{who}{shown} takes more than {xpath_time_limit.LIMIT_S} s of computing time in {self._frame.name}; "
                 "use a path that visits the document less often, with fewer // and .. within [ ]"
             )
         try:
@@ -124,7 +124,7 @@ class XmlDocument:
             raise TemplateError(f"{who}{shown} is not an XPath for {self._frame.name}: {_line(error)}{known}") from error
         if not isinstance(found, list):
             kind = {bool: "a boolean", float: "a number"}.get(type(found), "a string")
-            raise TemplateError(f"{who}{shown} gives {kind}, not what can be selected in {self._frame.name}")
+            raise TemplateError(f"{who}{shown} returns {kind}, but must select nodes in {self._frame.name}")
         if any(not isinstance(node, str) and not etree.iselement(node) for node in found):
             raise TemplateError(f"{who}{shown} selects namespaces in {self._frame.name}; select elements, attributes or texts")
         return found
@@ -230,7 +230,7 @@ class XmlDocument:
 
     def _unfit(self, change: Change, node: Any, wanted: str) -> TemplateError:
         verb = {Set: "set", Add: "add", Remove: "remove", Rename: "rename"}[type(change)]
-        return self._frame.error(change, f"selects {_kind(node)}", f"; this {verb} is for {wanted}")
+        return self._frame.error(change, f"selects {_kind(node)}", f"; {verb} works on {wanted}")
 
     def _places(self, change: Set) -> list[_Place]:
         """Return the places where a `Set` writes."""
@@ -251,7 +251,7 @@ class XmlDocument:
                 raise self._unfit(change, node, "elements and attributes")
             del node.getparent().attrib[node.attrname]  # type: ignore[attr-defined]
         elif node is self._root:
-            raise self._frame.error(change, "selects the root element", ", which must stay")
+            raise self._frame.error(change, "selects the root element", ", which cannot be removed")
         else:
             _take_out(node)
 
@@ -262,14 +262,18 @@ class XmlDocument:
         prefix, colon, local = name.rpartition(":")
         known = {"xml": _XML, **self._namespaces, **element.nsmap}
         if "xmlns" in (prefix, local):
-            raise self._frame.error(change, f"cannot get the attribute {name!r}", "; it declares a namespace: write it there")
+            raise self._frame.error(
+                change, f"cannot have the attribute {name!r}", "; it declares a namespace: write it in the template"
+            )
         if colon and prefix not in known:
             prefixes = ", ".join(other for other in known if other)
-            raise self._frame.error(change, f"cannot get {name!r}: its prefix is not declared", f"; known are {prefixes}")
+            raise self._frame.error(
+                change, f"cannot use the name {name!r}: its prefix is not declared", f"; known are {prefixes}"
+            )
         uri = known[prefix] if prefix else namespace
         if self._frame.lacks(local):
             raise self._frame.error(
-                change, f"cannot get {name!r}", f"; its encoding {self._frame.codec} lacks characters of it"
+                change, f"cannot use the name {name!r}", f"; the encoding {self._frame.codec} lacks some of its characters"
             )
         return f"{{{uri}}}{local}" if uri else local
 
@@ -280,15 +284,15 @@ class XmlDocument:
         xml = _legal(change.xml, change, self._frame)
         if self._frame.lacks(xml):
             raise self._frame.error(
-                change, f"cannot get {xml!r}", f", whose encoding is {self._frame.codec}; write &#8364; for €"
+                change, f"cannot contain {xml!r}", f", whose encoding is {self._frame.codec}; write &#8364; for €"
             )
         try:
             wrapped = etree.fromstring(f"{wrapper}>{xml}</_>".encode(), _parser())
         except etree.XMLSyntaxError as error:
-            raise self._frame.error(change, f"cannot get {xml!r}", f": not XML: {_reason(error)}") from error
+            raise self._frame.error(change, f"cannot contain {xml!r}", f": not XML: {_reason(error)}") from error
         content = [node for node in wrapped.xpath("node()") if not isinstance(node, str) or node.strip()]
         if len(content) != 1 or isinstance(content[0], str) or not isinstance(content[0].tag, str):
-            raise self._frame.error(change, f"cannot get {xml!r}", "; what can be added is one element")
+            raise self._frame.error(change, f"cannot contain {xml!r}", "; add exactly one element")
         piece = content[0]
         piece.tail = None
         _fill_all(piece, lambda text: _legal(filled(text), change, self._frame))
@@ -300,7 +304,7 @@ class XmlDocument:
             return len(parent)
         indices = [index for index, child in enumerate(parent) if isinstance(child.tag, str)]
         if not 0 <= change.at <= len(indices):
-            raise self._frame.error(change, f"has {len(indices)} child elements", f", so there is no place at={change.at}")
+            raise self._frame.error(change, f"has {len(indices)} child elements", f", so at={change.at} is too large")
         return indices[change.at] if change.at < len(indices) else len(parent)
 
     def _nearest(self, path: str) -> str:
@@ -356,7 +360,7 @@ class XmlDocument:
         way = re.match("/{0,2}", step)[0]  # type: ignore[index]
         there = [at + name for name in self._names(good, way, at)]
         if not there:
-            return f"; {good} is the part that does match" if good else ""
+            return f"; only {good} matches" if good else ""
         more = ", …" if len(there) > 8 else ""
         return f"; {f'{good} has' if good else 'there are'} {', '.join(there[:8])}{more}"
 
@@ -441,7 +445,7 @@ def _frame(data: bytes, encoding: str | None, name: str) -> _Frame:
     except (LookupError, UnicodeError):
         same = False
     if not same:
-        raise TemplateError(f"{name}: cannot be kept in its encoding {codec}; save it as UTF-8")
+        raise TemplateError(f"{name}: cannot be written in its encoding {codec}; save it as UTF-8")
     markup = list(_MARKUP.finditer(text))
     for doctype in markup:
         _refuse_entities(doctype["doctype"] or "", name)
@@ -454,7 +458,9 @@ def _frame(data: bytes, encoding: str | None, name: str) -> _Frame:
 def _refuse_entities(doctype: str, name: str) -> None:
     for match in _ENTITY.finditer(doctype):
         if match["name"]:
-            raise TemplateError(f"{name}: declares the entity {match['name']!r}; SIERRA expands none, write out its text")
+            raise TemplateError(
+                f"{name}: declares the entity {match['name']!r}; write its text instead: SIERRA does not expand entities"
+            )
 
 
 # Reading
@@ -625,7 +631,7 @@ _ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 def _legal(text: str, change: Change, frame: _Frame) -> str:
     if wrong := _ILLEGAL.search(text):
-        raise frame.error(change, f"cannot get a text with U+{ord(wrong[0]):04X}", ": XML cannot hold it")
+        raise frame.error(change, f"cannot contain the character U+{ord(wrong[0]):04X}", ": XML does not allow it")
     return text
 
 

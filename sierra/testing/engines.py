@@ -87,9 +87,12 @@ class Started:
         return (self.folder / "stdout").read_text(errors="replace")
 
     def until_it_says(self, word: str) -> None:
-        _wait(lambda: word in self.said() or self.process.poll() is not None, f"it never said {word!r}")
+        _wait(lambda: word in self.said() or self.process.poll() is not None, f"the program never printed {word!r}")
         time.sleep(GRACE_S)  # a client such as podman's passes signals on only a moment after its container has begun
-        _holds(word in self.said(), f"it ended before it said {word!r}: {(self.folder / 'stderr').read_text(errors='replace')}")
+        _holds(
+            word in self.said(),
+            f"the program ended before it printed {word!r}: {(self.folder / 'stderr').read_text(errors='replace')}",
+        )
 
     def signal(self, number: int) -> None:
         """Send a signal to the client's process group, as a worker does."""
@@ -207,7 +210,7 @@ class Trial:
     def look(self) -> list[tuple[str, str]]:
         """Pairs of a kind and a fact about the environment that a process sees."""
         ended = self.script(LOOK)
-        _holds(ended.result.exit_code == 0, f"looking around ended so: {ended.result.error or ended.result}")
+        _holds(ended.result.exit_code == 0, f"the inspection of the container failed: {ended.result.error or ended.result}")
         return [line.partition(" ")[::2] for line in ended.out.decode().splitlines()]
 
     def saw(self, kind: str) -> list[str]:
@@ -233,9 +236,9 @@ def says_what_it_can(trial: Trial) -> None:
     took = []
     for _ in range(3):  # the answer may change in between, as other users' activity changes
         began = time.monotonic()
-        _holds(trial.engine.probe() == able, "another answer when asked again")
+        _holds(trial.engine.probe() == able, "the answer differs when it is requested again")
         took.append(time.monotonic() - began)
-    _holds(min(took) < 1, "it looked again, though nothing has changed")
+    _holds(min(took) < 1, "the engine was probed again, although nothing has changed")
     _holds(able.enforced <= {"memory", "cpus", "pids"}, f"unknown limits: {sorted(able.enforced)}")
 
 
@@ -245,8 +248,8 @@ def prepares_once(trial: Trial) -> None:
         return
     first, began = trial.reference, time.monotonic()
     again = trial.engine.prepare(trial.image, trial.root, StorePaths(trial.folder / "store"))
-    _holds(again == first, f"the image is called {first!r}, then {again!r}")
-    _holds(time.monotonic() - began < SOON_S, "preparing what is ready took its time")
+    _holds(again == first, f"the image's reference is first {first!r}, then {again!r}")
+    _holds(time.monotonic() - began < SOON_S, "preparing an image that is ready took too long")
 
 
 def ends_with_the_programs_status(trial: Trial) -> None:
@@ -281,10 +284,10 @@ def passes_the_environment_exactly(trial: Trial) -> None:
     seen = dict(entry.split("=", 1) for entry in ended.out.decode().split("\0") if "=" in entry)
     for name, value in VALUES.items():
         _holds(seen.get(name) == value, f"the variable {name} is {seen.get(name)!r}, not {value!r}")
-    _holds(seen.get("HOME", "").endswith(f"/{RUN_HOME}"), f"HOME is {seen.get('HOME')!r}, not the run's")
+    _holds(seen.get("HOME", "").endswith(f"/{RUN_HOME}"), f"HOME is {seen.get('HOME')!r}, not the run's folder")
     given = {*VALUES, "PATH", "HOME", "TMPDIR", "SIERRA_RUN_DIR", "SIERRA_EXECUTION", "SIERRA_SESSION"}
     leaked = {name for name in seen.keys() - given if os.environ.get(name) == seen[name] or name == CANARY}
-    _holds(not leaked, f"variables of the caller's are seen: {sorted(leaked)}")
+    _holds(not leaked, f"the container sees variables of the caller: {sorted(leaked)}")
 
 
 def keeps_output_apart(trial: Trial) -> None:
@@ -298,17 +301,17 @@ def passes_standard_input(trial: Trial) -> None:
     """Check that an interactive process reads what its client is given, and that any other process reads nothing."""
     if trial.contains:
         ended = trial.end(trial.start("cat", said="a\nb"))
-        _holds(ended.out == b"a\nb", f"what was written to it became {ended.out!r}")
-    _holds(trial.run("cat").out == b"", "there is something on its standard input")
+        _holds(ended.out == b"a\nb", f"its standard input became {ended.out!r}")
+    _holds(trial.run("cat").out == b"", "its standard input is not empty")
 
 
 def begins_in_its_folder(trial: Trial) -> None:
     """Check that the working directory is the output folder, and that the caller owns the outputs."""
     ended = trial.script("pwd; echo done > file; mkdir folder")
-    _holds(ended.out.decode().strip().endswith(f"/{RUN_OUTPUT}"), f"it begins in {ended.out.decode().strip()}")
+    _holds(ended.out.decode().strip().endswith(f"/{RUN_OUTPUT}"), f"the program begins in {ended.out.decode().strip()}")
     for name in ("file", "folder"):
         path = ended.folder / RUN_OUTPUT / name
-        _holds(path.exists(), f"the output {name} is not there")
+        _holds(path.exists(), f"the output {name} is missing")
         _holds(path.stat().st_uid == os.geteuid(), f"the output {name} belongs to user {path.stat().st_uid}")
 
 
@@ -318,13 +321,13 @@ def leaves_nothing_on_the_host(trial: Trial) -> None:
         name = f"sierra-{secrets.token_hex(8)}"
         trial.script(f'for place in {" ".join(WRITABLE)}; do : > "$place/{name}"; done 2>/dev/null')
         left = [place for place in WRITABLE if Path(place, name).exists()]
-        _holds(not left, f"what it wrote in {left} is on the host")
+        _holds(not left, f"files that it wrote in {left} are on the host")
 
 
 def has_no_network(trial: Trial) -> None:
     """Check that there is no network, unless it is requested or the engine reports that it cannot isolate it."""
     cards = [card for card in trial.saw("card") if card.partition(":")[0] != "lo"]
-    _holds(not cards or not trial.able.isolated, f"there are network cards: {cards}")
+    _holds(not cards or not trial.able.isolated, f"the container has network interfaces: {cards}")
 
 
 def has_the_network_where_asked(trial: Trial) -> None:
@@ -332,14 +335,14 @@ def has_the_network_where_asked(trial: Trial) -> None:
     ended = trial.script("cat /proc/net/dev", box=replace(trial.box(), network=True))
     cards = {line.partition(":")[0].strip() for line in Path("/proc/net/dev").read_text().splitlines() if ":" in line}
     seen = {line.partition(":")[0].strip() for line in ended.out.decode().splitlines() if ":" in line}
-    _holds(seen == cards, f"it sees {sorted(seen)}, not {sorted(cards)}")
+    _holds(seen == cards, f"the container sees {sorted(seen)}, not {sorted(cards)}")
 
 
 def writes_where_it_may(trial: Trial) -> None:
     """Check that a run can write to its own home, temporary and output folders, and to nothing else."""
-    _holds(not trial.saw("wrote"), f"it could write {trial.saw('wrote')}")
-    _holds(not trial.saw("refused"), f"it could not write {trial.saw('refused')}")
-    _holds(trial.saw("input") == ["given"], f"its input is {trial.saw('input')}")
+    _holds(not trial.saw("wrote"), f"the program could write {trial.saw('wrote')}")
+    _holds(not trial.saw("refused"), f"the program could not write {trial.saw('refused')}")
+    _holds(trial.saw("input") == ["given"], f"the program's input is {trial.saw('input')}")
     ended = trial.script('echo 1 > "$HOME/h"; echo 2 > "$TMPDIR/t"; echo 3 > /tmp/u')
     for path in (f"{RUN_HOME}/h", f"{RUN_TMP}/t", f"{RUN_TMP}/u"):
         _holds((ended.folder / path).is_file(), f"{path} is not in the run's folder")
@@ -350,13 +353,13 @@ def has_no_rights(trial: Trial) -> None:
     said = dict(line.split(" ", 1) for line in trial.saw("status") if " " in line)
     for name in ("CapInh:", "CapPrm:", "CapEff:", "CapAmb:", "CapBnd:"):
         _holds(int(said[name].strip(), 16) == 0, f"{name} is {said[name]}")
-    _holds(said["NoNewPrivs:"].strip() == "1", "it may get new rights (NoNewPrivs is 0)")
+    _holds(said["NoNewPrivs:"].strip() == "1", "the program can gain privileges (NoNewPrivs is 0)")
 
 
 def has_no_name_of_the_hosts(trial: Trial) -> None:
     """Check that the host's name and processes are hidden."""
-    _holds(trial.saw("host") == [HOSTNAME], f"the host is called {trial.saw('host')}")
-    _holds(len(trial.saw("process")) < 10, f"it sees {len(trial.saw('process'))} processes")
+    _holds(trial.saw("host") == [HOSTNAME], f"the container's host name is {trial.saw('host')}")
+    _holds(len(trial.saw("process")) < 10, f"the container sees {len(trial.saw('process'))} processes")
 
 
 def ends_when_asked(trial: Trial) -> None:
@@ -388,7 +391,7 @@ def is_killed_after_its_grace(trial: Trial) -> None:
     started.until_it_says("ready")
     started.signal(signal.SIGTERM)
     time.sleep(GRACE_S)
-    _holds(bool(started.left()), "it ended, though it ignores SIGTERM")
+    _holds(bool(started.left()), "the program ended, although it ignores SIGTERM")
     started.signal(signal.SIGKILL)
     started.process.wait(SOON_S)
     started.stop()
@@ -403,7 +406,7 @@ def stops_what_lost_its_client(trial: Trial) -> None:
     result = trial.end(started).result
     started.stop()
     _nothing_is_left(started)
-    _holds(result.exit_code is None, f"a client that was killed became {result}")
+    _holds(result.exit_code is None, f"a killed client became {result}")
 
 
 def sweeps_what_is_left_of_a_session(trial: Trial) -> None:
@@ -417,16 +420,16 @@ def sweeps_what_is_left_of_a_session(trial: Trial) -> None:
     started.process.wait()
     trial.engine.sweep([trial.session, "trial-that-never-was"])
     _nothing_is_left(started)
-    _holds(bool(kept.left()), "a container of another session was swept, too")
+    _holds(bool(kept.left()), "a container of another session was removed too")
     trial.engine.sweep([other.session])
-    _wait(lambda: kept.process.poll() is not None, "the client of a container that was swept is still there")
+    _wait(lambda: kept.process.poll() is not None, "the client of a removed container is still running")
     _nothing_is_left(kept)
 
 
 def leaves_nothing_behind(trial: Trial) -> None:
     """Check that processes which a program has started end with it, even in a session of their own."""
     started = trial.start("sh", "-c", "(setsid sleep 60 >/dev/null 2>&1 &) ; exit 3")
-    _holds(trial.end(started, seconds=SOON_S).result.exit_code == 3, "the program's status got lost")
+    _holds(trial.end(started, seconds=SOON_S).result.exit_code == 3, "the program's exit status was lost")
     _nothing_is_left(started)
 
 
@@ -435,8 +438,8 @@ def says_what_cannot_be_started(trial: Trial) -> None:
     for word in ("no-such-program", f"{INSIDE}/run/input", f"{INSIDE}/run/nothing", f"{INSIDE}/run"):
         result = trial.run(word).result
         if result.error is None:
-            raise AssertionError(f"{word!r} can't be executed, and became {result}")
-        _holds(result.exit_code is None, f"{word!r} can't be executed, and has the status {result.exit_code}")
+            raise AssertionError(f"{word!r} cannot be executed, but became {result}")
+        _holds(result.exit_code is None, f"{word!r} cannot be executed, but has the exit status {result.exit_code}")
         _is_one_line(result.error)
 
 
@@ -459,7 +462,7 @@ def enforces_what_it_says(trial: Trial) -> None:
         ended = trial.script(
             "for i in 0 1 2 3 4 5; do for j in 0 1 2 3 4 5 6 7 8 9; do sleep 2 & done; done; echo all", box=box
         )
-        _holds(b"all" not in ended.out or b"fork" in ended.err, "60 processes began where 50 are allowed")
+        _holds(b"all" not in ended.out or b"fork" in ended.err, "60 processes started, but only 50 are allowed")
 
 
 def _is_held_to_its_memory(trial: Trial, box: ContainerSpec) -> None:
@@ -474,10 +477,10 @@ def _is_held_to_its_memory(trial: Trial, box: ContainerSpec) -> None:
         started.signal(signal.SIGKILL)
         status = started.process.wait()
         started.stop()
-    _holds("all" not in started.said(), "a script goes on where its memory was not enough")
+    _holds("all" not in started.said(), "a script continues although it exceeded its memory limit")
     if status in (-signal.SIGKILL, 128 + signal.SIGKILL):
         result = trial.end(started).result
-        _holds(result.stopped == "memory" or status < 0, f"a program over its memory became {result}")
+        _holds(result.stopped == "memory" or status < 0, f"a program that exceeded its memory limit became {result}")
     _nothing_is_left(started)
 
 
@@ -489,7 +492,7 @@ def runs_in_odd_folders(trial: Trial) -> None:
             _is_one_line(ended.result.error)
             continue
         _holds(ended.out == b"given", f"in a folder called {name!r}, its input is {ended.out!r}: {ended.result.error}")
-        _holds((ended.folder / RUN_OUTPUT / "file").is_file(), f"in a folder called {name!r}, its output got lost")
+        _holds((ended.folder / RUN_OUTPUT / "file").is_file(), f"in a folder called {name!r}, its output was lost")
 
 
 def starts_many_at_once(trial: Trial) -> None:
@@ -497,7 +500,10 @@ def starts_many_at_once(trial: Trial) -> None:
     with ThreadPoolExecutor(4) as pool:
         ended = list(pool.map(lambda number: trial.script(f"echo {number}; exit {number}"), range(8)))
     for number, one in enumerate(ended):
-        _holds((one.result.exit_code, one.out) == (number, f"{number}\n".encode()), f"of many at once, one became {one}")
+        _holds(
+            (one.result.exit_code, one.out) == (number, f"{number}\n".encode()),
+            f"one of many simultaneous containers became {one}",
+        )
 
 
 CLAIMS: tuple[Callable[[Trial], None], ...] = (
@@ -555,7 +561,7 @@ def _in(folder: Path, client: Client) -> Client:
 
 
 def _nothing_is_left(started: Started) -> None:
-    _wait(lambda: not started.left(), "processes of the run are left")
+    _wait(lambda: not started.left(), "processes of the run are still running")
 
 
 def _wait(condition: Callable[[], bool], otherwise: str) -> None:

@@ -19,7 +19,7 @@ def says_what_its_options_are(plugin: Any, base: type[Table] = Table) -> None:
     except ConfigError as error:
         is_one_line(str(error))
         return
-    raise AssertionError(f"Options takes the unknown option {OPTION_NOBODY_HAS!r}")
+    raise AssertionError(f"Options accepts the unknown option {OPTION_NOBODY_HAS!r}")
 
 
 def is_one_line(text: str) -> None:

@@ -68,10 +68,10 @@ def gives_the_same_answers(make: Make, project: Project, template: Reader, examp
     """Check that a platform repeats its answers, even if it is made again: they are part of identities."""
     platform = made(make, project)
     first = _answers(platform, template, examples.values())
-    _holds(_answers(platform, template, examples.values()) == first, "another answer when asked again")
-    _holds(_answers(made(make, project), template, examples.values()) == first, "another answer when made again")
+    _holds(_answers(platform, template, examples.values()) == first, "the answer differs when it is requested again")
+    _holds(_answers(made(make, project), template, examples.values()) == first, "a new instance gives a different answer")
     backwards = _answers(made(make, project), template, reversed(list(examples.values())))
-    _holds(backwards[1:] == first[1:], "another answer after other questions")
+    _holds(backwards[1:] == first[1:], "the answer differs after other calls")
 
 
 def checks_in_one_line(platform: Platform, template: Reader) -> None:
@@ -98,14 +98,16 @@ def seed_changes_are_well_formed(platform: Platform) -> None:
     changes = platform.seed_changes()
     _are_changes(changes)
     for change in changes:
-        _holds(isinstance(change, Set), f"{change} is no Set; a seed is a value of its run")
+        _holds(isinstance(change, Set), f"{change} is not a Set; a seed is a value of its run")
     used = any("{seed}" in change.value for change in changes if isinstance(change, Set))
-    _holds(used or not changes, "no seed change holds {seed}")
+    _holds(used or not changes, "no seed change contains {seed}")
 
 
 def says_none_for_unknown_criteria(platform: Platform, template: Reader) -> None:
     """Check that the answer for an unknown criterion is None, without an error, on any scale."""
-    _holds(CRITERION_NOBODY_HAS not in platform.criteria(), f"it knows {CRITERION_NOBODY_HAS!r}")
+    _holds(
+        CRITERION_NOBODY_HAS not in platform.criteria(), f"criteria() contains {CRITERION_NOBODY_HAS!r}, which no platform has"
+    )
     for scale in (Log(8), Linear(10, 5), Listed(("one", "two")), MonteCarlo(3)):
         answer = platform.criterion(Criterion(CRITERION_NOBODY_HAS, scale), template)
         _holds(answer is None, f"criterion {CRITERION_NOBODY_HAS!r} is {answer!r}, not None")
@@ -115,30 +117,30 @@ def describes_its_criteria(platform: Platform, examples: Mapping[str, Criterion]
     """Check that criteria have names that can be columns and a sentence each, and that `examples` has one of each."""
     criteria = platform.criteria()
     for name, sentence in criteria.items():
-        _holds(bool(_NAME.fullmatch(name)), f"{name!r} can't be a column's name; use letters, digits and _")
-        _holds(bool(sentence.strip()), f"criterion {name!r} has no sentence")
+        _holds(bool(_NAME.fullmatch(name)), f"{name!r} is not a valid column name; use letters, digits and _")
+        _holds(bool(sentence.strip()), f"criterion {name!r} has no description")
         _is_one_line(sentence)
     _holds(
         set(criteria) == set(examples),
-        f"criteria() has {sorted(criteria)}, but the examples are of {sorted(examples)}",
+        f"criteria() has {sorted(criteria)}, but there are examples of {sorted(examples)}",
     )
     for name, criterion in examples.items():
-        _holds(criterion.name == name, f"the example of {name!r} is one of {criterion.name!r}")
+        _holds(criterion.name == name, f"the example for {name!r} is for {criterion.name!r}")
 
 
 def spans_an_axis(platform: Platform, template: Reader, criterion: Criterion) -> None:
     """Check that a criterion's axis has its name, and that its values are distinct, of one kind and in the points' order."""
     answer = platform.criterion(criterion, template)
     if answer is None:
-        raise AssertionError(f"criteria() has {criterion.name!r}, but criterion() says None")
+        raise AssertionError(f"criteria() has {criterion.name!r}, but criterion() returns None")
     axis, points = answer
     _is(axis, Axis)
     _is(axis.values, tuple)
-    _holds(axis.name == criterion.name, f"the axis of {criterion.name!r} is called {axis.name!r}")
+    _holds(axis.name == criterion.name, f"the axis of {criterion.name!r} has the name {axis.name!r}")
     _holds(bool(axis.values), f"the axis {axis.name!r} has no values")
-    _holds(len(set(axis.values)) == len(axis.values), f"the axis {axis.name!r} has a value twice: {axis.values}")
+    _holds(len(set(axis.values)) == len(axis.values), f"the axis {axis.name!r} has duplicate values: {axis.values}")
     for value in axis.values:
-        _holds(type(value) in (int, float, str), f"{value!r} on axis {axis.name!r} is no int, float or str")
+        _holds(type(value) in (int, float, str), f"{value!r} on axis {axis.name!r} is not an int, float or str")
     _holds(
         axis.numeric or all(isinstance(value, str) for value in axis.values),
         f"the axis {axis.name!r} mixes numbers and names: {axis.values}",
@@ -171,12 +173,12 @@ def files_are_safe(platform: Platform) -> None:
         except SierraError:  # a platform that splits its document may refuse invalid ones
             continue
         _is(files, tuple)
-        _holds(bool(files), f"files({document!r}) are none")
+        _holds(bool(files), f"files({document!r}) returns no files")
         names = [name for name, _ in files]
         for name, content in files:
             _holds(bool(_FILE.fullmatch(name)), f"{name!r} is not a safe file name; use letters, digits, _ - and .")
             _is(content, bytes)
-        _holds(len({name.lower() for name in names}) == len(names), f"two files have one name: {names}")
+        _holds(len({name.lower() for name in names}) == len(names), f"two files have the same name: {names}")
 
 
 def _answers(platform: Platform, template: Reader, criteria: Iterable[Criterion]) -> list[Any]:
@@ -198,14 +200,14 @@ def _are_points(axis: Axis, points: tuple[Point, ...]) -> None:
     _is(points, tuple)
     _holds(
         tuple(point.value for point in points) == axis.values,
-        f"the points of {axis.name!r} don't have its values in their order",
+        f"the points of {axis.name!r} do not have the axis's values in order",
     )
     for point in points:
         _are_changes(point.changes)
     moved = any(chain.from_iterable(point.changes for point in points)) or len({p.stream for p in points}) > 1
     _holds(moved or len(points) == 1, f"the points of {axis.name!r} change nothing, not even seeds")
     distinct = {(point.changes, point.stream) for point in points}
-    _holds(len(distinct) == len(points), f"two points of {axis.name!r} change the same, so they are one experiment")
+    _holds(len(distinct) == len(points), f"two points of {axis.name!r} make the same changes, so they are the same experiment")
 
 
 def _are_changes(changes: tuple[Change, ...]) -> None:
@@ -215,7 +217,7 @@ def _are_changes(changes: tuple[Change, ...]) -> None:
         _is(change, Set | Add | Remove | Rename)
         _holds(bool(change.path.strip()), f"{change} has no path")
         _holds(change.expect is None or change.expect > 0, f"{change} expects less than one match")
-        _holds(bool(change.why), f"{change} does not say why: messages name it")
+        _holds(bool(change.why), f"{change} has no `why`, which messages show")
         _is_one_line(change.why)
         if isinstance(change, Set):
             _is(change.value, str)
@@ -224,7 +226,7 @@ def _are_changes(changes: tuple[Change, ...]) -> None:
 def _is_filled_as_known(text: str, known: frozenset[str], where: str) -> None:
     """Check that a text has no path of this machine, and only known placeholders."""
     for path in (str(Path.home()), str(Path.cwd())):
-        _holds(path == "/" or path not in text, f"{where} holds {path!r}, a path of this machine; use {{project}}")
+        _holds(path == "/" or path not in text, f"{where} contains {path!r}, a path of this machine; use {{project}}")
     unknown = [name for name in _PLACEHOLDER.findall(text) if name not in known]
     _holds(not unknown, f"{where} has unknown placeholders {unknown}; known are {sorted(known)}")
 

@@ -92,9 +92,9 @@ def reads_each_table(trial: Trial) -> None:
         reading, rows = trial.read([content])
         holds(not reading.faults, f"a valid file is refused: {list(reading.faults.values())}")
         _are(rows.get("e0", []), columns)
-        holds(dict(reading.counted) == dict(reading.rows), "the number of rows is not that of the file")
+        holds(dict(reading.counted) == dict(reading.rows), "the number of rows differs from the file's")
         again = trial.read([content])[0]
-        holds(again.columns == reading.columns, "other columns when read again")
+        holds(again.columns == reading.columns, "the columns differ when the file is read again")
 
 
 def reads_many_as_each_alone(trial: Trial) -> None:
@@ -109,10 +109,10 @@ def refuses_damaged_files(trial: Trial) -> None:
     for content in trial.damaged:
         reading, rows = trial.read([*trial.tables, content])
         bad = f"e{len(trial.tables)}"
-        holds(list(reading.faults) == [bad], f"a damaged file is read: {content[:40]!r}")
+        holds(list(reading.faults) == [bad], f"a damaged file is accepted: {content[:40]!r}")
         is_one_line(reading.faults[bad])
         holds(f"out.{trial.name}" in reading.faults[bad], f"{reading.faults[bad]!r} does not name the file")
-        holds("failed: " not in reading.faults[bad], f"it is a fault of the reader: {reading.faults[bad]}")
+        holds("failed: " not in reading.faults[bad], f"the reader itself failed: {reading.faults[bad]}")
         for number, columns in enumerate(trial.tables.values()):
             _are(rows.get(f"e{number}", []), columns)
 
@@ -123,12 +123,12 @@ def survives_garbage(trial: Trial) -> None:
         reading, _ = trial.read([content])
         for fault in reading.faults.values():
             is_one_line(fault)
-            holds("failed: " not in fault, f"{content[:40]!r} is a fault of the reader: {fault}")
+            holds("failed: " not in fault, f"the reader itself failed for {content[:40]!r}: {fault}")
 
 
 def _are(rows: Sequence[Mapping[str, Any]], columns: Columns) -> None:
     wanted = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
-    holds(len(rows) == len(wanted), f"{len(wanted)} rows are in the file, and {len(rows)} were read")
+    holds(len(rows) == len(wanted), f"the file has {len(wanted)} rows, but {len(rows)} were read")
     for row, expected in zip(rows, wanted, strict=True):
         holds(row == expected and list(row) == list(expected), f"the row {expected} became {dict(row)}")
 

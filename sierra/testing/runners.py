@@ -59,7 +59,7 @@ class Trial:
         folder = self.root / name / ODD
         (folder / "logs").mkdir(parents=True)
         command = ("sh", "-c", script, "sh", *words)
-        return Request(name, "sierra's trial of a scheduler", elements or (0,), folder, folder / "logs", command, after)
+        return Request(name, "SIERRA's test of a scheduler", elements or (0,), folder, folder / "logs", command, after)
 
     def submit(self, script: str, *elements: int, words: tuple[str, ...] = ()) -> tuple[Request, str]:
         request = self.request(script, *elements, words=words)
@@ -68,17 +68,17 @@ class Trial:
     def seen(self, request: Request) -> tuple[Task, ...]:
         found = self.scheduler.look(request.name)
         if found is None:
-            raise AssertionError("it can't be reached")
+            raise AssertionError("the scheduler cannot be reached")
         return found
 
     def until(self, request: Request, condition: Callable[[tuple[Task, ...]], bool], otherwise: str) -> None:
         give_up = time.monotonic() + PATIENCE_S
         while not condition(seen := self.seen(request)):
-            _holds(time.monotonic() < give_up, f"{otherwise}; seen are {seen}")
+            _holds(time.monotonic() < give_up, f"{otherwise}; tasks: {seen}")
             time.sleep(POLL_S)
 
     def until_ended(self, request: Request) -> None:
-        self.until(request, lambda seen: all(task.state == State.ENDED for task in seen), "it does not end")
+        self.until(request, lambda seen: all(task.state == State.ENDED for task in seen), "the job does not end")
 
     def run(self, script: str, *elements: int, words: tuple[str, ...] = ()) -> tuple[Request, str]:
         request, job = self.submit(script, *elements, words=words)
@@ -102,14 +102,14 @@ def refuses_lines_in_one_line(trial: Trial) -> None:
     says_what_its_options_are(trial.scheduler, ClusterTable)
     for line in ("", "-x", "--an-option-of-no-scheduler=1", "words", "'unclosed"):
         told = trial.scheduler.refuses(line)
-        _holds(told is None or len(told.splitlines()) == 1, f"the reason to refuse {line!r} is {told!r}, not None or one line")
+        _holds(told is None or len(told.splitlines()) == 1, f"refuses({line!r}) returned {told!r}, not None or one line")
 
 
 def says_its_version(trial: Trial) -> None:
     """Check that the version is one line, and is repeated."""
     version = trial.scheduler.version()
     _holds(len(version.splitlines()) == 1, f"{version!r} is not one line")
-    _holds(trial.scheduler.version() == version, "another version when asked again")
+    _holds(trial.scheduler.version() == version, "the version differs when it is requested again")
 
 
 def knows_what_is_allowed(trial: Trial) -> None:
@@ -124,7 +124,9 @@ def explains_in_a_line(trial: Trial) -> None:
     """Check that an explanation is one line that begins with the scheduler's own words."""
     for words in ("Invalid account", "what nobody has ever said"):
         told = trial.scheduler.explain(words)
-        _holds(told.startswith(words) and "\n" not in told, f"to explain {words!r} is to say it, and more, in one line")
+        _holds(
+            told.startswith(words) and "\n" not in told, f"explain({words!r}) must return one line that begins with these words"
+        )
 
 
 def says_what_it_hands_over(trial: Trial) -> None:
@@ -133,12 +135,12 @@ def says_what_it_hands_over(trial: Trial) -> None:
     try:
         request = trial.request("true", words=("a-word",))
         script = trial.scheduler.script(request)
-        _holds(script == trial.scheduler.script(request), "another script when asked again")
+        _holds(script == trial.scheduler.script(request), "the script differs when it is requested again")
     finally:
         del os.environ[CANARY]
     _holds(script.startswith("#!"), "a script does not begin with its interpreter")
-    _holds("a-word" in script, "a script does not say its command")
-    _holds("a secret canary" not in script, "a script has what was in the environment")
+    _holds("a-word" in script, "a script does not contain its command")
+    _holds("a secret canary" not in script, "a script contains a value from the environment")
 
 
 def executes_each_element_once(trial: Trial) -> None:
@@ -146,14 +148,14 @@ def executes_each_element_once(trial: Trial) -> None:
     for elements in ((0,), (4,), (0, 1, 2), (1, 2, 5)):
         request, _ = trial.run('for last; do :; done; echo "$#" >> "ran-$last"', *elements, words=("first",))
         ran = {path.name: path.read_text() for path in request.folder.glob("ran-*")}
-        _holds(ran == {f"ran-{each}": "2\n" for each in elements}, f"of the elements {elements}, executed were {ran}")
+        _holds(ran == {f"ran-{each}": "2\n" for each in elements}, f"submitted array tasks: {elements}; executed: {ran}")
 
 
 def begins_in_its_folder(trial: Trial) -> None:
     request, _ = trial.run("pwd -P > where")
     where = request.folder / "where"
-    _holds(where.is_file(), f"it does not begin in {request.folder}")
-    _holds(where.read_text().strip() == str(request.folder.resolve()), f"it begins in {where.read_text().strip()}")
+    _holds(where.is_file(), f"the job does not begin in {request.folder}")
+    _holds(where.read_text().strip() == str(request.folder.resolve()), f"the job begins in {where.read_text().strip()}")
 
 
 def passes_words_as_they_are(trial: Trial) -> None:
@@ -169,17 +171,17 @@ def gives_nothing_of_the_environment(trial: Trial) -> None:
         request, _ = trial.run("env > variables")
     finally:
         del os.environ[CANARY]
-    _holds(CANARY not in (request.folder / "variables").read_text(), "a variable of the caller's is seen by jobs")
+    _holds(CANARY not in (request.folder / "variables").read_text(), "jobs see a variable of the caller")
 
 
 def keeps_logs_apart(trial: Trial) -> None:
     """Check that each element's output and error output are in a file of its own."""
     request, _ = trial.run('echo "printed by $1"; echo "complained by $1" >&2', 0, 1, 3)
     texts = sorted(path.read_text() for path in request.logs.iterdir())
-    _holds(len(texts) == 3, f"3 elements have {len(texts)} logs")
+    _holds(len(texts) == 3, f"3 array tasks have {len(texts)} logs")
     for text, element in zip(texts, (0, 1, 3), strict=True):
         said = f"printed by {element}" in text and f"complained by {element}" in text
-        _holds(said and text.count("printed by") == 1, f"the log of element {element} is {text!r}")
+        _holds(said and text.count("printed by") == 1, f"the log of array task {element} is {text!r}")
 
 
 def finds_jobs_by_name(trial: Trial) -> None:
@@ -189,39 +191,40 @@ def finds_jobs_by_name(trial: Trial) -> None:
     """
     first, job = trial.submit(UNTIL_TOLD, 0, 2)
     other, another = trial.submit(UNTIL_TOLD)
-    _holds({task.job for task in trial.seen(first)} == {job}, f"job {job} is not found at once by its name {first.name}")
+    _holds({task.job for task in trial.seen(first)} == {job}, f"job {job} is not found immediately by its name {first.name}")
     _holds(
-        {task.job for task in trial.seen(other)} == {another}, f"job {another} is not found at once by its name {other.name}"
+        {task.job for task in trial.seen(other)} == {another},
+        f"job {another} is not found immediately by its name {other.name}",
     )
-    trial.until(first, lambda seen: _running(seen) == {0, 2}, "elements 0 and 2 never run")
+    trial.until(first, lambda seen: _running(seen) == {0, 2}, "array tasks 0 and 2 never run")
     for request in (first, other):
         (request.folder / "go").touch()
         trial.until_ended(request)
 
 
 def knows_nothing_of_other_names(trial: Trial) -> None:
-    _holds(trial.seen(trial.request("true")) == (), "a name that nobody has is found")
+    _holds(trial.seen(trial.request("true")) == (), "jobs are found under a name that no job has")
 
 
 def may_be_looked_at_after_the_end(trial: Trial) -> None:
     """Check that ended tasks are not reported as alive, however they ended, nor as cancelled."""
     request, _ = trial.run('exit "$1"', 0, 3)
-    _holds(not any(task.cancelled for task in trial.seen(request)), "what has ended by itself is taken for cancelled")
-    _holds(not [task for task in trial.seen(request) if task.state != State.ENDED], "what has ended lives again")
+    _holds(not any(task.cancelled for task in trial.seen(request)), "a job that ended by itself is reported as cancelled")
+    _holds(not [task for task in trial.seen(request) if task.state != State.ENDED], "an ended job is reported as alive")
 
 
 def cancels_some(trial: Trial) -> None:
     """Check that only the given elements are cancelled."""
     request, _ = trial.submit(UNTIL_TOLD, 0, 1, 3)
-    trial.until(request, lambda seen: 1 in _running(seen), "element 1 never runs")
+    trial.until(request, lambda seen: 1 in _running(seen), "array task 1 never runs")
     trial.scheduler.cancel(request.name, [1, 77])
-    trial.until(request, lambda seen: 1 not in _alive(seen), "element 1 does not end")
+    trial.until(request, lambda seen: 1 not in _alive(seen), "array task 1 does not end")
     (request.folder / "go").touch()
     trial.until_ended(request)
     ended = sorted(path.name for path in request.folder.glob("done-*"))
-    _holds(ended == ["done-0", "done-3"], f"after element 1 was cancelled, there are {ended}")
+    _holds(ended == ["done-0", "done-3"], f"after array task 1 was cancelled, the others left {ended}")
     cancelled = {task.element for task in trial.seen(request) if task.cancelled}
-    _holds(cancelled == {1} or (trial.scheduler.forgets and not cancelled), f"cancelled are told to be {cancelled}")
+    _holds(cancelled == {1} or (trial.scheduler.forgets and not cancelled), f"array tasks reported as cancelled: {cancelled}")
 
 
 def cancels_all(trial: Trial) -> None:
@@ -379,7 +382,7 @@ class Errand:
             time.sleep(POLL_S)
 
     def until_over(self) -> None:
-        self.until(lambda: self.over, "it does not come to an end")
+        self.until(lambda: self.over, "the session does not end")
 
     def until_begun(self, count: int) -> None:
         self.until(lambda: self.has("begun-*") >= count, f"{count} runs do not begin")
@@ -389,12 +392,12 @@ class Errand:
 
     def told_each_once(self) -> None:
         wanted = sorted(job.execution for job in self.jobs)
-        _holds(sorted(result.execution for result in self.told) == wanted, f"of {len(wanted)} jobs, {self._counts()}")
+        _holds(sorted(result.execution for result in self.told) == wanted, f"{len(wanted)} jobs, but {self._counts()}")
         runs = {job.execution: job.run for job in self.jobs}
-        _holds(all(runs[one.execution] == one.run for one in self.told), "a result has the run of another")
+        _holds(all(runs[one.execution] == one.run for one in self.told), "a result has the run of another job")
 
     def _counts(self) -> str:
-        return f"{len(self.told)} results of {len(self.results)} executions were told"
+        return f"{len(self.told)} results of {len(self.results)} executions were reported"
 
     def at_rest(self) -> None:
         """Check that nothing keeps running."""
@@ -405,7 +408,7 @@ class Errand:
             before, beats = beats, self._beats()
             if before == beats:
                 return
-        raise AssertionError("what was to end runs on")
+        raise AssertionError("runs that should have ended are still running")
 
     def _beats(self) -> list[tuple[str, int]]:
         return sorted((path.name, path.stat().st_mtime_ns) for path in self.shared.glob("beat-*"))
@@ -428,14 +431,14 @@ def executes_each_job_once(ordeal: Ordeal) -> None:
     began = time.time()
     results = ordeal.executed(*['echo "$1" >> "$0/executed"; echo "$1" > own'] * 7)
     executed = (ordeal.begun[-1].shared / "executed").read_text().split()
-    _holds(sorted(executed) == sorted(job.argv[4] for job in ordeal.begun[-1].jobs), f"of 7 jobs, executed were {executed}")
+    _holds(sorted(executed) == sorted(job.argv[4] for job in ordeal.begun[-1].jobs), f"submitted jobs: 7; executed: {executed}")
     for result in results:
-        _holds(result.exit_code == 0 and result.error is None, f"a job that ends well has {result}")
+        _holds(result.exit_code == 0 and result.error is None, f"a successful job has the result {result}")
         # a node's clock may differ by seconds
         _holds(began - 5 < result.started <= result.ended < time.time() + 5, f"its times are {result.started}, {result.ended}")
-        _holds(bool(result.host), "a result does not say where it was executed")
+        _holds(bool(result.host), "a result has no host")
     cut = [row for table, row in ordeal.begun[-1].rows if table == "attempts" and row["state"] != "finished"]
-    _holds(not cut, f"all was executed, and attempts are told to have been cut off: {cut}")
+    _holds(not cut, f"everything was executed, but attempts are reported as cut off: {cut}")
 
 
 def keeps_what_runs_leave(ordeal: Ordeal) -> None:
@@ -444,13 +447,16 @@ def keeps_what_runs_leave(ordeal: Ordeal) -> None:
     for result in ordeal.executed(text, text):
         folder = Path(result.directory)
         found = {file.path: (folder / RUN_OUTPUT / file.path).read_bytes() for file in result.outputs}
-        _holds(found == {"a/b/t.csv": b"x,y\n1,2\n", "empty": b"", "big": bytes(3_000_000)}, f"it left {sorted(found)}")
+        _holds(
+            found == {"a/b/t.csv": b"x,y\n1,2\n", "empty": b"", "big": bytes(3_000_000)},
+            f"the reported outputs are {sorted(found)}",
+        )
         for file in result.outputs:
             content = found[file.path]
             told = (file.bytes, file.sha256) == (len(content), hashlib.sha256(content).hexdigest())
-            _holds(told, f"{file.path} is not as it is told of")
+            _holds(told, f"{file.path} differs from its reported size or hash")
         printed = (folder / RUN_STDOUT).read_bytes(), (folder / RUN_STDERR).read_bytes()
-        _holds(printed == (b"out\n", b"err\n"), f"what it printed became {printed}")
+        _holds(printed == (b"out\n", b"err\n"), f"the recorded printed output is {printed}")
 
 
 def tells_how_each_ended(ordeal: Ordeal) -> None:
@@ -462,8 +468,8 @@ def tells_how_each_ended(ordeal: Ordeal) -> None:
     failed, killed, absent, fine = (errand.results[job.execution] for job in errand.jobs)
     _holds((failed.exit_code, failed.signal, failed.stopped) == (3, None, None), f"exit status 3 became {failed}")
     _holds((killed.exit_code, killed.signal, killed.stopped) == (None, 9, None), f"a run that was killed became {killed}")
-    _holds(absent.error is not None and absent.exit_code is None, f"a program that is not there became {absent}")
-    _holds(fine.exit_code == 0 and fine.error is None, f"what ended well became {fine}")
+    _holds(absent.error is not None and absent.exit_code is None, f"a missing program became {absent}")
+    _holds(fine.exit_code == 0 and fine.error is None, f"a successful run became {fine}")
 
 
 def gives_what_the_job_has(ordeal: Ordeal) -> None:
@@ -478,9 +484,9 @@ def gives_what_the_job_has(ordeal: Ordeal) -> None:
     errand.until_over()
     errand.told_each_once()
     said = (Path(errand.told[0].directory) / RUN_STDOUT).read_bytes()
-    _holds(said.startswith(content), "its input file is another than it was given")
+    _holds(said.startswith(content), "its input file differs from the job's")
     here, there, words = said[len(content) :].decode().split("\n", 2)
-    _holds(here == there, f"it begins in {here}, and its output folder is {there}")
+    _holds(here == there, f"the run begins in {here}, but its output folder is {there}")
     wanted = "".join(f"<{word}>" for word in WORDS)
     _holds(words == wanted, f"{wanted!r} became {words!r}")
 
@@ -500,7 +506,7 @@ def gives_exactly_the_jobs_environment(ordeal: Ordeal) -> None:
         seen = dict(line.split("=", 1) for line in said)
         wanted = {name: value.replace("\0", seen.get("SIERRA_RUN_DIR", "")) for name, value in job.environment.items()}
         other = sorted(seen.items() ^ wanted.items())
-        _holds(not other, f"variables are not the job's: {other}")
+        _holds(not other, f"the variables differ from the job's: {other}")
 
 
 def keeps_the_time_limit(ordeal: Ordeal) -> None:
@@ -508,7 +514,7 @@ def keeps_the_time_limit(ordeal: Ordeal) -> None:
     bounds = Limits(wall_s=1.0, grace_s=0.5)
     for result in ordeal.executed("sleep 60", 'trap "" TERM; while :; do sleep 0.1; done', limits=bounds):
         _holds(result.stopped == "timeout", f"a run over its limit became {result}")
-        _holds(0.9 < result.ended - result.started < PATIENCE_S / 2, f"it ran for {result.ended - result.started:.1f} s")
+        _holds(0.9 < result.ended - result.started < PATIENCE_S / 2, f"the run took {result.ended - result.started:.1f} s")
 
 
 def looks_at_once(ordeal: Ordeal) -> None:
@@ -520,8 +526,8 @@ def looks_at_once(ordeal: Ordeal) -> None:
         began = time.monotonic()
         look = errand.look()
         took = time.monotonic() - began
-        _holds(took < AT_ONCE_S, f"a look took {took:.1f} s")
-        _holds(look.alive, "it is over while a job runs")
+        _holds(took < AT_ONCE_S, f"look() took {took:.1f} s")
+        _holds(look.alive, "the session is reported as ended while a job runs")
         time.sleep(POLL_S)
     (errand.shared / "go").touch()
     errand.until_over()
@@ -532,11 +538,11 @@ def ends_when_stopped(ordeal: Ordeal) -> None:
     """Check that `stop` ends the runs in flight, begins no more, and keeps earlier results. It may be called twice."""
     errand = ordeal.errand()
     errand.submit([errand.script("echo 1 > ended"), *(errand.script(UNTIL_GO) for _ in range(6))])
-    errand.until(lambda: bool(errand.told), "nothing is told of a run that has ended, as long as others run")
+    errand.until(lambda: bool(errand.told), "an ended run is not reported while others run")
     errand.until_begun(1)
     is_stopped(errand)
     good = [result for result in errand.told if result.stopped is None and result.exit_code == 0]
-    _holds([result.execution for result in good] == [errand.jobs[0].execution], f"good, after it was stopped, are {good}")
+    _holds([result.execution for result in good] == [errand.jobs[0].execution], f"successful runs after the stop: {good}")
 
 
 def is_stopped(errand: Errand) -> None:
@@ -545,19 +551,19 @@ def is_stopped(errand: Errand) -> None:
     errand.runner.stop()
     errand.until_over()
     errand.look()
-    _holds(errand.over, "it lives again after its end")
+    _holds(errand.over, "the session is alive again after its end")
     begun = errand.has("begun-*")
     errand.at_rest()
-    _holds(errand.has("begun-*") == begun, "runs begin after it was stopped")
+    _holds(errand.has("begun-*") == begun, "runs begin after the stop")
     told = [result.execution for result in errand.told]
-    _holds(len(told) == len(set(told)), "a run was told of twice")
+    _holds(len(told) == len(set(told)), "a run was reported twice")
 
 
 def goes_on_for_another(ordeal: Ordeal) -> None:
     """Check that another runner reports exactly the results that are not recorded, and that runs go on and execute once."""
     errand = ordeal.errand()
     errand.submit([errand.script("echo 1 > ended"), errand.script(UNTIL_GO), errand.script(UNTIL_GO)])
-    errand.until(lambda: bool(errand.told), "nothing is told of a run that has ended, as long as others run")
+    errand.until(lambda: bool(errand.told), "an ended run is not reported while others run")
     errand.until_begun(1)
     errand.leave()
     first = errand.told[0]
@@ -565,8 +571,8 @@ def goes_on_for_another(ordeal: Ordeal) -> None:
     (errand.shared / "go").touch()
     other.until_over()
     told = sorted(result.execution for result in other.told)
-    _holds(told == sorted(job.execution for job in errand.jobs[1:]), f"of the 2 runs that were to come, told were {told}")
-    _holds(all(result.exit_code == 0 for result in other.told), f"runs were ended by their being left: {other.told}")
+    _holds(told == sorted(job.execution for job in errand.jobs[1:]), f"expected the results of 2 other runs, but got {told}")
+    _holds(all(result.exit_code == 0 for result in other.told), f"runs ended when their runner was closed: {other.told}")
     _holds(errand.has("begun-*") == 2, "a run was begun more than once")
 
 
@@ -580,7 +586,9 @@ def tells_another_of_all(ordeal: Ordeal) -> None:
     other = ordeal.resumed(errand, {})
     other.until_over()
     other.told_each_once()
-    _holds([other.results[job.execution].exit_code for job in errand.jobs] == [0, 4], "it tells otherwise than before")
+    _holds(
+        [other.results[job.execution].exit_code for job in errand.jobs] == [0, 4], "the results differ from the first report"
+    )
 
 
 def is_stopped_by_another(ordeal: Ordeal) -> None:

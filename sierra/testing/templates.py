@@ -57,7 +57,7 @@ class Trial:
 
 def check(make: Make, data: bytes, places: Sequence[str]) -> None:
     """Check all claims."""
-    holds(len(places) > 1, "name two places or more")
+    holds(len(places) > 1, "name at least two places")
     trial = Trial(make, data, places)
     for claim in CLAIMS:
         claim(trial)
@@ -69,30 +69,36 @@ def set_to(place: str, value: str, expect: int | None = None) -> Set:
 
 def has_the_hash_of_its_file(trial: Trial) -> None:
     says_what_its_options_are(trial.template)
-    holds(trial.template.sha256 == hashlib.sha256(trial.data).hexdigest(), "sha256 is not that of the file")
+    holds(trial.template.sha256 == hashlib.sha256(trial.data).hexdigest(), "sha256 is not the SHA-256 of the file")
 
 
 def renders_the_same_again(trial: Trial) -> None:
     """Check that rendering gives the same bytes again, also if the document is read again without changes."""
     first = trial.changed().render()
-    holds(trial.changed().render() == first, "another input when rendered again")
-    holds(trial.after().changed((), {}).render() == first, "another input when it is read and rendered again")
+    holds(trial.changed().render() == first, "the input differs when it is rendered again")
+    holds(trial.after().changed((), {}).render() == first, "the input differs when the template is read and rendered again")
 
 
 def renders_safe_files(trial: Trial) -> None:
     """Check that several files have safe and different names, which do not depend on values, and that arguments are texts."""
     one, other = (trial.changed(set_to(trial.places[0], value)).render() for value in NUMBERS[:2])
     if isinstance(one, bytes):
-        holds(isinstance(other, bytes), "one file, then several")
+        holds(isinstance(other, bytes), "the number of files changes from one to several")
         return
     names = [name for name, _ in one]
-    holds(names == [name for name, _ in _files(other)], "the names of files depend on values")
-    holds(bool(names) and len({name.lower() for name in names}) == len(names), f"no files, or two of one name: {names}")
+    holds(names == [name for name, _ in _files(other)], "the file names depend on values")
+    holds(
+        bool(names) and len({name.lower() for name in names}) == len(names),
+        f"no files, or two files with the same name: {names}",
+    )
     for name, content in one:
         holds(not name or bool(_FILE.fullmatch(name)), f"{name!r} is not a safe file name; use letters, digits, _ - and .")
         if name == ARGUMENTS:
             words = json.loads(content)
-            holds(isinstance(words, list) and all(isinstance(word, str) for word in words), f"{words!r} are no arguments")
+            holds(
+                isinstance(words, list) and all(isinstance(word, str) for word in words),
+                f"{words!r} is not a list of arguments",
+            )
 
 
 def finds_values(trial: Trial) -> None:
@@ -100,10 +106,10 @@ def finds_values(trial: Trial) -> None:
     for place in trial.places:
         found = trial.template.find(place)
         holds(len(found) == 1, f"{place!r} selects {len(found)} values, not one")
-        holds(all(isinstance(text, str) for text in found), f"{place!r} gives {found!r}, no texts")
+        holds(all(isinstance(text, str) for text in found), f"{place!r} returns {found!r}, which are not texts")
     for place in NOWHERE:
         try:
-            holds(trial.template.find(place) == (), f"{place!r} selects something")
+            holds(trial.template.find(place) == (), f"{place!r} selects something, but should select nothing")
         except TemplateError as error:
             is_one_line(str(error))
 
@@ -121,9 +127,9 @@ def sets_one_value(trial: Trial) -> None:
             template = trial.template
             before = {other: template.find(other) for other in trial.places}
             made = template.reread(template.changed([set_to(place, value)], {}).render(), NAME)
-            holds(made.find(place) == (value,), f"{place!r} was set to {value!r}, and is {made.find(place)!r}")
+            holds(made.find(place) == (value,), f"{place!r} was set to {value!r}, but is {made.find(place)!r}")
             others = [other for other in trial.places if other != place and made.find(other) != before[other]]
-            holds(not others, f"setting {place!r} changes {others}")
+            holds(not others, f"setting {place!r} also changes {others}")
             holds({other: template.find(other) for other in trial.places} == before, "a change alters the template itself")
 
 
@@ -166,8 +172,8 @@ def makes_inputs_of_runs(trial: Trial) -> None:
     render = document.per_run(changes)
     for seed in (7, 100, 7):
         expected = trial.changed(set_to(other, "3"), *changes, seed=seed, run=1).render()
-        holds(render({"seed": seed, "run": 1}) == expected, "the input of a run is not what the same changes give")
-    holds(document.per_run([])({"seed": 1}) == document.render(), "the input without changes of runs is not the document")
+        holds(render({"seed": seed, "run": 1}) == expected, "the input of a run differs from the result of the same changes")
+    holds(document.per_run([])({"seed": 1}) == document.render(), "the input without changes per run differs from the document")
     _is_refused(lambda: document.per_run([set_to(NOWHERE[0], "{seed}")]), TemplateError, "a change of runs, at once,")
 
 
@@ -186,9 +192,9 @@ def _is_refused(attempt: Callable[[], object], wanted: type[SierraError], what: 
         attempt()
     except wanted as error:
         is_one_line(str(error))
-        holds(WHY in str(error), f"{str(error)!r} does not say whose change it is (Change.why)")
+        holds(WHY in str(error), f"{str(error)!r} does not name the origin of the change (Change.why)")
         return
-    raise AssertionError(f"{what} is no {wanted.__name__}")
+    raise AssertionError(f"{what} did not raise {wanted.__name__}")
 
 
 def _files(rendered: Rendered) -> Files:

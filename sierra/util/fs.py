@@ -42,7 +42,7 @@ def _is_loop(path: Path) -> bool:
 
 
 def _outside(root: Path, name: str) -> str:
-    return f"the record names the path {name!r}, which is not inside {root}; whoever made the record did not use SIERRA for it"
+    return f"the record names the path {name!r}, which is not inside {root}; SIERRA did not write this record"
 
 
 def read_record(path: Path) -> dict[str, Any]:
@@ -53,7 +53,7 @@ def read_record(path: Path) -> dict[str, Any]:
             return found
     except (ValueError, RecursionError):  # not UTF-8, not JSON, or nested too deeply
         pass
-    raise Damaged(f"{path}: holds no record that SIERRA wrote; move {path.parent} away, what is in it is not recorded yet")
+    raise Damaged(f"{path}: not a record that SIERRA wrote; move {path.parent} away: its contents are not recorded yet")
 
 
 def write_whole(path: Path, data: bytes) -> Path:

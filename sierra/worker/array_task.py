@@ -351,7 +351,7 @@ def jobs(path: str) -> Iterator[Event]:
                 return
             count += 1
             yield whole(job, common)
-    raise Trouble("%s holds %d jobs, and should hold others" % (path, count))
+    raise Trouble("%s contains %d jobs, which is not the expected number" % (path, count))
 
 
 def whole(job: Event, common: Event) -> Event:
@@ -425,7 +425,7 @@ def opened(root: int, path: str) -> int:
         file = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=root)
     if not stat.S_ISREG(os.fstat(file).st_mode):
         os.close(file)
-        raise OSError(errno.EINVAL, "is no file any more", path)
+        raise OSError(errno.EINVAL, "is not a file any more", path)
     return file
 
 
@@ -467,7 +467,7 @@ def contents(root: int, files: Iterable[File], go_on: Callable[[], None]) -> Ite
         except OSError as error:
             raise Changed("%s: %s" % (path, error.strerror)) from error
         if size or digest.hexdigest() != sha256:
-            raise Changed("%s has changed since" % path)
+            raise Changed("%s has changed since the run ended" % path)
 
 
 # ---------------------------------------------------------------- the node
@@ -569,7 +569,7 @@ class Needs:
                 found = os.stat(need["path"], follow_symlinks=not need.get("link"))
                 seen = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
                 if self._seen.get(need["path"]) != seen and need["sha256"] not in ("", hash_of(need)):
-                    raise Trouble("%s: %s is another than on the host that submitted" % (need["name"], need["path"]))
+                    raise Trouble("%s: %s differs from the one on the submitting host" % (need["name"], need["path"]))
             except OSError as error:
                 raise Trouble("%s: %s: %s" % (need["name"], need["path"], error.strerror)) from error
             self._seen[need["path"]] = seen
@@ -587,11 +587,11 @@ def installed(folders: str) -> Tuple[str, ...]:
 
 def check_installed(name: str, there: Set[str], here: Set[str]) -> None:
     """Raise Trouble if the distributions here differ from those on the submitting host."""
-    other = ["%s is not here" % path for path in sorted(there - here)]
+    other = ["%s is missing here" % path for path in sorted(there - here)]
     other += ["%s is only here" % path for path in sorted(here - there)]
     if other:
         more = " and %d more" % (len(other) - 3) if len(other) > 3 else ""
-        raise Trouble("%s are others than on the host that submitted: %s%s" % (name, ", ".join(other[:3]), more))
+        raise Trouble("%s differ from those on the submitting host: %s%s" % (name, ", ".join(other[:3]), more))
 
 
 def found_by_name(need: Dict[str, Any]) -> str:
@@ -642,12 +642,12 @@ def scratch_root(wanted: Optional[str]) -> str:
         named = [os.environ.get("SLURM_TMPDIR"), os.environ.get("TMPDIR"), "/tmp"]  # noqa: S108 - the last resort
         there = [path for path in named if path and os.path.isdir(path) and os.access(path, os.W_OK | os.X_OK)]
         if not there:
-            raise Trouble("no folder for runs: none of $SLURM_TMPDIR, $TMPDIR and /tmp can be written to")
+            raise Trouble("no folder for runs: none of $SLURM_TMPDIR, $TMPDIR and /tmp is writable")
         return os.path.abspath(there[0])
     filled = re.sub(r"\$(?:\{(\w+)\}|(\w+))", lambda match: value_of(match[1] or match[2], wanted), wanted)
     folder = os.path.abspath(filled)
     if not os.path.isdir(os.path.dirname(folder) if os.path.dirname(folder) != "/" else folder):
-        raise Trouble("scratch = %s: there is no folder to make it in; name one that is there" % wanted)
+        raise Trouble("scratch = %s: its parent folder does not exist; use one that exists" % wanted)
     try:
         os.makedirs(folder, exist_ok=True)
     except OSError as error:
@@ -657,7 +657,7 @@ def scratch_root(wanted: Optional[str]) -> str:
 
 def value_of(name: str, wanted: str) -> str:
     if not os.environ.get(name):
-        raise Trouble("scratch = %s: there is no $%s" % (wanted, name))
+        raise Trouble("scratch = %s: the variable $%s is not set" % (wanted, name))
     return os.environ[name]
 
 
@@ -954,7 +954,7 @@ class Execution:
         if error is not None:
             raise error
         if code == 0 and self._ended != self._feeder.sent:
-            raise Trouble("of %d runs, the worker has told of %d" % (self._feeder.sent, self._ended))
+            raise Trouble("the worker reported %d of %d runs" % (self._ended, self._feeder.sent))
         if code == 4:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), self._scratch)
         if code not in (0, 1):
@@ -1049,7 +1049,7 @@ def reason_of(error: BaseException) -> str:
 
 def say(text: str) -> None:
     with contextlib.suppress(OSError):
-        os.write(2, ("element: %s\n" % text).encode("utf-8", "backslashreplace"))
+        os.write(2, ("array task: %s\n" % text).encode("utf-8", "backslashreplace"))
 
 
 def main(arguments: List[str]) -> int:

@@ -640,8 +640,8 @@ class Worker:
                 if path != folder:
                     remove(path) if is_folder(path) else unlink(path)
                     if os.path.lexists(path):
-                        return "what it left for other runs cannot be removed: " + path
-        return "there was no room left in its container: " + full[0] if full else None
+                        return "files that it left in shared folders cannot be removed: " + path
+        return "no space was left in its container: " + full[0] if full else None
 
     def report(self, job: dict[str, Any], slot: int, folder: str, began: float, wall: float, **fields: Any) -> dict[str, Any]:
         """Return the line for the journal; `began` is in seconds since the epoch, `wall` in seconds."""

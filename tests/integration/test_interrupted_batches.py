@@ -62,7 +62,7 @@ def test_a_run_that_stops_itself_is_reported_and_can_be_continued(simulate: Simu
     project = simulate(f"kill -STOP $$; {PRINTS}")
     asking = project.start("run", "size=1", "-j", "1", "--runs", "1", "--no-figures")
     said = next(line for line in asking.stderr if "makes no progress: a signal stopped its processes" in line)
-    [pid] = re.findall(r"kill -CONT (\d+) continues it, and wall in \[limits\] ends such runs", said)
+    [pid] = re.findall(r"continue it with kill -CONT (\d+), or set wall in \[limits\] to end such runs", said)
     os.kill(int(pid), signal.SIGCONT)
     done = project.end_of(asking)
     assert done.returncode == 0, done.stderr
@@ -212,7 +212,7 @@ def test_a_killed_worker_is_reported_in_one_line(simulate: Simulate) -> None:
     kill(project.worker())
     done = project.end_of(sierra)
     assert (done.returncode, done.stdout) == (3, "")
-    assert done.stderr.endswith("sierra: the worker ended with signal 9; what had finished by then is kept\n")
+    assert done.stderr.endswith("sierra: the worker ended with signal 9; the finished runs are kept\n")
     assert (project.work(), project.left_running()) == ([], [])
     assert project.sql("SELECT count(*) >= 3 AS kept FROM executions WHERE status = 'ok'") == [{"kept": True}]
     project.open()

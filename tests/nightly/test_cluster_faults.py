@@ -156,7 +156,7 @@ def test_a_run_that_ends_its_array_task_is_identified_and_the_others_complete(
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text().replace("array_tasks = 3", "array_tasks = 1"))
     told = ended(gated.ask("population_size.Log8", "--runs", "1"), 1)
-    assert "may be what ended it: executed one by one now" in told
+    assert "may have caused its end: executed one by one now" in told
     found = rows(gated.project, "SELECT e.status, reason FROM executions e JOIN runs USING (run) ORDER BY population_size")
     assert [row["status"] for row in found] == ["ok", "ok", "failed", "ok"], found
     assert "cut off 2 times" in found[2]["reason"]
@@ -174,7 +174,7 @@ def test_a_full_disk_of_a_node_is_reported_and_free_space_completes_the_batch(
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text().replace("array_tasks = 3", "array_tasks = 1"))
     told = ended(gated.ask(), 3)
-    assert "ended before any run had: n1: " in told
+    assert "ended before any of its runs ended: n1: " in told
     assert "No space left on device" in told
     assert len([line for line in told.splitlines() if line.startswith("sierra:")]) == 1
     assert rows(gated.project, "SELECT * FROM executions") == []
@@ -280,7 +280,7 @@ def test_a_detached_array_task_requeues_itself_before_its_time_limit(gate: Calla
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text().replace("array_tasks = 3", "array_tasks = 1"))
     told = ended(gated.ask(*ASK[:1], "--detach"))
-    assert "goes on by itself only where the site lets tasks requeue themselves" in told
+    assert "continues by itself only if the site lets tasks requeue themselves" in told
     until(lambda: packed(gated.root, Requeued), "the element asks to be begun anew", 200)
     gated.open()
     gated.slurm.release_requeued()
@@ -289,7 +289,7 @@ def test_a_detached_array_task_requeues_itself_before_its_time_limit(gate: Calla
     assert projects.quick(gated.root, "status").returncode == 0
     is_whole(gated.project)
     assert rows(gated.project, "SELECT state, error FROM attempts ORDER BY started") == [
-        {"state": "cut off", "error": "its time was nearly over: it asked to be begun anew"},
+        {"state": "cut off", "error": "its time was nearly over: it requested to be started again"},
         {"state": "finished", "error": None},
     ]
 

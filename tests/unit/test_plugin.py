@@ -261,7 +261,7 @@ def test_engine_of_another_package_starts_runs(project: Path) -> None:
     succeed(project, "image", "pin")
     done = projects.quick(project, "run", "herd=1", "--no-figures")
     assert done.returncode == 0, done.stderr
-    assert "NOT ISOLATED: direct gives containers the network here (direct 1)" in done.stdout + done.stderr
+    assert "NOT ISOLATED: containers of direct have network access here (direct 1)" in done.stdout + done.stderr
     assert {row["niceness"] for row in rows(project, "SELECT niceness FROM walk")} == {os.nice(0) + 4}
     assert [row["engine"] for row in rows(project, "SELECT engine FROM sessions")] == ["direct"]
 

@@ -99,7 +99,7 @@ def _explained(complaint: str) -> str:
     if COMMAND.search(complaint):
         return f"the command cannot be started in the container: {complaint}"
     if IMAGE.search(complaint):
-        return f"apptainer: the image can't be opened: {complaint}"
+        return f"apptainer: the image cannot be opened: {complaint}"
     return f"apptainer: {complaint}"
 
 
@@ -126,7 +126,7 @@ def _given(way: Way, box: ContainerSpec, process: Process) -> Iterator[tuple[str
     yield f"{way.prefix}{MARK}", box.session
     for name, value in process.environment.items():
         if not NAME.fullmatch(name):
-            raise Missing(f"{name!r} can't be a variable in apptainer; use letters, digits and _")
+            raise Missing(f"{name!r} is not a valid variable name in apptainer; use letters, digits and _")
         if box.gpu and name == "LD_LIBRARY_PATH":
             value += ":/.singularity.d/libs"
         yield f"{way.prefix}{PREFIX}{name}", value

@@ -133,7 +133,7 @@ def _known(name: str, ask: Callable[[], Found], key: str) -> Found:
         found = ask()
     except OSError as error:
         return Found(
-            Capabilities(name, trouble=f"{name} can't be tried: {error.filename or tempfile.gettempdir()}: {error.strerror}")
+            Capabilities(name, trouble=f"{name} cannot be tested: {error.filename or tempfile.gettempdir()}: {error.strerror}")
         )
     if not found.abilities.trouble:
         remembered.put(key, _packed(found))
@@ -196,28 +196,28 @@ def remedy(name: str, said: str) -> str:
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     for pattern, advice in KNOWN:
         if re.search(pattern, said):
-            return f"{name} can't start a container: {advice}"
-    return f"{name} can't start a container: {lines[-1][:300] if lines else 'it said nothing'}"
+            return f"{name} cannot start a container: {advice}"
+    return f"{name} cannot start a container: {lines[-1][:300] if lines else 'it printed no error'}"
 
 
 KNOWN = (
     (r"cgroups in hybrid mode not supported", "crun does not work with hybrid cgroups; install runc"),
-    (r"RLIMIT_\w+|setrlimit", "its limits are higher than this user may set; lower default_ulimits in containers.conf"),
+    (r"RLIMIT_\w+|setrlimit", "its default limits are higher than this user may set; lower default_ulimits in containers.conf"),
     (r"no subuid ranges found|cannot find UID/GID|insufficient UIDs or GIDs", "the user has no range of ids in /etc/subuid; "
-     "an administrator gives one (usermod --add-subuids 100000-165535 --add-subgids 100000-165535 NAME), "
-     'or ignore_chown_errors = "true" in [storage.options.overlay] of storage.conf does without'),
-    (r"newuidmap", "newuidmap is missing or lacks its rights; install uidmap (shadow-utils)"),
-    (r"failed to open /dev/fuse|/dev/fuse: (Permission denied|No such file)", "/dev/fuse can't be opened"),
+     "an administrator can add one (usermod --add-subuids 100000-165535 --add-subgids 100000-165535 NAME), "
+     'or set ignore_chown_errors = "true" in [storage.options.overlay] of storage.conf'),
+    (r"newuidmap", "newuidmap is missing or lacks its privileges; install uidmap (shadow-utils)"),
+    (r"failed to open /dev/fuse|/dev/fuse: (Permission denied|No such file)", "/dev/fuse cannot be opened"),
     (r"(?i)clone.*operation not permitted|user namespace.*(disabled|not permitted)|unshare.*(denied|not permitted)|"
-     r"no user namespaces|CLONE_NEWUSER|max_user_namespaces", "user namespaces are not allowed to this user; an administrator "
-     "allows them (user.max_user_namespaces, kernel.unprivileged_userns_clone), or installs apptainer with setuid"),
-    (r"netavark", "netavark is missing, which podman needs even for no network; install netavark"),
+     r"no user namespaces|CLONE_NEWUSER|max_user_namespaces", "user namespaces are not allowed for this user; an administrator "
+     "can allow them (user.max_user_namespaces, kernel.unprivileged_userns_clone), or install apptainer with setuid"),
+    (r"netavark", "netavark is missing; podman needs it even without a network; install netavark"),
     (r"conmon", "conmon is missing; install conmon"),
     (r"(?i)(runc|crun)\W+(executable file )?not found|no such runtime|could not find.*runtime",
-     "neither runc nor crun is there; install runc"),
-    (r"catatonit|container-init|init binary", "catatonit is missing, which passes signals on; install catatonit"),
-    (r"(?i)no space left on device", "there is no room on the disk"),
-    (r"capability set .* while permitted", "its default capabilities are more than root has here"),
+     "neither runc nor crun is installed; install runc"),
+    (r"catatonit|container-init|init binary", "catatonit, which forwards signals, is missing; install catatonit"),
+    (r"(?i)no space left on device", "the disk is full"),
+    (r"capability set .* while permitted", "its default capabilities exceed those of root here"),
 )  # fmt: skip
 """Patterns of errors with which engines fail to start containers, each with its remedy."""
 
@@ -264,7 +264,7 @@ def _podman() -> Found:
     """Test podman by starting a container: as it is, and otherwise with runc or with cgroupfs."""
     if shutil.which("podman") is None:
         return Found(
-            Capabilities("podman", trouble="podman is not installed; apt-get install podman, or what your distribution has")
+            Capabilities("podman", trouble="podman is not installed; install it, for example with apt-get install podman")
         )
     version = run(("podman", "--version")).stdout.strip().removeprefix("podman version ")
     if (number := version.partition(".")[0]).isdigit() and int(number) < 4:

@@ -16,7 +16,7 @@ SIGNALLED = 128
 def mounted(mount: Mount) -> str:
     """Return the option for a mount, a line of CSV. Raises Missing for a path that cannot be written in it."""
     if '"' in mount.source or "\n" in mount.source:
-        raise Missing(f"{mount.source!r} cannot be mounted into a container; take a path without quotes and line feeds")
+        raise Missing(f"{mount.source!r} cannot be mounted into a container; use a path without quotes and line feeds")
     return f'--mount=type=bind,"source={mount.source}","destination={mount.target}"{"" if mount.writable else ",ro"}'
 
 

@@ -59,11 +59,11 @@ class Podman:
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
         if image.kind != Kind.OCI:
-            raise Missing(f"podman can't run {image.name}, which is a file system alone: --engine apptainer does")
+            raise Missing(f"podman cannot run {image.name}, which is only a file system; use --engine apptainer")
         if not podman_images.present(image.id):
             if not image.file:
                 raise Missing(
-                    f"the image {image.name} ({short(image.id)}) is not in podman's storage; sierra image import brings it"
+                    f"the image {image.name} ({short(image.id)}) is not in podman's storage; import it with sierra image import"
                 )
             podman_images.load(root / image.file, image.id)
         return image.id

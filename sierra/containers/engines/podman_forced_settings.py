@@ -29,8 +29,8 @@ def trouble() -> str:
                 found |= {key: file} if said[key] else {}
     for key, file in found.items():
         return (
-            f"{file} gives {key} to all containers, so that runs would reach what is not recorded; name them in [container] of "
-            f"sierra.toml instead, and in CONTAINERS_CONF a file without"
+            f"{file} gives {key} to all containers, so runs would have unrecorded host access; list them in [container] of "
+            f"sierra.toml instead, and set CONTAINERS_CONF to a file without them"
         )
     return ""
 

@@ -79,7 +79,7 @@ def _unpack(squashfs: Path, folder: Path) -> None:
     log.command(command, said.returncode, said.stderr)
     try:
         if said.returncode:
-            lines = (said.stderr + said.stdout).strip().splitlines() or ["it said nothing"]
+            lines = (said.stderr + said.stdout).strip().splitlines() or ["it printed no error"]
             raise Missing(f"{squashfs} cannot be unpacked: {lines[0]}")
         _remove(folder)
         unfinished.rename(folder)

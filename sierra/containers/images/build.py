@@ -36,7 +36,7 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
     """
     folder = (root / name).resolve()
     if not is_recipe(folder):
-        raise ConfigError(f"{name} is no recipe: there is no {CONTAINERFILE} in {folder}")
+        raise ConfigError(f"{name} is not a Containerfile folder: there is no {CONTAINERFILE} in {folder}")
     called = tag(root, name) or name
     podman_images.program()
     epoch = _epoch()
@@ -57,7 +57,7 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
 def _run_rootfs(name: str, context: Path, epoch: int) -> None:
     """Run `rootfs`, which makes the tar of the base image. Raises Missing with the reason if it fails."""
     if not os.access(context / ROOTFS, os.X_OK):
-        raise ConfigError(f"{name}/{ROOTFS} is no program, so nothing makes the base's files; run: chmod +x {name}/{ROOTFS}")
+        raise ConfigError(f"{name}/{ROOTFS} is not executable, so the base cannot be made; run: chmod +x {name}/{ROOTFS}")
     target = context / TAR
     done = podman_images.run(
         [str(context / ROOTFS), str(target)],
@@ -70,7 +70,7 @@ def _run_rootfs(name: str, context: Path, epoch: int) -> None:
     if done.returncode:
         raise Missing(f"{name}/{ROOTFS} failed ({_how(done.returncode)}): {_why(done.stdout)}")
     if not target.is_file() or not tarfile.is_tarfile(target):
-        raise Missing(f"{name}/{ROOTFS} ended well, but has not written a tar to the path that it was given, $1")
+        raise Missing(f"{name}/{ROOTFS} succeeded, but wrote no tar to the path in $1")
 
 
 def _how(status: int) -> str:
@@ -85,7 +85,7 @@ def _why(said: str) -> str:
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     full = next((line for line in lines if "No space left on device" in line), "")
     first = next((number for number, line in enumerate(lines) if ERROR.match(line)), len(lines) - 1)
-    return full or " ".join(lines[first : first + (2 if lines[first].endswith(":") else 1)]) if lines else "it said nothing"
+    return full or " ".join(lines[first : first + (2 if lines[first].endswith(":") else 1)]) if lines else "it printed no error"
 
 
 def _settle(context: Path, epoch: int) -> None:
@@ -99,5 +99,5 @@ def _settle(context: Path, epoch: int) -> None:
 def _epoch() -> int:
     said = os.environ.get("SOURCE_DATE_EPOCH", "")
     if said and not said.isdecimal():
-        raise ConfigError(f"SOURCE_DATE_EPOCH is {said!r}; it should be seconds since 1970, as {EPOCH}")
+        raise ConfigError(f"SOURCE_DATE_EPOCH is {said!r}; it must be seconds since 1970, for example {EPOCH}")
     return int(said or EPOCH)

@@ -386,7 +386,7 @@ def _disk(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise Missing(f"what is in the image cannot be kept in {folder}: {error.strerror or error}") from error
+        raise Missing(f"the contents of the image cannot be stored in {folder}: {error.strerror or error}") from error
 
 
 def _time(text: str) -> datetime | None:

@@ -24,10 +24,10 @@ def take_in(root: Path, store: StorePaths, file: Path, name: str = "") -> Conten
     has that tag here. Raises Missing or Damaged, and imports nothing then; UsageError if the file is not an archive.
     """
     if not file.exists():
-        raise Missing(f"there is no image file {file}")
+        raise Missing(f"the image file {file} does not exist")
     if not oci.is_archive(file):
-        what = "a SIF or a squashfs, which is used where it lies: name it in [container] image" if _runs(file) else "no archive"
-        raise UsageError(f"{file} is {what}; docker-archive and oci-archive are imported")
+        what = "a SIF or a squashfs, which needs no import: name it in [container] image" if _runs(file) else "not an archive"
+        raise UsageError(f"{file} is {what}; only docker-archive and oci-archive can be imported")
     read = oci.read(file)
     image = read.image(name or str(file), file=str(file.resolve()))
     found = image_contents.examine_again(root, store, image, foreign=True)
@@ -54,9 +54,9 @@ def export(root: Path, name: str, file: Path) -> Image:
     read again before it gets its name. Raises Missing, Damaged, UsageError.
     """
     if file.is_dir():
-        raise UsageError(f"{file} is a folder; name the file to be written, as in {file / 'image.tar'}")
+        raise UsageError(f"{file} is a folder; name the file to write, for example {file / 'image.tar'}")
     if not file.parent.is_dir():
-        raise UsageError(f"there is no folder {file.parent} for {file.name}")
+        raise UsageError(f"the folder {file.parent} for {file.name} does not exist")
     image = pins(root).get(name) or named(root, name)
     unfinished = file.with_name(f".{file.name}.{os.getpid()}")
     try:
@@ -89,7 +89,7 @@ def _check(image: Image, path: Path) -> None:
         read.check()
         same = read.id == image.id
     if not same:
-        raise Damaged(f"what was written of {image.name} is not the image {short(image.id)}; export it again")
+        raise Damaged(f"the file written for {image.name} is not the image {short(image.id)}; export it again")
 
 
 def _runs(file: Path) -> bool:

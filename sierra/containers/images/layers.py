@@ -204,7 +204,7 @@ def _linked(root: _Node, member: tarfile.TarInfo, layer: int, what: str) -> _Nod
     folder, name = posixpath.split(_inside(member.linkname, what))
     target = _folder(root, folder, layer, what).children.get(name)
     if target is None or target.layer != layer or target.type == "folder":
-        raise Damaged(f"{what}: {member.name!r} is a hard link to {member.linkname!r}, which is no file of the same layer")
+        raise Damaged(f"{what}: {member.name!r} is a hard link to {member.linkname!r}, which is not a file of the same layer")
     return replace(target)
 
 

@@ -91,9 +91,10 @@ class Archive:
             yield stream
             found = stream.digest()
             if blob.sha256 and packed.digest() != blob.sha256:
-                raise Damaged(f"{what} is not what its manifest names: its SHA-256 should begin with {blob.sha256[:12]}")
+                raise Damaged(f"{what} does not match its manifest: its SHA-256 should begin with {blob.sha256[:12]}")
         if f"sha256:{found}" != self.diff_ids[place]:
-            raise Damaged(f"{what} is not the image's: its files have SHA-256 {found[:12]}…, not {self.diff_ids[place][7:19]}…")
+            wanted = self.diff_ids[place][7:19]
+            raise Damaged(f"{what} does not match the configuration: its files have SHA-256 {found[:12]}…, not {wanted}…")
 
     def check(self) -> list[int]:
         """Read the whole image, and return the sizes of its layers' tars.
@@ -186,7 +187,7 @@ def _docker(path: Path, files: Files) -> Archive:
     said = HEX.search(name)
     content = _document(path, files, name)
     if said and sha256(content) != said[1]:
-        raise Damaged(f"{path}: the configuration {name} is not what its name says")
+        raise Damaged(f"{path}: the configuration {name} does not match the hash in its name")
     config = _parsed(path, name, content)
     blobs = tuple(Blob(one, _size(path, files, one, f"layer {place + 1}")) for place, one in enumerate(layers))
     tags = entry.get("RepoTags")
@@ -197,10 +198,10 @@ def _docker(path: Path, files: Files) -> Archive:
 def _only(path: Path, listed: Any, called: Any) -> dict[str, Any]:
     """Return the only image of a list. Raises Damaged if the list has none or several."""
     if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
-        raise Damaged(f"{path} holds no image")
+        raise Damaged(f"{path} contains no image")
     if len(listed) > 1:
         names = "; ".join(map(called, listed[:3]))
-        raise Damaged(f"{path} holds {len(listed)} images ({names}{'; …' * (len(listed) > 3)}); save the one that is meant")
+        raise Damaged(f"{path} contains {len(listed)} images ({names}{'; …' * (len(listed) > 3)}); save only one")
     return cast("dict[str, Any]", listed[0])
 
 
@@ -238,11 +239,11 @@ def _descriptor(path: Path, files: Files, said: Any, what: str) -> Blob:
     """Return a blob that a document names by digest and size. Checks that it exists with that size, but does not read it."""
     digest = DIGEST.fullmatch(str(said.get("digest"))) if isinstance(said, dict) else None
     if digest is None:
-        raise Damaged(f"{path}: {what} is not named by a SHA-256")
+        raise Damaged(f"{path}: {what} is not identified by a SHA-256")
     name = f"blobs/sha256/{digest[1]}"
     size = _size(path, files, name, what)
     if size != said.get("size"):
-        raise Damaged(f"{path}: {what} has {size} bytes, and should have {said.get('size')}")
+        raise Damaged(f"{path}: {what} has {size} bytes, but should have {said.get('size')}")
     return Blob(name, size, digest[1])
 
 
@@ -287,41 +288,41 @@ def _check_config(path: Path, config: Mapping[str, Any]) -> None:
         and isinstance(_inner(config, "config").get("Labels") or {}, dict)
     )
     if not shaped:
-        raise Damaged(f"{path}: the configuration is not one of an OCI image")
+        raise Damaged(f"{path}: the configuration is not a valid OCI image configuration")
 
 
 def _size(path: Path, files: Files, name: str, what: str) -> int:
     size = files.size(name)
     if size is None:
-        raise Damaged(f"{path}: {what} is not there ({name[:80]!r})")
+        raise Damaged(f"{path}: {what} is missing ({name[:80]!r})")
     return size
 
 
 def _checked(path: Path, files: Files, blob: Blob, what: str) -> bytes:
     content = _document(path, files, blob.name)
     if sha256(content) != blob.sha256:
-        raise Damaged(f"{path}: {what} is not what its digest says: its SHA-256 should begin with {blob.sha256[:12]}")
+        raise Damaged(f"{path}: {what} does not match its digest: its SHA-256 should begin with {blob.sha256[:12]}")
     return content
 
 
 def _document(path: Path, files: Files, name: str) -> bytes:
     size = _size(path, files, name, "a document")
     if size > DOCUMENT:
-        raise Damaged(f"{path}: {name[:80]!r} has {size} bytes; such documents have at most {DOCUMENT}")
+        raise Damaged(f"{path}: {name[:80]!r} has {size} bytes; at most {DOCUMENT} are allowed")
     with files.open(name) as file:
         return file.read(DOCUMENT)
 
 
 def _json(path: Path, files: Files, name: str) -> Any:
     if files.size(name) is None:
-        raise Damaged(f"{path} is no image: there is neither {MANIFEST} nor {LAYOUT} in it")
+        raise Damaged(f"{path} is not an image: it contains neither {MANIFEST} nor {LAYOUT}")
     return _parse(path, name, _document(path, files, name))
 
 
 def _parsed(path: Path, name: str, content: bytes) -> dict[str, Any]:
     found = _parse(path, name, content)
     if not isinstance(found, dict):
-        raise Damaged(f"{path}: {name} is no JSON object")
+        raise Damaged(f"{path}: {name} is not a JSON object")
     return found
 
 
@@ -329,7 +330,7 @@ def _parse(path: Path, name: str, content: bytes) -> Any:
     try:
         return json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise Damaged(f"{path}: {name} is no JSON: {error}") from error
+        raise Damaged(f"{path}: {name} is not JSON: {error}") from error
 
 
 # ---------------------------------------------------------------- bytes
@@ -346,7 +347,7 @@ class _Unzipped:
         try:
             return self._stream.read(size)
         except (zlib.error, EOFError, gzip.BadGzipFile) as error:
-            raise Damaged(f"{self._what} is cut short, or damaged: {error}") from error
+            raise Damaged(f"{self._what} is truncated or damaged: {error}") from error
 
 
 class _Begun:
@@ -368,7 +369,7 @@ def _unpacked(packed: Hashed, what: str) -> BinaryIO:
     beginning = packed.read(6)
     for magic, called in COMPRESSED.items():
         if beginning.startswith(magic):
-            raise Damaged(f"{what} is compressed by {called}, which is not read; save the image with gzip, or uncompressed")
+            raise Damaged(f"{what} is compressed by {called}, which is not supported; save it with gzip, or uncompressed")
     begun = cast("BinaryIO", _Begun(beginning, packed))
     return cast("BinaryIO", _Unzipped(begun, what)) if beginning.startswith(b"\x1f\x8b") else begun
 
@@ -426,7 +427,7 @@ def _headers(file: BinaryIO, path: Path) -> Iterator[tarfile.TarInfo]:
         if count >= MOST_MEMBERS:
             raise Damaged(f"{path} has more than {MOST_MEMBERS} files; an image's archive has a few for each layer")
         if member.issparse():
-            raise Damaged(f"{path}: {member.name!r} is sparse, which no image's archive is")
+            raise Damaged(f"{path}: {member.name!r} is a sparse file, which image archives do not contain")
         yield member
 
 

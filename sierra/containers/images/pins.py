@@ -34,8 +34,8 @@ def _why(root: Path, name: str) -> str:
     try:
         named(root, name)
     except SierraError as error:
-        return f"and cannot be yet: {error}; then"
-    return "so nothing runs in it;"
+        return f"and cannot be pinned yet: {error}; then"
+    return "so no run can use it;"
 
 
 def pins(root: Path) -> dict[str, Image]:
@@ -44,12 +44,12 @@ def pins(root: Path) -> dict[str, Image]:
     try:
         said = json.loads(path.read_text("utf-8"))
         if not isinstance(said, dict) or said.get("format") != FORMAT:
-            raise ConfigError(f"{path} is not of format {FORMAT}; another version of SIERRA wrote it, or it was edited")
+            raise ConfigError(f"{path} does not have format {FORMAT}; another version of SIERRA wrote it, or it was edited")
         return {name: _image(name, fields) for name, fields in said["images"].items()}
     except FileNotFoundError:
         return {}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        reason = str(error) if isinstance(error, _Broken) else "not what sierra image pin writes"
+        reason = str(error) if isinstance(error, _Broken) else "not written by sierra image pin"
         raise ConfigError(f"{path} is broken ({reason}); restore it, or remove it and run: sierra image pin") from error
     except OSError as error:
         raise Missing(f"{path} cannot be read: {error.strerror}") from error
@@ -91,5 +91,5 @@ def _image(name: str, fields: Mapping[str, Any]) -> Image:
 def _text(name: str, fields: Mapping[str, Any], key: str) -> str:
     value = fields[key]
     if not isinstance(value, str):
-        raise _Broken(f"{key} of {name!r} is no text")
+        raise _Broken(f"{key} of {name!r} is not a text")
     return value

@@ -101,7 +101,7 @@ def inspect(name: str) -> dict[str, Any] | None:
         return found
     if any(words in done.stderr for words in UNKNOWN):
         return None
-    raise Missing(f"podman cannot look at {name!r}: {complaint(done.stderr)}")
+    raise Missing(f"podman cannot inspect {name!r}: {complaint(done.stderr)}")
 
 
 def config(found: Mapping[str, Any]) -> dict[str, Any]:
@@ -130,7 +130,7 @@ def load(path: Path, identity: str) -> None:
     already.
     """
     if not path.exists() or not oci.is_archive(path):
-        raise Missing(f"{path} is no archive that podman could load as {short(identity)}; is it for the engine apptainer?")
+        raise Missing(f"{path} is not an archive that podman can load as {short(identity)}; it may be for the engine apptainer")
     read = oci.read(path)
     if read.id != identity:
         raise Damaged(f"{path} is the image {short(read.id)}, not {short(identity)}")
@@ -148,13 +148,13 @@ def load(path: Path, identity: str) -> None:
         if status:
             raise Missing(f"podman cannot load {path}: {complaint(said.read())}")
     if not present(identity):
-        raise Damaged(f"{path} is {short(identity)}, but podman made another image of it")
+        raise Damaged(f"{path} is {short(identity)}, but podman loaded a different image from it")
 
 
 def tag(identity: str, name: str) -> None:
     done = _call(["tag", "--", _bare(identity), name])
     if done.returncode:
-        raise Missing(f"podman cannot call {identity} {name!r}: {complaint(done.stderr)}")
+        raise Missing(f"podman cannot tag {identity} as {name!r}: {complaint(done.stderr)}")
 
 
 def present(identity: str) -> bool:
@@ -167,7 +167,7 @@ def require(image: Image) -> None:
     if not present(image.id):
         raise Missing(
             f"the image {image.name} ({short(image.id)}) is not in podman's storage; "
-            "build its recipe, or bring it from where it is: sierra image export there, import here"
+            "build it, or run sierra image export where it is and sierra image import here"
         )
 
 
@@ -204,7 +204,7 @@ def complaint(said: str) -> str:
     """Return the line in which podman gives the reason of a failure, without its prefixes."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     errors = [line for line in lines if line.startswith("Error:")]
-    why = (errors or lines or ["it said nothing"])[-1].removeprefix("Error:").strip()
+    why = (errors or lines or ["it printed no error"])[-1].removeprefix("Error:").strip()
     return f"{why} ({lines[-2]})" if why.endswith(("exit status 1", "exit status 2")) and len(lines) > 1 else why
 
 

@@ -54,7 +54,7 @@ def tag(root: Path, name: str) -> str | None:
         return None
     folder = path.resolve().name.lower()
     if not FOLDER.fullmatch(folder):
-        raise ConfigError(f"the recipe {name} cannot be a tag: call its folder by letters, digits, and . _ - between them")
+        raise ConfigError(f"the folder name {name} cannot be a tag: use letters, digits, and . _ - between them")
     return TAG + folder
 
 
@@ -80,7 +80,7 @@ def verify(root: Path, image: Image) -> None:
     Raises Missing, with both ids, if a file was changed or a tag moved; also if the image is for another architecture.
     """
     if image.architecture and image.architecture != machine():
-        raise Missing(f"the image {image.name} is for {image.architecture}, and this machine is {machine()}; build it here")
+        raise Missing(f"the image {image.name} is for {image.architecture}, but this machine is {machine()}; build it here")
     if image.file:
         _verify_file(root, image)
     elif podman_images.installed():
@@ -97,7 +97,7 @@ def _verify_file(root: Path, image: Image) -> None:
         digests.save()
     if found != was:
         raise Missing(
-            f"the image {image.name} is not the pinned one: {path} has SHA-256 {found[:19]}…, pinned is {was[:19]}…; "
+            f"the image {image.name} is not the pinned one: {path} has SHA-256 {found[:19]}…, but the pin is {was[:19]}…; "
             f"restore it, or run: sierra image pin {image.name}"
         )
 
@@ -108,25 +108,25 @@ def _verify_tag(root: Path, image: Image) -> None:
         found = None if called is None else podman_images.identify(called)
     if found is not None and found != image.id:
         raise Missing(
-            f"the image {image.name} has moved: it is {short(found)} now, pinned is {short(image.id)}; "
-            f"tag the pinned one again, or run: sierra image pin {image.name}"
+            f"the tag of the image {image.name} has moved: it is {short(found)} now, but the pin is {short(image.id)}; "
+            f"tag the pinned image again, or run: sierra image pin {image.name}"
         )
 
 
 def _tagged(root: Path, name: str, called: str) -> Image:
     found = podman_images.look(called)
     if found is None:
-        again = f"run: sierra image build {name}" if called != name else "build, import or pull it; or name it as a file"
-        raise Missing(f"there is no image {called!r} in podman's storage; {again}")
+        again = f"run: sierra image build {name}" if called != name else "build, import or pull it, or name an image file"
+        raise Missing(f"the image {called!r} is not in podman's storage; {again}")
     return Image(name, found.id, found.kind, found.architecture, found.layers, found.variables)
 
 
 def _file(root: Path, path: Path, name: str) -> Image:
     if not path.exists():
-        raise Missing(f"there is no image file {path}")
+        raise Missing(f"the image file {path} does not exist")
     if path.is_dir():
         if not oci.is_archive(path):
-            raise Missing(f"{path} is no image: there is neither a {CONTAINERFILE} nor an OCI layout in it")
+            raise Missing(f"{path} is not an image: it contains neither a {CONTAINERFILE} nor an OCI layout")
         return oci.read(path).image(name, file=_file_name(root, path))
     digests = HashCache()
     digest = digests.of(str(path))
@@ -141,7 +141,7 @@ def _file(root: Path, path: Path, name: str) -> Image:
         return _of_squashfs(root, name, file, digest, digest, "")
     if oci.is_archive(path):
         return oci.read(path).image(name, file=file, sha256=digest)
-    raise Damaged(f"{path} is no image: neither an archive of one (docker-archive, oci-archive), a SIF, nor a squashfs")
+    raise Damaged(f"{path} is not an image: it must be an archive (docker-archive, oci-archive), a SIF or a squashfs")
 
 
 def _of_squashfs(root: Path, name: str, file: str, digest: str, system: str, architecture: str) -> Image:

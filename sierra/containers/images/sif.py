@@ -106,15 +106,13 @@ def _read(path: Path, file: BinaryIO, length: int) -> Sif:
     objects = list(_objects(path, file, length))
     systems = [one for one in objects if one.role == PRIMARY]
     if len(systems) != 1:
-        raise Damaged(f"{path} has {len(systems)} primary file systems; a SIF that can be run has one")
+        raise Damaged(f"{path} has {len(systems)} primary file systems; a SIF that can run has exactly one")
     if any(one.role == OVERLAY for one in objects):
-        raise Damaged(
-            f"{path} has an overlay, whose files a run would see and its id not tell of; apptainer sif del takes it out"
-        )
+        raise Damaged(f"{path} has an overlay, whose files are not part of the image's id; remove it with apptainer sif del")
     [system] = systems
     kind = struct.unpack_from("<i", system.extra)[0]
     if kind != SQUASHFS:
-        raise Damaged(f"{path}: its file system is {FILE_SYSTEMS.get(kind, 'unknown')}; only squashfs is run")
+        raise Damaged(f"{path}: its file system is {FILE_SYSTEMS.get(kind, 'unknown')}; only squashfs can run")
     architecture = ARCHITECTURES.get(system.extra[8:10], "")
     recipe = next((_text(file, one) for one in objects if one.type == DEFFILE), "")
     signed = any(one.type == SIGNATURE for one in objects)
@@ -124,10 +122,10 @@ def _read(path: Path, file: BinaryIO, length: int) -> Sif:
 def _objects(path: Path, file: BinaryIO, length: int) -> Iterator[_Object]:
     header = file.read(HEADER.size)
     if len(header) < HEADER.size or header[LAUNCH : LAUNCH + len(MAGIC)] != MAGIC:
-        raise Damaged(f"{path} is no SIF")
+        raise Damaged(f"{path} is not a SIF")
     total, offset = HEADER.unpack(header)[8:10]
     if not 0 <= total <= MOST or not 0 <= offset <= length - total * DESCRIPTOR.size:
-        raise Damaged(f"{path}: its header says that {total} descriptors begin at byte {offset}, which cannot be")
+        raise Damaged(f"{path}: its header has {total} descriptors at byte {offset}, which is impossible")
     file.seek(offset)
     table = file.read(total * DESCRIPTOR.size)
     for fields in DESCRIPTOR.iter_unpack(table):
@@ -135,7 +133,7 @@ def _objects(path: Path, file: BinaryIO, length: int) -> Iterator[_Object]:
         if not used:
             continue
         if start < 0 or size < 0 or start + size > length:
-            raise Damaged(f"{path} is cut short: {size} bytes from byte {start} on are in it by its header, and are not there")
+            raise Damaged(f"{path} is truncated: its header has {size} bytes from byte {start} on, which are missing")
         yield _Object(kind, start, size, extra)
 
 

@@ -78,7 +78,7 @@ def _last(said: IO[bytes]) -> str:
     said.seek(0)
     lines = [line.strip() for line in said.read(1 << 16).decode("utf-8", "replace").splitlines() if line.strip()]
     why = [line for line in lines if "because" in line or "FATAL" in line or "error" in line.lower()]
-    return (why or lines[-1:] or ["it said nothing"])[0]
+    return (why or lines[-1:] or ["it printed no error"])[0]
 
 
 def is_squashfs(path: Path) -> bool:
@@ -95,10 +95,11 @@ def size(path: Path, offset: int = 0) -> int:
         file.seek(offset)
         block = file.read(48)
         if len(block) < 48 or not block.startswith(MAGIC):
-            raise Damaged(f"{path} holds no squashfs")
+            raise Damaged(f"{path} contains no squashfs")
         used: int = struct.unpack_from("<Q", block, 40)[0]
     if used > path.stat().st_size - offset:
-        raise Damaged(f"{path} is cut short: its file system has {used} bytes, {path.stat().st_size - offset} are there")
+        there = path.stat().st_size - offset
+        raise Damaged(f"{path} is truncated: its file system has {used} bytes, but only {there} are in the file")
     return used
 
 
@@ -131,7 +132,7 @@ def listing(path: Path, offset: int = 0, wanted: Wanted = lambda path: 0) -> tup
 def _why(process: subprocess.Popen[bytes], complaints: IO[bytes]) -> str:
     process.wait()
     said = _last(complaints)
-    return "its list of files is not one" if said == "it said nothing" else said
+    return "the list of its files is invalid" if said == "it printed no error" else said
 
 
 def _listed(path: Path, stream: IO[bytes], wanted: Wanted) -> tuple[tuple[Entry, ...], dict[str, bytes]]:
@@ -166,7 +167,7 @@ def _lines(path: Path, stream: IO[bytes]) -> Iterator[tuple[str, bytes, bytes]]:
             continue
         read = LINE.fullmatch(line.rstrip(b"\n"))
         if read is None or (read[2] in b"DRS" and len(read[3].split(b" ", 4)) < 4):
-            raise Damaged(f"{path} has a name in it that cannot be listed: {line[:80]!r}")
+            raise Damaged(f"{path} contains a name that cannot be listed: {line[:80]!r}")
         yield _plain(read[1]).removeprefix("/"), read[2], read[3]
     stream.readline()
 
@@ -183,7 +184,7 @@ def _hash(
             kept += piece[: max(0, most - len(kept))]
             left -= len(piece)
         if left:
-            raise Damaged(f"{path} is cut short in {name!r}")
+            raise Damaged(f"{path} is truncated in {name!r}")
         entries[name] = Entry(name, "file", one.mode, one.size, digest.hexdigest())
         if most:
             yield name, bytes(kept)

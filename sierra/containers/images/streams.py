@@ -34,7 +34,7 @@ class ForwardStream:
 
     def read(self, size: int = -1) -> bytes:
         if not 0 <= size <= AT_ONCE:
-            raise Damaged(f"{self._what} has a header of {size} bytes; at most {AT_ONCE} are read")
+            raise Damaged(f"{self._what} has a header of {size} bytes; at most {AT_ONCE} are allowed")
         parts, missing = [], size
         while missing and (part := self._stream.read(min(missing, PIECE))):
             parts.append(part)
@@ -42,7 +42,7 @@ class ForwardStream:
         data = b"".join(parts)
         self._place += len(data)
         if self._place > self._most:
-            raise Damaged(f"{self._what} expands to more than {self._most} bytes, far more than an image's files would")
+            raise Damaged(f"{self._what} expands to more than {self._most} bytes, far more than the files of an image")
         self._hash.update(data)
         self.last = data if size == BLOCK else b""
         return data
@@ -72,9 +72,9 @@ def members(stream: ForwardStream, what: str) -> Iterator[tuple[tarfile.TarInfo,
                 yield member, tar
                 tar.members = []  # type: ignore[attr-defined]  # else it keeps all headers
     except UNREADABLE as error:
-        raise Damaged(f"{what} is no sound tar archive: {error}") from error
+        raise Damaged(f"{what} is not a valid tar archive: {error}") from error
     if stream.last.strip(b"\0"):
-        raise Damaged(f"{what} has a broken header in it, near byte {stream.tell()}")
+        raise Damaged(f"{what} has a broken header near byte {stream.tell()}")
 
 
 def content(tar: tarfile.TarFile, member: tarfile.TarInfo, what: str) -> Iterator[bytes]:
@@ -84,7 +84,7 @@ def content(tar: tarfile.TarFile, member: tarfile.TarInfo, what: str) -> Iterato
         while file is not None and (piece := file.read(PIECE)):
             yield piece
     except UNREADABLE as error:
-        raise Damaged(f"{what} is cut short, or damaged, at {member.name!r}: {error}") from error
+        raise Damaged(f"{what} is truncated or damaged at {member.name!r}: {error}") from error
 
 
 class Hashed:

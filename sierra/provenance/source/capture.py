@@ -96,14 +96,14 @@ def capture(
     """
     for path in paths:
         if not (root / path).exists():
-            raise ConfigError(f"[source] paths: there is no {path!r} in {root}")
+            raise ConfigError(f"[source] paths: {path!r} does not exist in {root}")
         if inside(path).startswith((b"..", b"/")):
-            raise ConfigError(f"[source] paths: {path!r} is outside {root}; name files and folders in it")
+            raise ConfigError(f"[source] paths: {path!r} is outside {root}; use files and folders in it")
     chosen = PathSelection(paths, without)
     source, files = _git(root, chosen, dirty, large) if _in_git(root) else _outside(root, chosen, dirty, large, memory)
     for path in paths:
         if not any(map(PathSelection([path]), files)):
-            raise ConfigError(f"[source] paths: nothing in {path!r} counts: it is empty, or ignored by git")
+            raise ConfigError(f"[source] paths: {path!r} contains no source files: it is empty, or ignored by git")
     return source
 
 
@@ -166,8 +166,8 @@ def _refuse(root: Path, now: worktree_snapshot.WorktreeState) -> None:
         raise ConfigError(f'[source] dirty = "refuse": the repository of {root} has no commit yet; commit something first')
     if now.changed:
         raise ConfigError(
-            f'[source] dirty = "refuse": {shown(now.changed)}: not as in commit {now.commit[:12]}; '
-            "commit (git commit), put aside (git stash -u), or list in .gitignore what is no code"
+            f'[source] dirty = "refuse": {shown(now.changed)}: changed since commit {now.commit[:12]}; '
+            "commit (git commit) or stash (git stash -u) the changes, or list files that are not code in .gitignore"
         )
 
 
@@ -175,14 +175,15 @@ def _notes(root: Path, now: worktree_snapshot.WorktreeState) -> Iterator[str]:
     yield from _leading_out(root, [path for path, what in now.files.items() if what[:6] == b"120000"])
     hollow = [path for path in now.absent if (root / os.fsdecode(path)).is_dir()]
     if hollow:
-        yield f"{shown(hollow)}: submodules that are not checked out do not count; git submodule update --init fetches them"
+        remedy = "fetch them with git submodule update --init"
+        yield f"{shown(hollow)}: submodules that are not checked out are not part of the source; {remedy}"
 
 
 def _leading_out(root: Path, links: Sequence[bytes]) -> Iterator[str]:
     here = root.resolve()
     out = [path for path in sorted(links) if not (root / os.fsdecode(path)).resolve().is_relative_to(here)]
     if out:
-        yield f"{shown(out)}: links out of the project; what they lead to counts only where the command names it"
+        yield f"{shown(out)}: links out of the project; their targets are recorded only if the command names them"
 
 
 __all__ = [

@@ -41,7 +41,7 @@ class Git:
         self.root = root
         self._program = shutil.which("git")
         if self._program is None:
-            raise Missing(f"{root} is in a git repository, but git is not installed; install it")
+            raise Missing(f"{root} is in a git repository, but git is not installed; install git")
 
     def __call__(
         self,
@@ -132,18 +132,18 @@ class Git:
 
     def _complaint(self, command: str, said: str) -> str:
         """Return git's error message in one line, with a remedy if git's first line does not name one."""
-        lines = [line.strip() for line in said.splitlines() if line.strip()] or ["no reason given"]
+        lines = [line.strip() for line in said.splitlines() if line.strip()] or ["git gave no reason"]
         if "dubious ownership" in said:
             add = next((line for line in lines if line.startswith("git config")), "git config --global --add safe.directory …")
             return f"git refuses {self.root}: dubious ownership, it belongs to another user; if you trust it: {add}"
         if "git-lfs" in said:
-            return f"git in {self.root} needs git-lfs, which does not answer ({lines[0]}); install git-lfs, then: git lfs pull"
+            return f"git in {self.root} needs git-lfs, which does not work ({lines[0]}); install git-lfs, then: git lfs pull"
         if "insufficient permission" in said or "Read-only file system" in said:
-            return f"git cannot write to {self.folder}, where the source is to be kept: {lines[0]}; make it writable"
+            return f"git cannot write to {self.folder}, where SIERRA stores the source: {lines[0]}; make it writable"
         if "must be run in a work tree" in said:
             return f"the repository of {self.root} is bare (core.bare), so git sees no files there; make a worktree of it"
         if "not a git repository" in said:
-            return f"{self.root} has a .git, or a folder above it, but no repository is there; mend it, or remove .git"
+            return f"{self.root} or a folder above it has a .git that is not a repository; repair it, or remove .git"
         wrong = next((line for line in lines if line.startswith(("fatal: ", "error: "))), lines[0])
         return f"git {command} in {self.root}: {wrong.removeprefix('fatal: ').removeprefix('error: ')}"
 

@@ -40,8 +40,8 @@ def _refuse(git: Git, kept: Sequence[bytes]) -> None:
     pointers = [path for path in kept if _is_pointer(git.root / os.fsdecode(path))]
     if pointers:
         raise Missing(
-            f"{shown(pointers)}: pointers of git-lfs, not the data; fetch it with git lfs pull,"
-            " or leave it out ([source] paths names what counts)"
+            f"{shown(pointers)}: git-lfs pointers without their data; fetch the data with git lfs pull,"
+            " or exclude these files ([source] paths)"
         )
 
 
@@ -51,7 +51,7 @@ def check_restored(git: Git, target: Path, files: Files) -> None:
     if any(b"filter=lfs" in _head(path, 1 << 20) for path in attributes):
         pointers = [path for path, what in files.items() if what[:3] == b"100" and _is_pointer(target / os.fsdecode(path))]
         if pointers:
-            raise Missing(f"{shown(pointers)}: git-lfs does not have the data; fetch it with git lfs pull in {git.root}")
+            raise Missing(f"{shown(pointers)}: git-lfs does not have the data; run git lfs pull in {git.root}")
 
 
 def _used(git: Git, root: Path, files: Files) -> bool:

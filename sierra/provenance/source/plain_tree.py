@@ -57,7 +57,7 @@ def contents(manifest: bytes, root: Path, known: Container[str]) -> Iterator[tup
         except OSError as error:
             raise Missing(f"cannot read {file}: {error.strerror}") from error
         if not is_blob(content, blob):
-            raise Missing(f"{file} has changed while it was being recorded; ask again")
+            raise Missing(f"{file} changed while it was being recorded; run the command again")
         yield blob, content
 
 

@@ -22,7 +22,7 @@ from sierra.provenance.source.selection import shown
 from sierra.provenance.source.worktree_snapshot import of_tree
 
 HASH = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
-FETCH = "run sierra source fetch (once sierra source push has been run where it was recorded)"
+FETCH = "run sierra source fetch (after sierra source push has been run where the source was recorded)"
 Content = Callable[[str], bytes | None]
 
 
@@ -36,7 +36,7 @@ def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Conte
     files = read(manifest)
     _check(files)
     if tree_of(manifest) not in (None, tree.rpartition(":")[2]):
-        raise Damaged(f"the list of the recorded source's files does not give {tree}: other code would be restored")
+        raise Damaged(f"the file list of the recorded source does not match {tree}: other code would be restored")
     target.mkdir(parents=True)
     git = Git(root) if in_repository(root) else None
     lacking = _lacking(git, tree.rpartition(":")[2], files)
@@ -78,21 +78,21 @@ def _check(files: Files) -> None:
         steps = path.split(b"/")
         above = (b"/".join(steps[:end]) for end in range(1, len(steps)))
         if any(step.lower() in (b"", b".", b"..", b".git") for step in steps) or any(one in files for one in above):
-            raise Damaged(f"the recorded source has a file {shown([path])!r}, which no source can have")
+            raise Damaged(f"the recorded source has a file {shown([path])!r}, which is not allowed in a source")
         mode, blob = parts(what)
         if mode not in ("100644", "100755", LINK, REPOSITORY):
             raise Damaged(f"the recorded source has a file {shown([path])!r} of the unknown mode {mode}")
         if not HASH.fullmatch(blob):
-            raise Damaged(f"the recorded source has a file {shown([path])!r} whose hash {blob!r} is none of git's")
+            raise Damaged(f"the recorded source has a file {shown([path])!r} whose hash {blob!r} is not a git hash")
 
 
 def _healing(git: Git | None, commit: str | None) -> str:
     """Return advice on how to get a source that git does not have."""
     if git is None:
-        return f"clone the repository that has {f'commit {commit[:12]}' if commit else 'it'}, and replay there"
+        return f"clone the repository that contains {f'commit {commit[:12]}' if commit else 'it'}, and replay there"
     if commit and not git.has(commit):
-        return f"fetch commit {commit[:12]} (git fetch); if files were changed then, also: {FETCH}"
-    return f"it was never committed: {FETCH}"
+        return f"fetch commit {commit[:12]} (git fetch); if files had uncommitted changes, also {FETCH}"
+    return f"the source was never committed: {FETCH}"
 
 
 def _lacking(git: Git | None, tree: str, files: Files) -> set[str]:
@@ -141,8 +141,8 @@ def _checkout_inside(root: Path, path: bytes, thing: str, target: Path) -> None:
     inside = root / os.fsdecode(path)
     if not (inside / ".git").exists() or not Git(inside).has(thing):
         there = (inside / ".git").exists()
-        how = f"if files were changed in it then: {FETCH}" if there else "git submodule update --init brings it"
-        also = "git submodule update --init brings what was committed; " if there else ""
+        how = f"if files in it had uncommitted changes, {FETCH}" if there else "run git submodule update --init"
+        also = "run git submodule update --init to get its commits; " if there else ""
         raise Missing(f"the submodule {shown([path])!r} does not have {thing[:12]}; {also}{how}")
     below = of_tree(Git(inside), thing)
     _check(below)

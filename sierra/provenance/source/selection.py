@@ -50,7 +50,7 @@ def check_size(path: bytes, size: int, large: int, way_out: str) -> None:
     if size > large:
         raise ConfigError(
             f"{shown([path])} has {_bytes(size)}, more than the {_bytes(large)} of [source] large; "
-            f"{way_out}, name what counts in [source] paths, or raise [source] large"
+            f"{way_out}, list the code in [source] paths, or raise [source] large"
         )
 
 

@@ -45,12 +45,12 @@ def share(root: Path, way: Way, remote: str | None = None) -> list[Shared]:
     something to push. Raises UsageError if there is no remote, and Missing if git fails.
     """
     if not in_repository(root):
-        raise UsageError(f"{root} is in no git repository; the sources of its runs are in the store itself")
+        raise UsageError(f"{root} is not in a git repository; the sources of its runs are in the store itself")
     top = Git(Git(root).top)
     chosen = [(path, git, _chosen(git, remote, inside=path != ".")) for path, git in _all(top, ".")]
     for path, git, found in chosen:
         if found is None and (path == "." or (way == "push" and _own(git))):
-            raise UsageError(f"{git.root} has no remote that is its default; add one there (git remote add origin ADDRESS)")
+            raise UsageError(f"{git.root} has no default remote; add one there (git remote add origin ADDRESS)")
     return [_shared(git, path, way, found) for path, git, found in chosen if found is not None]
 
 

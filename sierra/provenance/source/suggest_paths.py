@@ -25,7 +25,7 @@ TOOLS = re.compile(r"\.(git.*|vscode|idea|editorconfig|pre-commit-config\.ya?ml)
 READ = re.compile(r"data|datasets?", re.I)
 MOST = 12
 """Maximum number of names in a proposal."""
-ONLY_SAID = "[source] paths says what is code"
+ONLY_SAID = "[source] paths selects the code"
 
 
 def is_hardly_code(name: str, *, is_folder: bool) -> bool:
@@ -41,9 +41,9 @@ def advice(changed: Iterable[bytes], source: Iterable[bytes]) -> str:
     every = {_top(path) for path in source} - left_out
     code = sorted(name for name, folder in every if not _is_left_out(name, is_folder=folder))
     if not 0 < len(code) <= MOST or not all(name.isprintable() and "\ufffd" not in name for name in code):
-        return "where these are no code, say what is: paths = [...] under [source] in sierra.toml"
+        return "if these are not code, list the code: paths = [...] under [source] in sierra.toml"
     line = f"paths = {json.dumps(code, ensure_ascii=False)}"
-    return f"where these are no code, write {line} under [source] in sierra.toml, which makes all runs new once"
+    return f"if these are not code, write {line} under [source] in sierra.toml, which makes all runs new once"
 
 
 def _top(path: bytes) -> tuple[str, bool]:

@@ -301,10 +301,10 @@ def _scratch(git: Git) -> Iterator[Path]:
         path.touch()
         path.unlink()
     except FileNotFoundError:
-        raise Missing(f"the repository {git.folder} is not there any more; ask again") from None
+        raise Missing(f"the repository {git.folder} no longer exists; run the command again") from None
     except OSError as error:
         raise Missing(
-            f"cannot write to {folder}: {error.strerror}; the source is kept in the repository, so make it writable"
+            f"cannot write to {folder}: {error.strerror}; SIERRA stores the source in the repository, so make it writable"
         ) from error
     try:
         yield path

@@ -60,14 +60,14 @@ class Calibration:
         good = [seconds for seconds in self._took.values() if seconds is not None]
         if over:
             took = _mean(good)
-            how = "the runs that went first have failed" if took is None else f"the runs that went first took {took:.3g} s"
+            how = "the first runs have failed" if took is None else f"the first runs took {took:.3g} s"
             return Told(took, how)
         if self._since is None:
             late = self._waited() > PATIENCE_S
-            return Told(None, f"no node was to be had within {PATIENCE_S:g} s for the runs that go first") if late else None
+            return Told(None, f"no node was available for the first runs within {PATIENCE_S:g} s") if late else None
         lasted = time.monotonic() - self._since
         late = lasted > ELEMENT_S
-        return Told(_mean([*good, lasted]), f"a run that went first has not ended within {ELEMENT_S:g} s") if late else None
+        return Told(_mean([*good, lasted]), f"one of the first runs has not ended within {ELEMENT_S:g} s") if late else None
 
     def _read(self) -> None:
         """Read what their element has recorded since the last call."""

@@ -36,7 +36,7 @@ READ_S = 0.2
 """Seconds between two readings of result logs while nothing new comes."""
 LATE_S = 60.0
 """Seconds that a network file system may take to show what was written."""
-REQUEUED = "its time was nearly over: it asked to be begun anew"
+REQUEUED = "its time was nearly over: it requested to be started again"
 CLOCK_S = 2.0
 """Largest accepted difference between a node's clock and the shared file system's, in seconds. If it is larger, times are
 converted to the shared file system's clock."""
@@ -188,7 +188,7 @@ class Collector:
                     case Started():
                         self._started(track, event)
                     case Requeued():
-                        track.requeued = f"{REQUEUED}, and that is refused: {event.refused}" if event.refused else REQUEUED
+                        track.requeued = f"{REQUEUED}, but this is refused: {event.refused}" if event.refused else REQUEUED
                     case Stalled():
                         track.stalled[event.execution] = event
                     case Ended():
@@ -278,7 +278,7 @@ class Collector:
                 track.late[-1] = (since, event)
         if track.late and time.monotonic() - track.late[0][0] > LATE_S:
             track.late = []
-            self._note(f"{track.pack.path.name} is damaged; the runs in snapshot are executed again")
+            self._note(f"{track.pack.path.name} is damaged; the runs in it are executed again")
             track.pack.path.rename(track.pack.path.with_suffix(".damaged"))
 
     def _of(self, track: Track, result: Result) -> Result:
@@ -367,7 +367,8 @@ class Collector:
         if executions:
             with disk_errors(self._session.root):
                 write_whole(alone, "".join(f"{one}\n" for one in executions).encode())
-            self._note(f"{counted(len(executions), 'run')} of element {index} may be what ended it: executed one by one now")
+            count = counted(len(executions), "run")
+            self._note(f"{count} of array task {index} may have caused its end: executed one by one now")
         else:
             alone.unlink(missing_ok=True)
 
@@ -380,14 +381,14 @@ class Collector:
         for execution, run in jobs_of(self._session, index):
             if execution in wanted:
                 times = max(share.begun.pop(execution), share.tries)
-                reason = f"its element was cut off {times} times while it ran: {word}"
+                reason = f"its array task was cut off {times} times while the run executed: {word}"
                 self.failed.append(failed(run, execution, share.node, now, reason, self._folder))
                 self._ended.add(bytes.fromhex(execution))
                 share.done += 1
         with disk_errors(self._session.root), self._session.given_up(index).open("a") as file:
             file.writelines(f"{execution}\n" for execution in executions)
         which = "a run" if len(wanted) == 1 else f"{len(wanted)} runs"
-        self._note(f"{which} of element {index} failed, cut off {times} times: {word}")
+        self._note(f"{which} of array task {index} failed, cut off {times} times: {word}")
 
 
 def jobs_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:

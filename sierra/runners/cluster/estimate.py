@@ -30,22 +30,22 @@ SAID = (
 )
 """Settings of a cluster that are shown, in addition to the number of elements and their time."""
 DEFAULTS = {
-    "cpus": "the default: one run at a time",
+    "cpus": "default: one run at a time",
     "scratch": "$SLURM_TMPDIR, $TMPDIR or /tmp, whichever a node has",
-    "python": "the default",
-    "attempts": "the default",
+    "python": "default",
+    "attempts": "default",
 }
 
 PROBE = (
-    "nodes were not tried out within a day: the elements will wait (a dependency in the script) for one small task that does"
+    "nodes were not checked within a day: the array tasks will wait (a dependency in the script) for a small job that does it"
 )
 
 
 TELL = (
-    "{}: {} go first, and tell how many elements the others become; so many as are told here where nobody waits for them, or "
-    "no node begins them within {:g} s"
+    "{}: {} are executed first, and then decide the number of array tasks for the others; the number given here is used if no "
+    "process waits for the first runs, or if no node starts them within {:g} s"
 )
-NOBODY, NEVER = "nobody knows yet how long runs take", "runs with these values were never timed"
+NOBODY, NEVER = "the duration of runs is not known yet", "runs with these values were never timed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ def _site(scheduler: str, table: ClusterTable, notes: list[str]) -> tuple[str | 
     try:
         return asked.version(), asked.bounds()
     except Missing as error:
-        notes.append(f"{error}; what the site allows is not known")
+        notes.append(f"{error}; the site's limits are unknown")
         return None, Bounds()
 
 
@@ -148,15 +148,15 @@ def _settings(sized: Size, times: Times | None, table: ClusterTable, bounds: Bou
     values: dict[str, float | None] = {"array_tasks": sized.elements, "wall": sized.wall_s}
     found = [Setting(name, values.get(name), why) for name, why in sized.why]
     if times:
-        took = f"{min(times.each):.3g} to {max(times.each):.3g} s, {times.mean:.3g} s in the mean"
+        took = f"{min(times.each):.3g} to {max(times.each):.3g} s, mean {times.mean:.3g} s"
         found.append(Setting("time of a run", took, times.how))
     if sized.first:
-        found.append(Setting("first runs", len(sized.first), f"{NEVER if times else NOBODY}: these tell"))
+        found.append(Setting("first runs", len(sized.first), f"{NEVER if times else NOBODY}: measured by these runs"))
     for name in SAID:
         value = getattr(table, name)
         shown = ", ".join(value) or None if isinstance(value, tuple) else value
         if name in table.model_fields_set:
-            found.append(Setting(name, shown, "as sierra.toml says"))
+            found.append(Setting(name, shown, "set in sierra.toml"))
         elif name in DEFAULTS:
             found.append(Setting(name, shown, DEFAULTS[name]))
     return [*found, *_allowed(bounds)]
@@ -167,7 +167,7 @@ def _allowed(bounds: Bounds) -> Iterator[Setting]:
     for name, shown in names.items():
         if (value := getattr(bounds, name)) is not None:
             whose = bounds.whose.get(name)
-            yield Setting(shown, value, f"the site allows no more: {whose}" if whose else "the site allows no more")
+            yield Setting(shown, value, f"the site's limit: {whose}" if whose else "the site's limit")
 
 
 def _script(scheduler: str, table: ClusterTable, sized: Size, session: SessionPaths, notes: list[str]) -> str | None:
@@ -176,5 +176,5 @@ def _script(scheduler: str, table: ClusterTable, sized: Size, session: SessionPa
     try:
         return schedulers.find(scheduler)(table).script(request)
     except Missing as error:
-        notes.append(f"{error}; so there is no script to show")
+        notes.append(f"{error}; so the script cannot be shown")
         return None

@@ -49,7 +49,7 @@ class Preflight:
             for event in Pack(path).read():
                 match event:
                     case Trouble():
-                        raise Missing(f"nodes can't execute this: {event.reason}")
+                        raise Missing(f"the nodes cannot execute these runs: {event.reason}")
                     case Finished():
                         self._remember()
                         return True
@@ -59,9 +59,9 @@ class Preflight:
         """Return the error for a preflight job that has ended without recording anything."""
         said = submission_record.last_line(self._session, "0")
         if said:
-            return Missing(f"nodes can't execute this: {said}; see python and modules in [runners.{self._runner}]")
-        where = f"do they see {self._session.root}, as on a shared file system?"
-        return Missing(f"nodes can't execute this, and say nothing{f' ({word})' if word else ''}: {where}")
+            return Missing(f"the nodes cannot execute these runs: {said}; see python and modules in [runners.{self._runner}]")
+        where = f"check that {self._session.root} is on a file system that the nodes share"
+        return Missing(f"the preflight job ended on the nodes without any output{f' ({word})' if word else ''}: {where}")
 
     def _remember(self) -> None:
         memory = Cache(user_clusters(), MOST)

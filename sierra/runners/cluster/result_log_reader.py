@@ -121,7 +121,7 @@ class Pack:
                 try:
                     event = self._event(record, at)
                 except (TypeError, ValueError, LookupError) as error:
-                    raise Damaged(f"{self.path}: has a record of another version of SIERRA; read it with that one") from error
+                    raise Damaged(f"{self.path}: contains a record of another version of SIERRA; use that version") from error
                 self._offset = after
                 if event is not None:
                     yield event
@@ -151,7 +151,7 @@ class Pack:
         fields["outputs"] = tuple(OutputFile(**file) for file in fields["outputs"])
         fields["left_out"] = tuple(fields.get("left_out", ()))
         if not {(f"{RUN_OUTPUT}/{file.path}", file.bytes, file.sha256) for file in fields["outputs"]} <= set(files):
-            raise ValueError("it tells of outputs that are not in it")
+            raise ValueError("the record lists outputs that it does not contain")
         del fields["size"]
         return Ended(Result(directory="", attempt=self.attempt, **fields), files, at)
 
@@ -177,14 +177,14 @@ class Pack:
             pack.seek(ended.at)
             for path, size, sha256 in ended.files:
                 if _copied(pack, self._place(folder, path), size) != sha256:
-                    raise Damaged(f"{self.path}: {path!r} of run {ended.result.run} is not as it was recorded")
+                    raise Damaged(f"{self.path}: {path!r} of run {ended.result.run} does not match its record")
 
     def _place(self, folder: Path, path: str) -> Path:
         """Return the path for a file, and create its folder."""
         parts = path.split("/")
         within = path in (RUN_STDOUT, RUN_STDERR) or (parts[0] == RUN_OUTPUT and len(parts) > 1)
         if not within or "\0" in path or not {"", ".", ".."}.isdisjoint(parts):
-            raise Damaged(f"{self.path}: {path!r} does not lie in a run's folder")
+            raise Damaged(f"{self.path}: {path!r} is not in a run's folder")
         place = Path(folder, os.fsdecode(path.encode("utf-8", "surrogateescape")))
         place.parent.mkdir(parents=True, exist_ok=True)
         return place

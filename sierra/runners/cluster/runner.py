@@ -116,8 +116,8 @@ class Cluster:
         self._begin(made, session, {})
         self._is_own = True
         if rest:
-            unknown = "runs with these values were never timed" if work.times else "nobody knows yet how long runs take"
-            self._note(f"{unknown}: {counted(counts[0], 'run')} of {work.count} go first")
+            unknown = "runs with these values were never timed" if work.times else "the duration of runs is not known yet"
+            self._note(f"{unknown}: {counted(counts[0], 'run')} of {work.count} are executed first")
         self._hand_all_over()
 
     def _deal(self, work: Work, sized: Size, session: SessionPaths) -> tuple[tuple[int, ...], int]:
@@ -131,7 +131,7 @@ class Cluster:
         """Submit the preflight job, if one is needed, and all elements."""
         if self._made.probed:
             self._goes_before = self._scheduler.submit(self._probe.request())
-            self._note(f"{self._kind} job {self._goes_before} ({self._probe.name}) goes before: it tries nodes out")
+            self._note(f"{self._kind} job {self._goes_before} ({self._probe.name}) runs first: it checks the nodes")
         try:
             self._hand_over(tuple(range(len(self._shares))), "", after=self._goes_before)
         except SierraError:
@@ -206,9 +206,9 @@ class Cluster:
         if self._table.wall is None and self._made.bounds.wall_s is not None:
             self._allow(self._made.bounds.wall_s)  # nobody will submit again a run that takes longer than usual
         try:
-            self._deal_rest(self._told or Told(None, "nobody waits for the runs that go first"))
+            self._deal_rest(self._told or Told(None, "no process waits for the first runs"))
         except SierraError as error:
-            self._note(f"{error}; whoever follows next tries again")
+            self._note(f"{error}; the next sierra process that follows the session tries again")
 
     def close(self) -> None:
         self._opened.close()
@@ -280,12 +280,10 @@ class Cluster:
         if waited > UNREACHED_S and (self._deaf or self._silent):
             why = f"{self._wrong}; " if self._wrong else ""
             session = self._session.root.name
-            again = f"sierra cancel {session}, sierra status or asking again does that"
-            raise Missing(
-                f"{why}{self._kind} cannot be reached, so that jobs of session {session} are not cancelled yet: {again}"
-            )
+            again = f"run sierra cancel {session} or sierra status, or submit the query again"
+            raise Missing(f"{why}{self._kind} cannot be reached, so jobs of session {session} are not cancelled yet: {again}")
         if waited > STOPPING_S:
-            self._note(f"{self._name}: {self._kind} does not say that it has ended; it was asked to")
+            self._note(f"{self._name}: {self._kind} does not report the end of jobs that SIERRA has cancelled")
             self._over = True
 
     def _of_now(self, tasks: tuple[Task, ...] | None) -> tuple[Task, ...] | None:
@@ -296,7 +294,7 @@ class Cluster:
         """Process the scheduler's answer about the elements."""
         self._silent = tasks is None
         if tasks is None:
-            self._note(f"{self._kind} cannot be reached; what has been recorded is taken, and it is asked again")
+            self._note(f"{self._kind} cannot be reached; SIERRA tries again, and still collects the recorded results")
             return
         living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
         self._queued = self._elements(task for task in tasks if task.state is State.QUEUED)
@@ -352,7 +350,7 @@ class Cluster:
         self._waits = submission_record.waits(tasks)
         self._unheard = 0 if living else self._unheard + 1
         if not living and any(task.cancelled for task in tasks) and self._is_heeded():
-            self._heed([task.job for task in tasks if task.cancelled], "before any node was tried out", sure=True)
+            self._heed([task.job for task in tasks if task.cancelled], "before any node was checked", sure=True)
             return
         self._due = min(self._due, time.monotonic() + FIRST_POLL_S)
         if self._unheard > 1:
@@ -396,7 +394,7 @@ class Cluster:
         wrong = [task for task in stuck if task not in mishaps]
         if wrong:
             why = self._scheduler.explain(wrong[0].reason)
-            self._end(Missing(f"{self._kind} will never begin job {wrong[0].job}: {why}; see [runners.{self.name}]"))
+            self._end(Missing(f"{self._kind} will never start job {wrong[0].job}: {why}; see [runners.{self.name}]"))
 
     def _elements(self, tasks: Iterable[Task]) -> set[int]:
         return submission_record.elements(self._session, tasks) & set(range(len(self._shares)))
@@ -430,7 +428,7 @@ class Cluster:
         if foreign and self._is_heeded():
             sent = submission_record.sent(self._session)
             jobs = [one.job for one in sent if one.job and set(one.elements) & set(foreign)][-1:]
-            what = f"{counted(len(foreign), 'element')} of it: {few([self._why(index) for index in foreign], 2)}"
+            what = f"{counted(len(foreign), 'array task')}: {few([self._why(index) for index in foreign], 2)}"
             self._heed(jobs, what, sure=any(self._shares[index].cancelled for index in foreign))
             return
         for index in indices:
@@ -450,7 +448,7 @@ class Cluster:
             suspects = [] if timed else self._suspects(share, self._table.attempts - 1)
             if share.tries >= self._table.attempts * (2 if suspects else 1):
                 times = f"{share.tries} times" if share.tries > 1 else "once"
-                self._end(Missing(f"element {index} was executed {times} and ended before any run had: {word}"))
+                self._end(Missing(f"array task {index} was executed {times} and ended before any of its runs ended: {word}"))
                 return
             self._harvest.isolate(index, suspects)
             self._again[index] = word
@@ -476,11 +474,11 @@ class Cluster:
         """End the session because somebody else has cancelled a part of it; if not `sure`, because it looks like that."""
         job = f"{self._kind} job {jobs[0]}" if jobs else f"a {self._kind} job"
         table = f"[runners.{self.name}]"
-        unknown = f", unless that was a time limit that SIERRA does not know: set wall in {table}"
+        unknown = f", unless a time limit that SIERRA does not know has ended it: set wall in {table}"
         more = "" if sure or self._table.wall is not None else unknown
         self._note(
-            f"{job} was cancelled, and not by SIERRA{more} ({what}): all of the session ends now; ask again to execute what is "
-            f'missing, or set cancelled = "resubmit" in {table}'
+            f"{job} was cancelled, but not by SIERRA{more} ({what}): the whole session ends now; submit the query again to "
+            f'execute the missing runs, or set cancelled = "resubmit" in {table}'
         )
         self.stop()
 
@@ -498,7 +496,7 @@ class Cluster:
         told = share.trouble or submission_record.last_line(self._session, str(index))
         word = share.word or self._overdue(index, told)
         if not told or (word and word in told):
-            return share.trouble or word or "nobody says by what"
+            return share.trouble or word or "unknown reason"
         return f"{told} ({word})" if word else told
 
     def _overdue(self, index: int, told: str) -> str:
@@ -514,7 +512,7 @@ class Cluster:
         count = len(self._again)
         indices, why = tuple(sorted(self._again)), few(words, 2)
         self._again = {}
-        self._note(f"{count} {'element is' if count == 1 else 'elements are'} submitted again: {why}")
+        self._note(f"{count} {'array task is' if count == 1 else 'array tasks are'} submitted again: {why}")
         if any(TIMED.search(word) for word in words):
             self._give_more_time()
         for index in indices:
@@ -536,7 +534,7 @@ class Cluster:
         wall = min(2 * before, self._made.bounds.wall_s or math.inf)
         self._allow(wall)
         if wall > before:
-            self._note(f"elements may take {wall / 60:g} minutes from now on, for {before / 60:g} were too few")
+            self._note(f"the time limit of array tasks is now {wall / 60:g} minutes; {before / 60:g} minutes were too short")
 
     def _allow(self, wall: float) -> None:
         """Set the time limit that elements request from now on."""
@@ -565,7 +563,7 @@ class Cluster:
         self._made = replace(self._made, counts=(*self._made.counts, *counts), rest=0)
         self._made.save(self._session)
         self._shares += [Share(each, tries=1) for each in counts]
-        self._note(f"{told.how}: the other {sum(counts)} runs become {counted(count, 'element')} ({why})")
+        self._note(f"{told.how}: the other {sum(counts)} runs are split into {counted(count, 'array task')} ({why})")
         self._hand_over(tuple(range(begin, begin + count)), "", after=self._goes_before if self._probing else "")
         with disk_errors(self._session.root):
             self._session.rest.unlink()
@@ -582,10 +580,10 @@ class Cluster:
         except Full as error:
             self._put_off(number, indices, why, error, after)
         except Missing as error:
-            self._note(f"{error}; whether it has taken the job will be seen")
+            self._note(f"{error}; SIERRA will check whether the job was accepted")
         else:
             submission_record.note(self._session, number, replace(intent, job=job))
-            self._note(f"submitted as {self._kind} job {job} ({self._name}): {counted(len(indices), 'element')}")
+            self._note(f"submitted as {self._kind} job {job} ({self._name}): {counted(len(indices), 'array task')}")
 
     def _put_off(self, number: int, indices: tuple[int, ...], why: str, error: Full, after: str) -> None:
         """Submit half of the elements now and the others later, or all later.
@@ -599,10 +597,10 @@ class Cluster:
         elif not self._made.probed and not any(submission_record.jobs(self._session)):
             raise error
         else:
-            self._note(f"{error}; tried again every {FULL_S:g} s")
+            self._note(f"{error}; SIERRA tries again every {FULL_S:g} s")
         for index in indices[half:]:
             self._shares[index].tries -= 1
-            self._again[index] = why or "the site took no more jobs at first"
+            self._again[index] = why or "the site accepted no more jobs at first"
         self._again_at = time.monotonic() + FULL_S
 
     def stop(self) -> None:
@@ -624,7 +622,7 @@ class Cluster:
             self._scheduler.cancel(self._name, elements)
         except Missing as error:
             self._deaf = True
-            self._note(f"{error}; what is to end is cancelled as soon as {self._kind} can be reached")
+            self._note(f"{error}; the jobs are cancelled as soon as {self._kind} can be reached")
 
     def _end(self, error: SierraError) -> None:
         """End the session with an error: submitting again would end the same way until something is done about it."""

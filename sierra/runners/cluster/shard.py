@@ -78,7 +78,7 @@ def _lines(path: Path) -> Iterator[bytes]:
                 count += 1
     except (OSError, EOFError, zlib.error) as error:
         raise Damaged(f"{path}: cannot be read: {error}") from error
-    raise Damaged(f"{path}: holds {max(count, 0)} jobs, and should hold others")
+    raise Damaged(f"{path}: contains {max(count, 0)} jobs, which is not the expected number")
 
 
 def _write(dealt: Iterable[tuple[_Share, Job | bytes]], shares: Sequence[_Share], session: SessionPaths) -> None:
@@ -189,7 +189,7 @@ def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> di
     Raises ValueError if they differ in the names of their variables or in the use of an engine.
     """
     if job.environment.keys() != common.environment.keys() or (job.client is None) != (common.client is None):
-        raise ValueError(f"run {job.run} is not executed like run {common.run}: other variables, or another engine")
+        raise ValueError(f"runs {job.run} and {common.run} have different variables or engines")
     shared = common.environment
     own = {name: value for name, value in job.environment.items() if shared[name] != value}
     record: dict[str, Any] = {"run": job.run, "execution": job.execution, "environment": own}

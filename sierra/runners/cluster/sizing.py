@@ -48,8 +48,8 @@ def size(count: int, times: Times | None, table: ClusterTable, bounds: Bounds, *
     site does not allow.
     """
     if table.wall is not None and bounds.wall_s is not None and table.wall > bounds.wall_s:
-        where = bounds.whose.get("wall_s", "the site's")
-        raise ConfigError(f"wall = {table.wall:g} s is more than the site allows, {bounds.wall_s:g} s ({where}); ask for less")
+        where = bounds.whose.get("wall_s", "the site's limit")
+        raise ConfigError(f"wall = {table.wall:g} s is more than the site allows, {bounds.wall_s:g} s ({where}); request less")
     first = _first(count, times) if waits and table.array_tasks is None and count > UNKNOWN else ()
     seconds, how = (times.mean, times.how) if times else (None, "")
     elements, why = elements_of(count - len(first), seconds, table, bounds, before=bool(first), how=how)
@@ -82,9 +82,9 @@ def elements_of(
     elements, why = _elements(count, seconds, table, how)
     array, jobs = bounds.array and max(bounds.array - before, 1), bounds.jobs and max(bounds.jobs - PROBES - before, 1)
     if array and array < elements:
-        elements, why = array, f"the site's longest array{_whose(bounds, 'array')}"
+        elements, why = array, f"the longest array that the site allows{_whose(bounds, 'array')}"
     if jobs and jobs < elements:
-        elements, why = jobs, f"the jobs that the site allows{_whose(bounds, 'jobs')}"
+        elements, why = jobs, f"the number of jobs that the site allows{_whose(bounds, 'jobs')}"
     return elements, why
 
 
@@ -94,24 +94,24 @@ def _whose(bounds: Bounds, name: str) -> str:
 
 def _elements(count: int, seconds: float | None, table: ClusterTable, how: str) -> tuple[int, str]:
     if table.array_tasks is not None:
-        return min(table.array_tasks, count), "as sierra.toml says" if table.array_tasks <= count else "there are no more runs"
+        return min(table.array_tasks, count), "set in sierra.toml" if table.array_tasks <= count else "one for each run"
     if seconds is None:
-        return min(UNKNOWN, count), "nobody knows yet how long runs take"
+        return min(UNKNOWN, count), "the duration of runs is not known yet"
     wanted = math.ceil(count * seconds / table.cpus / ELEMENT_S)
     whence = f" ({how})" if how else ""
-    return min(max(wanted, 1), count), f"runs take {seconds:.3g} s{whence}, and an element is to take 5 to 10 minutes"
+    return min(max(wanted, 1), count), f"runs take {seconds:.3g} s{whence}, and an array task should take 5 to 10 minutes"
 
 
 def _wall(
     expected: float | None, spare: float, table: ClusterTable, bounds: Bounds, *, waits: bool
 ) -> tuple[float | None, str]:
     if table.wall is not None:
-        return table.wall, "as sierra.toml says"
+        return table.wall, "set in sierra.toml"
     if expected is None and not waits and bounds.wall_s is not None:
-        return bounds.wall_s, "all that the site allows, as nobody knows yet how long runs take, and nobody follows"
+        return bounds.wall_s, "the site's limit, because the duration of runs is not known yet and no process follows"
     if expected is None:
-        return None, "the site's, as nobody knows yet how long runs take"
+        return None, "the site's default, because the duration of runs is not known yet"
     wall = max(LEAST_S, spare * expected)
     if bounds.wall_s is not None and wall > bounds.wall_s:
-        return bounds.wall_s, f"all that the site allows{_whose(bounds, 'wall_s')}; what is cut off is submitted again"
-    return wall, f"{spare:g} times what is expected, at least {LEAST_S / 60:g} minutes"
+        return bounds.wall_s, f"the site's limit{_whose(bounds, 'wall_s')}; runs that it cuts off are submitted again"
+    return wall, f"{spare:g} times the expected time, at least {LEAST_S / 60:g} minutes"

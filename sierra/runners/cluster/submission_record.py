@@ -28,8 +28,8 @@ from sierra.util.text import few
 NAMED = 8
 """Number of digits of the session's id in the name of its jobs."""
 UNFOLLOWED = (
-    "an element that its time limit ends goes on by itself only where the site lets tasks requeue themselves; otherwise, "
-    "sierra attach (or asking again) submits what is missing"
+    "an array task that reaches its time limit continues by itself only if the site lets tasks requeue themselves; "
+    "otherwise, run sierra attach (or submit the query again) to submit the missing runs"
 )
 SHOWN_REASONS, LONGEST = 2, 70
 """Largest number of reasons for waiting that are shown, and of characters of each."""
@@ -103,7 +103,7 @@ class Submission:
             with contextlib.suppress(ConfigError):  # the scheduler is not installed any more: its jobs are kept
                 made.cluster  # noqa: B018
         except (TypeError, ValueError, LookupError) as error:
-            raise Damaged(f"{session.submission}: was written by another version of SIERRA; go on with that one") from error
+            raise Damaged(f"{session.submission}: was written by another version of SIERRA; use that version") from error
         return made
 
 

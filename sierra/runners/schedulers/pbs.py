@@ -200,8 +200,8 @@ class Pbs:
             return Dialect.SLURM, ""
         words = _words(done)
         if UNREACHABLE.search(words):
-            raise Missing(f"qsub can't reach its cluster: {words}")
-        raise Missing(f"qsub --version says neither that it is OpenPBS nor Torque: {words}")
+            raise Missing(f"qsub cannot reach its cluster: {words}")
+        raise Missing(f"qsub --version names neither OpenPBS nor Torque: {words}")
 
     @property
     def _dialect(self) -> Dialect:
@@ -254,11 +254,11 @@ def _call(
         log.command(argv, done.returncode, done.stderr)
         return done
     except FileNotFoundError as error:
-        raise Missing(f"no {argv[0]} here; PBS's commands are on login nodes") from error
+        raise Missing(f"{argv[0]} is not installed here; PBS's commands are on login nodes") from error
     except OSError as error:
-        raise Missing(f"{argv[0]} can't be started: {error.strerror}") from error
+        raise Missing(f"{argv[0]} cannot be started: {error.strerror}") from error
     except subprocess.TimeoutExpired as error:
-        raise Missing(f"{argv[0]} has not answered in {patience:g} s") from error
+        raise Missing(f"{argv[0]} has not answered within {patience:g} s") from error
 
 
 def _said(*argv: str) -> str:
@@ -283,14 +283,14 @@ def _taken(done: subprocess.CompletedProcess[str], *, waits: bool) -> str:
     if not done.returncode:
         ids = [line.strip() for line in done.stdout.splitlines() if JOB.fullmatch(line.strip())]
         if not ids:
-            raise Missing(f"qsub names no job: {words}")
+            raise Missing(f"qsub did not print a job id: {words}")
         return ids[-1]
     if FULL.search(words):
         raise Full(f"qsub: {words}")
     if UNREACHABLE.search(words):
         raise Missing(f"qsub: {words}")
     if waits and DEPENDENCY.search(words):
-        raise Missing(f"qsub: {words}: the job that it waits for is no longer known")
+        raise Missing(f"qsub: {words}: the job that it depends on is no longer known")
     raise ConfigError(f"qsub refuses: {words}")
 
 
@@ -313,7 +313,7 @@ def _queue(name: str) -> qstat.Record:
 
 def _bounds(server: qstat.Record, queue: qstat.Record, dialect: Dialect) -> Bounds:
     arrays = [*_numbers(server, queue, names=("max_array_size", "max_job_array_size"))]
-    arrays += [Limit(ARRAY, "max_array_size as it is where none is set")] if dialect is Dialect.OPENPBS and not arrays else []
+    arrays += [Limit(ARRAY, "the default of max_array_size")] if dialect is Dialect.OPENPBS and not arrays else []
     jobs = [*_numbers(server, queue, names=("max_queuable", "max_user_queuable")), *_of_user(server, queue, name="max_queued")]
     running = [*_numbers(server, queue, names=("max_running", "max_user_run")), *_of_user(server, queue, name="max_run")]
     name = "resources_max.walltime"

@@ -99,7 +99,7 @@ def json_records(text: str) -> Iterator[Record]:
     answer = json.loads(text, strict=False) if text.strip() else {}
     jobs = answer.get("Jobs", {}) if isinstance(answer, dict) else None
     if not isinstance(jobs, dict) or not all(isinstance(job, dict) for job in jobs.values()):
-        raise ValueError("no jobs in what qstat says")
+        raise ValueError("the output of qstat contains no jobs")
     for job, attributes in jobs.items():
         yield {"id": job, **{key: _plain(value) for key, value in attributes.items()}}
 

@@ -62,7 +62,7 @@ NUMBER = {
 def script(request: Request, table: ClusterTable, dialect: Dialect) -> str:
     """Return the whole script. Raises ConfigError for a setting that this scheduler does not have."""
     if table.qos and dialect is not Dialect.SLURM:
-        raise ConfigError(f"qos = {table.qos!r} is SLURM's; say in directives what this PBS has instead")
+        raise ConfigError(f"qos = {table.qos!r} is an option of SLURM; use directives for its equivalent in this PBS")
     shell = "/bin/bash" if table.modules else "/bin/sh"
     lines = [
         f"#!{shell} -l" if table.modules else f"#!{shell}",

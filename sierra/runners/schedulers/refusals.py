@@ -33,43 +33,59 @@ def _meaning(words: str, means: str, *settings: str) -> Meaning:
 
 
 SLURM = (
-    _meaning(r"DependencyNeverSatisfied", "the small task that tries nodes out has not ended well"),
-    _meaning(r"JobHeldAdmin", "an administrator holds it"),
-    _meaning(r"accounting/QOS policy", "it allows less", *PLACE, *SIZE, "wall", "array_tasks"),
-    _meaning(r"memory specification|MaxMemPerLimit", "no node has so much memory", "partition", "memory"),
-    _meaning(r"PartitionTimeLimit|time limit is invalid", "the partition does not allow so much time", "partition", "wall"),
+    _meaning(r"DependencyNeverSatisfied", "the preflight job failed"),
+    _meaning(r"JobHeldAdmin", "an administrator holds the job"),
+    _meaning(r"accounting/QOS policy", "the account or QOS allows less", *PLACE, *SIZE, "wall", "array_tasks"),
+    _meaning(r"memory specification|MaxMemPerLimit", "no node has that much memory", "partition", "memory"),
+    _meaning(r"PartitionTimeLimit|time limit is invalid", "the partition does not allow that much time", "partition", "wall"),
     _meaning(
         r"PartitionConfig|PartitionNodeLimit|(partition|node) configuration (is )?not available|more processors requested"
         r"|(cpu|node) count (specification|per node)",
-        "no node of the partition has all of that",
+        "no node of the partition can satisfy the whole request",
         *("partition", *SIZE, "wall"),
     ),
     _meaning(
-        r"partition not available|invalid partition|PartitionDown|PartitionInactive", "no such partition now", "partition"
+        r"partition not available|invalid partition|PartitionDown|PartitionInactive",
+        "this partition does not exist or is not available",
+        "partition",
     ),
-    _meaning(r"account|association|user'?s? group not permitted|can't use this partition", "not open to the account", *PLACE),
-    _meaning(r"(Assoc|QOS)\w*(Wall|Time)", "it allows other times", *PLACE, "wall"),
-    _meaning(r"(Assoc|QOS)\w*(Cpu|Node|Billing)", "it allows another number of cores", *PLACE, "cpus"),
-    _meaning(r"(Assoc|QOS)\w*Mem", "it allows another size of memory", *PLACE, "memory"),
-    _meaning(r"(Assoc|QOS)\w*(Gres|TRES)", "it allows other resources", *PLACE, *SIZE),
-    _meaning(r"qos", "no quality of service of yours", "qos", "account"),
+    _meaning(
+        r"account|association|user'?s? group not permitted|can't use this partition", "not available to the account", *PLACE
+    ),
+    _meaning(r"(Assoc|QOS)\w*(Wall|Time)", "the account or QOS allows other times", *PLACE, "wall"),
+    _meaning(r"(Assoc|QOS)\w*(Cpu|Node|Billing)", "the account or QOS allows another number of cores", *PLACE, "cpus"),
+    _meaning(r"(Assoc|QOS)\w*Mem", "the account or QOS allows another size of memory", *PLACE, "memory"),
+    _meaning(r"(Assoc|QOS)\w*(Gres|TRES)", "the account or QOS allows other resources", *PLACE, *SIZE),
+    _meaning(r"qos", "this quality of service is not available to you", "qos", "account"),
     _meaning(r"BadConstraints|feature", "no node has these features", "constraint"),
-    _meaning(r"generic resource|gres|gpu", "no node has such processors", "gpus", "partition"),
-    _meaning(r"job array", "so long an array is not allowed", "array_tasks"),
-    _meaning(r"licen[sc]e|reservation|option|wckey|cluster", "what the directives say", *DIRECTIVES),
+    _meaning(r"generic resource|gres|gpu", "no node has these processors", "gpus", "partition"),
+    _meaning(r"job array", "an array of this length is not allowed", "array_tasks"),
+    _meaning(r"licen[sc]e|reservation|option|wckey|cluster", "caused by the directives", *DIRECTIVES),
 )
 PBS = (
-    _meaning(r"unknown queue|queue .*(not enabled|not started)|no default queue", "no such queue now", "partition"),
-    _meaning(r"unauthori[sz]ed|not authori[sz]ed|access .*denied|no permission", "not open to you", "partition", "account"),
-    _meaning(r"account", "not an account of yours", "account"),
-    _meaning(r"walltime", "not so much time", "partition", "wall"),
-    _meaning(r"-J value|array", "such an array is not allowed", "array_tasks"),
+    _meaning(
+        r"unknown queue|queue .*(not enabled|not started)|no default queue",
+        "the queue does not exist or is not available",
+        "partition",
+    ),
+    _meaning(
+        r"unauthori[sz]ed|not authori[sz]ed|access .*denied|no permission", "not available to you", "partition", "account"
+    ),
+    _meaning(r"account", "this account is not available to you", "account"),
+    _meaning(r"walltime", "that much time is not allowed", "partition", "wall"),
+    _meaning(r"-J value|array", "this array is not allowed", "array_tasks"),
     _meaning(
         r"resource limits|can never run|enough total nodes|feasible|cannot satisfy|too many|exceeds",
-        "no node, or no place in the queue, has all of that",
+        "no node and no queue limit can satisfy the whole request",
         *("partition", *SIZE, "wall", "array_tasks"),
     ),
-    _meaning(r"unknown resource|illegal attribute|option", "no such thing here", "gpus", "constraint", *DIRECTIVES),
+    _meaning(
+        r"unknown resource|illegal attribute|option",
+        "this resource or option does not exist here",
+        "gpus",
+        "constraint",
+        *DIRECTIVES,
+    ),
 )
 
 
@@ -83,10 +99,10 @@ def about(words: str, meanings: Sequence[Meaning], table: ClusterTable, site: Ca
         return words
     if not known.settings:
         return f"{words}: {known.means}"
-    asked = ", ".join(_asked(table, known.settings)) or "nothing, so it is the site's default"
+    asked = ", ".join(_asked(table, known.settings)) or "nothing, so the site's defaults apply"
     has = () if known.settings == DIRECTIVES else site()
     there = f"; the site has {'; '.join(has)}" if has else ""
-    return f"{words}: {known.means}; asked for: {asked}{there}"
+    return f"{words}: {known.means}; requested: {asked}{there}"
 
 
 def _asked(table: ClusterTable, settings: Sequence[str]) -> Iterator[str]:

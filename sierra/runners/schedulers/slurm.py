@@ -136,9 +136,9 @@ class Slurm:
         if status == 0:
             if answer := SUBMITTED.search(out):
                 return answer[1]
-            raise Missing(f"sbatch does not say which job it made, but {_line(out + err)!r}; whether there is one is not known")
+            raise Missing(f"sbatch did not print a job id, but {_line(out + err)!r}; it is unknown whether the job exists")
         if not err.strip():
-            raise Missing(f"sbatch ended with status {status} and said nothing")
+            raise Missing(f"sbatch ended with status {status} and without a message")
         raise self._explained(refusal(err))
 
     def explain(self, words: str) -> str:
@@ -180,7 +180,7 @@ class Slurm:
             return
         found = self.look(name)
         if found is None:
-            raise Missing("SLURM can't be reached to cancel elements; ask again later")
+            raise Missing("SLURM cannot be reached to cancel array tasks; run the command again later")
         if jobs := _named(task for task in found if task.element in set(elements) and task.state != State.ENDED):
             _answer("scancel", *jobs)
 
@@ -216,7 +216,7 @@ class Slurm:
         known = {line["PartitionName"]: line for line in map(_fields, told.splitlines()) if "PartitionName" in line}
         asked = (self._table.partition or "").split(",") if self._table.partition else []
         if unknown := [name for name in asked if name not in known]:
-            raise ConfigError(f"SLURM has no partition {unknown[0]!r}; there are {', '.join(known)}")
+            raise ConfigError(f"SLURM has no partition {unknown[0]!r}; it has {', '.join(known)}")
         return {name: line for name, line in known.items() if (name in asked if asked else line.get("Default") == "YES")}
 
 
@@ -268,7 +268,7 @@ def _pattern(folder: Path) -> str:
     Raises ConfigError for such a name.
     """
     if "\\" in str(folder):
-        raise ConfigError(f"SLURM can't have jobs print into {str(folder)!r}; use a name without a backslash")
+        raise ConfigError(f"SLURM cannot write the output of jobs to {str(folder)!r}; use a name without a backslash")
     return str(folder).replace("%", "%%")
 
 
@@ -278,7 +278,7 @@ def _quoted(text: str) -> str:
     Raises ConfigError for a line feed.
     """
     if "\n" in text:
-        raise ConfigError(f"SLURM can't be told of {text!r}; use a name without a line feed")
+        raise ConfigError(f"SLURM does not accept {text!r}; use a name without a line feed")
     return '"' + re.sub(r'(["\\])', r"\\\1", text) + '"'
 
 
@@ -348,7 +348,7 @@ def _answer(program: str, *words: str) -> str:
 def _program(name: str) -> str:
     path = shutil.which(name)
     if path is None:
-        raise Missing(f"there is no {name} here; ask on a host from which jobs are submitted to SLURM")
+        raise Missing(f"{name} is not installed here; run the command on a host from which jobs are submitted to SLURM")
     return path
 
 

@@ -86,7 +86,7 @@ def _association(ask: Ask, cluster: str, user: str, table: ClusterTable, partiti
     found = _rows(ask, "associations", ASSOCIATION, f"user={user}", f"cluster={cluster}")
     accounts = dict.fromkeys(row["Account"].lower() for row in found)
     if table.account is not None and found and table.account.lower() not in accounts:
-        raise ConfigError(f"account {table.account!r} is none of yours on this cluster; there are {', '.join(accounts)}")
+        raise ConfigError(f"account {table.account!r} is not yours on this cluster; you have {', '.join(accounts)}")
     usual = (row["DefaultAccount"] for row in _rows(ask, "user", ("DefaultAccount",), f"name={user}"))
     account = table.account or next(filter(None, usual), next(iter(accounts), ""))
     mine = {row["Partition"]: row for row in found if row["Account"].lower() == account.lower()}
@@ -100,7 +100,7 @@ def _qos(association: Row, table: ClusterTable, *, strict: bool) -> str:
     """
     names = [name for name in association.get("QOS", "").split(",") if name]
     if table.qos is not None and names and strict and table.qos.lower() not in names:
-        raise ConfigError(f"QOS {table.qos!r} is none of account {association['Account']!r}; there are {', '.join(names)}")
+        raise ConfigError(f"QOS {table.qos!r} is not open to account {association['Account']!r}; it has {', '.join(names)}")
     return table.qos or association.get("DefaultQOS") or (names[0] if len(names) == 1 else USUAL)
 
 

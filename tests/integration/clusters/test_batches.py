@@ -167,7 +167,7 @@ def test_jobs_cancelled_by_somebody_else_end_the_session(gated: Gated, which: st
     job = gated.job()
     gated.slurm.command("scancel", f"{job}_1" if which == "one element" else job)
     told = ended(asking, 130)
-    assert f"slurm job {job} was cancelled, and not by SIERRA" in told
+    assert f"slurm job {job} was cancelled, but not by SIERRA" in told
     assert "submitted again" not in told
     assert len(gated.begun()) == 3
     at_rest(gated.slurm, gated.project)
@@ -186,7 +186,7 @@ def test_jobs_cancelled_while_detached_are_not_submitted_again(gated: Gated) -> 
     job = gated.job()
     gated.slurm.command("scancel", job)
     at_rest(gated.slurm, gated.project)
-    assert "was cancelled, and not by SIERRA" in ended(gated.ask(), 130)
+    assert "was cancelled, but not by SIERRA" in ended(gated.ask(), 130)
     assert len(gated.begun()) == 3
     gated.open()
     ended(gated.ask())
@@ -206,7 +206,7 @@ def test_a_probe_cancelled_by_somebody_else_ends_the_session(
     gated.slurm.command("scancel", probe)
     told = ended(asking, 130)
     gated.slurm.command("scontrol", "update", f"nodename={','.join(gated.slurm.names)}", "state=resume")
-    assert f"slurm job {probe} was cancelled, and not by SIERRA" in told
+    assert f"slurm job {probe} was cancelled, but not by SIERRA" in told
     assert gated.begun() == []
     at_rest(gated.slurm, gated.project)
 
@@ -287,7 +287,7 @@ def test_the_next_command_cancels_jobs_that_could_not_be_cancelled(gated: Gated,
     assert begun == 3, "others wait for a node"
     done = projects.quick(gated.root, "cancel", gated.project.status()[0].session)
     assert done.returncode == 3
-    assert done.stderr.splitlines()[-1].startswith("sierra: slurm cannot be reached, so that jobs of session ")
+    assert done.stderr.splitlines()[-1].startswith("sierra: slurm cannot be reached, so jobs of session ")
     [session] = [path for path in (gated.root / ".sierra" / "work").iterdir() if path.is_dir()]
     until(lambda: not marked_processes.marked({f"SIERRA_SESSION={session.name}".encode()}), "what runs ends by itself")
     gated.slurm.start_controller()
@@ -349,7 +349,7 @@ def test_a_run_whose_array_task_is_cut_off_at_every_attempt_fails(gated: Gated) 
     assert "cut off 2 times" in told
     reasons = rows(gated.project, "SELECT status, reason FROM executions")
     assert [row["status"] for row in reasons] == ["failed", "failed"]
-    assert all("cut off 2 times while it ran" in row["reason"] for row in reasons)
+    assert all("cut off 2 times while the run executed" in row["reason"] for row in reasons)
     gated.open()
     ended(gated.ask("population_size=1", "--runs", "2"))
     is_whole(gated.project, 2, executions=4)
@@ -363,7 +363,7 @@ def test_jobs_that_succeed_without_executing_runs_are_an_error(gated: Gated) -> 
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text() + f'python = "{lazy}"\nattempts = 2\n')
     told = ended(gated.ask(), 3)
-    assert "was executed 2 times and ended before any run had: COMPLETED" in told
+    assert "was executed 2 times and ended before any of its runs ended: COMPLETED" in told
     config.write_text(config.read_text().replace(f'python = "{lazy}"\n', ""))
     gated.open()
     ended(gated.ask())
@@ -374,7 +374,7 @@ def test_a_probe_without_output_ends_the_session_before_any_run(gated: Gated) ->
     config = gated.root / "sierra.toml"
     config.write_text(config.read_text() + 'python = "true"\n')
     told = ended(gated.ask(), 3)
-    assert "nodes can't execute this, and say nothing (COMPLETED)" in told
+    assert "the preflight job ended on the nodes without any output (COMPLETED)" in told
     assert gated.begun() == []
     at_rest(gated.slurm, gated.project)
 
@@ -387,7 +387,7 @@ def test_a_probe_without_output_ends_the_session_before_any_run(gated: Gated) ->
         ('python = "/no/python3"', "/no/python3"),
         ("wall = 1e9", "more than the site allows"),
         ("cpus = 4000", "cpus = 4000"),
-        ('scratch = "/nowhere/runs"', "scratch = /nowhere/runs: there is no folder to make it in"),
+        ('scratch = "/nowhere/runs"', "scratch = /nowhere/runs: its parent folder does not exist"),
     ],
 )
 def test_settings_that_the_site_cannot_satisfy_are_refused_in_one_line(gated: Gated, line: str, words: str) -> None:

@@ -87,15 +87,15 @@ def test_the_first_and_last_run_are_timed_to_distribute_the_others(
     project = simulate()
     first = project.quick("run", "size=1,2", "--runs", "12", "--on", runner, "--no-figures")
     assert first.returncode == 0, first.stderr
-    assert "nobody knows yet how long runs take: 2 runs of 24 go first" in first.stderr
-    assert re.search(r"the runs that went first took [\d.]+ s: the other 22 runs become 1 element \(", first.stderr)
+    assert "the duration of runs is not known yet: 2 runs of 24 are executed first" in first.stderr
+    assert re.search(r"the first runs took [\d.]+ s: the other 22 runs are split into 1 array task \(", first.stderr)
     assert elements(project) == {0: 2, 1: 22}
     is_whole(project)
     joined = "attempts a JOIN executions USING (attempt) JOIN runs r USING (run)"
     pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.array_task = 0 ORDER BY 1")
     assert [tuple(row.values()) for row in pair] == [(1, 0), (2, 11)]
     again = project.quick("run", "size=1,2", "--runs", "24", "--on", runner, "--no-figures")
-    assert "go first" not in again.stderr
+    assert "are executed first" not in again.stderr
 
 
 def test_runs_with_values_that_were_never_timed_go_first(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
@@ -135,11 +135,11 @@ def test_a_first_run_that_takes_as_long_as_an_array_task_is_not_waited_for(
 
     def say(text: str) -> None:
         said.append(text)
-        if "become 22 elements" in text:
+        if "are split into 22 array tasks" in text:
             opened(waiting)
 
     asked(waiting, say)
-    assert any("a run that went first has not ended within 1 s" in text for text in said)
+    assert any("one of the first runs has not ended within 1 s" in text for text in said)
     assert elements(waiting) == {0: 2, **dict.fromkeys(range(1, 23), 1)}
     is_whole(waiting)
 
@@ -154,12 +154,12 @@ def test_first_runs_without_a_free_node_are_not_waited_for(
 
     def say(text: str) -> None:
         said.append(text)
-        if "go first: the other 22 runs become 16 elements" in text:
+        if "within 1 s: the other 22 runs are split into 16 array tasks" in text:
             slurm.command("scontrol", "update", f"nodename={','.join(slurm.names)}", "state=resume")
             opened(waiting)
 
     asked(waiting, say)
-    assert any("no node was to be had within 1 s" in text for text in said)
+    assert any("no node was available for the first runs within 1 s" in text for text in said)
     assert len(elements(waiting)) == 17
     is_whole(waiting)
 
@@ -170,7 +170,7 @@ def test_the_other_runs_are_submitted_when_the_user_detaches(waiting: Simulated,
     process.send_signal(signal.SIGINT)
     told = waiting.end_of(process)
     assert told.returncode == 130
-    assert "nobody waits for the runs that go first: the other 22 runs become 16 elements" in told.stderr
+    assert "no process waits for the first runs: the other 22 runs are split into 16 array tasks" in told.stderr
     assert sent(waiting) == [[0], list(range(1, 17))]
     opened(waiting)
     assert waiting.quick(*ASKED).returncode == 0
@@ -180,7 +180,7 @@ def test_the_other_runs_are_submitted_when_the_user_detaches(waiting: Simulated,
 @pytest.mark.nightly
 def test_no_runs_go_first_with_the_option_detach(waiting: Simulated, slurm: Slurm) -> None:
     told = waiting.quick(*ASKED, "--detach")
-    assert "go first" not in told.stderr
+    assert "are executed first" not in told.stderr
     assert sent(waiting) == [list(range(16))]
     opened(waiting)
     assert waiting.quick(*ASKED).returncode == 0
@@ -240,7 +240,7 @@ def test_failed_first_runs_give_no_time_estimate(simulate: Callable[..., Simulat
     project = simulate("exit 7")
     done = project.quick(*ASKED)
     assert done.returncode == 1
-    assert "the runs that went first have failed: the other 22 runs become 16 elements" in done.stderr
+    assert "the first runs have failed: the other 22 runs are split into 16 array tasks" in done.stderr
     assert sorted(project.executed().values()) == [1] * RUNS
     fast = simulate("exit 7", name="fast")
     assert fast.quick(*ASKED, "--fail-fast").returncode == 1
@@ -278,7 +278,9 @@ def test_first_runs_that_lose_their_node_are_executed_again(waiting: Simulated, 
 def test_a_dry_run_reports_first_runs(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     project = simulate()
     told = project.quick(*ASKED, "-n", "--explain")
-    assert re.search(r"^first runs +2 +nobody knows yet how long runs take: these tell$", told.stdout, re.MULTILINE)
+    assert re.search(
+        r"^first runs +2 +the duration of runs is not known yet: measured by these runs$", told.stdout, re.MULTILINE
+    )
     assert "#SBATCH --array=1-16" in told.stdout
     few = project.quick("run", "size=1,2", "--runs", "8", "--on", "slurm", "-n", "--explain")
     assert "first runs" not in few.stdout

@@ -325,9 +325,9 @@ def test_a_dry_run_estimates_from_the_times_of_earlier_runs(waiting: Waiting) ->
     assert "on slurm (slurm " in later
     assert "3 array tasks of up to 2 runs, each 1 core for 10:00" in later
     assert re.search(r"core-hours: about [\d.e-]+, at most 0\.5 ", later)
-    assert re.search(r"^elements +3 +as sierra.toml says$", later, re.MULTILINE)
-    assert re.search(r"^wall +600 +6 times what is expected, at least 10 minutes$", later, re.MULTILINE)
-    told = r"^time of a run +[\d.]+ to [\d.]+ s, [\d.]+ s in the mean +1 of 3 experiments were timed; the others are estimated"
+    assert re.search(r"^array_tasks +3 +set in sierra.toml$", later, re.MULTILINE)
+    assert re.search(r"^wall +600 +6 times the expected time, at least 10 minutes$", later, re.MULTILINE)
+    told = r"^time of a run +[\d.]+ to [\d.]+ s, mean [\d.]+ s +1 of 3 experiments were timed; the others are estimated"
     assert re.search(told, later, re.MULTILINE)
     assert "#SBATCH --array=0-2" in later
 
@@ -342,7 +342,7 @@ def test_a_dry_run_works_without_a_scheduler_and_reports_unknown_limits(tmp_path
     done = projects.sierra(root, "run", "population_size.Log8", "--on", cluster, "-n", environment={"PATH": str(tools)})
     assert done.returncode == 0, done.stderr
     assert f"on {cluster} ({cluster}): 8 array tasks of up to 1 run," in done.stdout
-    assert "what the site allows is not known" in done.stderr
+    assert "the site's limits are unknown" in done.stderr
 
 
 # invalid requests

@@ -60,5 +60,5 @@ def test_an_image_that_differs_on_the_node_is_never_executed(project: Path, slur
     done = projects.quick(project, "run", "population_size=1,2", "--on", "slurm")
     assert done.returncode == 3, done.stderr
     assert "the image: " in done.stderr
-    assert "is another than on the host that submitted" in done.stderr
+    assert "differs from the one on the submitting host" in done.stderr
     assert sierra.open(project).sql("SELECT * FROM executions").to_pylist() == []

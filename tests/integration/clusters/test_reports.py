@@ -109,7 +109,7 @@ def test_a_dry_run_reports_a_probe_only_if_one_is_needed(
     waiting.open()
     for said in (True, False):
         told = waiting.project.quick("run", *QUERY, "speed=1,2", "--on", "slurm", "-n").stderr
-        assert ("nodes were not tried out within a day" in told) == said
+        assert ("nodes were not checked within a day" in told) == said
         waiting.project.quick("run", *QUERY, "--on", "slurm", "--no-figures")
 
 

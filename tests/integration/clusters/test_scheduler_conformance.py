@@ -85,11 +85,11 @@ class Ruthless(Slurm):
     ("scheduler", "claim", "complaint"),
     [
         (Splitting, runners.passes_words_as_they_are, "became|No such file"),
-        (Counting, runners.executes_each_element_once, "executed were"),
+        (Counting, runners.executes_each_element_once, "executed: "),
         (Leaking, runners.says_what_it_hands_over, "environment"),
-        (Forgetting, runners.finds_jobs_by_name, "not found at once"),
+        (Forgetting, runners.finds_jobs_by_name, "not found immediately"),
         (Remembering, runners.may_be_looked_at_after_the_end, "does not end"),
-        (Ruthless, runners.cancels_some, "after element 1 was cancelled"),
+        (Ruthless, runners.cancels_some, "after array task 1 was cancelled"),
     ],
 )
 def test_the_suite_detects_violations_of_its_claims(

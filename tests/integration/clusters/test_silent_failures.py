@@ -406,7 +406,7 @@ def test_array_tasks_that_could_not_begin_are_submitted_again_with_a_notice(
         made.project.plan(*QUERY, runs=1), runner="here", observer=Observing(notice=said.append), figures=False
     )
     assert (summary.executed, summary.failed) == (3, 0)
-    assert "1 element is submitted again: launch failed requeued held (CANCELLED)" in said
+    assert "1 array task is submitted again: launch failed requeued held (CANCELLED)" in said
 
 
 def gives_back(project: Project) -> Callable[[Progress], None]:
@@ -473,7 +473,7 @@ def test_a_program_that_changes_during_the_batch_gives_no_result(clustered: Call
             tool.with_name("new").replace(tool)
             made.gate.touch()
 
-    with pytest.raises(SierraError, match="is another than on the host that submitted"):
+    with pytest.raises(SierraError, match="differs from the one on the submitting host"):
         made.project.run(*QUERY, runs=1, runner="here", observer=Observing(watch), figures=False)
     assert made.rows("SELECT * FROM executions") == []
 
@@ -556,7 +556,7 @@ def test_files_that_change_before_they_are_copied_for_nodes_are_named(clustered:
     projects.commit(made.simulated.folder)
     plan = made.project.plan(*QUERY, runs=1)
     log.write_text("note: …\n")
-    words = r"changed while they were being copied for the cluster: asked\.log \(where these are no code, write paths = "
+    words = r"changed while they were being copied for the cluster: asked\.log \(if these are not code, write paths = "
     with pytest.raises(Missing, match=words):
         made.project.execute(plan, runner="here", figures=False)
     assert made.project.run(*QUERY, runs=1, runner="here", figures=False).executed == 3

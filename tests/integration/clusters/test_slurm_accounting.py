@@ -49,7 +49,7 @@ def test_limits_of_the_default_qos_are_obeyed(project: Callable[[str], Simulated
     asked = project("array_tasks = 30")
     told = asked.ask(*ASKED, "-n", "--explain").stdout
     assert re.search(r"^elements +4 +the jobs that the site allows \(MaxSubmitJobsPerUser of QOS small\)$", told, re.MULTILINE)
-    assert re.search(r"^longest wall +1200 +the site allows no more: MaxWall of QOS small$", told, re.MULTILINE)
+    assert re.search(r"^longest wall +1200 +the site's limit: MaxWall of QOS small$", told, re.MULTILINE)
     done = asked.ask(*ASKED)
     assert done.returncode == 0, done.stderr
     assert "tried again" not in done.stderr
@@ -80,8 +80,8 @@ def test_successful_tasks_are_completed_in_the_accounting(
 @pytest.mark.nightly
 def test_another_qos_has_other_limits(project: Callable[[str], Simulated]) -> None:
     told = project('array_tasks = 30\nqos = "normal"').ask(*ASKED, "-n", "--explain").stdout
-    assert re.search(r"^elements +30 +as sierra.toml says$", told, re.MULTILINE)
-    assert re.search(r"^longest wall +3600 +the site allows no more: MaxTime of partition debug$", told, re.MULTILINE)
+    assert re.search(r"^array_tasks +30 +set in sierra.toml$", told, re.MULTILINE)
+    assert re.search(r"^longest wall +3600 +the site's limit: MaxTime of partition debug$", told, re.MULTILINE)
 
 
 @pytest.mark.nightly
@@ -103,8 +103,8 @@ def test_array_tasks_are_submitted_gradually_if_the_site_accepts_fewer(
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ('account = "chemistry"', "account 'chemistry' is none of yours on this cluster; there are "),
-        ('qos = "high"', "QOS 'high' is none of account 'physics'; there are "),
+        ('account = "chemistry"', "account 'chemistry' is not yours on this cluster; you have "),
+        ('qos = "high"', "QOS 'high' is not open to account 'physics'; it has "),
         ("wall = 1800", "more than the site allows, 1200 s (MaxWall of QOS small)"),
     ],
 )

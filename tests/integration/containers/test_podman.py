@@ -141,7 +141,7 @@ def test_runs_are_isolated_by_default(tmp_path: Path, python: Path, isolation: s
 
 def test_runs_do_not_share_a_container_of_an_image_without_python(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, 'isolation = "worker"')
-    assert "each run has a container of its own" in says(folder, *RUN)
+    assert "each run gets its own container" in says(folder, *RUN)
     assert rows(folder, "SELECT mode FROM isolations") == [{"mode": "run"}]
 
 
@@ -369,7 +369,7 @@ def test_a_run_fails_if_its_container_has_no_space_left(tmp_path: Path, python: 
     says(folder, "run", "population_size=1,2", "--runs", "1", "--no-figures", "-j1", code=1)
     ended = rows(folder, "SELECT population_size AS n, status, reason FROM executions JOIN points USING (run) ORDER BY n")
     assert [(row["n"], row["status"]) for row in ended] == [(1, "failed"), (2, "ok")]
-    assert "no room left in its container: /dev/shm" in ended[0]["reason"]
+    assert "no space was left in its container: /dev/shm" in ended[0]["reason"]
 
 
 @pytest.mark.nightly

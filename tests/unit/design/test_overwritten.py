@@ -76,7 +76,7 @@ def planned(folder: Path, *words: str) -> bool:
 @pytest.mark.parametrize(("more", "sizes"), [(IN_EACH, "1,2"), (IN_EACH, "7,8"), (LISTED, "1,2"), (LISTED, "7")])
 def test_axis_that_run_changes_overwrite_is_refused(tmp_path: Path, more: str, sizes: str) -> None:
     told = refused(project(tmp_path / "p", more), f"size={sizes}")
-    assert told.endswith("does not last: run_changes changes what it sets; only one of them can set it")
+    assert told.endswith("is overwritten: run_changes changes the same value later; only one of them can set it")
 
 
 def test_axis_is_accepted_if_run_changes_set_the_same_value(tmp_path: Path) -> None:
@@ -84,49 +84,49 @@ def test_axis_is_accepted_if_run_changes_set_the_same_value(tmp_path: Path) -> N
 
 
 def test_axis_that_the_seed_overwrites_is_refused(tmp_path: Path) -> None:
-    assert "seeded=1 does not last: the seed changes what it sets" in refused(project(tmp_path / "p"), "seeded=1,2")
+    assert "seeded=1 is overwritten: the seed changes the same value later" in refused(project(tmp_path / "p"), "seeded=1,2")
 
 
 def test_set_that_the_seed_overwrites_is_refused(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "size=1,2", "--set", "/arena/random/@seed=5")
-    assert "--set /arena/random/@seed does not last: the seed changes what it sets" in told
+    assert "--set /arena/random/@seed is overwritten: the seed changes the same value later" in told
 
 
 def test_axis_that_a_later_scenario_removes_is_refused(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "level=1,2", "scenario=open,quiet")
-    assert "level=1 does not last: scenario=quiet changes what it sets" in told
+    assert "level=1 is overwritten: scenario=quiet changes the same value later" in told
 
 
 def test_axis_of_two_changes_is_refused_if_one_of_them_is_overwritten(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "mixed=1,2", "scenario=levels")
-    assert "mixed=1 does not last: scenario=levels changes what it sets" in told
+    assert "mixed=1 is overwritten: scenario=levels changes the same value later" in told
 
 
 def test_set_that_overwrites_another_set_is_refused(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "size=1", "--set", "//noise/@level=3", "--set", "/arena/noise/@level=4")
     assert told.endswith(
-        "--set //noise/@level does not last: --set /arena/noise/@level changes what it sets; ask for one of them"
+        "--set //noise/@level is overwritten: --set /arena/noise/@level changes the same value later; use one of them"
     )
 
 
 def test_set_that_overwrites_an_axis_is_refused(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "level=1,2", "--set", "/arena/noise/@level=3")
-    assert told.endswith("changes what it sets; ask for one of them")
+    assert told.endswith("changes the same value later; use one of them")
 
 
 def test_axis_is_refused_if_a_later_xpath_selects_one_of_its_values(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p"), "level=1,2,3", "scenario=thrice")
-    assert "level=3 does not last: scenario=thrice changes what it sets" in told
+    assert "level=3 is overwritten: scenario=thrice changes the same value later" in told
 
 
 @pytest.mark.parametrize("level", ["level", "any_level"])
 def test_axis_is_refused_if_a_later_xpath_union_selects_one_of_its_values(tmp_path: Path, level: str) -> None:
     told = refused(project(tmp_path / "p"), f"{level}=1,2,3", "scenario=third")
-    assert f"{level}=3 does not last: scenario=third changes what it sets" in told
+    assert f"{level}=3 is overwritten: scenario=third changes the same value later" in told
 
 
 def test_overwriting_is_found_even_if_the_first_value_stays_equal(tmp_path: Path) -> None:
-    assert "level=1 does not last" in refused(
+    assert "level=1 is overwritten" in refused(
         project(tmp_path / "p", 'changes = [{ set = "//swarm/@count", value = "1" }]\n'), "level=7,1", "scenario=levels"
     )
 
@@ -156,7 +156,7 @@ def test_queries_without_overwritten_values_are_accepted(tmp_path: Path, words: 
 
 def test_axis_that_sets_and_adds_is_refused_if_overwritten(tmp_path: Path) -> None:
     told = refused(project(tmp_path / "p", IN_EACH), "more=1,2")
-    assert "more=1 does not last: run_changes changes what it sets" in told
+    assert "more=1 is overwritten: run_changes changes the same value later" in told
 
 
 def test_overwriting_is_checked_once_for_all_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

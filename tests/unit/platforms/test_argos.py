@@ -717,24 +717,26 @@ def test_walls_follow_a_growing_arena(tmp_path: Path) -> None:
 
 def test_a_fixed_arena_conflicts_with_a_growing_one(tmp_path: Path) -> None:
     told = refused(argos_project(tmp_path / "p"), "population_constant_density.1p0.I10.C3", "--set", "//arena/@size=20,20,2")
-    assert "does not last: --set //arena/@size changes what it sets" in told
+    assert "is overwritten: --set //arena/@size changes the same value later" in told
 
 
 def test_a_density_with_different_populations_per_scenario_is_refused(tmp_path: Path) -> None:
     folder = argos_project(tmp_path / "p", CONFIG + BIG)
     told = refused(folder, "scenario=plain,big", "population_variable_density.1p0.3p0.C3")
-    assert "population_variable_density is 1, 2, 3 with scenario=plain, but 4, 8, 12 with scenario=big; ask for one" in told
+    assert (
+        "population_variable_density is 1, 2, 3 with scenario=plain, but 4, 8, 12 with scenario=big; use one of these" in told
+    )
 
 
 @pytest.mark.parametrize("query", [("population_variable_density.1p0.3p0.C3",), ("population_size.Log4",)])
 def test_a_population_that_another_change_overwrites_is_refused_as_an_axis(tmp_path: Path, query: tuple[str, ...]) -> None:
     told = refused(argos_project(tmp_path / "p"), *query, "--set", "//entity/@quantity=7")
-    assert "=1 does not last: --set //entity/@quantity changes what it sets" in told
+    assert "=1 is overwritten: --set //entity/@quantity changes the same value later" in told
 
 
 def test_two_axes_that_set_one_attribute_by_different_paths_are_refused(tmp_path: Path) -> None:
     told = refused(argos_project(tmp_path / "p"), "length=30,60", "seconds=10,20")
-    assert "length=30 does not last: seconds=10 changes what it sets; ask for one of them" in told
+    assert "length=30 is overwritten: seconds=10 changes the same value later; use one of them" in told
 
 
 def test_an_axis_before_a_scenario_that_adds_robots_is_refused(tmp_path: Path) -> None:
@@ -746,7 +748,7 @@ changes = [{ add = "//controllers", xml = '<other id="other"><params><wheel_turn
 """
     folder = argos_project(tmp_path / "p", CONFIG + more)
     told = refused(folder, "speed=1,2", "scenario=more")
-    assert "speed=1 does not last: scenario=more changes what it sets; ask for one of them, or in another order" in told
+    assert "speed=1 is overwritten: scenario=more changes the same value later; use one of them, or in another order" in told
     assert projects.quick(folder, "run", "scenario=more", "speed=1,2", "-n").returncode == 0
 
 

@@ -76,7 +76,7 @@ def test_a_replay_reports_a_rebuilt_library_before_the_verdict(tmp_path: Path) -
     build(root, 0.75)
     code, out, err = replayed(root)
     assert code == 1
-    assert "libraries other than recorded: {project}/build/libspeed.so" in err
+    assert "libraries that differ from the record: {project}/build/libspeed.so" in err
     assert "'way' was 0.5 and is 0.75" in out
 
 
@@ -88,7 +88,7 @@ def test_executing_a_recorded_batch_with_a_rebuilt_library_is_reported(tmp_path:
     replayed(root)
     ended = projects.quick(root, "run", batch_of(root), "--no-figures")
     assert "2 executed" in ended.stdout
-    assert "execute again: libraries other than recorded: {project}/build/libspeed.so" in ended.stderr
+    assert "execute again: libraries that differ from the record: {project}/build/libspeed.so" in ended.stderr
     told = projects.quick(root, "why", batch_of(root)).stdout
     assert re.search(r"other programs before: \{project}/build/libspeed.so: \w{10} → \w{10}\n", told)
 

@@ -52,7 +52,7 @@ def test_the_error_for_notes_that_change_meanwhile_says_how_to_exclude_them(simu
     (project.folder / "notes.md").write_text("after")
     project.open()
     ended = project.end_of(asking)
-    advice = 'where these are no code, write paths = ["sim.sh"] under [source] in sierra.toml'
+    advice = 'if these are not code, write paths = ["sim.sh"] under [source] in sierra.toml'
     assert (ended.returncode, advice in ended.stdout) == (1, True)
     with (project.folder / "sierra.toml").open("a") as toml:
         toml.write('[source]\npaths = ["sim.sh"]\n')
@@ -66,7 +66,7 @@ def test_the_advice_never_excludes_code_that_changed(tmp_path: Path) -> None:
     manifest = listed(Entry("100644", "0" * 40, os.fsencode(name)) for name in names)
     taken = seen(tmp_path, manifest, NOTHING)
     assert taken.advice([b"notes.py"]) == taken.advice([b"history.csv"]) == taken.advice([b"src/README.md"])
-    assert taken.advice([b"sim.py", b"README"]) == taken.advice([b"src/README.md"]) == "[source] paths says what is code"
+    assert taken.advice([b"sim.py", b"README"]) == taken.advice([b"src/README.md"]) == "[source] paths selects the code"
     assert 'paths = ["data", "lib x", "sim.py", "src"]' in taken.advice([b"README"])
     assert 'paths = ["lib x", "sim.py", "src"]' in taken.advice([b"README", b"data/b"])
 

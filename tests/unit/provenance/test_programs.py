@@ -85,7 +85,7 @@ def test_a_loaded_library_is_recorded_and_its_change_executes_runs_again(built: 
 
 def test_a_missing_library_is_reported_before_any_run_executes(built: Built, tmp_path: Path) -> None:
     project = make(tmp_path / "p", str(built.program))
-    with pytest.raises(Missing, match=r"^sim needs libcore\.so, which is not found; "):
+    with pytest.raises(Missing, match=r"^sim needs libcore\.so, which was not found; "):
         project.run("n=1", figures=False)
     assert not (tmp_path / "p" / ".sierra").exists()
 
@@ -127,7 +127,7 @@ def test_a_loader_that_a_hostile_file_names_is_never_executed(tmp_path: Path) ->
     hostile.chmod(0o755)
     found = programs.find((str(hostile),), {"PATH": SEARCH}, tmp_path)
     assert [one.name for one in found.all] == [str(hostile)]
-    assert found.notes == (f"the libraries of {hostile} are not recorded: its loader {loader} is none of the system's",)
+    assert found.notes == (f"the libraries of {hostile} are not recorded: its loader {loader} does not belong to the system",)
     assert not (tmp_path / "executed").exists()
 
 
@@ -155,7 +155,7 @@ def test_only_a_loader_by_name_in_the_systems_folders_is_executed(tmp_path: Path
     for loader in ("/usr/lib/os-release", f"/lib/../{tmp_path}/ld-linux.so.2", str(tmp_path / "ld-linux.so.2")):
         hostile.write_bytes(elf(os.fsencode(loader) + b"\0"))
         doubt = libraries.loaded(str(hostile), {}).doubt
-        assert doubt is None or "none of the system's" in doubt
+        assert doubt is None or "does not belong to the system" in doubt
         assert doubt is not None or not Path(loader).exists()
 
 
@@ -433,7 +433,7 @@ def test_changed_programs_are_reported_by_version(tmp_path: Path) -> None:
     assert list(programs.told(before.rows(), used("4.0.1", "b", "2", "d"))) == [
         "argos3: 4.0.0 (aaaaaaaaaa) recorded, 4.0.1 (bbbbbbbbbb) found",
         "python3: installed distributions: numpy 1 recorded, 2 found",
-        "libraries other than recorded: libc.so.6",
+        "libraries that differ from the record: libc.so.6",
     ]
     alike = [Program(f"/{folder}/map.pgm", "", folder * 64, "file") for folder in "abc"]
     assert list(programs.told(Programs(tuple(alike[:2])).rows(), Programs((alike[0], alike[2])))) == [

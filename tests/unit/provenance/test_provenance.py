@@ -315,7 +315,7 @@ def test_the_interpreter_of_a_script_and_its_distributions_are_part_of_the_ident
 
 
 def test_a_missing_program_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(Missing, match="'simulator' is not there"):
+    with pytest.raises(Missing, match="'simulator' was not found"):
         programs.find(("simulator",), {"PATH": "/bin"}, tmp_path)
 
 

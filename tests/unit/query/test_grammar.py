@@ -197,58 +197,58 @@ def test_a_long_invalid_text_is_refused_quickly(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "'': a criterion is not empty; use population_size.Log8"),
-        ("noise = 1", "'noise = 1': a criterion has no blanks; use noise=0,0.5,1"),
-        ("noise\n=1", r"'noise\n=1': a criterion has no blanks; use noise=0,0.5,1"),
+        ("", "'': a criterion must not be empty; use population_size.Log8"),
+        ("noise = 1", "'noise = 1': a criterion must not contain blanks; use noise=0,0.5,1"),
+        ("noise\n=1", r"'noise\n=1': a criterion must not contain blanks; use noise=0,0.5,1"),
         ("2fast=1", "'2fast=1': '2fast' is not a name of letters, digits and _; use fast"),
         ("max-speed=1", "'max-speed=1': 'max-speed' is not a name of letters, digits and _; use max_speed"),
         ("=1", "'=1': '' is not a name of letters, digits and _; use population_size.Log8"),
         ("n.Log1000", "'n.Log1000': 1000 is not a power of two; use Log512 or Log1024"),
-        ("n.Log0", "'n.Log0': Log ends at 1 or more, not 0; use Log8"),
-        ("n.Log-8", "'n.Log-8': Log ends at 1 or more, not -8; use Log8"),
-        ("n.Log08", "'n.Log08': 08 is not how a number is written here; use 8"),
-        ("n.Lgo8", "'n.Lgo8': unknown scale 'Lgo8'; did you mean n.Log8?"),
-        ("n.linear50.c5", "'n.linear50.c5': unknown scale 'linear50.c5'; did you mean n.Linear50.C5?"),
-        ("n.Log", "'n.Log': unknown scale 'Log'; did you mean n.Log8?"),
-        ("n.Linear8", "'n.Linear8': 8 does not divide into 10 equal whole steps; use Linear8.C8 or Linear10"),
+        ("n.Log0", "'n.Log0': Log must end at 1 or more, not 0; use Log8"),
+        ("n.Log-8", "'n.Log-8': Log must end at 1 or more, not -8; use Log8"),
+        ("n.Log08", "'n.Log08': 08 is not in the number format of queries; use 8"),
+        ("n.Lgo8", "'n.Lgo8': unknown range 'Lgo8'; did you mean n.Log8?"),
+        ("n.linear50.c5", "'n.linear50.c5': unknown range 'linear50.c5'; did you mean n.Linear50.C5?"),
+        ("n.Log", "'n.Log': unknown range 'Log'; did you mean n.Log8?"),
+        ("n.Linear8", "'n.Linear8': 8 cannot be divided into 10 equal whole steps; use Linear8.C8 or Linear10"),
         (
             "n.Linear100.C8",
-            "'n.Linear100.C8': 100 does not divide into 8 equal whole steps; "
+            "'n.Linear100.C8': 100 cannot be divided into 8 equal whole steps; "
             "use Linear100.C5, Linear100, Linear96.C8 or Linear104.C8",
         ),
-        ("n.Linear0", "'n.Linear0': Linear ends at 1 or more, not 0; use Linear100.C10"),
-        ("n.Linear100.C0", "'n.Linear100.C0': a count is 1 or more, not 0; use C5"),
-        ("v.1.9.C4", "'v.1.9.C4': 1 to 9 does not divide into 3 equal whole gaps; use =1:9:4, .1.9.C3 or .1.9.C5"),
-        ("v.1.9.C1", "'v.1.9.C1': one value has no start and end; use 2 or more"),
-        ("v.1.9.C-2", "'v.1.9.C-2': a count is 1 or more, not -2; use C5"),
-        ("v.9.9.C2", "'v.9.9.C2': it starts where it ends, at 9; use =9 for one value"),
-        ("v.1.9", "'v.1.9': it does not say how many values from 1 to 9; use v.1.9.C5"),
+        ("n.Linear0", "'n.Linear0': Linear must end at 1 or more, not 0; use Linear100.C10"),
+        ("n.Linear100.C0", "'n.Linear100.C0': a count must be 1 or more, not 0; use C5"),
+        ("v.1.9.C4", "'v.1.9.C4': 1 to 9 cannot be divided into 3 equal whole steps; use =1:9:4, .1.9.C3 or .1.9.C5"),
+        ("v.1.9.C1", "'v.1.9.C1': a range needs at least two values; use a count of 2 or more"),
+        ("v.1.9.C-2", "'v.1.9.C-2': a count must be 1 or more, not -2; use C5"),
+        ("v.9.9.C2", "'v.9.9.C2': its start and end are the same, 9; use =9 for one value"),
+        ("v.1.9", "'v.1.9': the number of values from 1 to 9 is missing; use v.1.9.C5"),
         (
             "v.0.2.0.8.C4",
-            "'v.0.2.0.8.C4': steps are from, to and how many, with p for the decimal point; use v.0p5.2p5.C5",
+            "'v.0.2.0.8.C4': steps need from, to and a count, with p for the decimal point; use v.0p5.2p5.C5",
         ),
-        ("v=0p2,0p4", "'v=0p2,0p4': 0p2 is not how a number is written here; use 0.2"),
-        ("v=1,000", "'v=1,000': 000 is not how a number is written here; use 0"),
-        ("v=1_000", "'v=1_000': 1_000 is not how a number is written here; use 1000"),
-        ("v=nan", "'v=nan': 'nan' is not a number; use one as 5, -0.5 or 1e-3"),
-        ("v=1e999", "'v=1e999': 1e999 is not within the floats; use one from 1e-307 to 1e308"),
-        ("v=1e-999", "'v=1e-999': 1e-999 is not within the floats; use one from 1e-307 to 1e308"),
-        ("v=9223372036854775808", "'v=9223372036854775808': a number is too large; use at most 9223372036854775807"),
-        ("v=1,low", "'v=1,low': 'low' is a name among numbers; use all numbers, or all names"),
+        ("v=0p2,0p4", "'v=0p2,0p4': 0p2 is not in the number format of queries; use 0.2"),
+        ("v=1,000", "'v=1,000': 000 is not in the number format of queries; use 0"),
+        ("v=1_000", "'v=1_000': 1_000 is not in the number format of queries; use 1000"),
+        ("v=nan", "'v=nan': 'nan' is not a number; use a number such as 5, -0.5 or 1e-3"),
+        ("v=1e999", "'v=1e999': 1e999 is outside the range of floats; use a number from 1e-307 to 1e308"),
+        ("v=1e-999", "'v=1e-999': 1e-999 is outside the range of floats; use a number from 1e-307 to 1e308"),
+        ("v=9223372036854775808", "'v=9223372036854775808': a number is too large; use a number up to 9223372036854775807"),
+        ("v=1,low", "'v=1,low': 'low' is a name in a list of numbers; use only numbers, or only names"),
         ("v=1,2,1", "'v=1,2,1': 1 is listed twice; use it once"),
         ("v=1,1.0", "'v=1,1.0': 1.0 is listed twice; use it once"),
         ("v=low,low", "'v=low,low': 'low' is listed twice; use it once"),
         ("v=..", "'v=..': '..' is not a value; use a number, or a name of letters, digits, _ - and ."),
         ("v=1,", "'v=1,': '' is not a value; use a number, or a name of letters, digits, _ - and ."),
-        ("v=0:1", "'v=0:1': a span says from, to and how many; use v=0:1:5"),
-        ("v=0:1:0", "'v=0:1:0': a count is 1 or more, not 0; use C5"),
+        ("v=0:1", "'v=0:1': a range needs from, to and a count; use v=0:1:5"),
+        ("v=0:1:0", "'v=0:1:0': a count must be 1 or more, not 0; use C5"),
         ("v=0:1:1000001", "'v=0:1:1000001': 1000001 values are too many; use at most 1000000"),
         ("montecarlo.C2000000", "'montecarlo.C2000000': 2000000 values are too many; use at most 1000000"),
-        ("montecarlo.Log8", "'montecarlo.Log8': montecarlo has nothing but a count; use montecarlo.C20"),
-        ("MonteCarlo.C5", "'MonteCarlo.C5': MonteCarlo is written small; use montecarlo.C5"),
+        ("montecarlo.Log8", "'montecarlo.Log8': montecarlo takes only a count; use montecarlo.C20"),
+        ("MonteCarlo.C5", "'MonteCarlo.C5': MonteCarlo must be in small letters; use montecarlo.C5"),
         ("v.C5", "'v.C5': v has a count, but no range; use v.1.9.C5, or montecarlo.C5 to vary seeds only"),
-        ("d.0p0.I16.C4", "'d.0p0.I16.C4': a density is more than 0, not 0; use 5p0"),
-        ("d.5p0.I0.C4", "'d.5p0.I0.C4': an increment is more than 0, not 0; use I16"),
+        ("d.0p0.I16.C4", "'d.0p0.I16.C4': a density must be more than 0, not 0; use 5p0"),
+        ("d.5p0.I0.C4", "'d.5p0.I0.C4': an increment must be more than 0, not 0; use I16"),
     ],
 )
 def test_errors_say_what_is_wrong_and_suggest_a_correction(text: str, message: str) -> None:
@@ -315,14 +315,14 @@ def test_criteria_keep_their_order() -> None:
 @pytest.mark.parametrize(
     ("texts", "message"),
     [
-        (["n.Log8", "N=1,2"], "'N=1,2': 'N' is asked for already, by 'n.Log8'; use one of them"),
-        (["n.Log8", "n.Log8"], "'n.Log8': 'n' is asked for already, by 'n.Log8'; use one of them"),
-        (["Seed=1,2"], "'Seed=1,2': 'Seed' is a column of the store; use another, as in my_Seed"),
+        (["n.Log8", "N=1,2"], "'N=1,2': 'N' is already an axis, by 'n.Log8'; use one of them"),
+        (["n.Log8", "n.Log8"], "'n.Log8': 'n' is already an axis, by 'n.Log8'; use one of them"),
+        (["Seed=1,2"], "'Seed=1,2': 'Seed' is a column of the store; use another name, for example my_Seed"),
         (
             ["a=0:1:2000", "b=0:1:2000"],
-            "'a=0:1:2000 b=0:1:2000' ask for more than 1000000 experiments; use fewer values",
+            "'a=0:1:2000 b=0:1:2000' expand to more than 1000000 experiments; use fewer values",
         ),
-        ([], "a query has at least one criterion; use population_size.Log8"),
+        ([], "a query needs at least one criterion; use population_size.Log8"),
     ],
 )
 def test_conflicting_criteria_are_refused(texts: list[str], message: str) -> None:
@@ -362,7 +362,7 @@ def test_log_ranges_double_and_linear_ranges_have_even_steps(power: int, step: i
 
 
 def test_values_that_floats_cannot_distinguish_are_refused() -> None:
-    with pytest.raises(QueryError, match="closer together than floats can tell apart"):
+    with pytest.raises(QueryError, match="too close together to differ as floats"):
         grammar.parse("x=100:100.00000000000001:5")
 
 

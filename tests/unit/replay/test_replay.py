@@ -133,7 +133,7 @@ def test_a_changed_program_is_reported_before_the_verdict_and_a_missing_one_is_a
     program.unlink()
     ended = projects.quick(root, "replay", batch)
     assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
-    assert "is not there" in ended.stderr
+    assert "was not found" in ended.stderr
 
 
 @pytest.mark.integration

@@ -304,7 +304,7 @@ def test_any_bytes_are_a_template_or_are_refused(data: bytes) -> None:
 
 def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     for path in (tmp_path / "none.xml", tmp_path / "a\nb", tmp_path / "nul\0"):
-        with pytest.raises(Missing, match=r"cannot be read$") as caught:
+        with pytest.raises(Missing, match=r"cannot read the template$") as caught:
             templates.read(path)
         assert str(caught.value).isprintable()
 
@@ -347,9 +347,9 @@ def test_paths_may_use_the_documents_prefixes_and_underscore_for_the_default() -
         ("//a\0", "is not an XPath"),
         ("nope()", "is not an XPath"),
         ("$x", "is not an XPath"),
-        ("count(//*)", "gives a number"),
-        ("string(//*)", "gives a string"),
-        ("1 = 1", "gives a boolean"),
+        ("count(//*)", "returns a number"),
+        ("string(//*)", "returns a string"),
+        ("1 = 1", "returns a boolean"),
         ("//namespace::*", "selects namespaces"),
     ],
 )
@@ -423,7 +423,7 @@ def test_any_text_that_is_set_is_read_back_or_refused(text: str) -> None:
     begin = template("<r a='1'><b/><c>1</c></r>")
     if re.search("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", text):
         for change in changes:
-            with pytest.raises(TemplateError, match="XML cannot hold it"):
+            with pytest.raises(TemplateError, match="XML does not allow it"):
                 begin.changed([change], {})
         return
     made = begin.changed(changes, {}).render()
@@ -432,7 +432,7 @@ def test_any_text_that_is_set_is_read_back_or_refused(text: str) -> None:
 
 def test_a_value_that_xml_cannot_contain_is_refused_with_the_name_of_the_change() -> None:
     message = refused(SUMO, Set("//flow/@number", "a\0b", why="variable 'x'"))
-    assert message == "variable 'x': //flow/@number cannot get a text with U+0000 in template.xml: XML cannot hold it"
+    assert message == "variable 'x': //flow/@number cannot contain the character U+0000 in template.xml: XML does not allow it"
 
 
 def test_an_unknown_name_in_an_expression_is_reported_with_the_name_of_the_change() -> None:
@@ -537,9 +537,9 @@ def test_rename_keeps_the_namespace_unless_another_is_given() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (Set("//@id", "1", attribute="b"), "selects attributes in template.xml; this set is for elements"),
-        (Add("//@id", "<a/>"), "selects attributes in template.xml; this add is for elements"),
-        (Rename("//@id", "a"), "selects attributes in template.xml; this rename is for elements"),
+        (Set("//@id", "1", attribute="b"), "selects attributes in template.xml; set works on elements"),
+        (Add("//@id", "<a/>"), "selects attributes in template.xml; add works on elements"),
+        (Rename("//@id", "a"), "selects attributes in template.xml; rename works on elements"),
         (Set("/", "1"), ""),
     ],
 )
@@ -757,7 +757,7 @@ def test_a_path_whose_evaluation_takes_too_long_is_refused(path: str, monkeypatc
     monkeypatch.setattr("sierra.templates.xpath_time_limit.LIMIT_S", 1)
     with pytest.raises(TemplateError) as caught:
         template(MANY).find(path)
-    assert str(caught.value).startswith(f"{path} takes more than 1 s of computing in template.xml; use a path")
+    assert str(caught.value).startswith(f"{path} takes more than 1 s of computing time in template.xml; use a path")
 
 
 @pytest.mark.integration

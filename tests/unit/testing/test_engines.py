@@ -114,13 +114,13 @@ class Unsure(NoEngine):
 @pytest.mark.parametrize(
     ("engine", "claim", "complaint"),
     [
-        (Leaking, conformance.passes_the_environment_exactly, "variables of the caller's"),
+        (Leaking, conformance.passes_the_environment_exactly, "variables of the caller"),
         (Splitting, conformance.passes_words_as_they_are, "became"),
         (Deaf, conformance.ends_a_program_that_does_not_care, "did not end"),
         (Talking, conformance.keeps_output_apart, "standard error became"),
         (Unsure, conformance.says_what_it_can, "start another engine"),
         (NoEngine, conformance.has_no_rights, "Cap"),
-        (NoEngine, conformance.has_no_name_of_the_hosts, "the host is called"),
+        (NoEngine, conformance.has_no_name_of_the_hosts, "the container's host name is"),
         (NoEngine, conformance.says_what_cannot_be_started, "became|No such file"),
     ],
 )

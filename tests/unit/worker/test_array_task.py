@@ -193,7 +193,7 @@ def test_runs_with_damaged_results_are_executed_again(folder: Folder, tmp_path: 
     whole = pack.path.read_bytes()
     ended = folder.ended()["run1"]
     pack.path.write_bytes(whole[: ended.at] + b"\0" + whole[ended.at + 1 :])
-    with pytest.raises(Damaged, match="not as it was recorded"):
+    with pytest.raises(Damaged, match="does not match its record"):
         pack.extract(ended, tmp_path / "taken")
     assert not (tmp_path / "taken").exists()
     assert folder.run()[0] == 0
@@ -385,7 +385,7 @@ def test_a_changed_required_file_is_reported_before_any_run_executes(folder: Fol
     for words in (("0",), ("--probe", "0")):
         code, said = folder.run(*words)
         assert (code, said.count("\n")) == (3, 1)
-        assert f"simulator: {program} is another than on the host that submitted" in said
+        assert f"simulator: {program} differs from the one on the submitting host" in said
     program.unlink()
     assert "No such file" in folder.run()[1]
     assert len(folder.events(Trouble)) == 3
@@ -407,7 +407,7 @@ def test_a_program_called_by_name_is_checked_as_the_node_finds_it(folder: Folder
     assert folder.run("--probe", "0") == (0, "")
     (tmp_path / "first" / "simulator").write_bytes(b"another")
     code, said = folder.run("--probe", "0")
-    assert (code, f"simulator: {tmp_path}/first/simulator is another than on the host that submitted" in said) == (3, True)
+    assert (code, f"simulator: {tmp_path}/first/simulator differs from the one on the submitting host" in said) == (3, True)
 
 
 def test_a_required_link_is_compared_by_its_target(folder: Folder, tmp_path: Path) -> None:
@@ -420,7 +420,7 @@ def test_a_required_link_is_compared_by_its_target(folder: Folder, tmp_path: Pat
     link.unlink()
     link.symlink_to("elsewhere")
     code, said = folder.run("--probe", "0")
-    assert (code, f"{link} is another than on the host that submitted" in said) == (3, True)
+    assert (code, f"{link} differs from the one on the submitting host" in said) == (3, True)
 
 
 def test_a_python_with_other_distributions_is_reported(folder: Folder, tmp_path: Path) -> None:
@@ -435,8 +435,8 @@ def test_a_python_with_other_distributions_is_reported(folder: Folder, tmp_path:
     (tmp_path / "site-packages" / "numpy-1.26.4.dist-info").rename(tmp_path / "site-packages" / "numpy-2.0.dist-info")
     code, said = folder.run()
     assert (code, said.count("\n")) == (3, 1)
-    assert "python3: installed distributions are others than on the host that submitted: " in said
-    assert "/numpy-1.26.4.dist-info is not here, " in said
+    assert "python3: installed distributions differ from those on the submitting host: " in said
+    assert "/numpy-1.26.4.dist-info is missing here, " in said
     assert "/numpy-2.0.dist-info is only here" in said
     assert folder.events(Started) == []
 
@@ -476,7 +476,7 @@ def test_the_scratch_folder_may_use_variables_of_the_node(folder: Folder, tmp_pa
     folder.deal(many(1, 'echo "$SIERRA_RUN_DIR"'))
     folder.set(scratch="$WHERE/${DEEP}/runs")
     code, said = folder.run(WHERE=str(tmp_path))
-    assert (code, "there is no $DEEP" in said) == (3, True)
+    assert (code, "the variable $DEEP is not set" in said) == (3, True)
     (tmp_path / "down").mkdir()
     assert folder.run(WHERE=str(tmp_path), DEEP="down")[0] == 0
     (pack,) = [pack for pack in folder.packs() if any(isinstance(event, Ended) for event in pack.read())]
@@ -491,7 +491,7 @@ def test_only_the_last_folder_of_a_missing_scratch_path_is_created(folder: Folde
     for words in (("0",), ("--probe", "0")):
         code, said = folder.run(*words)
         assert code == 3
-        assert f"scratch = {scratch.format(tmp_path)}: there is no folder to make it in" in said
+        assert f"scratch = {scratch.format(tmp_path)}: its parent folder does not exist" in said
     assert not (tmp_path / "scrach").exists()
     assert not Path("/scrach").exists()
     folder.set(scratch=f"{tmp_path}/scrach")
@@ -716,7 +716,7 @@ def test_a_record_of_another_version_is_reported(tmp_path: Path) -> None:
 def test_paths_out_of_a_runs_folder_are_refused(packed: Pack, tmp_path: Path, path: str) -> None:
     ended = next(event for event in Pack(packed.path).read() if isinstance(event, Ended))
     hostile = Ended(ended.result, ((path, *ended.files[0][1:]),), ended.at)
-    with pytest.raises(Damaged, match="does not lie in a run's folder"):
+    with pytest.raises(Damaged, match="is not in a run's folder"):
         packed.extract(hostile, tmp_path / "in" if (tmp_path / "in").mkdir() else tmp_path / "in" / "taken")
     assert [entry.name for entry in tmp_path.rglob("*")] == ["in"]
 

@@ -101,7 +101,7 @@ def test_doctor_warns_that_podman_is_slow_with_the_vfs_driver(
         ("Error: netavark: No such file or directory", "install netavark"),
         ("Error: lookup init binary: stat /usr/libexec/podman/catatonit: no such file or directory", "install catatonit"),
         ("cannot clone: Operation not permitted", "kernel.unprivileged_userns_clone"),
-        ("Error: write /var/lib/containers: no space left on device", "no room on the disk"),
+        ("Error: write /var/lib/containers: no space left on device", "the disk is full"),
         ("Error: it is a Tuesday", "it is a Tuesday"),
     ],
 )
@@ -187,7 +187,7 @@ def test_singularity_ce_is_called_with_its_own_program_and_variable_names(preten
 @pytest.mark.parametrize(
     ("complaint", "remedy"),
     [
-        ("ERROR  : Could not write info to setgroups: user namespace not permitted", "installs apptainer with setuid"),
+        ("ERROR  : Could not write info to setgroups: user namespace not permitted", "install apptainer with setuid"),
         ("ERROR  : Requesting capability set 0x1ffffffffff while permitted capability set is 0x0", "default capabilities"),
         ("FATAL:   while starting: it rains", "it rains"),
     ],
@@ -241,7 +241,7 @@ class TestApptainersEndings:
             ("FATAL:   permission denied", "the command cannot be started"),
             (
                 "FATAL:   While checking container encryption: could not open image /x: no such file",
-                "the image can't be opened",
+                "the image cannot be opened",
             ),
             ("FATAL:   container creation failed: of something else", "container creation failed"),
         ):

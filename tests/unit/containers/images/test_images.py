@@ -252,7 +252,7 @@ def test_layer_paths_and_links_that_leave_the_image_are_refused(project: Project
     for name in ("../../escape", "a/../../escape", "/../escape"):
         made.docker_archive(project.root / "sim.tar", [BASE, made.layer((name, "x"))])
         assert_refused(project, "sim.tar", "layer 2", "leads out of the image")
-    for target, words in (("../../../etc/shadow", "leads out of the image"), ("/etc/passwd", "no file of the same layer")):
+    for target, words in (("../../../etc/shadow", "leads out of the image"), ("/etc/passwd", "not a file of the same layer")):
         made.docker_archive(project.root / "sim.tar", [BASE, made.layer((f"etc/shadow => {target}", ""))])
         assert_refused(project, "sim.tar", words)
 
@@ -303,9 +303,12 @@ def test_archives_with_a_changed_byte_are_refused(project: Project, form: str) -
 
 
 BAD: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
-    "a layer is not there": (lambda p: made.docker_archive(p, [BASE, TOP], layer1=None), ("layer 2", "is not there")),
-    "a blob is not there": (lambda p: made.oci_archive(p, [BASE, TOP], layer0=None), ("layer 1", "is not there")),
-    "another layer": (lambda p: made.docker_archive(p, [BASE, TOP], layer1=BASE), ("layer 2 of 2", "is not the image's")),
+    "a layer is not there": (lambda p: made.docker_archive(p, [BASE, TOP], layer1=None), ("layer 2", "is missing")),
+    "a blob is not there": (lambda p: made.oci_archive(p, [BASE, TOP], layer0=None), ("layer 1", "is missing")),
+    "another layer": (
+        lambda p: made.docker_archive(p, [BASE, TOP], layer1=BASE),
+        ("layer 2 of 2", "does not match the configuration"),
+    ),
     "another blob": (lambda p: made.oci_archive(p, [BASE], layer0=gzip.compress(TOP)), ("layer 1",)),
     "another configuration": (lambda p: made.docker_archive(p, [BASE], config=made.config([TOP])), ("configuration",)),
     "other OCI configuration": (
@@ -313,15 +316,15 @@ BAD: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
         ("configuration",),
     ),
     "too few layers": (lambda p: made.docker_archive(p, [BASE], made.config([BASE, TOP])), ("2 layers, the manifest 1",)),
-    "no manifest": (lambda p: made.docker_archive(p, [BASE], manifest=None), ("no image",)),
+    "no manifest": (lambda p: made.docker_archive(p, [BASE], manifest=None), ("not an image",)),
     "two images": (
         lambda p: made.docker_archive(p, [BASE], manifest=b'[{"RepoTags": ["a:1"]}, {"RepoTags": ["b:1"]}]'),
         ("2 images (a:1; b:1)",),
     ),
-    "no image": (lambda p: made.docker_archive(p, [BASE], manifest=b"[]"), ("no image",)),
+    "no image": (lambda p: made.docker_archive(p, [BASE], manifest=b"[]"), ("contains no image",)),
     "no JSON": (lambda p: made.docker_archive(p, [BASE], manifest=b"[{"), ("manifest.json", "JSON")),
     "deep JSON": (lambda p: made.docker_archive(p, [BASE], manifest=b"[" * 100_000), ("JSON",)),
-    "not a list": (lambda p: made.docker_archive(p, [BASE], manifest=b'{"a": 1}'), ("no image",)),
+    "not a list": (lambda p: made.docker_archive(p, [BASE], manifest=b'{"a": 1}'), ("contains no image",)),
     "odd configuration": (lambda p: made.docker_archive(p, [BASE], b'{"rootfs": {"diff_ids": [1]}}'), ("configuration",)),
     "odd variables": (lambda p: made.docker_archive(p, [BASE], made.config([BASE], config={"Env": [1]})), ("configuration",)),
     "a wrong size": (lambda p: made.oci_archive(p, [BASE], said={"size": 1}), ("layer 1", "bytes")),
@@ -334,10 +337,10 @@ BAD: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "a layer that is no tar": (lambda p: made.docker_archive(p, [b"no tar at all" * 99]), ("layer 1", "tar")),
     "a broken header": (lambda p: made.docker_archive(p, [TOP[:512] + TOP[512:1024] + b"x" * 512 + TOP]), ("broken header",)),
     "a whole gzip": (lambda p: p.write_bytes(gzip.compress(BASE)), ()),
-    "no archive": (lambda p: p.write_bytes(b"x" * 5000), ("no image",)),
-    "nothing": (lambda p: p.write_bytes(b""), ("no image",)),
-    "an empty folder": (lambda p: p.mkdir(), ("no image",)),
-    "no file": (lambda p: None, ("no image file",)),
+    "no archive": (lambda p: p.write_bytes(b"x" * 5000), ("not an image",)),
+    "nothing": (lambda p: p.write_bytes(b""), ("not an image",)),
+    "an empty folder": (lambda p: p.mkdir(), ("not an image",)),
+    "no file": (lambda p: None, ("image file", "does not exist")),
 }
 
 
@@ -534,7 +537,7 @@ def test_image_for_another_architecture_is_refused(project: Project, system: byt
     made.docker_archive(project.root / "sim.tar", [BASE], configured)
     made.sif(project.root / "sim.sif", system, architecture=other)
     for name in ("sim.tar", "sim.sif"):
-        with pytest.raises(Missing, match=f"is for .*, and this machine is {images.machine()}"):
+        with pytest.raises(Missing, match=f"is for .*, but this machine is {images.machine()}"):
             images.verify(project.root, project.pin(name).image)
 
 
@@ -598,7 +601,7 @@ def test_exported_archive_is_verified_and_removed_if_damaged(project: Project, t
 
 def test_export_to_a_missing_folder_is_refused(project: Project) -> None:
     done = quick(project.root, "image", "export", "localhost/sim:1", "nowhere/sim.tar")
-    assert (done.returncode, done.stderr) == (2, "sierra: there is no folder nowhere for sim.tar\n")
+    assert (done.returncode, done.stderr) == (2, "sierra: the folder nowhere for sim.tar does not exist\n")
 
 
 def test_pin_without_a_name_is_refused_if_the_project_names_no_image(project: Project) -> None:

@@ -104,7 +104,7 @@ def test_missing_commands_of_pbs_are_reported(
     monkeypatch.setenv("PATH", str(tmp_path))
     scheduler = Pbs(ClusterTable())
     for called in (scheduler.version, scheduler.bounds, lambda: scheduler.submit(ask())):
-        with pytest.raises(Missing, match="no qsub here"):
+        with pytest.raises(Missing, match="qsub is not installed here"):
             called()
     assert scheduler.look(NAME) is None
 
@@ -113,7 +113,7 @@ def test_a_qsub_of_another_scheduler_is_reported(tmp_path: Path, monkeypatch: py
     (tmp_path / "qsub").write_text("#!/bin/sh\necho this is Grid Engine; exit 7\n")
     (tmp_path / "qsub").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    with pytest.raises(Missing, match="neither that it is OpenPBS nor Torque: this is Grid Engine"):
+    with pytest.raises(Missing, match="neither OpenPBS nor Torque: this is Grid Engine"):
         Pbs(ClusterTable()).version()
 
 
@@ -121,7 +121,7 @@ def test_a_wrapper_that_cannot_reach_its_cluster_is_reported(tmp_path: Path, mon
     (tmp_path / "qsub").write_text("#!/bin/sh\necho perl: fatal: Could not establish a configuration source >&2; exit 1\n")
     (tmp_path / "qsub").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    with pytest.raises(Missing, match=r"qsub can't reach its cluster: .*establish a configuration source$"):
+    with pytest.raises(Missing, match=r"qsub cannot reach its cluster: .*establish a configuration source$"):
         Pbs(ClusterTable()).version()
 
 
@@ -209,7 +209,7 @@ def test_variables_of_the_callers_shell_do_not_affect_jobs(
 
 
 def test_an_unknown_queue_is_refused_with_the_schedulers_message(server: pbs.Server, ask: Callable[..., Request]) -> None:
-    with pytest.raises(ConfigError, match=r"qsub refuses: Unknown queue.*; asked for: partition = 'nope'"):
+    with pytest.raises(ConfigError, match=r"qsub refuses: Unknown queue.*; requested: partition = 'nope'"):
         Pbs(ClusterTable(partition="nope")).submit(ask())
 
 
@@ -239,7 +239,7 @@ def test_torque_refuses_resources_that_no_node_has(server: pbs.Server, ask: Call
 
 
 def test_a_qos_is_refused_because_only_slurm_has_it(server: pbs.Server, ask: Callable[..., Request]) -> None:
-    with pytest.raises(ConfigError, match="qos = 'high' is SLURM's; say in directives"):
+    with pytest.raises(ConfigError, match="qos = 'high' is an option of SLURM; use directives"):
         Pbs(ClusterTable(qos="high")).submit(ask())
 
 
@@ -666,7 +666,7 @@ def test_deleted_jobs_end_the_session(server: pbs.Server, tmp_path: Path, which:
     subprocess.run(["qdel", job.replace("[]", "[1]") if which == "one element" else job], check=True)
     out, err = asked.communicate(timeout=200)
     assert asked.returncode == 130, out + err
-    assert f"pbs job {job} was cancelled, and not by SIERRA" in err
+    assert f"pbs job {job} was cancelled, but not by SIERRA" in err
     assert "submitted again" not in err
     gate.touch()
     server.begin()

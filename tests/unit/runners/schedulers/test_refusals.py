@@ -96,18 +96,21 @@ def test_an_unknown_message_is_reported_unchanged() -> None:
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ("cpus = 99", r"PartitionConfig: no node of the partition has all of that; asked for: cpus = 99; the site has"),
+        (
+            "cpus = 99",
+            r"PartitionConfig: no node of the partition can satisfy the whole request; requested: cpus = 99; the site has",
+        ),
         pytest.param(
             'constraint = "slow"',
-            r"Invalid feature specification: .*; asked for: constraint = 'slow'; the site has",
+            r"Invalid feature specification: .*; requested: constraint = 'slow'; the site has",
             marks=pytest.mark.nightly,
         ),
         pytest.param(
             'partition = "closed"',
-            r"account.*: not open to the account; asked for: partition = 'closed'; the site has partition closed",
+            r"account.*: not available to the account; requested: partition = 'closed'; the site has partition closed",
             marks=pytest.mark.nightly,
         ),
-        ('memory = "1 TB"', r"Memory specification.*; asked for: memory = 1000 GB; the site has"),
+        ('memory = "1 TB"', r"Memory specification.*; requested: memory = 1000 GB; the site has"),
     ],
 )
 def test_refusals_of_slurm_name_the_requested_settings_and_the_sites_resources(
@@ -126,7 +129,7 @@ def test_status_reports_the_same_for_a_detached_batch(tmp_path: Path, slurm: Slu
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}[runners.slurm]\ncpus = 99\n")
     assert projects.sierra(root, "run", "noise=1", "--on", "slurm", "--detach").returncode == 0
     told = projects.sierra(root, "status").stdout
-    assert re.search(r"never begins: PartitionConfig: .*; asked for: cpus = 99, wall = 3600; the site has", told), told
+    assert re.search(r"never begins: PartitionConfig: .*; requested: cpus = 99, wall = 3600; the site has", told), told
 
 
 @pytest.mark.parametrize("dialect", ["openpbs", "torque"])
@@ -135,7 +138,7 @@ def test_refusals_of_pbs_name_the_requested_settings_and_the_sites_resources(
 ) -> None:
     server = pbs.Server(tmp_path / "pbs", dialect)
     monkeypatch.setenv("PATH", str(server.bin), prepend=os.pathsep)
-    with pytest.raises(ConfigError, match=r"Unknown queue.*; asked for: partition = 'nowhere'; the site has queues workq"):
+    with pytest.raises(ConfigError, match=r"Unknown queue.*; requested: partition = 'nowhere'; the site has queues workq"):
         Pbs(ClusterTable(partition="nowhere")).submit(request_of(tmp_path))
 
 

@@ -283,7 +283,7 @@ def test_an_answer_without_a_job_is_reported_as_unknown(
     sbatch: Callable[[str], None], request_of: Callable[..., Request]
 ) -> None:
     sbatch("cat > /dev/null; echo Job 12 would start at noon")
-    with pytest.raises(Missing, match="'Job 12 would start at noon'; whether there is one is not known"):
+    with pytest.raises(Missing, match="'Job 12 would start at noon'; it is unknown whether the job exists"):
         scheduler().submit(request_of())
 
 
@@ -299,7 +299,7 @@ def test_waiting_for_an_answer_of_sbatch_ends_after_a_time_limit(
 def test_a_host_without_slurm_is_reported(monkeypatch: pytest.MonkeyPatch, request_of: Callable[..., Request]) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
     for asked in (scheduler().version, scheduler().bounds, lambda: scheduler().submit(request_of())):
-        with pytest.raises(Missing, match=r"there is no (sbatch|scontrol) here"):
+        with pytest.raises(Missing, match=r"(sbatch|scontrol) is not installed here"):
             asked()
     assert scheduler().look("sierra-1234567") is None
 
@@ -322,7 +322,7 @@ def test_limits_of_the_site_are_returned(slurm: clusters.Slurm) -> None:
     assert bounds.whose == {"array": "MaxArraySize", "jobs": "MaxJobCount", "wall_s": "MaxTime of partition debug"}
     assert scheduler(partition="short").bounds().wall_s == 60
     assert scheduler(partition="debug,short").bounds().wall_s == 60
-    with pytest.raises(ConfigError, match="no partition 'nope'; there are debug, short"):
+    with pytest.raises(ConfigError, match="no partition 'nope'; it has debug, short"):
         scheduler(partition="nope").bounds()
 
 

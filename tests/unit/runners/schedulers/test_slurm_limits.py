@@ -92,8 +92,8 @@ def test_the_requested_account_partition_and_qos_select_the_limits() -> None:
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ({"account": "chemistry"}, "account 'chemistry' is none of yours on this cluster; there are physics$"),
-        ({"qos": "high"}, "QOS 'high' is none of account 'physics'; there are normal, short$"),
+        ({"account": "chemistry"}, "account 'chemistry' is not yours on this cluster; you have physics$"),
+        ({"qos": "high"}, "QOS 'high' is not open to account 'physics'; it has normal, short$"),
     ],
 )
 def test_the_error_for_a_foreign_account_or_qos_names_the_users_own(table: dict[str, str], words: str) -> None:
@@ -172,11 +172,11 @@ ASKED = ("run", "size=1", "--runs", "40", "--on", "slurm", "--no-figures")
 def test_a_dry_run_obeys_accounting_limits_and_names_their_origin(limited: Callable[[str], Simulated]) -> None:
     told = limited("array_tasks = 30").quick(*ASKED, "-n", "--explain").stdout
     for line in (
-        "array_tasks +5 +the jobs that the site allows \\(MaxSubmitJobsPerUser of QOS normal\\)",
-        "jobs at a time +6 +the site allows no more: MaxSubmitJobsPerUser of QOS normal",
-        "jobs that run at a time +2 +the site allows no more: MaxJobsPerUser of QOS normal",
-        "longest wall +1200 +the site allows no more: MaxWall of QOS normal",
-        "longest array +1001 +the site allows no more: MaxArraySize",
+        "elements +5 +the jobs that the site allows \\(MaxSubmitJobsPerUser of QOS normal\\)",
+        "jobs at a time +6 +the site's limit: MaxSubmitJobsPerUser of QOS normal",
+        "jobs that run at a time +2 +the site's limit: MaxJobsPerUser of QOS normal",
+        "longest wall +1200 +the site's limit: MaxWall of QOS normal",
+        "longest array +1001 +the site's limit: MaxArraySize",
     ):
         assert re.search(f"^{line}$", told, re.MULTILINE), told
 
@@ -186,8 +186,8 @@ def test_a_dry_run_obeys_accounting_limits_and_names_their_origin(limited: Calla
     ("table", "words"),
     [
         ("wall = 1800", "more than the site allows, 1200 s (MaxWall of QOS normal)"),
-        ('account = "chemistry"', "account 'chemistry' is none of yours on this cluster; there are physics"),
-        ('qos = "high"', "QOS 'high' is none of account 'physics'; there are normal, short"),
+        ('account = "chemistry"', "account 'chemistry' is not yours on this cluster; you have physics"),
+        ('qos = "high"', "QOS 'high' is not open to account 'physics'; it has normal, short"),
     ],
 )
 def test_a_violation_of_accounting_limits_is_refused_in_one_line(
