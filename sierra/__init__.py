@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from sierra.execution.resolve_plan import Plan
     from sierra.execution.summary import Summary
     from sierra.replay.verdicts import Replay
-    from sierra.store.result import Result
+    from sierra.store.public_result import Result
 
 HOMES = {
     "ConfigError": "sierra.errors",
@@ -48,7 +48,7 @@ HOMES = {
     "Project": "sierra.api",
     "QueryError": "sierra.errors",
     "Replay": "sierra.replay.verdicts",
-    "Result": "sierra.store.result",
+    "Result": "sierra.store.public_result",
     "SierraError": "sierra.errors",
     "SqlError": "sierra.errors",
     "Summary": "sierra.execution.summary",

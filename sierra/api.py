@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from sierra.containers.images.image import Image
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
+    from sierra.execution.cluster_status import Standing
     from sierra.execution.execute_missing import RunOptions
     from sierra.execution.observer import Observer
     from sierra.execution.resolve_plan import Plan
-    from sierra.execution.status import Standing
     from sierra.execution.summary import Summary
     from sierra.execution.takeover import Cancelled
     from sierra.explain.diff.compare import Comparison
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
     from sierra.maintenance.remove import Removal
     from sierra.maintenance.repair import Repair
     from sierra.provenance.source.share_refs import Shared
-    from sierra.query.request import QueryRequest
+    from sierra.query.query_input import QueryRequest
     from sierra.replay.verdicts import Replay, Tolerances
     from sierra.runners.cluster.estimate import Estimate
-    from sierra.store.export_files import Listing, Outcome
-    from sierra.store.result import Result
+    from sierra.store.export_recorded_files import Listing, Outcome
+    from sierra.store.public_result import Result
 
 
 class Project:
@@ -124,7 +124,7 @@ class Project:
         (3, 9)
         """
         from sierra.execution import plan_from_record
-        from sierra.query import request as requests
+        from sierra.query import query_input
         from sierra.store.store import PREFIX
 
         [word] = query if len(query) == 1 else ("",)
@@ -134,19 +134,19 @@ class Project:
                     f"batch {word} is executed as it was recorded; leave out --runs, --controller, --scenario and --set"
                 )
             return plan_from_record.plan(self._loaded, self.store, word, contained=engine)
-        request = requests.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets)
+        request = query_input.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets)
         return self.resolve(request, engine=engine, observer=observer)
 
     def resolve(self, request: QueryRequest, *, engine: str | None = None, observer: Observer | None = None) -> Plan:
         """Return the plan of a query request: see `plan`.
 
-        >>> from sierra.query.request import request
+        >>> from sierra.query.query_input import request
         >>> len(project.resolve(request(["population_size=1,2"], runs=2)).batch.runs)
         4
         """
         from sierra.execution import resolve_plan
         from sierra.execution.observer import Observer
-        from sierra.explain.changes import respelled
+        from sierra.explain.why_new_runs import respelled
 
         plan = resolve_plan.plan(self._loaded, request, engine=engine, report=(observer or Observer()).planning)
         store = self.stored()
@@ -241,7 +241,7 @@ class Project:
         >>> project.sql("SELECT max(coverage) AS most FROM swarm WHERE tick = $t", within=summary.batch, t=0).num_rows
         1
         """
-        from sierra.store.result import Result
+        from sierra.store.public_result import Result
 
         return Result(self.store.sql(text, within=None if within is None else self.batch(within), **parameters))
 
@@ -274,8 +274,8 @@ class Project:
     def show(self, prefix: str) -> dict[str, Any]:
         """Return the record of a batch, an experiment, a run, an execution or a session, by a prefix of its id.
 
-        For a batch, `history` is the recorded commit as the repository has it now; see `sierra.provenance.history.Known`. For a
-        batch (its last session), an execution and a session, `log_file` is the path of the session's log file, or None.
+        For a batch, `history` is the recorded commit as the repository has it now (`sierra.provenance.commits_between.Known`).
+        For a batch (its last session), an execution and a session, `log_file` is the path of the session's log file, or None.
         Raises NotFound.
 
         >>> project.show(summary.batch)["kind"]
@@ -322,9 +322,9 @@ class Project:
         """Return the recorded commit of a source as the repository has it now; None if the repository does not have it."""
         if not (source and source["commit"]):
             return None
-        from sierra.provenance import history
+        from sierra.provenance import commits_between
 
-        known = history.known(self.root, source["commit"])
+        known = commits_between.known(self.root, source["commit"])
         return asdict(known) if known else None
 
     def replay(
@@ -375,7 +375,7 @@ class Project:
         >>> project.status()
         []
         """
-        from sierra.execution import status
+        from sierra.execution import cluster_status as status
 
         store = self.stored()
         return status.standing(store, prefix, observer) if store else []
@@ -386,7 +386,7 @@ class Project:
         >>> project.left(summary)
         []
         """
-        from sierra.execution import status
+        from sierra.execution import cluster_status as status
 
         found = (status.submitted(self.store.paths.session(session)) for session in summary.detached)
         return [one for one in found if one is not None]
@@ -595,10 +595,10 @@ class Project:
         >>> len(project.files(summary.batch, "swarm.csv").files)
         4
         """
-        from sierra.store import export_files
+        from sierra.store import export_recorded_files
 
-        listed = export_files.listing(self.store, prefix, paths)
-        return listed if to is None else list(export_files.extract(self.store, listed, Path(to)))
+        listed = export_recorded_files.listing(self.store, prefix, paths)
+        return listed if to is None else list(export_recorded_files.extract(self.store, listed, Path(to)))
 
     def figures(self, prefix: str | None = None, name: str | None = None) -> list[Path]:
         """Draw a batch's figures again (all, or the one called `name`); return the files. Default: the batch requested last.
@@ -637,7 +637,7 @@ class Project:
         [2, 2]
         """
         from sierra.deliverables import render
-        from sierra.store.result import Result
+        from sierra.store.public_result import Result
 
         batch = self.batch(prefix)
         return Result(render.statistics(self._loaded, self.store, batch, output, column, measure, threshold, times))
@@ -681,7 +681,7 @@ class Project:
 
 
 def _observer(wanted: bool | None) -> Observer:
-    from sierra.execution import progress
+    from sierra.execution import progress_display as progress
 
     return progress.observer(wanted)
 

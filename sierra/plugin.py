@@ -42,7 +42,7 @@ that offer the same name for one kind are an error that names both; the shipped 
 
 from __future__ import annotations
 
-from sierra.config.plugins import KINDS, VERSION, Kind, NoOptions
+from sierra.config.plugin_registry import KINDS, VERSION, Kind, NoOptions
 from sierra.config.project_file import ClusterTable, Project, Table, options
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images.image import Image

@@ -14,7 +14,7 @@ from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
-    from sierra.store.export_files import Listing, Outcome
+    from sierra.store.export_recorded_files import Listing, Outcome
     from sierra.store.recorded_files import Recorded, Taken
 
 SPOOLED = 64 << 20
@@ -57,7 +57,7 @@ def files(
     """
     from sierra.cli.open_project import project
     from sierra.cli.output import print_json
-    from sierra.store.export_files import extract, listing
+    from sierra.store.export_recorded_files import extract, listing
 
     opened = project()
     listed = listing(opened.store, prefix, paths or ())
@@ -80,7 +80,7 @@ def _print_one(opened: Project, listed: Listing) -> None:
 
     from sierra.cli.output import note, readable
     from sierra.errors import Damaged
-    from sierra.store.export_files import content
+    from sierra.store.export_recorded_files import content
 
     if len(listed.files) > 1:
         raise UsageError(f"{len(listed.files)} files match; choose one file of one run, or write all of them with --to FOLDER")

@@ -131,10 +131,10 @@ def _say_example(folder: Path, files: list[str], *, as_json: bool) -> None:
 def _absent(folder: Path) -> str | None:
     """Return the command that installs what the example needs; None if all of that is installed."""
     from sierra.config import project_file
-    from sierra.provenance import requirements
+    from sierra.provenance import required_packages
 
-    absent = requirements.missing(project_file.load(folder).config, contained=False)
-    return requirements.remedy(absent) if absent else None
+    absent = required_packages.missing(project_file.load(folder).config, contained=False)
+    return required_packages.remedy(absent) if absent else None
 
 
 def _there(folder: Path) -> str:

@@ -66,7 +66,7 @@ def _usage(error: Any) -> int:
 def _unforeseen(error: Exception) -> int:
     if os.environ.get("SIERRA_DEBUG"):
         raise error
-    from sierra.config.plugins import culprit
+    from sierra.config.plugin_registry import culprit
 
     theirs = culprit(error)
     message = f"a fault in {theirs or 'SIERRA itself'}: {type(error).__name__}: {error}"

@@ -14,7 +14,7 @@ from sierra.cli import ask_detach
 from sierra.cli.output import note, raw, safe
 from sierra.errors import UsageError
 from sierra.execution.observer import Observer, Progress
-from sierra.execution.progress import text
+from sierra.execution.progress_display import text
 from sierra.util.text import counted
 
 FIRST_S, LAST_S = 10.0, 300.0

@@ -27,7 +27,7 @@ def show(proposal: Estimate, *, explain: bool, script: bool) -> None:
 
 def _lines(proposal: Estimate) -> Iterator[str]:
     from sierra.cli.output import size
-    from sierra.execution.progress import duration
+    from sierra.execution.progress_display import duration
     from sierra.util.text import counted
 
     tasks, runs = counted(proposal.array_tasks, "array task"), counted(proposal.longest, "run")

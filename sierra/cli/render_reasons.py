@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from sierra.execution.reasons import Reason
-    from sierra.explain.rerun import NextRun
+    from sierra.explain.preview_repeat import NextRun
 
 PREVIEW = {
     ChangeReason.NEW: "new",

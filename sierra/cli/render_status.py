@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sierra.execution.status import Standing
+    from sierra.execution.cluster_status import Standing
 
 COLUMNS = ("batch", "query", "session", "runner", "jobs", "runs", "done", "failed", "state", "followed by", "submitted")
 LONGEST = 40

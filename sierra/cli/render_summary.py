@@ -12,7 +12,7 @@ from sierra.errors import Missing
 
 if TYPE_CHECKING:
     from sierra.api import Project
-    from sierra.execution.status import Standing
+    from sierra.execution.cluster_status import Standing
     from sierra.execution.summary import Summary
 
 COUNTED = ("runs", "succeeded", "failed")

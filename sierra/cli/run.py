@@ -95,7 +95,7 @@ def run(
     from sierra.cli.progress import Planning, watching
     from sierra.config import user
     from sierra.query.grammar import setting
-    from sierra.query.request import SUFFIX
+    from sierra.query.query_input import SUFFIX
 
     project = open_project.project()
     asked: dict[str, Any] = {
@@ -144,14 +144,14 @@ def _from_file(project: Project, query: list[str], asked: dict[str, Any], *, eng
     """Return the plan of the request in a file. Print a note if the file names a batch that the request no longer gives."""
     from sierra.cli.output import note
     from sierra.errors import UsageError
-    from sierra.query import request
+    from sierra.query import query_input
     from sierra.util.hashing import short
 
     if len(query) > 1 or any(asked.values()):
         raise UsageError(
             f"{query[0]} is a complete request; leave out other criteria, --runs, --controller, --scenario and --set"
         )
-    found = request.read(Path(query[0]))
+    found = query_input.read(Path(query[0]))
     plan = project.resolve(found.request, engine=engine, observer=observer)
     if found.batch not in (None, plan.batch.id):
         inside = Path(query[0]).resolve().is_relative_to(project.root)
@@ -165,12 +165,12 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     from sierra.cli import render_status
     from sierra.cli.output import table
     from sierra.cli.render_reasons import PREVIEW, text
-    from sierra.execution import status
+    from sierra.execution import cluster_status
     from sierra.execution.reasons import ChangeReason, Reason
     from sierra.execution.reuse import foreseen
     from sierra.execution.reuse import states as states_of
-    from sierra.explain.changes import other_programs, why_new
-    from sierra.query.request import KEY
+    from sierra.explain.why_new_runs import other_programs, why_new
+    from sierra.query.query_input import KEY
     from sierra.util.hashing import short
     from sierra.util.text import counted
 
@@ -178,8 +178,8 @@ def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> d
     states = foreseen(plan, store, states_of(plan, store))
     anew = sum(state.anew for state in states.values())
     missing = {run for run, state in states.items() if not state.succeeded and not state.anew}
-    there = missing & status.claimed(store).keys() if store and missing else set()
-    now = status.seen(store, there) if store and there else []
+    there = missing & cluster_status.claimed(store).keys() if store and missing else set()
+    now = cluster_status.seen(store, there) if store and there else []
     todo = len(missing) - len(there)
     on_cluster = Reason(ChangeReason.ON_CLUSTER)
     reasons = Counter(on_cluster if run in there else state.change for run, state in states.items())
@@ -242,7 +242,7 @@ def _check_log(plan: Plan) -> None:
 def _again(project: Project, plan: Plan) -> dict[str, Any]:
     """Print and return the reasons why runs execute again although the same query was run before."""
     from sierra.cli.output import note
-    from sierra.explain.changes import why_again
+    from sierra.explain.why_new_runs import why_again
 
     why = why_again(plan, project.stored())
     if why:

@@ -659,7 +659,8 @@ def load_store(folder: Path) -> LoadedProject:
 def parse(table: Mapping[str, Any], origin: str) -> Project:
     """Validate a table from TOML; messages call it `origin`.
 
-    The tables of plug-ins are validated when they are used (see `sierra.config.plugins`), those of shipped schedulers here too.
+    The tables of plug-ins are validated when they are used (see `sierra.config.plugin_registry`),
+    those of shipped schedulers here too.
     """
     project = options(Project, table, origin)
     for name, runner in project.runners.items():

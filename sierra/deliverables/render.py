@@ -21,9 +21,9 @@ from sierra.deliverables.figures.base import Drawing, draw
 from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.model import Axis
 from sierra.store.layout import ProjectPaths
-from sierra.store.names import column_names
 from sierra.store.samples import MIXED, Column, Frame, OutputTable
 from sierra.store.segments import disk_errors
+from sierra.store.sql_names import column_names
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.fs import write_whole

@@ -48,10 +48,10 @@ def batches(store: Store) -> list[dict[str, Any]]:
     `failed` and `missing` are numbers of runs without a successful execution, tried or not. If the last session left both at 0,
     they are not counted again, unless records were rewritten since, because executions may have been removed.
     `nondeterministic` is the number of runs whose output changed when they were executed again with the same programs, apart
-    from outputs that the project declares to be volatile or within tolerance. `sets` are the changes that were set for all
-    runs. `unlike` lists other differences from the previous batch in the list with the same query, controller, scenario and
-    sets. `clusters` are the sessions that were submitted for a batch and are not closed yet; `sierra.execution.status` queries
-    the schedulers for their state.
+    from outputs that the project declares to be volatile or within tolerance. `overrides` are the changes that were set for
+    all runs. `changed` lists other differences from the previous batch with the same query, controller, scenario and
+    overrides. `clusters` are the sessions that were submitted for a batch and are not closed yet; for their state, see
+    `sierra.execution.cluster_status`.
     """
     with store.snapshot() as snapshot:
         rewritten = any(segment.replaces for segment in snapshot.segments)
@@ -119,7 +119,7 @@ def _on_clusters(store: Store) -> dict[str, list[dict[str, Any]]]:
     """Return the sessions that are on clusters, by batch, as far as this machine knows them."""
     found: dict[str, list[dict[str, Any]]] = {}
     for paths in sessions.submitted(store.paths):
-        from sierra.execution.status import submitted  # most projects have nothing on a cluster
+        from sierra.execution.cluster_status import submitted  # most projects have nothing on a cluster
 
         with contextlib.suppress(Damaged):  # it belongs to another version of SIERRA, which must continue it
             if one := submitted(paths):
@@ -322,7 +322,7 @@ def _image(snapshot: Snapshot, identity: str | None) -> dict[str, Any] | None:
 
 def _isolation(row: dict[str, Any]) -> dict[str, Any]:
     """Return the record of an isolation, with its JSON texts decoded, and the limits that were requested but not enforced."""
-    from sierra.containers.session_isolation import limits
+    from sierra.containers.session_containers import limits
 
     return row | {"mounts": json.loads(row["mounts"])} | limits(row)
 

@@ -17,8 +17,9 @@ from pathlib import Path
 from sierra.errors import Missing
 from sierra.execution import commands
 from sierra.model import RunSpec
-from sierra.provenance import programs, referenced_files, source
-from sierra.provenance.program import NOTHING, Kind, Programs
+from sierra.provenance import fingerprint_programs as programs
+from sierra.provenance import referenced_files, source
+from sierra.provenance.dependency_model import NOTHING, Kind, Programs
 from sierra.store.layout import FIGURES, STORE
 from sierra.util.fs import inside
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from sierra import runners
 from sierra.execution import expected_durations
+from sierra.execution.cluster_status import claimed
 from sierra.execution.resolve_plan import Plan
 from sierra.execution.reuse import foreseen, states
-from sierra.execution.status import claimed
 from sierra.provenance import source
 from sierra.runners.cluster.estimate import Estimate, propose
 from sierra.store.layout import ProjectPaths, StorePaths

@@ -21,9 +21,9 @@ from sierra.execution.reuse import is_answered, states
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary, of_session
 from sierra.ingest.consistency import find_odd
-from sierra.provenance import requirements
+from sierra.provenance import required_packages
 from sierra.store.store import Store
-from sierra.util.log import Log
+from sierra.util.log_messages import Log
 
 log = Log(__name__)
 
@@ -37,8 +37,10 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
     began = datetime.now(UTC)
     if is_answered(plan, store):
         return of_session(plan, store, len({run.id for run in plan.batch.runs}))
-    if absent := requirements.missing(plan.project.config, contained=plan.engine.name != "none"):
-        raise Missing(f"runs need Python packages that are not installed ({', '.join(absent)}): {requirements.remedy(absent)}")
+    if absent := required_packages.missing(plan.project.config, contained=plan.engine.name != "none"):
+        raise Missing(
+            f"runs need Python packages that are not installed ({', '.join(absent)}): {required_packages.remedy(absent)}"
+        )
     plan = versioned(plan)
     make = partial(runners.find(options.runner, plan.project.config.runners), options.slots)
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())

@@ -9,7 +9,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sierra.containers.session_isolation import Isolation
+from sierra.containers.session_containers import Isolation
 from sierra.errors import Missing
 from sierra.execution import expected_durations, recover, sessions
 from sierra.execution.attach import attach
@@ -21,7 +21,7 @@ from sierra.execution.sessions import Session
 from sierra.ingest.consistency import find_odd
 from sierra.ingest.rejudge import judge_anew
 from sierra.model import Run
-from sierra.provenance.program import Programs
+from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner
 from sierra.store.layout import SessionPaths
 from sierra.store.store import Store

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sierra.config.plugins import Tables
+from sierra.config.plugin_registry import Tables
 from sierra.config.project_file import LoadedProject, Output, Success
-from sierra.containers import engines, images, session_isolation
+from sierra.containers import engines, images, session_containers
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
 from sierra.containers.images.image_contents import Contents
@@ -27,9 +27,9 @@ from sierra.ingest.recording_context import rules_of
 from sierra.model import Axis, Batch, Experiment, Query, Run, RunSpec
 from sierra.provenance import environment
 from sierra.provenance.change_guard import seen
-from sierra.provenance.program import NOTHING
+from sierra.provenance.dependency_model import NOTHING
 from sierra.query import grammar
-from sierra.query.request import repeated
+from sierra.query.query_input import repeated
 from sierra.store.recorded_files import INPUT_FOLDER, Taken, contents, recorded
 from sierra.store.store import Snapshot, Store
 from sierra.templates.base import Files
@@ -86,7 +86,7 @@ class Recalled:
         """Return the checkout that restores the code."""
         used = tuple((row["name"], row["kind"]) for row in self.programs)
         container = project.config.container if self.spec.image else None
-        mounted = session_isolation.data(NOTHING, container, project.root) if container else NOTHING
+        mounted = session_containers.data(NOTHING, container, project.root) if container else NOTHING
         return Checkout(project.root, self.spec, self.manifest, used, store.blob, mounted, self.commit)
 
 

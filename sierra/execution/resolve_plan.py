@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sierra import platforms, templates
-from sierra.config import plugins
+from sierra.config import plugin_registry
 from sierra.config.project_file import LoadedProject, Output, Project, Success
-from sierra.containers import engines, images, session_isolation
+from sierra.containers import engines, images, session_containers
 from sierra.containers.engines.base import PROJECT, Engine
 from sierra.containers.images.image import Image
 from sierra.design.expand import Expansion
@@ -27,9 +27,9 @@ from sierra.ingest.recording_context import Context
 from sierra.model import Batch, Design, Experiment, Limits, Purpose, Query, Run, RunSpec, Set
 from sierra.provenance import environment, referenced_files, reported_versions, source
 from sierra.provenance.change_guard import ChangeGuard, seen
-from sierra.provenance.program import Programs
+from sierra.provenance.dependency_model import Programs
 from sierra.query import grammar
-from sierra.query.request import QueryRequest
+from sierra.query.query_input import QueryRequest
 from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.store.schema import RESERVED, check_name
 from sierra.templates.base import ARGUMENTS, Files
@@ -91,7 +91,9 @@ class Plan:
         """Return a checkout of the current code; `content` returns a file that git does not have, by git's hash."""
         manifest = self.source.manifest if self.source else b""
         used = tuple((program.name, program.kind) for program in self.programs.all)
-        mounted = Programs(tuple(program for program in self.programs.all if program.name.startswith(session_isolation.MOUNTS)))
+        mounted = Programs(
+            tuple(program for program in self.programs.all if program.name.startswith(session_containers.MOUNTS))
+        )
         return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted)
 
 
@@ -141,7 +143,7 @@ def plan(
     query = resolve(project, request)
     config, root = project.config, project.root
     _check_names(project)
-    plugins.check(config)
+    plugin_registry.check(config)
     readers = used_readers(config.outputs, config.readers)
     template = templates.read(root / config.template, config.templates)
     platform = platforms.find(config.platform, config)
@@ -161,9 +163,9 @@ def plan(
     held = source.paths(code.manifest)
     data = referenced_files.data(root / config.template, _written(config), root, held, own)
     if box:
-        data = session_isolation.data(data, box, root)
+        data = session_containers.data(data, box, root)
     spec = RunSpec(
-        config.platform, command, variables, code.tree, image.id if image else None, session_isolation.host_access(box)
+        config.platform, command, variables, code.tree, image.id if image else None, session_containers.host_access(box)
     )
     designed = design(query, config, platform, template, report)
     expansion = Expansion(designed, template, platform, spec)

@@ -13,7 +13,7 @@ from typing import Any
 from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
-from sierra.containers.session_isolation import contain
+from sierra.containers.session_containers import contain
 from sierra.execution import commands
 from sierra.execution.follow import Followed, follow
 from sierra.execution.observer import Tally
@@ -22,7 +22,7 @@ from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
 from sierra.model import Limits, Run, RunSpec, Times
 from sierra.provenance import environment
-from sierra.provenance.program import Programs
+from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner, Work, needed
 from sierra.store.store import Store
 from sierra.templates.base import Files

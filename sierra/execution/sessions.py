@@ -36,7 +36,7 @@ from sierra.errors import Missing
 from sierra.store import ownership_marks, session_numbers
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
-from sierra.util.log import Log
+from sierra.util.log_messages import Log
 from sierra.version import __version__
 from sierra.worker import worker
 

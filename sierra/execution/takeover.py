@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from sierra.errors import Missing, NotFound, SierraError
 from sierra.execution import sessions, summary
 from sierra.execution.attach import Attached, attach
+from sierra.execution.cluster_status import Standing, counted, named, submitted
 from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.sessions import Session
-from sierra.execution.status import Standing, counted, named, submitted
 from sierra.execution.summary import Summary
 from sierra.runners import schedulers
 from sierra.runners.cluster import submission_record

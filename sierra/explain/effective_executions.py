@@ -11,7 +11,7 @@ from typing import Any
 
 from sierra.execution.reasons import ChangeReason, Reason
 from sierra.explain.diff.environment import other_programs, other_rules
-from sierra.explain.diff.operands import make_runs
+from sierra.explain.diff.load_sides import make_runs
 from sierra.store.recorded_files import Place
 from sierra.store.store import Snapshot
 from sierra.store.views import LATEST

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from sierra.config.project_file import LoadedProject
-from sierra.execution.status import Standing as OnCluster
-from sierra.execution.status import seen
+from sierra.execution.cluster_status import Standing as OnCluster
+from sierra.execution.cluster_status import seen
 from sierra.explain import diff
 from sierra.explain.effective_executions import EffectiveRuns, standings
 from sierra.explain.history import Event, tell
-from sierra.explain.rerun import NextRun, next_run
+from sierra.explain.preview_repeat import NextRun, next_run
 from sierra.store.recorded_files import where
 from sierra.store.store import Found, Snapshot, Store
 from sierra.util.hashing import short

@@ -1,8 +1,8 @@
 """The OutputReader contract, and the functions that find readers for the outputs of a project.
 
 A reader makes a table from each file of one format. SIERRA ships `csv`, `parquet` and `jsonl`, which read many files at once
-(see `sierra.ingest.table_reader`). Others are entry points of the group `sierra.readers` (see `sierra.plugin`). The name of the
-entry point is the format: `[outputs.NAME] format` names it, or else the ending of `file` does. Files that are not declared in
+(see `sierra.ingest.shipped_reader_base`). Others are entry points of the group `sierra.readers` (see `sierra.plugin`). The name
+of the entry point is the format: `[outputs.NAME] format` names it, or else the ending of `file` does. Files that are not declared in
 `[outputs]` become tables only if they have the ending of a shipped format, because the result of an execution must not depend
 on what is installed.
 
@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
-from sierra.config.plugins import READERS, Tables
+from sierra.config.plugin_registry import READERS, Tables
 from sierra.config.project_file import Output, Table
 from sierra.errors import ConfigError
 

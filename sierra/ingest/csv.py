@@ -11,12 +11,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sierra.ingest.independent_row_count import any_size, count_records, csv_reader, lines_of
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Part, Shape, Siblings, Written
-from sierra.ingest.row_count_check import any_size, count_records, csv_reader, lines_of
-from sierra.ingest.table_reader import FILE
+from sierra.ingest.shipped_reader_base import FILE
 from sierra.ingest.text_formats import Text
-from sierra.store.duckdb_files import csv_given
+from sierra.store.duckdb_file_io import csv_given
 
 DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096

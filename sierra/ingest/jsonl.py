@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from sierra.ingest.independent_row_count import count_lines, lines_of
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Part, Written
-from sierra.ingest.row_count_check import count_lines, lines_of
-from sierra.ingest.table_reader import FILE
+from sierra.ingest.shipped_reader_base import FILE
 from sierra.ingest.text_formats import Text
-from sierra.store.duckdb_files import objects_given
+from sierra.store.duckdb_file_io import objects_given
 from sierra.store.duckdb_messages import first_line
-from sierra.store.names import identifier, quote
+from sierra.store.sql_names import identifier, quote
 
 
 class Jsonl(Text):

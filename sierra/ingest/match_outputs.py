@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 
-from sierra.config.plugins import READERS
+from sierra.config.plugin_registry import READERS
 from sierra.config.project_file import SAME_FORMAT, Output
 from sierra.ingest.base import Used
 from sierra.ingest.messages import shown

@@ -9,11 +9,11 @@ from typing import Any
 from sierra.errors import Damaged
 from sierra.ingest.group_by_types import alike
 from sierra.ingest.model import AtFaultError, Part, Shape, Siblings, Written
-from sierra.ingest.table_reader import FILE, TableReader
-from sierra.store.duckdb_files import parquet_given, parquet_schema
+from sierra.ingest.shipped_reader_base import FILE, TableReader
+from sierra.store.duckdb_file_io import parquet_given, parquet_schema
 from sierra.store.duckdb_messages import first_line
-from sierra.store.names import identifier
 from sierra.store.parquet_row_counts import rows_in
+from sierra.store.sql_names import identifier
 from sierra.store.type_inference import EMPTY, HUGE, is_inexact, is_whole, kind_of
 
 DIGITS = 38

@@ -24,12 +24,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sierra.config.plugins import READERS
+from sierra.config.plugin_registry import READERS
 from sierra.ingest.csv import delimiter_of
 from sierra.ingest.messages import difference, shown
 from sierra.ingest.model import Reading, Shape, Siblings, Written
-from sierra.ingest.table_reader import TableReader
-from sierra.store.duckdb_files import Aliases
+from sierra.ingest.shipped_reader_base import TableReader
+from sierra.store.duckdb_file_io import Aliases
 from sierra.store.type_inference import AS_TEXT, is_number, own_kind, right_kind
 
 __all__ = [
@@ -57,7 +57,7 @@ def read(connection: Any, files: Sequence[Written], shape: Shape, target: Path, 
     connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
     found = READERS.load(shape.format)
     if not issubclass(found, TableReader):
-        from sierra.ingest.converted import Converted
+        from sierra.ingest.foreign_formats import Converted
 
         found = Converted
     with Aliases() as aliases:

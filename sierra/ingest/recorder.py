@@ -18,7 +18,7 @@ from sierra.ingest.model import Shape
 from sierra.ingest.read_into_segment import TableIngest, artifact_rows, tabled
 from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Judgement, doubted, judge
-from sierra.ingest.warnings import TableWarnings, as_files, lost
+from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
 from sierra.model import OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.objects import Objects

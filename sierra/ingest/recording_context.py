@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sierra.config.plugins import Tables
+from sierra.config.plugin_registry import Tables
 from sierra.config.project_file import Output, Success
 from sierra.errors import Damaged
 from sierra.ingest.base import Used

@@ -40,11 +40,11 @@ from sierra.ingest.model import Shape
 from sierra.ingest.read_into_segment import TableIngest, artifact_rows, tabled, too_few
 from sierra.ingest.recording_context import Context, rules_of
 from sierra.ingest.success import Judgement, judge
-from sierra.ingest.warnings import TableWarnings, as_files
+from sierra.ingest.suspicious_tables import TableWarnings, as_files
 from sierra.model import OutputFile, Result, Status
+from sierra.store.copy_rejudged_rows import write_again
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.recorded_files import Recorded, Taken, contents
-from sierra.store.rejudged_rows import write_again
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import inside

@@ -10,10 +10,10 @@ from typing import Any
 from sierra.ingest.group_by_types import alike, kinds_of
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Group, Written
-from sierra.ingest.table_reader import FILE, TableReader, these
-from sierra.store.duckdb_files import read_parquet
+from sierra.ingest.shipped_reader_base import FILE, TableReader, these
+from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
-from sierra.store.names import column_names, identifier, quote
+from sierra.store.sql_names import column_names, identifier, quote
 from sierra.store.type_inference import LOGICAL, WHOLE, bit, common, is_whole, kind_of, narrowest, no_nan, odd, right_kind
 
 Found = Mapping[str, Mapping[str, str | None]]

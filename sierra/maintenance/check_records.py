@@ -25,8 +25,8 @@ from sierra.maintenance.check_files import Contents, Objects
 from sierra.maintenance.findings import NOTHING, Affected, Finding, Kind, of
 from sierra.model import RunSpec
 from sierra.provenance import source
-from sierra.provenance.program import fingerprint
-from sierra.store.duckdb_files import read_parquet
+from sierra.provenance.dependency_model import fingerprint
+from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import StorePaths
 from sierra.store.parquet_row_counts import rows_by_file

@@ -15,7 +15,7 @@ from sierra.maintenance.check_files import Contents, Objects
 from sierra.maintenance.check_records import Records
 from sierra.maintenance.findings import Affected, Finding, Kind, of, worst_first
 from sierra.store import ownership_marks
-from sierra.store.duckdb_files import read_parquet
+from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.store import Snapshot, check_free

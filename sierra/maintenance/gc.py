@@ -24,7 +24,7 @@ from sierra.maintenance.check_files import UNFINISHED, put_aside
 from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.store import session_log
 from sierra.store.compaction import Compaction, Drop, Group, groups, out_of_use, tidy, touched
-from sierra.store.duckdb_files import read_parquet
+from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store

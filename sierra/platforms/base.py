@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Protocol
 
-from sierra.config.plugins import PLATFORMS
+from sierra.config.plugin_registry import PLATFORMS
 from sierra.config.project_file import Project, Table
 from sierra.model import Axis, Change, Criterion, Point
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import ClassVar
 
-from sierra.config.plugins import NoOptions
+from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Project, Table
 from sierra.errors import ConfigError
 from sierra.model import Axis, Change, Criterion, Point

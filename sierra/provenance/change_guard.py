@@ -13,8 +13,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from sierra.provenance.program import Kind, Programs
-from sierra.provenance.source import suggest_paths
+from sierra.provenance.dependency_model import Kind, Programs
+from sierra.provenance.source import suggest_exclusions
 from sierra.provenance.source.manifest import REPOSITORY, read
 from sierra.provenance.source.selection import shown
 
@@ -42,7 +42,7 @@ class ChangeGuard:
 
     def advice(self, names: Iterable[bytes]) -> str:
         """Return advice for the case that the changed files are not code."""
-        return suggest_paths.advice(names, self.source)
+        return suggest_exclusions.advice(names, self.source)
 
     def named(self, descriptor: int) -> str | None:
         """Return the name of the guarded file that is open as `descriptor`, or None if it is another file."""

@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sierra.provenance import program, pythons
+from sierra.provenance import dependency_model, pythons
 from sierra.provenance.machine import facts, usable_cores
 from sierra.util.hashing import digest, sha256
 
@@ -119,7 +119,7 @@ def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tup
 def _table(name: str, text: str | None) -> dict[str, Any]:
     """Return the facts that a text contains, by name."""
     if name == "distributions":
-        return dict(program.versions(text))
+        return dict(dependency_model.versions(text))
     table: dict[str, Any] = json.loads(text or "{}")
     return table
 

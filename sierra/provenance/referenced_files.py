@@ -16,8 +16,8 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from sierra.errors import Missing
+from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
-from sierra.provenance.program import NOTHING, Kind, Program, Programs
 
 LONGEST = 4096
 LARGEST = 10**9

@@ -24,7 +24,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from sierra.config.project_file import ProgramsTable
-from sierra.provenance.program import Kind, Program, Programs
+from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.store.layout import user_versions
 from sierra.util.cache import Cache
 from sierra.util.hashing import digest

@@ -1,7 +1,7 @@
 """Check of this machine's programs before it executes runs that were recorded in an image.
 
-It checks the same things that are recorded without an image (see `sierra.provenance.programs`): programs, the libraries that
-they load, and the distributions of a Python. Everything that the image does not have as the same file at the same path is
+It checks the same things that are recorded without an image (see `sierra.provenance.fingerprint_programs`): programs, the
+libraries that they load, and the distributions of a Python. Everything that the image does not have as the same file at the same path is
 reported before anything executes.
 """
 
@@ -13,8 +13,8 @@ from pathlib import Path
 from sierra.containers.images.image_contents import Contents
 from sierra.execution import commands
 from sierra.model import RunSpec
-from sierra.provenance import programs
-from sierra.provenance.program import Kind, Program
+from sierra.provenance import fingerprint_programs
+from sierra.provenance.dependency_model import Kind, Program
 from sierra.util.hashing import short
 from sierra.util.text import few
 
@@ -27,7 +27,7 @@ def unlike(spec: RunSpec, inside: Contents, root: Path) -> Iterator[str]:
     Raises Missing for a program that is not on this machine.
     """
     words, variables = commands.on_host(spec, inside.image, root)
-    found = programs.find(words, variables, root)
+    found = fingerprint_programs.find(words, variables, root)
     other = [line for one in found.all if (line := _other(one, inside, root))]
     if other:
         yield f"not executed in a container, and with other programs than in image {inside.image.name}: {few(other, SHOWN)}"

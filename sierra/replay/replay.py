@@ -18,7 +18,7 @@ from typing import Any
 from sierra import runners
 from sierra.config.project_file import LoadedProject, Output
 from sierra.containers.engines.base import Engine
-from sierra.containers.session_isolation import Isolation
+from sierra.containers.session_containers import Isolation
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.execution import commands, expected_durations, plan_from_record, recover
 from sierra.execution.observer import Observer, Relay, Tally
@@ -27,23 +27,23 @@ from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
 from sierra.model import Purpose, Run, Status
-from sierra.provenance import environment, programs, reported_versions
+from sierra.provenance import environment, fingerprint_programs, reported_versions
 from sierra.provenance.change_guard import ChangeGuard, seen
-from sierra.provenance.program import Programs, mentioned
+from sierra.provenance.dependency_model import Programs, mentioned
 from sierra.replay import equivalence, host_check
 from sierra.replay.compare_outputs import compare_all
 from sierra.replay.compare_values import Agreement, Verdict
 from sierra.replay.equivalence import Metric
 from sierra.replay.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
 from sierra.store.layout import SessionPaths
-from sierra.store.names import column_names
 from sierra.store.order import stamp
 from sierra.store.recorded_files import Taken, take, where
 from sierra.store.samples import like
+from sierra.store.sql_names import column_names
 from sierra.store.store import Found, Store
 from sierra.templates.base import Files
 from sierra.util.hashing import short
-from sierra.util.log import Log
+from sierra.util.log_messages import Log
 from sierra.version import __version__
 
 log = Log(__name__)
@@ -326,7 +326,7 @@ def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
     """Yield a line for each program that differs from the record; the code is in `root`."""
     if now.id != of.fingerprint:
         words = mentioned(of.spec.command, root)
-        yield from (f"different programs: {line}" for line in programs.told(of.programs, now, words))
+        yield from (f"different programs: {line}" for line in fingerprint_programs.told(of.programs, now, words))
 
 
 def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> Iterator[str]:

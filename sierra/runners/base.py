@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar, Protocol
 
-from sierra.config.plugins import RUNNERS, SCHEDULERS, Tables
+from sierra.config.plugin_registry import RUNNERS, SCHEDULERS, Tables
 from sierra.config.project_file import ClusterTable, Table
 from sierra.errors import ConfigError, SierraError
 from sierra.model import Job, Requirement, Result, Times
-from sierra.provenance.program import INSTALLED, Kind, Program, Programs
+from sierra.provenance.dependency_model import INSTALLED, Kind, Program, Programs
 from sierra.runners import schedulers
 from sierra.store.layout import SessionPaths
 

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from functools import lru_cache
 from typing import Any, ClassVar
 
-from sierra.config.plugins import NoOptions
+from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Table
 from sierra.errors import Missing
 from sierra.model import Client, Job, Limits, Result
@@ -22,7 +22,7 @@ from sierra.runners import orphans
 from sierra.runners.base import Look, Work
 from sierra.runners.journal_reader import Journal, Stalled, Started
 from sierra.store.layout import SessionPaths
-from sierra.util.log import Log, shown
+from sierra.util.log_messages import Log, shown
 from sierra.worker import worker
 
 log = Log(__name__)

@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from sierra.config import plugins, user
+from sierra.config import plugin_registry, user
 from sierra.containers.engines.base import Capabilities
 from sierra.errors import SierraError
 from sierra.provenance.environment import usable_cores
@@ -90,7 +90,7 @@ def _programs() -> Iterator[Check]:
 
 def _plugins() -> Iterator[Check]:
     """Yield the plug-ins of other packages, each loaded. One that cannot be used affects only the commands that use it."""
-    for kind in plugins.KINDS:
+    for kind in plugin_registry.KINDS:
         for name in kind.added():
             try:
                 found = kind.load(name)
@@ -140,10 +140,10 @@ def _said(able: Capabilities) -> Iterator[str]:
 def _project() -> Iterator[Check]:
     import sierra
     from sierra import platforms, runners, templates
-    from sierra.containers import images, session_isolation
+    from sierra.containers import images, session_containers
     from sierra.execution import commands
     from sierra.ingest.base import used
-    from sierra.provenance import programs, requirements
+    from sierra.provenance import fingerprint_programs, required_packages
 
     try:
         project = sierra.open()
@@ -160,13 +160,13 @@ def _project() -> Iterator[Check]:
             inside = images.examine(project.root, StorePaths(project.paths.store), image)
             command = commands.command(platform, project.root, contained=True)
             path = commands.environment(platform, project.config).get("PATH")
-            return f"{session_isolation.program(command, path, inside)} in {image.name}"
+            return f"{session_containers.program(command, path, inside)} in {image.name}"
         words = commands.fill(commands.command(platform, project.root), project.root)
         variables = commands.declared(commands.environment(platform, project.config), project.root)
-        return programs.find(words, variables, project.root).all[0].path
+        return fingerprint_programs.find(words, variables, project.root).all[0].path
 
     def check_options() -> str:
-        plugins.check(project.config)
+        plugin_registry.check(project.config)
         runners.check(project.config.runners)
         used(project.config.outputs, project.config.readers)
         return "the options of all plug-ins are valid"
@@ -178,10 +178,10 @@ def _project() -> Iterator[Check]:
     )
     yield _tried("command", find_program)
     if project.config.requires:
-        absent = requirements.missing(project.config, contained=project.config.container is not None)
+        absent = required_packages.missing(project.config, contained=project.config.container is not None)
         state: Literal["ok", "missing"] = "missing" if absent else "ok"
         told = f"not installed: {', '.join(absent)}" if absent else ", ".join(project.config.requires)
-        yield Check("requires", state, told, requirements.remedy(absent) if absent else "")
+        yield Check("requires", state, told, required_packages.remedy(absent) if absent else "")
     if project.paths.store.exists():
         yield _tried("store", lambda: f"{len(project.batches)} batches")
 

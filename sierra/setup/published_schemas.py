@@ -18,10 +18,10 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from sierra.config.plugins import ENGINES, KINDS, PLATFORMS, READERS, RUNNERS, SCHEDULERS, TEMPLATES, Kind
+from sierra.config.plugin_registry import ENGINES, KINDS, PLATFORMS, READERS, RUNNERS, SCHEDULERS, TEMPLATES, Kind
 from sierra.config.project_file import ClusterTable, Project
 from sierra.errors import PluginError
-from sierra.query.request import QueryRequest, RequestFile
+from sierra.query.query_input import QueryRequest, RequestFile
 from sierra.store.schema import DERIVED, RECORDED, Table, sql
 
 TOML = "sierra.toml.schema.json"

@@ -21,15 +21,15 @@ from typing import Any
 
 from sierra.errors import Damaged, Missing
 from sierra.store.connections import connect
-from sierra.store.duckdb_files import copy, read_parquet
+from sierra.store.duckdb_file_io import copy, read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import StorePaths
-from sierra.store.names import identifier
 from sierra.store.objects import GROUP, ROWS
 from sierra.store.parquet_row_counts import Written, rows_by_file
 from sierra.store.read_lock import alone
 from sierra.store.schema import LATER, arrow_schema, is_table
 from sierra.store.segments import AFTER, MANIFEST, OUTPUT, REPLACES, Segment, Writer, disk_errors, on_disk, out_of_date, sync
+from sierra.store.sql_names import identifier
 from sierra.store.store import Snapshot
 
 Drop = Mapping[str, Mapping[str, AbstractSet[str]]]

@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from sierra.store.duckdb_files import steady
+from sierra.store.duckdb_file_io import steady
 
 
 class Connection:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 
-from sierra.store.duckdb_files import plain
+from sierra.store.duckdb_file_io import plain
 
 NESTED = re.compile(r'"exception_message":("(?:[^"\\]|\\.)*")')
 """The pattern of a writing thread's error, which is JSON within another error."""

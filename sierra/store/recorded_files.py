@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any
 
 from sierra.errors import Damaged
-from sierra.store.duckdb_files import read_parquet
+from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import explain, first_line
-from sierra.store.names import column_names, identifier
 from sierra.store.segments import MANIFEST, Segment
+from sierra.store.sql_names import column_names, identifier
 from sierra.store.store import Found, Snapshot
 from sierra.store.type_inference import is_number
 from sierra.store.views import ORDER, recording

@@ -7,7 +7,7 @@ from itertools import groupby
 from typing import Any
 
 from sierra.errors import Damaged
-from sierra.store.duckdb_files import read_parquet
+from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.recorded_files import holding
 from sierra.store.store import Snapshot
 from sierra.util.hashing import sha256

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from sierra.errors import Damaged
-from sierra.store.duckdb_files import read_parquet
+from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.order import HIGHEST, ORDERED, number_of
 from sierra.store.segments import Segment

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
 from sierra.store.answer import Answer
 from sierra.store.connections import Connection
-from sierra.store.duckdb_files import check_folder, plain, read_parquet
+from sierra.store.duckdb_file_io import check_folder, plain, read_parquet
 from sierra.store.duckdb_messages import explain
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping
 
-from sierra.store.names import quote
+from sierra.store.sql_names import quote
 
 WHOLE = r" *([+]?[0-9]+|-0*[1-9][0-9]*) *"
 """The pattern of a whole number. -0 does not match: it is a number, but BIGINT has no negative zero."""

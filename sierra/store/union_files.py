@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sierra.store.duckdb_files import parquet_schema, read_parquet, steady
-from sierra.store.names import column_names, identifier
+from sierra.store.duckdb_file_io import parquet_schema, read_parquet, steady
+from sierra.store.sql_names import column_names, identifier
 from sierra.store.type_inference import EMPTY, HUGE, bit, is_inexact, is_number, is_whole, narrowest, reads_as
 
 Fetch = Callable[[str], Sequence[Sequence[Any]]]

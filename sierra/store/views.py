@@ -8,11 +8,11 @@ from functools import partial
 from typing import Any
 
 from sierra.errors import Damaged
-from sierra.store.duckdb_files import read_parquet
+from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
-from sierra.store.names import column_names, identifier, quote
 from sierra.store.schema import DERIVED, LATER, RECORDED
 from sierra.store.segments import Segment, is_first_part
+from sierra.store.sql_names import column_names, identifier, quote
 from sierra.store.union_files import Relation, relation
 
 NEEDS = {

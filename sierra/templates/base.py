@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
-from sierra.config.plugins import TEMPLATES, Tables
+from sierra.config.plugin_registry import TEMPLATES, Tables
 from sierra.config.project_file import Table
 from sierra.errors import Missing, TemplateError
 from sierra.model import Change, Value

@@ -33,7 +33,7 @@ from typing import Any, ClassVar, Literal
 
 from lxml import etree
 
-from sierra.config.plugins import NoOptions
+from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Table
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set, Value

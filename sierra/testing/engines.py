@@ -29,7 +29,7 @@ from sierra.containers.engines.base import HOSTNAME, INSIDE, WRITABLE, Capabilit
 from sierra.containers.images.image import Image, Kind
 from sierra.model import Client, Result
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
-from sierra.testing.options import says_what_its_options_are
+from sierra.testing.option_claims import says_what_its_options_are
 from sierra.worker import marked_processes
 
 PATIENCE_S = 30.0

@@ -18,11 +18,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sierra.config.plugins import READERS
+from sierra.config.plugin_registry import READERS
 from sierra.ingest.base import Columns, described
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
-from sierra.testing.options import holds, is_one_line, says_what_its_options_are
+from sierra.testing.option_claims import holds, is_one_line, says_what_its_options_are
 from sierra.worker import worker
 
 GARBAGE = (b"", b"\0", b"\xff\xfe\x00", b"PAR1", b"{", b"[" * 10_000, b"\n\n\n", bytes(range(256)))

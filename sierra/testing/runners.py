@@ -33,7 +33,7 @@ from sierra.provenance import environment
 from sierra.runners.base import Look, Runner, Work
 from sierra.runners.schedulers.base import NAME_LENGTH, Request, Scheduler, State, Task
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
-from sierra.testing.options import says_what_its_options_are
+from sierra.testing.option_claims import says_what_its_options_are
 
 PATIENCE_S = 60.0
 POLL_S = 0.1

@@ -1,4 +1,4 @@
-"""Listeners to the logger `sierra`. Importing this module imports `logging`; see `sierra.util.log`."""
+"""Listeners to the logger `sierra`. Importing this module imports `logging`; see `sierra.util.log_messages`."""
 
 from __future__ import annotations
 

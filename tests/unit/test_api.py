@@ -14,7 +14,7 @@ import duckdb
 import pytest
 
 import sierra
-from sierra.execution import progress
+from sierra.execution import progress_display
 from sierra.execution.observer import Progress
 from tests import projects
 
@@ -206,6 +206,6 @@ def test_progress_is_printed_in_a_notebook_without_display(
     notebook: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delitem(sys.modules, "IPython.display")
-    progress.observer().progress(Progress(total=2, reused=0, done=2, failed=0, running=0))
+    progress_display.observer().progress(Progress(total=2, reused=0, done=2, failed=0, running=0))
     assert capsys.readouterr().err.startswith("2/2 runs")
     assert notebook == []

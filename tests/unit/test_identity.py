@@ -13,13 +13,13 @@ import sierra
 from sierra.config.project_file import Output, Success
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, NoEngine, Process
 from sierra.containers.images.image import Image, Kind
-from sierra.containers.session_isolation import Isolation
+from sierra.containers.session_containers import Isolation
 from sierra.design.seeds import seed
 from sierra.execution.resolve_plan import Plan
 from sierra.ingest.recorder import result_hash
 from sierra.ingest.recording_context import Context
 from sierra.model import Client, OutputFile, RunSpec
-from sierra.provenance.program import fingerprint
+from sierra.provenance.dependency_model import fingerprint
 from sierra.provenance.source.capture import Source
 from sierra.provenance.source.manifest import Entry, tree_hash
 from sierra.util.hashing import digest, digest_plain, merkle

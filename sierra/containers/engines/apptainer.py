@@ -19,11 +19,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from sierra.config.plugins import NoOptions
+from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Table
 from sierra.containers import images
-from sierra.containers.engines import apptainer_start, sandboxes
-from sierra.containers.engines.apptainer_start import Way
+from sierra.containers.engines import apptainer_ways_to_start, sandboxes
+from sierra.containers.engines.apptainer_ways_to_start import Way
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, Process
 from sierra.containers.engines.client_syntax import killed, last_line, mounted, signalled
 from sierra.containers.images.image import Image
@@ -63,19 +63,19 @@ class Apptainer:
         """Make the engine; it has no options."""
 
     def probe(self) -> Capabilities:
-        return apptainer_start.apptainer()
+        return apptainer_ways_to_start.apptainer()
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
         images.verify(root, image)
         squashfs = images.rootfs(root, store, image)
-        if apptainer_start.way().squashfs:
+        if apptainer_ways_to_start.way().squashfs:
             return str(squashfs)
         return str(sandboxes.ready(squashfs, image.id, store.image(image.folder).sandbox(os.geteuid())))
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
-        way = apptainer_start.way()
+        way = apptainer_ways_to_start.way()
         argv = (*way.words(network=box.network, files=box.files), *_options(box, process), box.reference, *process.argv)
-        return Client(argv, {**apptainer_start.environment(), **dict(_given(way, box, process))})
+        return Client(argv, {**apptainer_ways_to_start.environment(), **dict(_given(way, box, process))})
 
     def sweep(self, sessions: Sequence[str]) -> None:
         mark = re.compile(f'{MARK}(=|":")({"|".join(map(re.escape, sessions))})(\0|")'.encode())
@@ -105,7 +105,7 @@ def _explained(complaint: str) -> str:
 
 @cache
 def _script(files: str) -> str:
-    return apptainer_start.kept(Path(files), SCRIPT.read_text(), "sh") if files else str(SCRIPT)
+    return apptainer_ways_to_start.kept(Path(files), SCRIPT.read_text(), "sh") if files else str(SCRIPT)
 
 
 def _options(box: ContainerSpec, process: Process) -> Iterator[str]:
@@ -113,7 +113,7 @@ def _options(box: ContainerSpec, process: Process) -> Iterator[str]:
     yield from (mounted(Mount(device, device, writable=True)) for device in box.devices)
     if box.gpu:
         yield "--nv"
-    able = apptainer_start.enforced()
+    able = apptainer_ways_to_start.enforced()
     if box.cpus is not None and "cpus" in able:
         yield f"--cpus={box.cpus}"
     if box.pids is not None and "pids" in able:

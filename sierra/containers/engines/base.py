@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
-from sierra.config.plugins import ENGINES, NoOptions, Tables
+from sierra.config.plugin_registry import ENGINES, NoOptions, Tables
 from sierra.config.project_file import Table
 from sierra.containers.images.image import Image
 from sierra.model import Client, Result

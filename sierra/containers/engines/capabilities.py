@@ -24,11 +24,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sierra.containers.engines import podman_forced_settings
+from sierra.containers.engines import podman_unavoidable_settings
 from sierra.containers.engines.base import Capabilities
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
-from sierra.util.log import Log
+from sierra.util.log_messages import Log
 
 log = Log(__name__)
 
@@ -87,7 +87,7 @@ class Told:
 def podman() -> Capabilities:
     """Return the abilities of podman on this host."""
     able = known("podman", _podman, _around_podman()).abilities
-    return able if able.trouble else replace(able, trouble=podman_forced_settings.trouble())
+    return able if able.trouble else replace(able, trouble=podman_unavoidable_settings.trouble())
 
 
 def podman_options() -> tuple[str, ...]:

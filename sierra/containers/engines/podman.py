@@ -18,7 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from sierra.config.plugins import NoOptions
+from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Table
 from sierra.containers.engines import capabilities
 from sierra.containers.engines.base import HOSTNAME, Capabilities, ContainerSpec, Process
@@ -28,7 +28,7 @@ from sierra.containers.images.image import Image, Kind, short
 from sierra.errors import Missing
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths
-from sierra.util.log import Log
+from sierra.util.log_messages import Log
 
 log = Log(__name__)
 

@@ -16,12 +16,12 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-from sierra.containers.images.sif import is_sif
-from sierra.containers.images.sif import read as read_sif
+from sierra.containers.images.sif_format import is_sif
+from sierra.containers.images.sif_format import read as read_sif
 from sierra.errors import Missing
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
-from sierra.util.log import Log
+from sierra.util.log_messages import Log
 
 log = Log(__name__)
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sierra.provenance.program import by_likelihood
+from sierra.provenance.dependency_model import by_likelihood
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,10 +20,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from sierra.containers.images import containerfile_folder, oci, packages, podman_images, sif, sif_env
+from sierra.containers.images import containerfile_folder, oci, packages, podman_images, sif_env, sif_format
 from sierra.containers.images import squashfs_tools as squashfs
 from sierra.containers.images.image import Image, Kind, short
-from sierra.containers.images.layers import Entry, Rootfs, merge, resolve
+from sierra.containers.images.merge_layers import Entry, Rootfs, merge, resolve
 from sierra.containers.images.oci import Archive
 from sierra.errors import Damaged, Missing
 from sierra.provenance.hash_cache import HashCache
@@ -230,7 +230,7 @@ def examine(root: Path, store: StorePaths, image: Image) -> Contents:
 def examine_again(root: Path, store: StorePaths, image: Image, *, foreign: bool = False) -> Contents:
     """Return the contents of an image after reading and checking all of it, even if they are stored already.
 
-    The squashfs that was made from it is kept. `foreign`: see `sierra.containers.images.layers.merge`.
+    The squashfs that was made from it is kept. `foreign`: see `sierra.containers.images.merge_layers.merge`.
     """
     known = contents(store, image)
     with _disk(store.images), opened(root, store, image) as read:
@@ -258,7 +258,7 @@ def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
 def squashfs_file(path: Path) -> bool:
     """Return whether apptainer can run this file as it is."""
     try:
-        return not path.is_dir() and (sif.is_sif(path) or squashfs.is_squashfs(path))
+        return not path.is_dir() and (sif_format.is_sif(path) or squashfs.is_squashfs(path))
     except OSError as error:
         raise Missing(f"{path} cannot be read: {error.strerror or error}") from error
 
@@ -315,7 +315,7 @@ def _of_rootfs(merged: Rootfs, image: Image) -> Contents:
 
 
 def _of_squashfs(path: Path, image: Image) -> Contents:
-    read = sif.read(path) if sif.is_sif(path) else None
+    read = sif_format.read(path) if sif_format.is_sif(path) else None
     entries, kept = squashfs.listing(path, read.offset if read else 0, wanted)
     own = image.kind is Kind.SQUASHFS  # else it was made from an OCI image, and does not contain its variables
     found = sif_env.of(kept) if own else image.variables

@@ -7,7 +7,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from sierra.containers.images import image_contents, oci, podman_images, sif
+from sierra.containers.images import image_contents, oci, podman_images, sif_format
 from sierra.containers.images.image import Image, Kind, short
 from sierra.containers.images.image_contents import Contents
 from sierra.containers.images.oci import Archive
@@ -82,7 +82,7 @@ def _write(root: Path, image: Image, target: Path) -> None:
 
 def _check(image: Image, path: Path) -> None:
     if image.kind == Kind.SQUASHFS or image_contents.squashfs_file(path):
-        found = sif.read(path).digest() if sif.is_sif(path) else ""
+        found = sif_format.read(path).digest() if sif_format.is_sif(path) else ""
         same = not found or f"squashfs:{found}" == image.id or image.kind == Kind.OCI
     else:
         read = oci.read(path)

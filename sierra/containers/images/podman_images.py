@@ -27,7 +27,7 @@ from sierra.containers.images.oci import image_of
 from sierra.errors import Damaged, Missing
 from sierra.store.layout import user_images
 from sierra.util.cache import Cache
-from sierra.util.log import Log
+from sierra.util.log_messages import Log
 from sierra.util.signals import noted
 from sierra.worker import worker
 from sierra.worker.marked_processes import marked

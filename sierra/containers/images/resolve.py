@@ -8,7 +8,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from sierra.containers.images import image_contents, oci, podman_images, sif, squashfs_tools
+from sierra.containers.images import image_contents, oci, podman_images, sif_format, squashfs_tools
 from sierra.containers.images.containerfile_folder import CONTAINERFILE, is_recipe
 from sierra.containers.images.image import Image, Kind, machine, short
 from sierra.errors import ConfigError, Damaged, Missing
@@ -132,8 +132,8 @@ def _file(root: Path, path: Path, name: str) -> Image:
     digest = digests.of(str(path))
     digests.save()
     file = _file_name(root, path)
-    if sif.is_sif(path):
-        read = sif.read(path)
+    if sif_format.is_sif(path):
+        read = sif_format.read(path)
         squashfs_tools.size(path, read.offset)
         return _of_squashfs(root, name, file, digest, read.digest(), read.architecture)
     if squashfs_tools.is_squashfs(path):

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, BinaryIO, cast
 
-from sierra.containers.images.layers import Entry, Type, Wanted
+from sierra.containers.images.merge_layers import Entry, Type, Wanted
 from sierra.containers.images.streams import PIECE
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.util.hashing import sha256_file

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sierra.errors import Damaged, NotFound
+from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference
-from sierra.explain.diff.operands import Side
-from sierra.provenance import history, patch
-from sierra.provenance.history import Commits
-from sierra.provenance.patch import File, State
+from sierra.provenance import commits_between, recorded_source_diff
+from sierra.provenance.commits_between import Commits
+from sierra.provenance.recorded_source_diff import File, State
 from sierra.store.store import Store
 from sierra.util.text import few
 
@@ -36,7 +36,7 @@ def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
     except (KeyError, NotFound, Damaged) as error:
         why = "the list of files is not in the store" if isinstance(error, KeyError | NotFound) else error
         return Difference("source", "tree", f"source: the files differ; {why}", was, now)
-    found = patch.between(old, new, root, lambda blob: _blob(store, blob))
+    found = recorded_source_diff.between(old, new, root, lambda blob: _blob(store, blob))
     commits = _commits(root, before, after)
     files = [_file(file, known=file.path not in found.unknown) for file in found.files]
     count = "1 file differs" if len(files) == 1 else f"{len(files)} files differ"
@@ -69,7 +69,7 @@ def _blob(store: Store, blob: str) -> bytes | None:
 
 def _commits(root: Path, before: Side, after: Side) -> Commits:
     was, now = (side.source.get("commit") for side in (before, after))
-    return history.between(root, was, now) if was and now and was != now else Commits()
+    return commits_between.between(root, was, now) if was and now and was != now else Commits()
 
 
 def _how(commits: Commits, after: Side) -> str:

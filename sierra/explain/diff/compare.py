@@ -13,8 +13,8 @@ from functools import partial
 from sierra.config.project_file import LoadedProject
 from sierra.errors import Damaged, NotFound, SqlError
 from sierra.explain.diff import code, environment, images, query, results, run_inputs
+from sierra.explain.diff.load_sides import AFTER, BEFORE, check, gather, pair
 from sierra.explain.diff.model import KINDS, Difference, Note
-from sierra.explain.diff.operands import AFTER, BEFORE, check, gather, pair
 from sierra.store.store import Found, Store
 
 

@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sierra.containers import session_isolation
+from sierra.containers import session_containers
+from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference, changed, shown
-from sierra.explain.diff.operands import Side
-from sierra.provenance.program import INSTALLED, by_likelihood, called, mentioned, versions
+from sierra.provenance.dependency_model import INSTALLED, by_likelihood, called, mentioned, versions
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
 
@@ -143,7 +143,7 @@ def isolations(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Differ
 
 
 def _isolation(row: Mapping[str, Any]) -> dict[str, Any]:
-    facts = {**row, **{name: json.dumps(limits) for name, limits in session_isolation.limits(row).items()}}
+    facts = {**row, **{name: json.dumps(limits) for name, limits in session_containers.limits(row).items()}}
     return {name: facts[name] for name in ISOLATION}
 
 

@@ -9,11 +9,11 @@ from typing import Any
 
 from sierra.containers import images
 from sierra.containers.images.diff import Change, files, packages
-from sierra.containers.session_isolation import other_host_access
+from sierra.containers.session_containers import other_host_access
 from sierra.errors import Damaged, NotFound
+from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference, changed
-from sierra.explain.diff.operands import Side
-from sierra.provenance.program import mentioned
+from sierra.provenance.dependency_model import mentioned
 from sierra.store.store import Snapshot, Store
 from sierra.util.text import few
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference, changed, shown
-from sierra.explain.diff.operands import Side
 from sierra.store.store import Snapshot
 from sierra.util.text import few
 

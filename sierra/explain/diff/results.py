@@ -17,8 +17,8 @@ from typing import Any
 from sierra.config.project_file import LoadedProject, Output
 from sierra.deliverables import render
 from sierra.errors import SierraError
+from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference, Note, changed, shown
-from sierra.explain.diff.operands import Side
 from sierra.ingest.recording_context import rules_of
 from sierra.replay import compare_outputs
 from sierra.replay.compare_values import Agreement, Verdict, distance

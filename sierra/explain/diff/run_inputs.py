@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from sierra.errors import Damaged
+from sierra.explain.diff.load_sides import Side, takens
 from sierra.explain.diff.model import ARROW, Difference, Note, shown
-from sierra.explain.diff.operands import Side, takens
 from sierra.store.recorded_files import INPUT_FOLDER, Recorded, Taken, contents, recorded
 from sierra.store.store import Snapshot
 from sierra.templates.diff import Spot, differing

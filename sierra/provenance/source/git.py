@@ -16,7 +16,7 @@ from functools import cached_property
 from pathlib import Path
 
 from sierra.errors import Missing
-from sierra.util.log import Log
+from sierra.util.log_messages import Log
 
 log = Log(__name__)
 

@@ -16,7 +16,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
-from sierra.config.plugins import SCHEDULERS
+from sierra.config.plugin_registry import SCHEDULERS
 from sierra.config.project_file import ClusterTable, check_directives, options
 
 NAME_LENGTH = 15

@@ -29,11 +29,11 @@ from typing import ClassVar
 from sierra.config import forbidden_directives
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
-from sierra.runners.schedulers import slurm_limits
+from sierra.runners.schedulers import slurm_accounting_limits
 from sierra.runners.schedulers.base import Bounds, Limit, Request, State, Task, least
 from sierra.runners.schedulers.refusals import SLURM, about
-from sierra.runners.schedulers.slurm_limits import Partitions, seconds
-from sierra.util.log import Log
+from sierra.runners.schedulers.slurm_accounting_limits import Partitions, seconds
+from sierra.util.log_messages import Log
 from sierra.util.text import ranges
 
 log = Log(__name__)
@@ -107,7 +107,7 @@ class Slurm:
         parameters = config.get("SchedulerParameters", "")
         chosen = self._partitions(_answer("scontrol", "--all", "--oneliner", "show", "partition"))
         user = pwd.getpwuid(os.geteuid()).pw_name
-        granted = slurm_limits.allowed(_answer, config, user, self._table, _asked_for(chosen))
+        granted = slurm_accounting_limits.allowed(_answer, config, user, self._table, _asked_for(chosen))
         walls = [_limit(seconds(line.get("MaxTime", "")), f"MaxTime of partition {name}") for name, line in chosen.items()]
         return Bounds.of(
             array=least(

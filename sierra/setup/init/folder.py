@@ -12,7 +12,7 @@ from sierra import templates
 from sierra.config import project_file
 from sierra.errors import Missing, UsageError
 from sierra.provenance.source.plain_tree import LEFT_OUT
-from sierra.provenance.source.suggest_paths import is_hardly_code
+from sierra.provenance.source.suggest_exclusions import is_hardly_code
 from sierra.setup.init.answers import Ask, Question, settled
 from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.templates.base import Template

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from sierra.errors import UsageError
-from sierra.provenance.source.suggest_paths import is_hardly_code
+from sierra.provenance.source.suggest_exclusions import is_hardly_code
 from sierra.setup.init import folder
 from sierra.setup.init.answers import Ask, Question, settled
 from sierra.store.layout import CONFIG

@@ -25,7 +25,7 @@ import pytest
 
 import sierra
 from sierra.api import Project
-from sierra.config.plugins import SCHEDULERS
+from sierra.config.plugin_registry import SCHEDULERS
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.execution.observer import Progress
@@ -631,7 +631,7 @@ def test_nodes_report_a_missing_device(contained: Callable[..., Project]) -> Non
 
 DIES = """
 import os, sierra
-from sierra.config.plugins import SCHEDULERS
+from sierra.config.plugin_registry import SCHEDULERS
 from tests.integration.clusters.test_silent_failures import Here
 
 SCHEDULERS.shipped["here"] = "tests.integration.clusters.test_silent_failures:Here"

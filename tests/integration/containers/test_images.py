@@ -19,7 +19,7 @@ import sierra
 from sierra.api import Project
 from sierra.containers import engines, images
 from sierra.containers.images import containerfile_folder as containerfile
-from sierra.containers.images import layers, oci, podman_images
+from sierra.containers.images import merge_layers, oci, podman_images
 from sierra.errors import Missing
 from sierra.store.layout import StorePaths
 from tests import images as made
@@ -266,7 +266,7 @@ def test_merged_layers_equal_the_file_system_of_podman(project: Project, storage
             kind = "folder" if member.isdir() else "link" if member.issym() else "file"
             file = tar.extractfile(member) if kind == "file" else None
             theirs[member.name.rstrip("/")] = (kind, made.sha256(file.read()) if file else member.linkname)
-    ours = {entry.path: (entry.type, entry.sha256 or entry.target) for entry in layers.merge(oci.read(path)).entries}
+    ours = {entry.path: (entry.type, entry.sha256 or entry.target) for entry in merge_layers.merge(oci.read(path)).entries}
     for name in ("dev", "etc/hosts", "etc/hostname", "etc/mtab", "etc/resolv.conf", "proc", "run", "sys", "run/.containerenv"):
         theirs.pop(name, None)
     assert theirs == ours

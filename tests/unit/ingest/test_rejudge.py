@@ -282,7 +282,7 @@ def test_reevaluation_fails_if_the_number_of_copied_rows_differs_from_the_record
     project: Counted, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "sierra.store.rejudged_rows.ROWS", "SELECT o.* REPLACE (m.made AS execution) FROM {files} o, made m LIMIT 5"
+        "sierra.store.copy_rejudged_rows.ROWS", "SELECT o.* REPLACE (m.made AS execution) FROM {files} o, made m LIMIT 5"
     )
     project.declare(WIDE + "min_rows = 1\n")
     ended = quick(project.root, "run", *ASK)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from sierra.provenance.change_guard import seen
-from sierra.provenance.program import NOTHING
+from sierra.provenance.dependency_model import NOTHING
 from sierra.provenance.source.manifest import Entry, listed
 from tests import projects
 from tests.conftest import PRINTS, held

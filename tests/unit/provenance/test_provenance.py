@@ -15,8 +15,8 @@ import sierra
 from sierra.errors import ConfigError, Missing
 from sierra.execution import reuse
 from sierra.execution.reasons import ChangeReason, Reason
-from sierra.explain import changes
-from sierra.provenance import programs, source
+from sierra.explain import why_new_runs
+from sierra.provenance import fingerprint_programs, source
 from sierra.provenance.source.capture import SWHID, Source
 
 Git = Callable[..., str]
@@ -288,15 +288,18 @@ def program(path: Path, content: str) -> str:
 
 def test_every_program_of_a_command_is_part_of_the_identity(tmp_path: Path) -> None:
     path = program(tmp_path / "bin" / "simulator", "\x7fELF")
-    found = programs.find(("nice", "-n", "5", "simulator"), {"PATH": f"{tmp_path}/bin:/usr/bin:/bin"}, tmp_path)
+    found = fingerprint_programs.find(("nice", "-n", "5", "simulator"), {"PATH": f"{tmp_path}/bin:/usr/bin:/bin"}, tmp_path)
     assert [one.name for one in found.all if one.kind == "program"] == ["nice", "simulator"]
     program(Path(path), "\x7fELF2")
-    assert programs.find(("nice", "-n", "5", "simulator"), {"PATH": f"{tmp_path}/bin:/usr/bin:/bin"}, tmp_path).id != found.id
+    assert (
+        fingerprint_programs.find(("nice", "-n", "5", "simulator"), {"PATH": f"{tmp_path}/bin:/usr/bin:/bin"}, tmp_path).id
+        != found.id
+    )
 
 
 def test_equal_programs_in_other_folders_have_the_same_id(tmp_path: Path) -> None:
     found = [
-        programs.find((program(tmp_path / name / "simulator", "\x7fELF"),), {"PATH": ""}, tmp_path).id
+        fingerprint_programs.find((program(tmp_path / name / "simulator", "\x7fELF"),), {"PATH": ""}, tmp_path).id
         for name in ("one", "two")
     ]
     assert found[0] == found[1]
@@ -307,16 +310,16 @@ def test_the_interpreter_of_a_script_and_its_distributions_are_part_of_the_ident
     script = program(tmp_path / "run", f"#!{python}\n")
     installed = tmp_path / "env" / "lib" / "python3.11" / "site-packages"
     (installed / "numpy-1.dist-info").mkdir(parents=True)
-    first = programs.find((script,), {"PATH": ""}, tmp_path)
+    first = fingerprint_programs.find((script,), {"PATH": ""}, tmp_path)
     assert [one.name for one in first.all] == [script, python, "python3: installed distributions"]
     assert first.all[-1].version == "numpy==1"
     (installed / "numpy-1.dist-info").rename(installed / "numpy-2.dist-info")
-    assert programs.find((script,), {"PATH": ""}, tmp_path).id != first.id
+    assert fingerprint_programs.find((script,), {"PATH": ""}, tmp_path).id != first.id
 
 
 def test_a_missing_program_is_reported(tmp_path: Path) -> None:
     with pytest.raises(Missing, match="'simulator' was not found"):
-        programs.find(("simulator",), {"PATH": "/bin"}, tmp_path)
+        fingerprint_programs.find(("simulator",), {"PATH": "/bin"}, tmp_path)
 
 
 @pytest.mark.integration
@@ -354,7 +357,7 @@ def test_a_changed_source_file_is_named(tmp_path: Path) -> None:
     (project.root / "sim.sh").write_text("exit 0\n")
     project.run("n=1", figures=False)
     (project.root / "sim.sh").write_text("exit 0 # changed\n")
-    assert "the source has changed: sim.sh" in changes.why_new(project.plan("n=1"), project.store)
+    assert "the source has changed: sim.sh" in why_new_runs.why_new(project.plan("n=1"), project.store)
 
 
 def test_the_advice_for_changed_notes_says_how_to_exclude_them_from_the_source(tmp_path: Path) -> None:
@@ -363,7 +366,7 @@ def test_the_advice_for_changed_notes_says_how_to_exclude_them_from_the_source(t
     (project.root / "README.md").write_text("before\n")
     project.run("n=1", figures=False)
     (project.root / "README.md").write_text("after\n")
-    told = changes.why_new(project.plan("n=1"), project.store)
+    told = why_new_runs.why_new(project.plan("n=1"), project.store)
     assert told[1] == "the source has changed: README.md"
     assert 'write paths = ["sim.sh"] under [source] in sierra.toml' in told[2]
 

@@ -11,7 +11,7 @@ import pytest
 
 import sierra
 from sierra.config.project_file import ProgramsTable
-from sierra.provenance import programs, reported_versions
+from sierra.provenance import fingerprint_programs, reported_versions
 
 VARIABLES = {"PATH": "/usr/bin:/bin", "LC_ALL": "C.UTF-8"}
 
@@ -40,7 +40,7 @@ def said(path: Path, table: ProgramsTable | None = None) -> str | None:
     table = table or ProgramsTable(versions={"sim": ("--version",)})
     project = path.parent.parent / "project"
     project.mkdir(exist_ok=True)
-    found = programs.find((str(path),), VARIABLES, project)
+    found = fingerprint_programs.find((str(path),), VARIABLES, project)
     answered = reported_versions.asked(found, table, VARIABLES, project)
     assert answered.id == found.id
     return next(one.version for one in answered.all if one.path == str(path))
@@ -72,7 +72,7 @@ def test_scripts_and_programs_of_the_project_do_not_report_versions_by_default(
     own.write_bytes(Path("/bin/true").read_bytes())
     own.chmod(0o755)
     for path, version in ((own, None), (Path("/bin/true"), "true (GNU coreutils)")):
-        found = programs.find((str(path),), VARIABLES, tmp_path / "project")
+        found = fingerprint_programs.find((str(path),), VARIABLES, tmp_path / "project")
         first = reported_versions.asked(found, ProgramsTable(), VARIABLES, tmp_path / "project").all[0]
         assert (first.version or "none").startswith(version or "none")
 

@@ -19,7 +19,7 @@ import pytest
 import sierra
 from sierra.api import Project
 from sierra.containers import images
-from sierra.containers.images import layers, oci, squashfs_tools
+from sierra.containers.images import merge_layers, oci, squashfs_tools
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.maintenance import fsck
 from sierra.store.layout import StorePaths
@@ -366,7 +366,7 @@ def test_oversized_tar_header_is_refused(project: Project) -> None:
 
 
 def test_image_with_too_many_files_is_refused(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(layers, "MOST_FILES", 5)
+    monkeypatch.setattr(merge_layers, "MOST_FILES", 5)
     made.docker_archive(project.root / "sim.tar", [BASE])
     assert_refused(project, "sim.tar", "more than 5 files")
 

@@ -18,7 +18,7 @@ from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers.base import Request, State, Task
 from sierra.runners.schedulers.slurm import PATH, Slurm, refusal, tasks
-from sierra.runners.schedulers.slurm_limits import seconds
+from sierra.runners.schedulers.slurm_accounting_limits import seconds
 from sierra.util.text import ranges
 from tests import clusters
 from tests.waiting import PATIENCE_S

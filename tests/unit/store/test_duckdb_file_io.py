@@ -17,7 +17,7 @@ import sierra
 from sierra.errors import Missing
 from sierra.ingest.model import Shape, Written
 from sierra.ingest.read import read
-from sierra.store import duckdb_files
+from sierra.store import duckdb_file_io
 from sierra.store.connections import Connection, connect
 from sierra.store.store import Store
 from tests import projects
@@ -97,12 +97,14 @@ def test_only_the_module_duckdb_files_names_functions_that_read_files() -> None:
 def test_every_automatic_detection_of_duckdb_is_turned_off_explicitly() -> None:
     scan = ("hive_partitioning = false", "hive_types_autocast = false", "union_by_name = ")
     text = ("compression = 'none'", "ignore_errors = false")
-    assert all(word in duckdb_files.read_parquet(["/a"]) for word in (*scan, "filename = false", "file_row_number = false"))
-    assert all(word in duckdb_files.parquet_given("# file") for word in scan)
-    csv = duckdb_files.csv_given({"c0": "VARCHAR"}, "# file", delimiter=",", header=True)
+    assert all(word in duckdb_file_io.read_parquet(["/a"]) for word in (*scan, "filename = false", "file_row_number = false"))
+    assert all(word in duckdb_file_io.parquet_given("# file") for word in scan)
+    csv = duckdb_file_io.csv_given({"c0": "VARCHAR"}, "# file", delimiter=",", header=True)
     assert all(word in csv for word in (*scan, *text, "auto_detect = false", "null_padding = false"))
-    assert all(word in duckdb_files.objects_given("# file") for word in (*scan, *text, "format = 'newline_delimited'"))
-    assert all(word in duckdb_files.copy("SELECT 1", Path("/a")) for word in ("PER_THREAD_OUTPUT false", "PRESERVE_ORDER true"))
+    assert all(word in duckdb_file_io.objects_given("# file") for word in (*scan, *text, "format = 'newline_delimited'"))
+    assert all(
+        word in duckdb_file_io.copy("SELECT 1", Path("/a")) for word in ("PER_THREAD_OUTPUT false", "PRESERVE_ORDER true")
+    )
 
 
 def test_pyarrow_never_reads_folders_as_data_sets() -> None:
@@ -137,7 +139,7 @@ def test_the_number_of_read_rows_equals_the_number_of_written_ones(
     reading = read(connection, files, Shape("csv", many=True), target)
     assert reading.faults == {}
     assert reading.rows == {(name, name): 2 + place for place, name in enumerate(sorted(names))}
-    stored = f"SELECT file, count(*), max(filename) FROM {duckdb_files.read_parquet([str(target)], filename=True)} GROUP BY 1"
+    stored = f"SELECT file, count(*), max(filename) FROM {duckdb_file_io.read_parquet([str(target)], filename=True)} GROUP BY 1"
     assert {row[0]: row[1:] for row in connection.execute(stored).fetchall()} == {
         name: (2 + place, str(target)) for place, name in enumerate(sorted(names))
     }
@@ -152,11 +154,11 @@ def test_a_connection_reads_only_its_own_folder_for_any_folder_name(tmp_path: Pa
     mine, other = tmp_path / name / "segments", tmp_path / "other"
     for folder in (mine, other):
         folder.mkdir(parents=True)
-        connect().execute(duckdb_files.copy("SELECT 1 AS a", folder / "a.parquet"))
+        connect().execute(duckdb_file_io.copy("SELECT 1 AS a", folder / "a.parquet"))
     connection = Connection(mine)
-    assert connection.cursor.execute(f"FROM {duckdb_files.read_parquet([str(mine / 'a.parquet')])}").fetchall() == [(1,)]
+    assert connection.cursor.execute(f"FROM {duckdb_file_io.read_parquet([str(mine / 'a.parquet')])}").fetchall() == [(1,)]
     with pytest.raises(duckdb.Error):
-        connection.cursor.execute(f"FROM {duckdb_files.read_parquet([str(other / 'a.parquet')])}")
+        connection.cursor.execute(f"FROM {duckdb_file_io.read_parquet([str(other / 'a.parquet')])}")
     connection.close()
 
 
@@ -164,8 +166,8 @@ def test_a_folder_that_replaced_another_is_read(tmp_path: Path) -> None:
     for number in (1, 2):
         folder = tmp_path / "[x]"
         folder.mkdir()
-        connect().execute(duckdb_files.copy(f"SELECT {number} AS a", folder / "a.parquet"))
-        found = connect().execute(f"FROM {duckdb_files.read_parquet([str(folder / 'a.parquet')])}").fetchall()
+        connect().execute(duckdb_file_io.copy(f"SELECT {number} AS a", folder / "a.parquet"))
+        found = connect().execute(f"FROM {duckdb_file_io.read_parquet([str(folder / 'a.parquet')])}").fetchall()
         assert found == [(number,)]
         folder.rename(tmp_path / f"old {number}")
 
@@ -175,7 +177,7 @@ def test_a_store_is_refused_in_a_folder_whose_name_duckdb_cannot_read(tmp_path: 
         Missing, match=r"p\\xff/.sierra: a store cannot be in a folder whose name is not UTF-8; rename the folder"
     ):
         Store.create(Path(os.fsdecode(bytes(tmp_path) + b"/p\xff/.sierra")))
-    monkeypatch.setattr(duckdb_files, "OPEN", str(tmp_path / "nowhere"))
+    monkeypatch.setattr(duckdb_file_io, "OPEN", str(tmp_path / "nowhere"))
     with pytest.raises(
         Missing, match=r"\[x\]/.sierra: cannot be read under this name here; rename files or folders that have one of"
     ):

@@ -15,8 +15,8 @@ import pytest
 
 import sierra
 from sierra.errors import Missing
-from sierra.provenance import libraries, program, programs, referenced_files
-from sierra.provenance.program import NOTHING, Kind, Program, Programs
+from sierra.provenance import dependency_model, fingerprint_programs, libraries, referenced_files
+from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from tests import projects
 
 SEARCH = "/usr/bin:/bin"
@@ -97,7 +97,7 @@ def test_variables_that_the_env_command_sets_are_used_to_find_libraries(built: B
 
 
 def test_a_program_started_by_another_may_lack_libraries(built: Built, tmp_path: Path) -> None:
-    found = programs.find(("nice", str(built.program)), {"PATH": SEARCH}, tmp_path)
+    found = fingerprint_programs.find(("nice", str(built.program)), {"PATH": SEARCH}, tmp_path)
     assert str(built.program) in {one.path for one in found.all}
 
 
@@ -125,7 +125,7 @@ def test_a_loader_that_a_hostile_file_names_is_never_executed(tmp_path: Path) ->
     hostile = tmp_path / "hostile"
     hostile.write_bytes(elf(os.fsencode(loader) + b"\0"))
     hostile.chmod(0o755)
-    found = programs.find((str(hostile),), {"PATH": SEARCH}, tmp_path)
+    found = fingerprint_programs.find((str(hostile),), {"PATH": SEARCH}, tmp_path)
     assert [one.name for one in found.all] == [str(hostile)]
     assert found.notes == (f"the libraries of {hostile} are not recorded: its loader {loader} does not belong to the system",)
     assert not (tmp_path / "executed").exists()
@@ -180,7 +180,7 @@ def install(python: Path, name: str, version: str, direct: str | None = None, re
 
 
 def seen(python: Path, root: Path, **variables: str) -> Programs:
-    return programs.find((str(python),), {**variables, "PATH": SEARCH}, root)
+    return fingerprint_programs.find((str(python),), {**variables, "PATH": SEARCH}, root)
 
 
 def test_the_interpreter_and_its_distributions_are_recorded(python: Path, tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_the_python_that_a_script_starts_is_recorded(python: Path, tmp_path: Pat
     shim.parent.mkdir()
     shim.write_text(f'#!/bin/sh\nexec {python} "$@"\n')
     shim.chmod(0o755)
-    found = programs.find(("python3",), {"PATH": f"{shim.parent}:{SEARCH}"}, tmp_path / "p")
+    found = fingerprint_programs.find(("python3",), {"PATH": f"{shim.parent}:{SEARCH}"}, tmp_path / "p")
     assert "numpy==2.0.1" in [one.version for one in found.all]
     assert "python3: interpreter" in {one.name for one in found.all}
 
@@ -429,18 +429,18 @@ def test_changed_programs_are_reported_by_version(tmp_path: Path) -> None:
         )
 
     before = used("4.0.0", "a", "1", "c")
-    assert list(programs.told(before.rows(), before)) == []
-    assert list(programs.told(before.rows(), used("4.0.1", "b", "2", "d"))) == [
+    assert list(fingerprint_programs.told(before.rows(), before)) == []
+    assert list(fingerprint_programs.told(before.rows(), used("4.0.1", "b", "2", "d"))) == [
         "argos3: 4.0.0 (aaaaaaaaaa) recorded, 4.0.1 (bbbbbbbbbb) found",
         "python3: installed distributions: numpy 1 recorded, 2 found",
         "libraries that differ from the record: libc.so.6",
     ]
     alike = [Program(f"/{folder}/map.pgm", "", folder * 64, "file") for folder in "abc"]
-    assert list(programs.told(Programs(tuple(alike[:2])).rows(), Programs((alike[0], alike[2])))) == [
+    assert list(fingerprint_programs.told(Programs(tuple(alike[:2])).rows(), Programs((alike[0], alike[2])))) == [
         "/b/map.pgm: bbbbbbbbbb recorded, not found",
         "/c/map.pgm: not recorded, cccccccccc found",
     ]
-    assert list(programs.told(before.rows()[:1], NOTHING)) == ["argos3: 4.0.0 (aaaaaaaaaa) recorded, not found"]
+    assert list(fingerprint_programs.told(before.rows()[:1], NOTHING)) == ["argos3: 4.0.0 (aaaaaaaaaa) recorded, not found"]
 
 
 @pytest.mark.integration
@@ -462,10 +462,12 @@ def test_show_displays_the_environment_and_programs_of_batches_and_executions(tm
 
 def test_packages_that_the_simulator_uses_are_reported_first(tmp_path: Path) -> None:
     (tmp_path / "sim.py").write_text("import sys\nfrom mujoco import MjModel\n")
-    words = program.mentioned(("python3", "{project}/sim.py", "{input}"), tmp_path)
+    words = dependency_model.mentioned(("python3", "{project}/sim.py", "{input}"), tmp_path)
     names = ["attrs", "certifi", "glfw", "mujoco", "pip", "setuptools", "numpy"]
-    assert program.by_likelihood(names, words) == ["mujoco", "attrs", "glfw", "numpy", "certifi", "pip", "setuptools"]
-    assert program.by_likelihood(["adduser", "argos3-simulator", "apt"], program.mentioned(("argos3", "-c"), tmp_path)) == [
+    assert dependency_model.by_likelihood(names, words) == ["mujoco", "attrs", "glfw", "numpy", "certifi", "pip", "setuptools"]
+    assert dependency_model.by_likelihood(
+        ["adduser", "argos3-simulator", "apt"], dependency_model.mentioned(("argos3", "-c"), tmp_path)
+    ) == [
         "argos3-simulator",
         "adduser",
         "apt",
@@ -479,6 +481,6 @@ def test_packages_that_the_simulator_uses_are_reported_first(tmp_path: Path) -> 
         )
         for digit, text in (("a", "\n".join(f"{name}==1" for name in names)), ("b", "\n".join(f"{name}==2" for name in names)))
     ]
-    told = list(programs.told(installed[0].rows(), installed[1], words))
+    told = list(fingerprint_programs.told(installed[0].rows(), installed[1], words))
     assert told[0].startswith("sim: ")
     assert told[1].startswith("python3: installed distributions: mujoco 1 recorded, 2 found, attrs")

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import TracebackType
 
 from sierra.errors import Missing
-from sierra.store.names import quote
+from sierra.store.sql_names import quote
 
 ODD = re.compile(r"^~|[*?\[\udc80-\udcff]")
 """The parts of a path that DuckDB does not take literally: patterns, the home folder, and bytes that are not UTF-8."""

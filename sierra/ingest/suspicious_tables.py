@@ -14,7 +14,7 @@ from sierra.ingest.match_outputs import NOTED_AT_MOST
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
 from sierra.ingest.recording_context import Context
-from sierra.store.names import identifier
+from sierra.store.sql_names import identifier
 from sierra.store.store import Snapshot, Store
 from sierra.store.type_inference import AS_TEXT
 from sierra.store.union_files import TEXT

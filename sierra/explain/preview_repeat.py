@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError
 from sierra.execution import resolve_plan
+from sierra.execution.cluster_status import claimed
 from sierra.execution.reasons import ChangeReason, Reason
 from sierra.execution.resolve_plan import Plan
 from sierra.execution.reuse import foreseen, states
-from sierra.execution.status import claimed
-from sierra.explain.changes import other_programs, why_other
-from sierra.query.request import repeated
+from sierra.explain.why_new_runs import other_programs, why_other
+from sierra.query.query_input import repeated
 from sierra.store.store import Store
 
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from sierra.config.plugins import NoOptions
+from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Table
 from sierra.errors import Missing
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
-from sierra.store.duckdb_files import copy, parquet_metadata, read_parquet
+from sierra.store.duckdb_file_io import copy, parquet_metadata, read_parquet
 from sierra.store.duckdb_messages import duckdb_error, first_line
-from sierra.store.names import column_names, identifier
 from sierra.store.parquet_row_counts import rows_by_file
+from sierra.store.sql_names import column_names, identifier
 
 FILE = "# file"
 """DuckDB's name for the column with a row's file; real columns are unlikely to have this name."""

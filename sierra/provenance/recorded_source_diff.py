@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from sierra.errors import Missing
-from sierra.provenance.history import HASH
+from sierra.provenance.commits_between import HASH
 from sierra.provenance.source.capture import SWHID
 from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import REPOSITORY, parts, read

@@ -7,7 +7,7 @@ from typing import Any
 
 from sierra.errors import Damaged, Missing
 from sierra.store.connections import connect
-from sierra.store.duckdb_files import copy, read_parquet
+from sierra.store.duckdb_file_io import copy, read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.segments import OUTPUT, Writer, is_first_part
 from sierra.store.store import Snapshot

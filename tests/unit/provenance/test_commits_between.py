@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.provenance import history
+from sierra.provenance import commits_between
 from tests import projects
 
 AUTHOR = ("-c", "user.name=Ada", "-c", "user.email=ada@example.org")
@@ -35,12 +35,12 @@ def committed(root: Path, subject: str) -> str:
 
 def test_commits_between_two_states_are_listed_with_author_date_and_subject(repository: Path) -> None:
     first, second = committed(repository, "Begin"), committed(repository, "Größer: “ein Test”")
-    found = history.between(repository, first, second)
+    found = commits_between.between(repository, first, second)
     assert (found.on, found.back, found.base, found.missing) == (1, 0, first, ())
     [commit] = found.log_on
     assert (commit.id, commit.author, commit.subject) == (second, "Ada", "Größer: “ein Test”")
     assert f"{commit.date:%Y-%m-%dT%H:%M:%S}" == git(repository, "log", "-1", "--format=%aI")[:19]
-    assert history.between(repository, second, first).log_back == (commit,)
+    assert commits_between.between(repository, second, first).log_back == (commit,)
 
 
 def test_diverged_histories_have_a_base_and_unrelated_ones_do_not(repository: Path) -> None:
@@ -48,17 +48,17 @@ def test_diverged_histories_have_a_base_and_unrelated_ones_do_not(repository: Pa
     left = committed(repository, "Left")
     git(repository, "checkout", "-q", "-b", "other", base)
     right = committed(repository, "Right")
-    found = history.between(repository, left, right)
+    found = commits_between.between(repository, left, right)
     assert (found.on, found.back, found.base) == (1, 1, base)
     git(repository, "checkout", "-q", "--orphan", "alone")
-    assert history.between(repository, left, committed(repository, "Alone")).base is None
+    assert commits_between.between(repository, left, committed(repository, "Alone")).base is None
 
 
 def test_at_most_20_commits_are_listed_and_all_are_counted(repository: Path) -> None:
     first = committed(repository, "Begin")
     for number in range(23):
         last = committed(repository, f"Change {number}")
-    found = history.between(repository, first, last)
+    found = commits_between.between(repository, first, last)
     assert (found.on, len(found.log_on), found.log_on[0].subject) == (23, 20, "Change 22")
 
 
@@ -67,7 +67,7 @@ def test_a_commit_is_described_by_its_tag_branches_and_remote(repository: Path) 
     git(repository, "tag", "v1")
     git(repository, "remote", "add", "origin", "https://ada:secret@example.org/swarm.git?token=secret")
     committed(repository, "Go on")
-    found = history.known(repository, first)
+    found = commits_between.known(repository, first)
     assert found is not None
     assert (found.commit.subject, found.described, found.branches) == ("Begin", "v1", ("main", "v1"))
     assert found.remote == "https://example.org/swarm.git"
@@ -76,19 +76,19 @@ def test_a_commit_is_described_by_its_tag_branches_and_remote(repository: Path) 
 def test_the_history_of_a_repository_with_sha256_is_read(tmp_path: Path) -> None:
     git(tmp_path, "init", "-q", "--object-format=sha256")
     first, second = committed(tmp_path, "Begin"), committed(tmp_path, "Go on")
-    assert [commit.subject for commit in history.between(tmp_path, first, second).log_on] == ["Go on"]
+    assert [commit.subject for commit in commits_between.between(tmp_path, first, second).log_on] == ["Go on"]
 
 
 def test_commits_are_missing_in_a_folder_without_a_repository(tmp_path: Path) -> None:
-    assert history.known(tmp_path, "0" * 40) is None
-    assert history.between(tmp_path, "0" * 40, "1" * 40).missing == ("0" * 40, "1" * 40)
+    assert commits_between.known(tmp_path, "0" * 40) is None
+    assert commits_between.between(tmp_path, "0" * 40, "1" * 40).missing == ("0" * 40, "1" * 40)
 
 
 @pytest.mark.parametrize("commit", ["--output=written", "HEAD", "-h", "", "0" * 39])
 def test_texts_that_are_not_hashes_never_reach_git(repository: Path, commit: str) -> None:
     committed(repository, "Begin")
-    assert history.known(repository, commit) is None
-    assert history.between(repository, commit, commit).missing == (commit,)
+    assert commits_between.known(repository, commit) is None
+    assert commits_between.between(repository, commit, commit).missing == (commit,)
     assert not (repository / "written").exists()
 
 
@@ -102,7 +102,7 @@ def test_git_environment_variables_do_not_redirect_the_history(
     monkeypatch.setenv("GIT_DIR", str(other / ".git"))
     monkeypatch.setenv("GIT_OBJECT_DIRECTORY", str(other / ".git" / "objects"))
     monkeypatch.setenv("GIT_OPTIONAL_LOCKS", "1")
-    found = history.known(repository, first)
+    found = commits_between.known(repository, first)
     assert found is not None
     assert found.commit.subject == "Begin"
 
@@ -144,9 +144,9 @@ def test_programs_that_a_hostile_repository_configures_are_not_executed(reposito
     for left in tmp_path.glob("ran-*"):
         left.unlink()
     absent = "1" * 40
-    assert history.between(repository, first, second).on == 1
-    assert history.between(repository, first, absent).missing == (absent,)
-    assert history.known(repository, second) is not None
+    assert commits_between.between(repository, first, second).on == 1
+    assert commits_between.between(repository, first, absent).missing == (absent,)
+    assert commits_between.known(repository, second) is not None
     assert not list(tmp_path.glob("ran-*"))
     subprocess.run(["git", "cat-file", "-e", absent], cwd=repository, check=False, capture_output=True)
     assert list(tmp_path.glob("ran-*")), "the trap would not notice"

@@ -21,8 +21,8 @@ from typing import Any
 
 from sierra.errors import Missing
 from sierra.provenance import libraries, pythons
+from sierra.provenance.dependency_model import INSTALLED, NOTHING, Kind, Program, Programs, by_likelihood, called, versions
 from sierra.provenance.hash_cache import HashCache
-from sierra.provenance.program import INSTALLED, NOTHING, Kind, Program, Programs, by_likelihood, called, versions
 from sierra.util.hashing import sha256, short
 from sierra.util.text import few
 

@@ -19,8 +19,8 @@ from sierra.containers.images.image_contents import Contents
 from sierra.errors import ConfigError, Missing
 from sierra.model import Limits, Requirement, RunSpec
 from sierra.provenance.change_guard import ChangeGuard, alone
+from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
-from sierra.provenance.program import Kind, Program, Programs
 from sierra.store.layout import StorePaths
 from sierra.util.hashing import digest, sha256
 

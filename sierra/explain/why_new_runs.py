@@ -11,15 +11,15 @@ from typing import Any
 from sierra.containers import images
 from sierra.containers.images.diff import files, packages
 from sierra.containers.images.image_contents import Contents
-from sierra.containers.session_isolation import other_host_access
+from sierra.containers.session_containers import other_host_access
 from sierra.errors import Damaged, Missing, NotFound, SierraError
 from sierra.execution import plan_from_record
 from sierra.execution.records import batch_row, is_kept
 from sierra.execution.resolve_plan import Plan
 from sierra.model import Value
-from sierra.provenance import programs, source
-from sierra.provenance.program import mentioned
-from sierra.provenance.source import suggest_paths
+from sierra.provenance import fingerprint_programs, source
+from sierra.provenance.dependency_model import mentioned
+from sierra.provenance.source import suggest_exclusions
 from sierra.provenance.source.manifest import changed
 from sierra.query import grammar, ranges
 from sierra.store.store import Store
@@ -147,7 +147,7 @@ WHERE programs = (
 def other_programs(plan: Plan, store: Store) -> list[str]:
     """Return the programs that differ from those of the batch's last execution, one line each."""
     words = mentioned(plan.batch.spec.command, plan.project.root)
-    return list(programs.told(store.rows(PROGRAMS, batch=plan.batch.id), plan.programs, words))
+    return list(fingerprint_programs.told(store.rows(PROGRAMS, batch=plan.batch.id), plan.programs, words))
 
 
 def _recipe(plan: Plan, before: dict[str, Any]) -> list[str]:
@@ -211,8 +211,8 @@ def _source(plan: Plan, store: Store, tree: str) -> list[str]:
     if not rows or plan.source is None:
         return ["the source has changed"]
     paths = changed(store.object(rows[0]["files"]), plan.source.manifest)
-    advice = suggest_paths.advice(map(os.fsencode, paths), source.paths(plan.source.manifest))
-    return [f"the source has changed: {few(paths, SHOWN)}", *([] if advice == suggest_paths.ONLY_SAID else [advice])]
+    advice = suggest_exclusions.advice(map(os.fsencode, paths), source.paths(plan.source.manifest))
+    return [f"the source has changed: {few(paths, SHOWN)}", *([] if advice == suggest_exclusions.ONLY_SAID else [advice])]
 
 
 def _asked(plan: Plan, before: dict[str, Any]) -> list[str]:
