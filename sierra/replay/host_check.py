@@ -1,8 +1,8 @@
 """Check of this machine's programs before it executes runs that were recorded in an image.
 
 It checks the same things that are recorded without an image (see `sierra.provenance.fingerprint_programs`): programs, the
-libraries that they load, and the distributions of a Python. Everything that the image does not have as the same file at the same path is
-reported before anything executes.
+libraries that they load, and the distributions of a Python. Everything that the image does not have as the same file at the
+same path is reported before anything executes.
 """
 
 from __future__ import annotations
