@@ -561,7 +561,7 @@ def test_empty_data_are_refused_without_writing_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("shown", "complaint"),
     [
-        (drawing("summary", (Axis("noise", (0, 1)),), log_x=True), "log_x needs values above 0, noise has 0"),
+        (drawing("summary", (Axis("noise", (0, 1)),), log_x=True), "log_x needs values above 0, but noise has 0"),
         (drawing(tables={"energy": table(4, 5, mean=np.full(20, -1.0))}, log_y=True), "log_y needs values above 0"),
         (drawing("stacked", tables={"a": table(4, 5, mean=np.full(20, -1.0))}), "values of at least 0"),
         (drawing("stacked", tables={"energy": table(4, 5), "lifted": table(4, 5)}), r"not energy \[J\], lifted \(no unit\)"),

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import sierra
-import sierra.store.export_files
+import sierra.store.export_recorded_files
 from sierra.api import Project
 from sierra.errors import UsageError
 from sierra.util.text import natural
@@ -75,7 +75,7 @@ def test_files_are_listed_in_numeric_order(tmp_path: Path) -> None:
     names = [f"floor-{number}.csv" for number in range(1, 13)]
     assert project.sql("SELECT file FROM floor").column(0).to_pylist() == names
     listed = project.files(summary.batch)
-    assert isinstance(listed, sierra.store.export_files.Listing)
+    assert isinstance(listed, sierra.store.export_recorded_files.Listing)
     assert [file.path for file in listed.files if file.kind == "table"] == [f"output/{name}" for name in names]
     execution = project.sql("SELECT execution FROM executions").column(0)[0].as_py()
     shown = [one["path"] for one in project.show(execution)["artifacts"]]
@@ -115,7 +115,7 @@ def test_file_names_with_brackets_are_matched_literally(tmp_path: Path) -> None:
     rows = project.sql("SELECT file, v FROM one ORDER BY v").to_pylist()
     assert rows == [{"file": "robot0.csv", "v": 0}, {"file": "robot[0].csv", "v": 1}]
     listed = project.files(summary.batch, "robot[0].csv")
-    assert isinstance(listed, sierra.store.export_files.Listing)
+    assert isinstance(listed, sierra.store.export_recorded_files.Listing)
     assert [file.path for file in listed.files] == ["output/robot[0].csv"]
 
 

@@ -172,7 +172,7 @@ def test_show_names_the_recorded_commit_and_diff_the_commits_between(tmp_path: P
     }
     assert "secret" not in shown
     told = projects.quick(root, "diff", before, after).stdout
-    assert "; 1 commit on" in told
+    assert "; 1 commit ahead" in told
     assert "a: Say more" in told
     assert "the first commit is an ancestor of the second" in told
     assert json.loads(projects.quick(root, "show", after, "--json").stdout)["history"]["described"] == "v2"

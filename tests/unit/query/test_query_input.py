@@ -38,7 +38,7 @@ def test_a_file_whose_batch_has_changed_is_reported(project: Path) -> None:
     (project / "arena.xml").write_text(projects.TEMPLATE.replace("0.1", "0.2"))
     done = quick(project, "run", "../query.json", "-n")
     assert done.returncode == 0
-    assert "the project is not as it was" in done.stderr
+    assert "the project has changed since" in done.stderr
 
 
 def test_the_request_of_a_recorded_batch_gives_the_same_batch(project: Path) -> None:
@@ -76,4 +76,4 @@ def test_options_together_with_a_file_are_refused(project: Path) -> None:
     (project.parent / "query.json").write_text('{"criteria": ["population_size=1"]}')
     done = quick(project, "run", "../query.json", "--runs", "3")
     assert done.returncode == 2
-    assert "whole request" in done.stderr
+    assert "complete request" in done.stderr

@@ -57,7 +57,7 @@ def test_a_session_has_a_log_file_that_show_names(root: Path) -> None:
     [file] = logs(root)
     text = file.read_text()
     [batch] = sierra.open(root).batches
-    assert f"session {file.stem} begins" in text
+    assert f"session {file.stem} started" in text
     assert f"batch {batch['batch']} on local with none" in text
     assert "2 runs: 2 executed, 0 failed, 0 missing" in text
     assert text.endswith(f"session {file.stem} ends\n")
