@@ -23,7 +23,7 @@ from sierra.store.store import Store
 from tests import projects
 
 PACKAGE = Path(sierra.__file__).parent
-DOOR = PACKAGE / "store" / "scans.py"
+DOOR = PACKAGE / "store" / "duckdb_file_io.py"
 READS = re.compile(
     r"(?i:\b(?:read_(?!only)\w+|parquet_\w+|sniff_csv|glob|\w+_scan)\s*\()|\bCOPY\s+[(\w]|\bATTACH\s+'|\b(?:FROM|JOIN)\s+'"
 )
@@ -89,7 +89,7 @@ def _sql() -> Iterator[tuple[Path, str]]:
 
 
 @pytest.mark.integration
-def test_only_the_module_duckdb_files_names_functions_that_read_files() -> None:
+def test_only_the_module_duckdb_file_io_names_functions_that_read_files() -> None:
     found = {(path.relative_to(PACKAGE), text) for path, text in _sql() if path != DOOR and READS.search(text)}
     assert found == set()
 

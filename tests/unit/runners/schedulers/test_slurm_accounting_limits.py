@@ -172,7 +172,7 @@ ASKED = ("run", "size=1", "--runs", "40", "--on", "slurm", "--no-figures")
 def test_a_dry_run_obeys_accounting_limits_and_names_their_origin(limited: Callable[[str], Simulated]) -> None:
     told = limited("array_tasks = 30").quick(*ASKED, "-n", "--explain").stdout
     for line in (
-        "elements +5 +the jobs that the site allows \\(MaxSubmitJobsPerUser of QOS normal\\)",
+        "array_tasks +5 +the number of jobs that the site allows \\(MaxSubmitJobsPerUser of QOS normal\\)",
         "jobs at a time +6 +the site's limit: MaxSubmitJobsPerUser of QOS normal",
         "jobs that run at a time +2 +the site's limit: MaxJobsPerUser of QOS normal",
         "longest wall +1200 +the site's limit: MaxWall of QOS normal",
