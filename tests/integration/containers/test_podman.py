@@ -73,7 +73,7 @@ def test_a_batch_executes_in_its_image_and_sql_reports_it(tmp_path: Path, busybo
         "JOIN isolations i USING (isolation) "
         "JOIN batches USING (batch) JOIN specs r USING (spec) JOIN images m ON m.image = i.image",
     )
-    assert one == {"engine": "podman", "mode": "run", "network": "none", "same": True, "reach": [], "kind": "oci"}
+    assert one == {"engine": "podman", "mode": "run", "network": "none", "same": True, "host_access": [], "kind": "oci"}
     values = rows(folder, "SELECT DISTINCT population_size AS n FROM swarm WHERE tick = 2 ORDER BY n")
     assert values == [{"n": 1}, {"n": 2}]
     assert containers.left(folder) == []
