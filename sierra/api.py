@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from sierra.containers.images.image import Image
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
-    from sierra.execution.cluster_status import Standing
+    from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.execute_missing import RunOptions
     from sierra.execution.observer import Observer
     from sierra.execution.resolve_plan import Plan
@@ -369,7 +369,7 @@ class Project:
 
         return estimate_jobs.proposal(plan, self.stored(), runner, detach=detach)
 
-    def status(self, prefix: str | None = None, *, observer: Observer | None = None) -> list[Standing]:
+    def status(self, prefix: str | None = None, *, observer: Observer | None = None) -> list[ClusterSession]:
         """Return the state of cluster jobs, of all batches or of one. Record the runs that have finished there first.
 
         >>> project.status()
@@ -380,7 +380,7 @@ class Project:
         store = self.stored()
         return status.standing(store, prefix, observer) if store else []
 
-    def left(self, summary: Summary) -> list[Standing]:
+    def left(self, summary: Summary) -> list[ClusterSession]:
         """Return the state of the cluster jobs that the summary's session left running.
 
         >>> project.left(summary)

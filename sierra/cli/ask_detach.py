@@ -29,7 +29,7 @@ def asked() -> bool:
 def lines(left: Sequence[Any], batch: str) -> list[str]:
     """Return a line for each session that continues on a cluster, and one with the commands to attach or cancel.
 
-    `left` has the form of `sierra.execution.cluster_status.Standing`.
+    `left` has the form of `sierra.execution.cluster_status.ClusterSession`.
     """
     from sierra.util.hashing import short
     from sierra.util.text import counted

@@ -15,7 +15,7 @@ from sierra.errors import UsageError
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.store.export_recorded_files import Listing, Outcome
-    from sierra.store.recorded_files import Recorded, Taken
+    from sierra.store.recorded_files import ChosenExecution, Recorded
 
 SPOOLED = 64 << 20
 SHOWN_FAILURES = 20
@@ -115,7 +115,7 @@ def _doubt(opened: Project, folder: Path) -> None:
         note(f"{folder} is in the project, and changes its source (which makes the next runs new) unless git ignores it")
 
 
-def _execution(run: Taken) -> str:
+def _execution(run: ChosenExecution) -> str:
     from sierra.util.hashing import short
 
     if run.execution is None:
@@ -143,7 +143,7 @@ def _print(listed: Listing) -> None:
         print(line)
 
 
-def _doubtful(runs: Iterable[Taken]) -> Iterable[str]:
+def _doubtful(runs: Iterable[ChosenExecution]) -> Iterable[str]:
     from sierra.util.text import counted
 
     which = [run.which for run in runs]
@@ -190,7 +190,7 @@ def _summary(listed: Listing, outcomes: Sequence[Outcome], folder: Path) -> None
 
 def _as_json(listed: Listing, outcomes: dict[int, Outcome] | None = None) -> dict[str, Any]:
     names = ("experiment", "ordinal", "number", "run", "execution", "status", "which")
-    runs: dict[Taken, dict[str, Any]] = {
+    runs: dict[ChosenExecution, dict[str, Any]] = {
         run: {**{name: getattr(run, name) for name in names}, "files": []} for run in listed.runs
     }
     for file in listed.files:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sierra.execution.cluster_status import Standing
+    from sierra.execution.cluster_status import ClusterSession
 
 COLUMNS = ("batch", "query", "session", "runner", "jobs", "runs", "done", "failed", "state", "followed by", "submitted")
 LONGEST = 40
@@ -15,7 +15,7 @@ SESSION = 8
 """The number of digits of a session's id that are shown; its jobs have them in their names, too."""
 
 
-def show(found: Sequence[Standing], *, long: bool = False) -> None:
+def show(found: Sequence[ClusterSession], *, long: bool = False) -> None:
     """Print a line for each session on a cluster, and explanations below."""
     from sierra.cli.output import readable, table
     from sierra.util.hashing import short
@@ -30,7 +30,7 @@ def show(found: Sequence[Standing], *, long: bool = False) -> None:
             print(f"{short(one.batch)} ({one.session[:SESSION]}) cannot start: {readable(one.stuck)}")
 
 
-def lines(found: Sequence[Standing]) -> list[str]:
+def lines(found: Sequence[ClusterSession]) -> list[str]:
     """Return a line for each session of a batch on clusters."""
     from sierra.cli.ask_detach import named
     from sierra.cli.output import readable
@@ -44,7 +44,7 @@ def lines(found: Sequence[Standing]) -> list[str]:
     return told
 
 
-def state(one: Standing) -> str:
+def state(one: ClusterSession) -> str:
     """Return the state of a session's array job in a few words."""
     from sierra.cli.output import readable
 
@@ -61,7 +61,7 @@ def state(one: Standing) -> str:
     return ", ".join([*words, *(["cannot start"] if one.stuck else [])])
 
 
-def _row(one: Standing, *, long: bool) -> Sequence[Any]:
+def _row(one: ClusterSession, *, long: bool) -> Sequence[Any]:
     from sierra.cli.output import readable
     from sierra.util.hashing import short
     from sierra.util.text import few

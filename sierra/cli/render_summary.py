@@ -12,7 +12,7 @@ from sierra.errors import Missing
 
 if TYPE_CHECKING:
     from sierra.api import Project
-    from sierra.execution.cluster_status import Standing
+    from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.summary import Summary
 
 COUNTED = ("runs", "succeeded", "failed")
@@ -37,7 +37,7 @@ def tell(project: Project, summary: Summary, more: Mapping[str, Any] | None, *, 
         raise Missing(summary.figure_error)
 
 
-def _left(one: Standing) -> dict[str, Any]:
+def _left(one: ClusterSession) -> dict[str, Any]:
     names = ("session", "runner", "scheduler", "jobs", "array_tasks", "runs", "since")
     return {name: getattr(one, name) for name in names}
 
@@ -66,7 +66,7 @@ def _answer(summary: Summary) -> dict[str, Any]:
     return answer
 
 
-def _print(summary: Summary, left: Sequence[Standing]) -> None:
+def _print(summary: Summary, left: Sequence[ClusterSession]) -> None:
     from sierra.cli import ask_detach
     from sierra.cli.figures import from_here
     from sierra.cli.output import table

@@ -30,7 +30,7 @@ PROBED = "nodes are tested first"
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class ClusterSession:
     """Status of one submission: its query, its progress, and the process that follows it."""
 
     session: str
@@ -68,7 +68,7 @@ class Standing:
         return self.queued == 0 and self.running == 0 and not (self.stuck or self.ended)
 
 
-def standing(store: Store, prefix: str | None = None, observer: Observer | None = None) -> list[Standing]:
+def standing(store: Store, prefix: str | None = None, observer: Observer | None = None) -> list[ClusterSession]:
     """Return the sessions on clusters, oldest first: all, or those of the batch or session whose id starts with `prefix`.
 
     Records finished runs first. `observer` receives notices. Raises NotFound.
@@ -86,7 +86,7 @@ def standing(store: Store, prefix: str | None = None, observer: Observer | None 
     return sorted(rows, key=lambda row: (row.since, row.session))
 
 
-def seen(store: Store, runs: AbstractSet[str]) -> list[Standing]:
+def seen(store: Store, runs: AbstractSet[str]) -> list[ClusterSession]:
     """Return the status of all submissions with some of these runs; record nothing. `done` counts runs that are recorded."""
     those = (paths for paths in sessions.submitted(store.paths) if not runs.isdisjoint(sessions.claims(paths)))
     found = [row for paths in those if (row := submitted(paths))]
@@ -122,7 +122,7 @@ def named(store: Store, prefix: str | None) -> list[SessionPaths]:
     return [paths for paths in found if (row := submitted(paths)) and row.batch == batch.id]
 
 
-def submitted(paths: SessionPaths) -> Standing | None:
+def submitted(paths: SessionPaths) -> ClusterSession | None:
     """Return the status that a session's folder shows; None if the session has been closed."""
     try:
         made = Submission.load(paths)
@@ -130,7 +130,7 @@ def submitted(paths: SessionPaths) -> Standing | None:
         since = sent[0].when if sent else paths.submission.stat().st_mtime
     except FileNotFoundError:
         return None
-    return Standing(
+    return ClusterSession(
         session=paths.root.name,
         batch=made.batch,
         query=_query(paths),
@@ -166,7 +166,7 @@ def _query(paths: SessionPaths) -> str | None:
     return query
 
 
-def _recorded(store: Store, row: Standing, observer: Observer) -> Standing:
+def _recorded(store: Store, row: ClusterSession, observer: Observer) -> ClusterSession:
     """Return the status after finished runs are recorded, by this process or by the one that follows the session.
 
     If the session is cancelled, end its jobs first.
@@ -185,7 +185,7 @@ def _recorded(store: Store, row: Standing, observer: Observer) -> Standing:
     return replace(row, ended=not attached.left)
 
 
-def _asked(store: Store, row: Standing) -> Standing:
+def _asked(store: Store, row: ClusterSession) -> ClusterSession:
     """Return the status with the scheduler's report on the elements."""
     if row.ended:
         return replace(row, queued=0, running=0)

@@ -30,7 +30,7 @@ from sierra.provenance.change_guard import seen
 from sierra.provenance.dependency_model import NOTHING
 from sierra.query import grammar
 from sierra.query.query_input import repeated
-from sierra.store.recorded_files import INPUT_FOLDER, Taken, contents, recorded
+from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, contents, recorded
 from sierra.store.store import Snapshot, Store
 from sierra.templates.base import Files
 from sierra.util.fs import inside
@@ -154,7 +154,7 @@ def image_contents(store: Store, identity: str) -> Contents:
     return Contents.of_row(rows[0], store.object(rows[0]["files"]))
 
 
-def inputs(store: Store, runs: Iterable[Taken]) -> Iterator[tuple[Taken, Files]]:
+def inputs(store: Store, runs: Iterable[ChosenExecution]) -> Iterator[tuple[ChosenExecution, Files]]:
     """Yield the recorded input files of these runs.
 
     Raises Damaged if one is not in the store, or if its name leads out of the folder of its run.
@@ -183,7 +183,7 @@ class Inputs:
 
     def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
         runs = {run.id: run for run in batch.runs if wanted(run)}
-        taken = (Taken("", run.experiment, run.number, run.id, None, None, "none") for run in runs.values())
+        taken = (ChosenExecution("", run.experiment, run.number, run.id, None, None, "none") for run in runs.values())
         for one, files in inputs(self.store, taken):
             yield runs[one.run], files
 

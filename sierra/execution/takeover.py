@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from sierra.errors import Missing, NotFound, SierraError
 from sierra.execution import sessions, summary
 from sierra.execution.attach import Attached, attach
-from sierra.execution.cluster_status import Standing, counted, named, submitted
+from sierra.execution.cluster_status import ClusterSession, counted, named, submitted
 from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary
@@ -88,7 +88,7 @@ def cancel(store: Store, prefix: str, observer: Observer) -> list[Cancelled]:
     return [_cancel(store, row, observer) for row in rows]
 
 
-def found(store: Store, prefix: str) -> list[Standing]:
+def found(store: Store, prefix: str) -> list[ClusterSession]:
     """Return the sessions on clusters for this id prefix, attended or not. Raises NotFound if there are none."""
     rows = [row for paths in named(store, prefix) if (row := submitted(paths))]
     if not rows:
@@ -98,17 +98,17 @@ def found(store: Store, prefix: str) -> list[Standing]:
     return rows
 
 
-def _busy(store: Store, row: Standing) -> str:
+def _busy(store: Store, row: ClusterSession) -> str:
     return f"session {row.session} is followed by {sessions.holder(store.paths.session(row.session))}"
 
 
-def _tally(store: Store, row: Standing, observer: Observer) -> Tally:
+def _tally(store: Store, row: ClusterSession, observer: Observer) -> Tally:
     """Return the tally of one session; runs that are recorded count as reused."""
     before, failed = counted(store, [row.session])[row.session]
     return Tally(observer, row.runs, before, failed)
 
 
-def _cancel(store: Store, row: Standing, observer: Observer) -> Cancelled:
+def _cancel(store: Store, row: ClusterSession, observer: Observer) -> Cancelled:
     """End one session: take it over, or let the process that follows it end it."""
     paths = store.paths.session(row.session)
     session, ending = Session.adopted(store.paths, paths), None

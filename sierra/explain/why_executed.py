@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from sierra.config.project_file import LoadedProject
-from sierra.execution.cluster_status import Standing as OnCluster
+from sierra.execution.cluster_status import ClusterSession as OnCluster
 from sierra.execution.cluster_status import seen
 from sierra.explain import diff
 from sierra.explain.effective_executions import EffectiveRuns, standings

@@ -44,7 +44,7 @@ from sierra.ingest.suspicious_tables import TableWarnings, as_files
 from sierra.model import OutputFile, Result, Status
 from sierra.store.copy_rejudged_rows import write_again
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
-from sierra.store.recorded_files import Recorded, Taken, contents
+from sierra.store.recorded_files import ChosenExecution, Recorded, contents
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import inside
@@ -424,7 +424,7 @@ class Recalled(TableIngest):
 
 def _recorded(one: Past, row: Artifact) -> Recorded:
     """Return a file as `sierra.store.recorded_files` describes it, with kind `file` for a table, so that its bytes are read."""
-    taken = Taken("", 0, 0, one.run, one.execution, one.status, "asked", one.execution)
+    taken = ChosenExecution("", 0, 0, one.run, one.execution, one.status, "asked", one.execution)
     kind = "log" if row["kind"] == "log" else "file"
     return Recorded(taken, row["path"], kind, row["size"], row["sha256"], row["size"], None, None, None)
 

@@ -37,7 +37,7 @@ from sierra.replay.equivalence import Metric
 from sierra.replay.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
 from sierra.store.layout import SessionPaths
 from sierra.store.order import stamp
-from sierra.store.recorded_files import Taken, take, where
+from sierra.store.recorded_files import ChosenExecution, take, where
 from sierra.store.samples import like
 from sierra.store.sql_names import column_names
 from sierra.store.store import Found, Store
@@ -74,7 +74,7 @@ class _Record:
 
     found: Found
     of: Recalled
-    runs: list[Taken]
+    runs: list[ChosenExecution]
     named: int
     """Number of runs that the id names, including runs without a successful execution."""
     whole: bool

@@ -11,7 +11,7 @@ from typing import Any
 from sierra.config.project_file import Tolerance
 from sierra.replay.compare_values import Agreement, Verdict, worst
 from sierra.replay.equivalence import Metric
-from sierra.store.recorded_files import Taken
+from sierra.store.recorded_files import ChosenExecution
 from sierra.store.store import Found
 from sierra.util import html
 from sierra.util.hashing import short
@@ -24,7 +24,7 @@ Tolerances = Mapping[str, Mapping[str, Tolerance]]
 class Compared:
     """One run that was executed again, with the comparison of each output by path. The key None is the run as a whole."""
 
-    taken: Taken
+    taken: ChosenExecution
     execution: str | None
     outputs: Mapping[str | None, Agreement]
 

@@ -24,7 +24,7 @@ from types import TracebackType
 from typing import IO
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, UsageError
-from sierra.store.recorded_files import INPUT_FOLDER, OUTPUT_FOLDER, Recorded, Taken, contents, recorded, take
+from sierra.store.recorded_files import INPUT_FOLDER, OUTPUT_FOLDER, ChosenExecution, Recorded, contents, recorded, take
 from sierra.store.store import Store
 from sierra.util.hashing import short
 
@@ -39,7 +39,7 @@ class Listing:
 
     kind: str
     id: str
-    runs: tuple[Taken, ...]
+    runs: tuple[ChosenExecution, ...]
     files: tuple[Recorded, ...]
 
 

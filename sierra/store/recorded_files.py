@@ -41,7 +41,7 @@ UNREADABLE = (OSError, ValueError)
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class ChosenExecution:
     """A run at its position in a batch, with the execution whose files are requested."""
 
     experiment: str
@@ -60,7 +60,7 @@ class Taken:
 class Recorded:
     """One recorded file of a run."""
 
-    taken: Taken
+    taken: ChosenExecution
     path: str
     """`input/…`, `output/…`, `stdout` or `stderr`."""
     kind: str
@@ -93,7 +93,7 @@ class Recorded:
                 return ""
 
 
-def take(snapshot: Snapshot, found: Found) -> list[Taken]:
+def take(snapshot: Snapshot, found: Found) -> list[ChosenExecution]:
     """Return the runs that an id names, in order, each with its effective execution or else its last one.
 
     A run or an experiment that belongs to several batches is taken from the batch that was submitted last.
@@ -101,7 +101,7 @@ def take(snapshot: Snapshot, found: Found) -> list[Taken]:
     with _readable():
         place = where(snapshot, found)
         statement = TAKEN.format(only=place.only, order=ORDER)
-        return [Taken(*row) for row in snapshot.each(statement, {**place.parameters, "named": place.execution})]
+        return [ChosenExecution(*row) for row in snapshot.each(statement, {**place.parameters, "named": place.execution})]
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +175,7 @@ FROM t LEFT JOIN all_judgements e ON e.judgement = t.judgement ORDER BY t.ordina
 """
 
 
-def recorded(snapshot: Snapshot, runs: Sequence[Taken], *, inputs: bool = False) -> list[Recorded]:
+def recorded(snapshot: Snapshot, runs: Sequence[ChosenExecution], *, inputs: bool = False) -> list[Recorded]:
     """Return the recorded files of these runs, in order: input files, outputs, logs; with `inputs`, only the input files."""
     import pyarrow as pa
 
@@ -464,4 +464,4 @@ def _quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"' if special else name
 
 
-__all__ = ["Content", "Recorded", "Taken", "contents", "recorded", "take"]
+__all__ = ["ChosenExecution", "Content", "Recorded", "contents", "recorded", "take"]

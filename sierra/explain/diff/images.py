@@ -32,7 +32,7 @@ def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Pat
             yield from _inside(store, old, new, mentioned(after.spec["command"], root))
     before_reach, reach = (side.spec["host_access"] or [] for side in (before, after))
     if told := other_host_access(before_reach, reach):
-        yield Difference("image", "reach", f"host access of runs: {', '.join(told)}", before_reach, reach)
+        yield Difference("image", "host_access", f"host access of runs: {', '.join(told)}", before_reach, reach)
 
 
 def _row(snapshot: Snapshot, identity: str | None) -> Mapping[str, Any] | None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sierra.errors import UsageError
-from sierra.store.recorded_files import Place, Taken, where
+from sierra.store.recorded_files import ChosenExecution, Place, where
 from sierra.store.store import Found, Snapshot
 from sierra.store.views import COUNTS, LATEST, ORDER
 from sierra.util.hashing import short
@@ -200,11 +200,11 @@ def _telling(before: Side, after: Side) -> Iterator[str]:
             yield name
 
 
-def takens(snapshot: Snapshot, side: Side, places: Sequence[tuple[int, int]]) -> list[Taken]:
+def takens(snapshot: Snapshot, side: Side, places: Sequence[tuple[int, int]]) -> list[ChosenExecution]:
     """Return some of a side's runs, by their experiments' places and their numbers, in that order."""
     statement = f"SELECT run, own, status, execution FROM {side.table} WHERE ordinal = $o AND number = $n"  # noqa: S608
     found = []
     for ordinal, number in places:
         [(run, execution, status, judgement)] = snapshot.run(statement, {"o": ordinal, "n": number})
-        found.append(Taken(side.experiments[ordinal], ordinal, number, run, execution, status, "asked", judgement))
+        found.append(ChosenExecution(side.experiments[ordinal], ordinal, number, run, execution, status, "asked", judgement))
     return found

@@ -9,7 +9,7 @@ from typing import Any
 from sierra.errors import Damaged
 from sierra.explain.diff.load_sides import Side, takens
 from sierra.explain.diff.model import ARROW, Difference, Note, shown
-from sierra.store.recorded_files import INPUT_FOLDER, Recorded, Taken, contents, recorded
+from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
 from sierra.store.store import Snapshot
 from sierra.templates.diff import Spot, differing
 
@@ -66,7 +66,7 @@ def _sample(snapshot: Snapshot, before: Side, after: Side) -> list[_Pair]:
     ]
 
 
-def _files(snapshot: Snapshot, runs: Sequence[Taken]) -> list[dict[str, Recorded]]:
+def _files(snapshot: Snapshot, runs: Sequence[ChosenExecution]) -> list[dict[str, Recorded]]:
     """Return the input files of each run, by name."""
     found: dict[int, dict[str, Recorded]] = {id(run): {} for run in runs}
     for file in recorded(snapshot, runs):

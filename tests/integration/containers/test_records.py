@@ -209,8 +209,8 @@ def test_isolations_are_compared_by_enforced_and_ignored_limits(root: Path, batc
 @pytest.mark.nightly
 def test_the_host_access_of_runs_is_compared(root: Path, batches: Mapping[str, str]) -> None:
     found = differences(root, batches["new"], batches["reaching"])
-    assert [name for kind, name in found if kind == "image"] == ["reach"]
-    assert "mount /maps is new, network is new" in found["image", "reach"]["line"]
+    assert [name for kind, name in found if kind == "image"] == ["host_access"]
+    assert "mount /maps is new, network is new" in found["image", "host_access"]["line"]
     assert found["isolation", "network"]["line"] == "network of the container: none → host"
 
 
