@@ -70,6 +70,7 @@ def test_every_method_of_a_project_has_a_docstring_with_an_example() -> None:
     assert all(member.__doc__ for member in public().values())
 
 
+@pytest.mark.integration
 def test_all_examples_in_docstrings_are_correct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root = projects.make(tmp_path / "project")
     monkeypatch.chdir(root)
@@ -180,6 +181,7 @@ def notebook(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return shown
 
 
+@pytest.mark.integration
 def test_notebook_shows_progress_unless_it_is_disabled(
     tmp_path: Path, notebook: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -192,6 +194,7 @@ def test_notebook_shows_progress_unless_it_is_disabled(
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.integration
 def test_script_shows_progress_only_if_it_is_enabled(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     project = sierra.open(projects.make(tmp_path))
     project.run("population_size=1", figures=False)

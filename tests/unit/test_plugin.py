@@ -147,12 +147,14 @@ def test_platform_template_format_and_reader_of_another_package_execute_a_batch(
     assert "4 runs: 0 executed, 4 reused" in succeed(project, "run", "herd=1,3", "--no-figures")
 
 
+@pytest.mark.integration
 def test_changed_platform_option_that_changes_inputs_executes_new_runs(project: Path) -> None:
     succeed(project, "run", "herd=1", "--no-figures")
     change(project, "steps = 5", "steps = 6")
     assert "2 runs: 2 executed" in succeed(project, "run", "herd=1", "--no-figures")
 
 
+@pytest.mark.integration
 def test_changed_reader_option_changes_tables_without_executing_runs(project: Path) -> None:
     succeed(project, "run", "herd=1", "--no-figures")
     [metric] = rows(project, "SELECT max(distance) AS far FROM walk")
@@ -216,6 +218,7 @@ def spool(project: Path, tmp_path: Path) -> Path:
     return project
 
 
+@pytest.mark.integration
 def test_scheduler_of_another_package_executes_a_batch(spool: Path) -> None:
     nice_simulator(spool)
     assert "4 runs: 4 executed" in succeed(spool, "run", "herd=1,2", "--no-figures", "--on", "here")
@@ -240,6 +243,7 @@ def test_jobs_of_a_plugin_scheduler_can_be_cancelled(spool: Path) -> None:
     assert json.loads(succeed(spool, "status", "--json")) == []
 
 
+@pytest.mark.integration
 def test_plugin_scheduler_refuses_forbidden_directives_and_unknown_keys(spool: Path) -> None:
     succeed(spool, "run", "herd=2", "--no-figures")
     run = ("run", "herd=1", "--no-figures", "--on", "here")
@@ -269,6 +273,7 @@ def test_engine_of_another_package_starts_runs(project: Path) -> None:
 # Plug-ins in doctor and schema
 
 
+@pytest.mark.integration
 def test_doctor_lists_plugins_and_their_options(project: Path) -> None:
     found = {check["name"]: check for check in json.loads(projects.quick(project, "doctor", "--json").stdout)}
     for name, option in (
@@ -409,6 +414,7 @@ def test_plugin_engine_without_isolation_conforms(installed: Path, tmp_path: Pat
 # Plug-ins that cannot be used
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("code", "told"),
     [
@@ -471,6 +477,7 @@ def test_fault_in_a_plugin_is_reported_with_its_package(plain: Path, tmp_path: P
     assert line.startswith(f"sierra: {told}; please report it to its authors with ")
 
 
+@pytest.mark.integration
 def test_plugin_is_imported_only_by_commands_that_use_it(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mark = tmp_path / "imported"
     code = f"open({str(mark)!r}, 'w').close()\n{PLATFORM}"
@@ -486,6 +493,7 @@ def test_plugin_is_imported_only_by_commands_that_use_it(plain: Path, tmp_path: 
 # Templates that are not a single file
 
 
+@pytest.mark.integration
 def test_template_may_render_arguments_and_several_files(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(plugins.write(tmp_path / "lib", "flagged", {"sierra.templates flags": "Made"}, FLAGS)))
     (plain / "sim.flags").write_text("--count 1\n--seed 0\n--label two words\n")

@@ -90,6 +90,7 @@ def test_help_lists_all_commands_without_truncation(tmp_path: Path) -> None:
     assert said.count("Exit codes: 0 success;") == 1
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_script_exists_for_each_shell(tmp_path: Path, shell: str) -> None:
     said = sierra(tmp_path, environment={"_SIERRA_COMPLETE": f"source_{shell}"})
@@ -141,6 +142,7 @@ def test_explain_with_json_prints_one_object(answered: Path) -> None:
     assert (told["reused"], told["reasons"]) == (8, {"reused": 8})
 
 
+@pytest.mark.integration
 def test_doubled_braces_in_commands_become_literal_braces(tmp_path: Path) -> None:
     folder = make(
         tmp_path / "p", simulator="import sys\nopen('said.csv', 'w').write('words\\n' + ' '.join(sys.argv[2:]) + '\\n')\n"
@@ -386,6 +388,7 @@ def test_user_settings_apply_to_all_projects_and_can_be_overridden(tmp_path: Pat
     assert "unknown key 'job'; did you mean 'jobs'?" in quick(folder, "run", "noise=4").stderr
 
 
+@pytest.mark.integration
 def test_doctor_works_outside_and_inside_a_project(tmp_path: Path) -> None:
     outside = {check["name"]: check["state"] for check in json.loads(quick(tmp_path, "doctor", "--json").stdout)}
     assert outside["project"] == "absent"

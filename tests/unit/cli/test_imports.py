@@ -47,11 +47,13 @@ def test_read_only_commands_import_neither_git_nor_plotting_libraries(root: Path
     assert imported(root, *words) <= {"duckdb", "logging", "lxml", "numpy", "pyarrow", "pydantic"}
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("words", [("run", "population_size=1", "--no-figures"), ("run", "population_size=1", "-n")])
 def test_run_imports_neither_git_nor_plotting_libraries(root: Path, words: tuple[str, ...]) -> None:
     assert not imported(root, *words) & {"git", "matplotlib", "scipy", *NEVER}
 
 
+@pytest.mark.integration
 def test_show_imports_git_for_a_batch_with_a_commit(root: Path) -> None:
     [batch] = json.loads(projects.quick(root, "ls", "--json").stdout)
     assert "git" in imported(root, "show", batch["batch"])

@@ -124,6 +124,7 @@ def test_statements_span_lines_until_a_semicolon_and_errors_do_not_end_the_promp
     assert terminal.process.poll() is None
 
 
+@pytest.mark.integration
 def test_ctrl_c_discards_the_line_or_stops_the_query_but_keeps_the_prompt(open_terminal: Callable[[], Terminal]) -> None:
     terminal = open_terminal()
     terminal.type("SELECT this is nothing\n")
@@ -137,6 +138,7 @@ def test_ctrl_c_discards_the_line_or_stops_the_query_but_keeps_the_prompt(open_t
     assert "42" in terminal.until("sql> ")
 
 
+@pytest.mark.integration
 def test_sigterm_ends_the_prompt_with_exit_code_130(open_terminal: Callable[[], Terminal]) -> None:
     terminal = open_terminal()
     give_up = time.monotonic() + PATIENCE_S

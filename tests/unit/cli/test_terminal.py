@@ -104,6 +104,7 @@ def test_completion_of_names_and_batches_loads_no_database(root: Path, words: st
     assert not {"duckdb", "pyarrow", "numpy", "git"} & set(offered)
 
 
+@pytest.mark.integration
 def test_tables_fit_the_terminal_unless_long_is_given(root: Path, terminal: None) -> None:
     ran = projects.quick(root, "run", LONG, "--runs", "1", "-n", "--json")
     assert ran.returncode == 0

@@ -119,6 +119,7 @@ def once(kind: str) -> list[tuple[str, bytes]]:
     return list(figures.rendered(drawing(kind, (SIZES, NAMES) if kind == "heatmap" else (SIZES,))))
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
 def test_every_kind_of_figure_is_written_in_three_formats(kind: str, tmp_path: Path) -> None:
     axes = (SIZES, NAMES) if kind == "heatmap" else (SIZES,)

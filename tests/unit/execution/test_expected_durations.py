@@ -65,6 +65,7 @@ def test_estimates_are_finite_and_at_least_the_quickest_run(seconds: dict[int, f
         assert found >= seconds[max(seconds)] * 0.999
 
 
+@pytest.mark.integration
 def test_runs_are_expected_to_take_as_long_as_runs_with_the_same_values(simulate: Callable[..., Simulated]) -> None:
     made = simulate(SLEEPS.format("size"))
     project = sierra.open(made.folder)

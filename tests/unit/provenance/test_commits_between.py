@@ -152,6 +152,7 @@ def test_programs_that_a_hostile_repository_configures_are_not_executed(reposito
     assert list(tmp_path.glob("ran-*")), "the trap would not notice"
 
 
+@pytest.mark.integration
 def test_show_names_the_recorded_commit_and_diff_the_commits_between(tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project"), "Begin")
     git(root, "remote", "add", "origin", "https://ada:secret@example.org/swarm.git")

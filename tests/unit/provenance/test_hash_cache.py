@@ -38,6 +38,7 @@ def rested(path: Path, content: bytes) -> Path:
     return path
 
 
+@pytest.mark.integration
 def test_an_unchanged_file_is_hashed_once_and_again_when_it_changes(tmp_path: Path, cache: Path) -> None:
     path = rested(tmp_path / "file", LARGE)
     assert hashed(path) == hashlib.sha256(LARGE).hexdigest()
@@ -64,6 +65,7 @@ def test_a_damaged_cache_is_ignored(tmp_path: Path, cache: Path, content: str) -
     assert hashed(tmp_path / "file") == hashlib.sha256(LARGE).hexdigest()
 
 
+@pytest.mark.integration
 def test_hashing_works_without_a_cache_folder(tmp_path: Path, cache: Path) -> None:
     (tmp_path / "cache").write_text("a file where the folder should be")
     path = rested(tmp_path / "file", LARGE)

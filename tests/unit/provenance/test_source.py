@@ -838,6 +838,7 @@ def remembered(root: Path, memory: Path) -> Source:
     return source.capture(root, paths=(), without=WITHOUT, memory=memory)
 
 
+@pytest.mark.integration
 def test_cached_hashes_equal_those_of_the_files(folder: Path, tmp_path: Path) -> None:
     memory = tmp_path / "memory"
     first = remembered(folder, memory)
@@ -855,6 +856,7 @@ def test_cached_hashes_equal_those_of_the_files(folder: Path, tmp_path: Path) ->
     assert remembered(folder, memory).tree == capture(folder).tree
 
 
+@pytest.mark.integration
 def test_valid_cached_hashes_are_used_and_damaged_ones_are_not(folder: Path, tmp_path: Path) -> None:
     memory = tmp_path / "memory"
     time.sleep(2.1)

@@ -340,6 +340,7 @@ def test_axes_named_like_a_column_of_the_store_are_refused(name: str) -> None:
 # Values
 
 
+@pytest.mark.integration
 @given(SCALES.filter(lambda scale: not isinstance(scale, ConstantDensity)))
 def test_values_are_distinct_and_their_number_equals_the_count(scale: Scale) -> None:
     values = ranges.values(scale)

@@ -215,6 +215,7 @@ def test_a_tolerance_of_an_unknown_output_is_refused_before_any_run_executes(mak
     assert not sierra.open(root).sql("SELECT 1 FROM executions WHERE purpose <> 'run'").num_rows
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -70,6 +70,7 @@ def test_a_session_has_a_log_file_that_show_names(root: Path) -> None:
     assert file.stat().st_mode & 0o077 == 0
 
 
+@pytest.mark.integration
 def test_v_logs_events_and_vv_details_to_standard_error(root: Path) -> None:
     quiet = projects.quick(root, "-v", *QUERY)
     assert "INFO sierra.execution.execute: query population_size=1" in quiet.stderr
@@ -87,6 +88,7 @@ def test_failed_runs_are_counted_in_the_log(root: Path) -> None:
     assert "2 runs: 2 executed, 2 failed, 0 missing" in logs(root)[0].read_text()
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", ["file", "link"])
 def test_a_log_that_cannot_be_written_does_not_fail_the_command(root: Path, tmp_path: Path, kind: str) -> None:
     assert projects.quick(root, *QUERY).returncode == 0
@@ -203,6 +205,7 @@ def test_gc_removes_logs_of_unrecorded_sessions_and_fsck_names_unknown_files(roo
     assert json.loads(projects.quick(root, "gc", "--dry-run", "--json").stdout)["logs"] == 0
 
 
+@pytest.mark.integration
 def test_the_recovery_of_a_dead_session_is_logged(root: Path) -> None:
     assert projects.quick(root, *QUERY).returncode == 0
     folder = root / ".sierra" / "work" / ("0" * 16)

@@ -744,6 +744,7 @@ def test_several_changes_per_run_give_the_same_bytes_as_changes_one_by_one(value
 MANY = "<a>" + '<b c="1"><d/></b>' * 2000 + "</a>"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "path",
     [

@@ -34,6 +34,7 @@ def cluster(name: str) -> Callable[[int], Runner]:
     return runners.find(name, {name: TABLE})
 
 
+@pytest.mark.integration
 def test_the_runner_local_conforms(tmp_path: Path) -> None:
     conformance.check_runner(local, tmp_path)
 
@@ -156,6 +157,7 @@ class Hasty(Deaf):
         return replace(super().look(), alive=not self.stopped)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("runner", "claim", "complaint"),
     [

@@ -228,6 +228,7 @@ def test_two_copies_of_an_array_task_do_not_disturb_each_other(folder: Folder, t
     assert set(folder.ended()) == {f"run{n}" for n in range(10)}
 
 
+@pytest.mark.integration
 def test_suspicious_runs_are_executed_alone_before_all_others(folder: Folder, tmp_path: Path) -> None:
     log = tmp_path / "log"
     folder.deal(many(5, f"echo begin $NAME >> '{log}'; sleep 0.1; echo end $NAME >> '{log}'"))
@@ -249,6 +250,7 @@ def test_the_start_of_a_run_that_kills_its_array_task_is_recorded_if_it_runs_alo
     assert folder.ended() == {}
 
 
+@pytest.mark.integration
 def test_sigterm_stops_the_runs_of_an_array_task_without_results(folder: Folder) -> None:
     folder.deal([job("quick", "true"), job("long", "trap 'exit 0' TERM; sleep 60 & wait"), job("never", "true")])
     folder.set(slots=1)
@@ -262,6 +264,7 @@ def test_sigterm_stops_the_runs_of_an_array_task_without_results(folder: Folder)
     assert list(folder.scratch.iterdir()) == []
 
 
+@pytest.mark.integration
 def test_a_signal_to_all_processes_of_an_array_task_gives_no_result(folder: Folder) -> None:
     folder.deal(many(8, "trap 'echo partial > out; exit 0' TERM; sleep 60 & wait"))
     process = folder.start()
@@ -334,6 +337,7 @@ def test_an_array_task_without_progress_or_a_cancelled_one_is_not_requeued(folde
     assert not called.exists()
 
 
+@pytest.mark.integration
 def test_an_array_task_of_a_cancelled_session_starts_no_more_runs(folder: Folder) -> None:
     folder.deal(many(3, "sleep 60"))
     process = folder.start()
@@ -360,6 +364,7 @@ def test_packing_stops_when_the_session_is_cancelled(folder: Folder) -> None:
     assert folder.packs()[0].path.stat().st_size < 100_000
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("what", ["the folder", "the pack"])
 def test_runs_are_stopped_if_the_session_folder_or_the_pack_is_removed(folder: Folder, what: str) -> None:
     folder.deal(many(3, "sleep 60"))
@@ -521,6 +526,7 @@ def test_links_instead_of_files_of_a_run_are_not_followed(folder: Folder, tmp_pa
     assert list(folder.scratch.iterdir()) == []
 
 
+@pytest.mark.integration
 def test_large_outputs_and_odd_names_are_packed_completely(folder: Folder, tmp_path: Path) -> None:
     named = "printf x > \"$(printf 'a\\nb\\377')\""
     code = f"head -c 50000000 /dev/urandom > big; sha256sum big; {named}; head -c 2000000 /dev/zero >&2"

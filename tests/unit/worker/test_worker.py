@@ -306,6 +306,7 @@ STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); 
 ASKED = STUBBORN.replace("signal.SIG_IGN", "lambda *_: print('asked', flush=True)")
 
 
+@pytest.mark.integration
 def test_a_run_that_ignores_sigterm_after_its_time_limit_is_killed(
     execute: Callable[..., dict[str, Any]],
 ) -> None:
@@ -314,6 +315,7 @@ def test_a_run_that_ignores_sigterm_after_its_time_limit_is_killed(
     assert 2.4 <= end["ended"] - end["started"] < 30
 
 
+@pytest.mark.integration
 def test_the_grace_time_applies_to_a_child_whose_shell_has_ended(execute: Callable[..., dict[str, Any]]) -> None:
     child = """
 import signal, sys, time
@@ -355,6 +357,7 @@ def test_files_beyond_the_output_limit_are_not_read(execute: Callable[..., dict[
     assert [file["path"] for file in end["outputs"]] == ["a", "c"]
 
 
+@pytest.mark.integration
 def test_a_stopped_program_can_handle_sigterm(execute: Callable[..., dict[str, Any]]) -> None:
     script = "trap 'echo saved > x; exit 4' TERM; kill -STOP $$; sleep 60"
     end = execute(shell(script, limits={"wall_s": 1.0, "grace_s": 60}))
@@ -362,6 +365,7 @@ def test_a_stopped_program_can_handle_sigterm(execute: Callable[..., dict[str, A
     assert [file["path"] for file in end["outputs"]] == ["x"]
 
 
+@pytest.mark.integration
 def test_a_stopped_program_that_ignores_sigterm_is_killed(execute: Callable[..., dict[str, Any]]) -> None:
     script = "trap '' TERM; while :; do kill -STOP $$; done"
     end = execute(shell(script, limits={"wall_s": 1.0, "grace_s": 0.5}))
@@ -474,6 +478,7 @@ WITHOUT_CTYPES = (
 )
 
 
+@pytest.mark.integration
 def test_folders_are_not_reused_if_surviving_processes_cannot_be_detected(start: Callable[..., Worker]) -> None:
     worker = start(starter=(sys.executable, "-c", WITHOUT_CTYPES))
     worker.send(shell(LATE, name="one", used=None))
