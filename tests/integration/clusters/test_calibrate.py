@@ -103,7 +103,7 @@ def test_runs_with_values_that_were_never_timed_go_first(simulate: Callable[...,
     project.quick("run", "size=1,2", "--runs", "2", "--no-figures")
     done = project.quick("run", "size=1,2,30,60", "--runs", "8", "--on", "slurm", "--no-figures")
     assert done.returncode == 0, done.stderr
-    assert "runs with these values were never timed: 2 runs of 28 go first" in done.stderr
+    assert "runs with these values were never timed: 2 runs of 28 are executed first" in done.stderr
     joined = "attempts a JOIN executions USING (attempt) JOIN runs r USING (run)"
     pair = project.sql(f"SELECT r.size, r.number FROM {joined} WHERE a.array_task = 0 ORDER BY 1")
     assert [tuple(row.values()) for row in pair] == [(30, 0), (60, 7)]

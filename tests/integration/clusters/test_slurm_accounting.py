@@ -48,7 +48,9 @@ def project(
 def test_limits_of_the_default_qos_are_obeyed(project: Callable[[str], Simulated]) -> None:
     asked = project("array_tasks = 30")
     told = asked.ask(*ASKED, "-n", "--explain").stdout
-    assert re.search(r"^elements +4 +the jobs that the site allows \(MaxSubmitJobsPerUser of QOS small\)$", told, re.MULTILINE)
+    assert re.search(
+        r"^array_tasks +4 +the number of jobs that the site allows \(MaxSubmitJobsPerUser of QOS small\)$", told, re.MULTILINE
+    )
     assert re.search(r"^longest wall +1200 +the site's limit: MaxWall of QOS small$", told, re.MULTILINE)
     done = asked.ask(*ASKED)
     assert done.returncode == 0, done.stderr

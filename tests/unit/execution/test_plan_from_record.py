@@ -136,7 +136,7 @@ def test_code_installed_from_the_project_is_refused_if_it_differs_from_the_recor
     for words in (("replay", batch), ("run", batch)):
         ended = projects.quick(root, *words)
         assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
-        assert "where model.py is not the recorded one" in ended.stderr
+        assert "where model.py differs from the recorded file" in ended.stderr
     (root / "sierra.toml").write_text(config + '[source]\ndirty = "ignore"\n')
     model.write_text("def f(x): return x + 2000\n")
     assert projects.quick(root, "run", "population_size=1").returncode == 3

@@ -590,7 +590,7 @@ def test_column_of_another_kind_in_one_experiment_is_noted_without_failing_runs(
     assert (summary.failed, summary.missing) == (0, 0)
     kind = "text in 3" if other == "bad" else "flags in 3"
     [told] = [note for note in noted() if "column 'v'" in note]
-    assert "column 'v' of output 'out' holds " in told
+    assert "column 'v' of output 'out' has " in told
     assert kind in told
     assert "numbers in 6" in told
     assert column(project, "n").count(3) == 3

@@ -412,7 +412,7 @@ def test_a_replay_reports_changes_of_files_that_the_template_names(tmp_path: Pat
     (tmp_path / "map.pgm").write_text("two")
     other = project.replay(batch)
     assert str(other.verdict) == "different"
-    assert [note.split(": ")[:2] for note in other.notes] == [["other programs", "map.pgm"]]
+    assert [note.split(": ")[:2] for note in other.notes] == [["different programs", "map.pgm"]]
 
 
 # ---------------------------------------------------------------- reports

@@ -186,8 +186,8 @@ def test_a_listed_path_selects_only_that_file(tmp_path: Path) -> None:
 def test_paths_that_match_no_file_or_several_are_reported(project: Path) -> None:
     run = first_run(project)["run"]
     refused(quick(project, "files", run, "nope.csv"), 2, "no recorded file 'nope.csv'", "'output/swarm.csv'")
-    refused(quick(project, "files", run, "*.csv"), 2, "that is 2 files", "--to FOLDER")
-    refused(quick(project, "files", batch_of(project), STDOUT), 2, "that is 4 files")
+    refused(quick(project, "files", run, "*.csv"), 2, "2 files", "--to FOLDER")
+    refused(quick(project, "files", batch_of(project), STDOUT), 2, "4 files match")
     refused(quick(project, "files", "0000000"), 2, "no batch, experiment, run or execution")
 
 
@@ -290,7 +290,7 @@ def test_paths_of_a_hostile_record_stay_in_the_target_folder(tmp_path: Path) -> 
     store.publish(writer)
     ended = quick(folder, "files", one["run"], "--to", str(tmp_path / "out" / "deep"))
     assert (ended.returncode, ended.stderr.count("\n")) == (1, len(bad))
-    assert ended.stderr.count("leads out of the folder") == len(bad) - 1
+    assert ended.stderr.count("leads outside the folder") == len(bad) - 1
     [good] = [path for path in tmp_path.rglob("*") if path.is_file() and path.read_bytes() == b"forged"]
     assert good.relative_to(tmp_path / "out" / "deep").parts[1:] == ("0", "output", "good")
 

@@ -129,7 +129,7 @@ def test_status_reports_the_same_for_a_detached_batch(tmp_path: Path, slurm: Slu
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}[runners.slurm]\ncpus = 99\n")
     assert projects.sierra(root, "run", "noise=1", "--on", "slurm", "--detach").returncode == 0
     told = projects.sierra(root, "status").stdout
-    assert re.search(r"never begins: PartitionConfig: .*; requested: cpus = 99, wall = 3600; the site has", told), told
+    assert re.search(r"cannot start: PartitionConfig: .*; requested: cpus = 99, wall = 3600; the site has", told), told
 
 
 @pytest.mark.parametrize("dialect", ["openpbs", "torque"])
