@@ -54,6 +54,8 @@ class Share:
     """Number of submissions since the element last made progress."""
     gone: int = 0
     """Number of consecutive times that the scheduler did not know the element."""
+    gone_at: float = 0.0
+    """Time of the first of these answers."""
     grew: float = 0.0
     begun: dict[str, int] = field(default_factory=dict)
     """Executions that have not ended, and how many times each was begun."""

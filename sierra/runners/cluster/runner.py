@@ -190,6 +190,7 @@ class Cluster:
         self._notes: list[str] = []
         self._said: set[str] = set()
         self._again: dict[int, str] = {}
+        self._read_at = 0.0
         self._again_at = 0.0
         self._stopping: float | None = None
         self._whole: float | None = None
@@ -245,6 +246,7 @@ class Cluster:
                 self._deal_rest(self._told)
             except SierraError as error:
                 self._end(error)
+        self._read_at = time.monotonic()
         found = self._harvest.read()
         if self._probing and self._stopping is None:
             self._probing = not self._is_fine()
@@ -309,13 +311,17 @@ class Cluster:
         self._unstick([task for task in tasks if task.state is State.STUCK])
         for index, share in enumerate(self._shares):
             share.gone = share.gone + 1 if share.missing and index not in self._alive and index not in self._again else 0
+            if share.gone == 1:
+                share.gone_at = time.monotonic()
             share.queued = index in self._queued or (share.queued and index not in self._alive)
         gone = [index for index, share in enumerate(self._shares) if share.gone]
         if gone:
             self._due = time.monotonic() + FIRST_POLL_S
         if any(self._shares[index].gone > 1 for index in gone):
             refresh(self._session.results)
-            self._lost([index for index in gone if self._is_quiet(self._shares[index])])
+            # what was recorded before the end must have been read since: it tells which runs had begun
+            read = [index for index in gone if self._read_at > self._shares[index].gone_at]
+            self._lost([index for index in read if self._is_quiet(self._shares[index])])
 
     def _note_ends(self, tasks: Iterable[Task]) -> None:
         """Keep the end reasons of the elements that were submitted last."""
