@@ -371,7 +371,7 @@ class Requirement:
 
 
 class Purpose(StrEnum):
-    """What an execution was made for. Only executions for runs are effective."""
+    """The purpose of an execution. Only executions for runs are effective."""
 
     RUN = "run"
     REPLAY = "replay"

@@ -240,7 +240,7 @@ class Group(Table):
 
 
 class Tolerance(Table):
-    """How far a replayed number may be from the recorded one; one of these limits must be met."""
+    """The largest difference of a replayed number from the recorded one; one of these limits must be met."""
 
     abs: float = Field(0.0, ge=0, allow_inf_nan=False, description="maximum absolute difference, in the column's unit")
     rel: float = Field(

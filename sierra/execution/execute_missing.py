@@ -9,7 +9,6 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sierra.containers.session_containers import Isolation
 from sierra.errors import Missing
 from sierra.execution import expected_durations, recover, sessions
 from sierra.execution.attach import attach
@@ -76,11 +75,6 @@ class Executor:
         self._claimed: AbstractSet[str] = frozenset()
         self._doubted: str | None = None
         self._looked_at: set[str] = set()
-
-    @property
-    def reused(self) -> int:
-        """Return the number of runs whose recorded execution is used."""
-        return self._tally.reused
 
     @property
     def attempted(self) -> AbstractSet[str]:
@@ -194,15 +188,10 @@ class Executor:
             self.notes += self._service.isolation.notes
         return self._service
 
-    @property
-    def isolation(self) -> Isolation | None:
-        """Return the isolation of the runs; None if nothing was executed."""
-        return self._service.isolation if self._service else None
-
     def _doubt(self) -> str | None:
         """Return the reason why results do not belong to the plan (files have changed, even if only for a while); else None."""
-        contained = self.isolation
-        self._doubted = self._doubted or self.plan.seen.doubt() or (contained.doubt() if contained else None)
+        service = self._service
+        self._doubted = self._doubted or self.plan.seen.doubt() or (service.isolation.doubt() if service else None)
         return self._doubted
 
     def _is_enough(self) -> bool:

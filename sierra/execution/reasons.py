@@ -46,5 +46,5 @@ class Reason:
 
 
 WORTH = (ChangeReason.FAILED, ChangeReason.RULES, ChangeReason.PROGRAMS, ChangeReason.REUSED)
-"""How useful a recorded execution is for a session, from the least to the most; SQL uses the positions."""
+"""Recorded executions by their usefulness for a session, the least useful first; SQL uses the positions."""
 FAILED, RULES, PROGRAMS, REUSED = range(len(WORTH))

@@ -30,7 +30,7 @@ from sierra.templates.base import Files
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What the runs of a session execute with."""
+    """The specification, engine, limits and code that the runs of a session share."""
 
     project: LoadedProject
     spec: RunSpec

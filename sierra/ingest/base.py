@@ -7,7 +7,7 @@ declared in `[outputs]` become tables only if they have the ending of a shipped 
 must not depend on what is installed.
 
 The format, the options and the package of a reader decide what is recorded, as the other rules in `[outputs]` do: they are part
-of the hash of these rules (`Context.reading`). If one changes, executions are evaluated again from their recorded files.
+of the hash of these rules (`Context.ingest_rules`). If one changes, executions are evaluated again from their recorded files.
 `sierra.testing.readers` has the conformance suite.
 """
 

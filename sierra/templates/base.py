@@ -21,7 +21,7 @@ Files = tuple[tuple[str, bytes], ...]
 Rendered = bytes | Files
 """A document as input of a run: the content of one file, which the platform names, or several files.
 
-Of several files, the one with the empty name is the one that the platform names; it is `{input}`. The others keep their names,
+If there are several files, the platform names the one whose name is empty; it is `{input}`. The others keep their names,
 which are the same for all runs of a template. If no name is empty, the first file is `{input}`.
 """
 ARGUMENTS = "arguments.json"

@@ -2,7 +2,7 @@
 
 It never prompts and runs no hooks. It changes no index except one that the caller passes. It reports errors in one line.
 
-Of the variables that control git, only those with its configuration (GIT_CONFIG_*) are kept. Inside a hook, or with GIT_DIR
+Variables that control git are removed, except those with its configuration (GIT_CONFIG_*). Inside a hook, or with GIT_DIR
 set, git would otherwise use another repository than the one that contains the project.
 """
 
