@@ -8,11 +8,18 @@ from __future__ import annotations
 
 import itertools
 import re
-from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from datetime import UTC, date, datetime, time, timedelta
+from decimal import Decimal
+from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
+    import duckdb
     import pyarrow as pa
+
+Cell: TypeAlias = (
+    bool | int | float | str | bytes | Decimal | datetime | date | time | timedelta | list["Cell"] | dict[str, "Cell"] | None
+)
+"""One value of a result."""
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 INSTANT = "TIMESTAMP WITH TIME ZONE"
@@ -24,25 +31,25 @@ SIMPLE = re.compile(rf"(VARCHAR|BOOLEAN|{NUMBERS}|DATE|TIMESTAMP|BLOB|JSON)(\[\]
 class Answer:
     """A statement's result. Each method executes the statement, so it is used once, while its snapshot is open."""
 
-    def __init__(self, relation: Any, notes: str = "") -> None:
+    def __init__(self, relation: duckdb.DuckDBPyRelation, notes: str = "") -> None:
         """`relation` is DuckDB's; `notes` are about columns of the result."""
         self._relation = relation
-        self._types = [str(one) for one in relation.types]
+        self.types = [str(one) for one in relation.types]
         self.columns = unique(relation.columns)
         self.notes = notes
 
     @property
     def numeric(self) -> list[str]:
         """Return the names of the columns of numbers."""
-        return [name for name, kind in zip(self.columns, self._types, strict=True) if re.fullmatch(NUMBERS, kind)]
+        return [name for name, kind in zip(self.columns, self.types, strict=True) if re.fullmatch(NUMBERS, kind)]
 
-    def rows(self) -> list[tuple[Any, ...]]:
+    def rows(self) -> list[tuple[Cell, ...]]:
         """Return all rows as Python objects; times are in UTC."""
-        if not all(kind == INSTANT or SIMPLE.fullmatch(kind) for kind in self._types):
+        if not all(kind == INSTANT or SIMPLE.fullmatch(kind) for kind in self.types):
             return [tuple(row.values()) for row in self.arrow().to_pylist()]
-        instants = [place for place, kind in enumerate(self._types) if kind == INSTANT]
+        instants = [place for place, kind in enumerate(self.types) if kind == INSTANT]
         if not instants:
-            rows: list[tuple[Any, ...]] = self._relation.fetchall()
+            rows: list[tuple[Cell, ...]] = self._relation.fetchall()
             return rows
         return [_with_times(row, instants) for row in self._microseconds().fetchall()]
 
@@ -50,18 +57,18 @@ class Answer:
         """Return the result as an Arrow table."""
         return self._relation.to_arrow_table().rename_columns(self.columns)
 
-    def _microseconds(self) -> Any:
+    def _microseconds(self) -> duckdb.DuckDBPyRelation:
         """Return the relation with times as microseconds since 1970: DuckDB needs a further library to convert times."""
-        kinds = enumerate(self._types, start=1)
+        kinds = enumerate(self.types, start=1)
         texts = [f"epoch_us(#{place})" if kind == INSTANT else f"#{place}" for place, kind in kinds]
         return self._relation.project(", ".join(texts))
 
 
-def _with_times(row: tuple[Any, ...], places: list[int]) -> tuple[Any, ...]:
+def _with_times(row: tuple[Cell, ...], places: list[int]) -> tuple[Cell, ...]:
     values = list(row)
     for place in places:
-        if values[place] is not None:
-            values[place] = EPOCH + timedelta(microseconds=values[place])
+        if isinstance(value := values[place], int):
+            values[place] = EPOCH + timedelta(microseconds=value)
     return tuple(values)
 
 

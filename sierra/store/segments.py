@@ -32,9 +32,10 @@ import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from sierra.errors import Missing
+from sierra.store.records import TABLES
 from sierra.store.schema import arrow_schema
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256, sha256_file
@@ -137,6 +138,15 @@ class Writer:
                 raise ValueError(f"the table {name} has no column {min(row.keys() - known)!r}")
         if rows:
             self.table(name, pa.Table.from_pylist(rows, schema=schema))
+
+    def records(self, rows: Iterable[NamedTuple]) -> None:
+        """Write records of one table, which their class decides; write no file if there are none."""
+        import pyarrow as pa
+
+        if rows := list(rows):
+            name = TABLES[type(rows[0])]
+            columns = zip(zip(*rows, strict=True), arrow_schema(name), strict=True)
+            self.table(name, pa.table([pa.array(column, field.type) for column, field in columns], arrow_schema(name)))
 
     def table(self, name: str, table: Any) -> None:
         """Write an Arrow table unchanged."""

@@ -12,6 +12,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -23,6 +24,7 @@ from sierra.store.duckdb_messages import explain
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, listed
+from sierra.store.typed_rows import R, V, typed, values
 from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole
 
@@ -131,7 +133,7 @@ class Store:
         finally:
             shared.close()
 
-    def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> pa.Table:
+    def sql(self, text: str, *, within: str | None = None, **parameters: object) -> pa.Table:
         """Return the result of one statement as an Arrow table. It can read only this store and write nothing.
 
         `$name` in the statement takes its value from the keyword `name`. `within` is a batch's id; it limits members, runs and
@@ -149,10 +151,20 @@ class Store:
             shared.close()
             raise
 
-    def rows(self, text: str, **parameters: Any) -> list[dict[str, Any]]:
-        """Return the result of one statement as a list of rows."""
+    def rows(self, text: str, **parameters: object) -> list[dict[str, Any]]:
+        """Return the result of one statement as a list of rows by column."""
         with self.snapshot() as snapshot:
             return snapshot.rows(text, **parameters)
+
+    def select(self, kind: type[R], text: str, **parameters: object) -> list[R]:
+        """Return the rows of one statement as instances of a row class (see `sierra.store.typed_rows`)."""
+        with self.snapshot() as snapshot:
+            return snapshot.select(kind, text, **parameters)
+
+    def values(self, kind: type[V], text: str, **parameters: object) -> list[V]:
+        """Return the values of a statement with one column, none of them NULL."""
+        with self.snapshot() as snapshot:
+            return snapshot.values(kind, text, **parameters)
 
     def outputs(self) -> list[str]:
         """Return the names of all tables that runs wrote."""
@@ -244,7 +256,7 @@ class Snapshot:
         if self._shared is not None:
             self._shared.close()
 
-    def sql(self, text: str, **parameters: Any) -> pa.Table:
+    def sql(self, text: str, **parameters: object) -> pa.Table:
         """Return the result of one statement that only reads, as an Arrow table. Raises SqlError."""
 
         def table(answer: Answer) -> pa.Table:
@@ -253,7 +265,15 @@ class Snapshot:
 
         return self.ask(text, parameters, table)
 
-    def rows(self, text: str, **parameters: Any) -> list[dict[str, Any]]:
+    def select(self, kind: type[R], text: str, **parameters: object) -> list[R]:
+        """Return the rows of one statement that only reads as instances of a row class. Raises SqlError."""
+        return self.ask(text, parameters, partial(typed, kind))
+
+    def values(self, kind: type[V], text: str, **parameters: object) -> list[V]:
+        """Return the values of a statement that only reads and has one column, none of them NULL. Raises SqlError."""
+        return self.ask(text, parameters, partial(values, kind))
+
+    def rows(self, text: str, **parameters: object) -> list[dict[str, Any]]:
         """Return the result of one statement that only reads, as rows by column. Raises SqlError."""
 
         def rows(answer: Answer) -> list[dict[str, Any]]:
@@ -261,7 +281,7 @@ class Snapshot:
 
         return self.ask(text, parameters, rows)
 
-    def ask(self, text: str, parameters: Mapping[str, Any], convert: Callable[[Answer], Converted]) -> Converted:
+    def ask(self, text: str, parameters: Mapping[str, object], convert: Callable[[Answer], Converted]) -> Converted:
         """Return the converted result of one statement that only reads. Raises SqlError."""
         import duckdb
 
@@ -291,7 +311,7 @@ class Snapshot:
             return Damaged(f"the store cannot be read: {explain(error)}")
         return SqlError(explain(error))
 
-    def _answer(self, text: str, parameters: Mapping[str, Any]) -> Any:
+    def _answer(self, text: str, parameters: Mapping[str, object]) -> Any:
         return self.connection.sql(text, params=parameters) if parameters else self.connection.sql(text)
 
     def _only_reads(self, text: str) -> None:
@@ -303,7 +323,7 @@ class Snapshot:
         if statements[0].type != duckdb.StatementType.SELECT:
             raise SqlError(f"the store is read-only here; {statements[0].type.name} statements are not allowed")
 
-    def each(self, statement: str, parameters: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:
+    def each(self, statement: str, parameters: Mapping[str, object]) -> Iterator[tuple[Any, ...]]:
         """Yield the rows of one of SIERRA's own statements, with a few thousand rows in memory at a time."""
         import duckdb
 
@@ -333,7 +353,7 @@ class Snapshot:
         """Register an Arrow table under a name on this connection."""
         self.connection.register(name, table)
 
-    def run(self, statement: str, parameters: Mapping[str, Any] | None = None) -> list[tuple[Any, ...]]:
+    def run(self, statement: str, parameters: Mapping[str, object] | None = None) -> list[tuple[Any, ...]]:
         """Execute one of SIERRA's own statements, which may create temporary tables, and return its rows."""
         import duckdb
 

@@ -1,0 +1,451 @@
+"""The rows of the recorded tables: a class for each table, with the type, the meaning and the unit of each column.
+
+The store's schema is made from these classes (see `sierra.store.schema`), and records are written and read as their
+instances. A column whose type allows None can be NULL.
+"""
+
+from datetime import datetime
+from typing import Annotated, NamedTuple
+
+
+class BatchRow(NamedTuple):
+    """Batches: the ordered set of experiments that a query expands to."""
+
+    batch: Annotated[str, "the batch's id: a Merkle hash over its experiments"]
+    created: Annotated[datetime, "when it was first submitted"]
+    query: Annotated[str, "the criteria as they were first submitted"]
+    axes: Annotated[list[str], "names of the independent variables, in order"]
+    controller: Annotated[str | None, "the controller; NULL if none was named"]
+    scenario: Annotated[str | None, "the scenario; NULL if none was named"]
+    overrides: Annotated[list[str], "the further values that were set for all runs, each as XPATH=VALUE"]
+    platform: Annotated[str, "the platform, which drives the simulator"]
+    experiments: Annotated[int, "number of its experiments", "1"]
+    runs: Annotated[int, "number of its runs in all experiments together", "1"]
+    base_seed: Annotated[int, "the number that all seeds derive from"]
+    spec: Annotated[str, "the specification that all its runs share"]
+    template: Annotated[str, "the template's path in the project"]
+    template_sha256: Annotated[str, "SHA-256 of the template file"]
+    lamport: Annotated[int, "its position in the logical order, as in sessions"]
+
+
+class ExperimentRow(NamedTuple):
+    """Points in the space of the independent variables; each variable is a further column here."""
+
+    experiment: Annotated[str, "the experiment's id: a Merkle hash over its values and runs"]
+    batch: Annotated[str, "the batch that it belongs to"]
+    ordinal: Annotated[int, "its position in the batch, from 0"]
+
+
+class BatchRunRow(NamedTuple):
+    """The runs of each experiment of each batch; a run may belong to several."""
+
+    batch: Annotated[str, "the batch"]
+    ordinal: Annotated[int, "the experiment's position in the batch, from 0"]
+    number: Annotated[int, "the run's number in the experiment, from 0"]
+    run: Annotated[str, "the run"]
+    seed: Annotated[int, "its seed"]
+    input: Annotated[str, "SHA-256 of its first input file; the file itself is in objects"]
+    other_inputs: Annotated[list[str], "SHA-256 of its other input files, which specs.files names"]
+    spec: Annotated[str, "the specification that it shares with the other runs of the batch"]
+
+
+class SpecRow(NamedTuple):
+    """Run specifications, which runs share: a spec, inputs and a seed make a run."""
+
+    spec: Annotated[str, "the spec's id"]
+    platform: Annotated[str, "the platform, which drives the simulator"]
+    command: Annotated[list[str], "program and arguments, before paths of this machine are inserted"]
+    variables: Annotated[str, "declared environment variables, as JSON"]
+    source: Annotated[str | None, "the tree of the code (an SWHID); NULL if the runs have no source"]
+    image: Annotated[str | None, "content identity of the container image; NULL without one"]
+    host_access: Annotated[list[str], "access of runs to the host, outside the image: network, gpu, each device and each mount"]
+    files: Annotated[list[str], "names of the input files that each run gets"]
+
+
+class ExecutionRow(NamedTuple):
+    """Executions of runs: when, where and by which programs each run was executed, and how it ended.
+
+    If an execution was evaluated again by changed rules, status, reason and ingest_rules are those of the last evaluation;
+    the table all_judgements has all evaluations.
+    """
+
+    execution: Annotated[str, "the execution's id"]
+    run: Annotated[str, "the run"]
+    session: Annotated[str, "the session that executed it"]
+    batch: Annotated[str, "the batch that it was executed for"]
+    started: Annotated[datetime, "when its program started"]
+    ended: Annotated[datetime, "when its program ended"]
+    status: Annotated[str, "ok, failed, timeout, memory, cpu, output, mismatch or interrupted"]
+    reason: Annotated[str | None, "why the status is not ok, in one line"]
+    exit_code: Annotated[int | None, "the program's exit status; NULL if a signal ended it"]
+    signal: Annotated[int | None, "the signal that ended it; NULL if none did"]
+    wall_s: Annotated[float, "time from start to end", "s"]
+    user_s: Annotated[
+        float | None, "CPU time in user mode of all its processes that ended; in a container, measured from outside", "s"
+    ]
+    system_s: Annotated[float | None, "CPU time in kernel mode, measured in the same way", "s"]
+    max_rss_bytes: Annotated[
+        int | None,
+        "peak resident memory of its largest process (at least the worker's); in a container, measured from outside",
+        "bytes",
+    ]
+    host: Annotated[str, "host name"]
+    slot: Annotated[int, "the slot of the worker that executed it"]
+    result: Annotated[str, "Merkle hash of the names and digests of its outputs"]
+    log_tail: Annotated[str | None, "the end of its standard error, or of its standard output if standard error is empty"]
+    environment: Annotated[str, "the environment in which it ran"]
+    programs: Annotated[str, "fingerprint of the programs outside source and image"]
+    ingest_rules: Annotated[str, "hash of the rules by which it was evaluated: [outputs] and [success] of the project"]
+    purpose: Annotated[str, "run, or another purpose; only executions for run count in statistics"]
+    isolation: Annotated[str | None, "how it was isolated in a container; NULL if it was not"]
+    attempt: Annotated[str | None, "on a cluster, the attempt at an array task that executed it; NULL otherwise"]
+    lamport: Annotated[int, "its position in the logical order, as in sessions"]
+
+
+class AttemptRow(NamedTuple):
+    """Attempts on clusters: each time that an array task, which has a share of a batch's runs, was executed on a node."""
+
+    attempt: Annotated[str, "the attempt's id"]
+    session: Annotated[str, "the session that it belongs to"]
+    batch: Annotated[str, "the batch"]
+    array_task: Annotated[int, "the index of the array task; a session with n array tasks gives each of them every n-th run"]
+    scheduler: Annotated[str | None, "the scheduler that started it, with its version"]
+    job: Annotated[str | None, "the scheduler's id of the job, or of this task of the job"]
+    node: Annotated[str, "host name of the node"]
+    started: Annotated[datetime, "when it started"]
+    ended: Annotated[datetime, "when it last recorded something"]
+    clock_offset_s: Annotated[
+        float | None,
+        "how far the node's clock was ahead of the shared file system's clock; if over 2 s, all times are by the "
+        "file system's clock",
+        "s",
+    ]
+    cpus: Annotated[int | None, "cores that were allocated to it", "1"]
+    memory: Annotated[int | None, "memory that was allocated to it; NULL if unknown", "bytes"]
+    gpus: Annotated[str | None, "GPUs that were allocated to it, by the scheduler's names"]
+    allocation: Annotated[str | None, "other facts that the scheduler reported on the node, as JSON"]
+    runs: Annotated[int, "runs that it executed to their end", "1"]
+    interrupted_runs: Annotated[int, "runs that it started and did not finish", "1"]
+    state: Annotated[str, "finished, or cut off"]
+    error: Annotated[str | None, "why it could not continue, as reported by itself or else by the scheduler"]
+    environment: Annotated[str | None, "the environment in which it ran"]
+
+
+class DuplicateRow(NamedTuple):
+    """Runs that were executed once more than requested, because two attempts at one array task ran at the same time."""
+
+    execution: Annotated[str, "the run's recorded execution: the one that was seen first"]
+    run: Annotated[str, "the run"]
+    attempt: Annotated[str, "the attempt that executed the copy"]
+    result: Annotated[str, "Merkle hash of the copy's outputs, as in executions"]
+    same: Annotated[bool, "whether these outputs equal the recorded execution's"]
+
+
+class IsolationRow(NamedTuple):
+    """Isolations: how executions were isolated in containers, each recorded once."""
+
+    isolation: Annotated[str, "hash of all columns below"]
+    engine: Annotated[str, "the container engine"]
+    version: Annotated[str | None, "versions of the engine and of the program with which it starts containers"]
+    rootless: Annotated[bool | None, "whether the engine ran without root privileges"]
+    mode: Annotated[str, "run: one container for each run; worker: one container for all runs of a slot (weaker isolation)"]
+    image: Annotated[str, "content identity of the image"]
+    user: Annotated[str | None, "the user that a container's processes have on the host"]
+    network: Annotated[str, "none, host, or not isolated (none was requested but is not possible here)"]
+    devices: Annotated[list[str], "devices of the host that runs could use; gpu stands for NVIDIA GPUs"]
+    mounts: Annotated[
+        str | None, "files and folders of the host that runs could read, as JSON: path in the container, path on the host"
+    ]
+    limits_asked: Annotated[str | None, "limits that were requested of the engine, as JSON: memory in bytes, cpus, pids"]
+    limits_enforced: Annotated[
+        str | None, "limits that the engine enforces here; others are ignored, except memory, which the worker then monitors"
+    ]
+    argv: Annotated[list[str], "the command that starts a container, without the parts that differ for each run"]
+
+
+class JudgementRow(NamedTuple):
+    """Later evaluations of recorded executions: by changed rules, from the recorded files, without executing anything."""
+
+    judgement: Annotated[str, "the judgement's id"]
+    execution: Annotated[str, "the execution"]
+    run: Annotated[str, "its run"]
+    session: Annotated[str, "the session that evaluated it again"]
+    batch: Annotated[str, "the batch for which it was evaluated"]
+    judged_at: Annotated[datetime, "when it was evaluated"]
+    status: Annotated[str, "as in executions"]
+    reason: Annotated[str | None, "why the status is not ok, in one line"]
+    ingest_rules: Annotated[str, "hash of the rules: [outputs] and [success] of the project"]
+    lamport: Annotated[int, "its position in the logical order, as in sessions"]
+
+
+class FindingRow(NamedTuple):
+    """Problems that were found after an execution was recorded; from then on its status is not ok."""
+
+    execution: Annotated[str, "the execution, or its judgement that is not ok"]
+    found_at: Annotated[datetime, "when the problem was found"]
+    status: Annotated[str, "the new status"]
+    reason: Annotated[str, "the reason, in one line"]
+    lamport: Annotated[int, "its position in the logical order, as in sessions"]
+
+
+class ArtifactRow(NamedTuple):
+    """Files that executions left, and their logs, as they were last evaluated."""
+
+    execution: Annotated[str, "the execution"]
+    run: Annotated[str, "the run"]
+    path: Annotated[str, "path in the output folder; for logs, stdout or stderr"]
+    kind: Annotated[str, "table, file or log"]
+    output: Annotated[str | None, "the declared or detected output that it belongs to, which is the table's name"]
+    size: Annotated[int | None, "its size", "bytes"]
+    sha256: Annotated[
+        str | None, "SHA-256 of its bytes; of a log over 1 MiB, SHA-256 of the part that is kept: its beginning and end"
+    ]
+    rows: Annotated[int | None, "rows that it added to its table", "1"]
+    table_layout: Annotated[
+        str | None, "layout of its table, as JSON: its file, the type of each column, whether its last line is complete"
+    ]
+    counted_rows: Annotated[int | None, "rows in the file itself, counted independently of the reader", "1"]
+
+
+class SessionRow(NamedTuple):
+    """Sessions: submissions of a query by one process, recorded when they end."""
+
+    session: Annotated[str, "the session's id"]
+    batch: Annotated[str, "the batch that was requested"]
+    query: Annotated[str, "the query as it was submitted"]
+    started: Annotated[datetime, "when the query was submitted"]
+    ended: Annotated[datetime, "when the session ended"]
+    runner: Annotated[str, "where runs were executed"]
+    engine: Annotated[str, "the container engine"]
+    slots: Annotated[
+        int | None, "runs at a time; on a cluster, cores of all array tasks together, and NULL if it submitted none", "1"
+    ]
+    executed: Annotated[int, "runs executed", "1"]
+    reexecuted: Annotated[int, "runs among them that had been executed before", "1"]
+    reused: Annotated[int, "runs whose recorded successful execution was reused", "1"]
+    failed: Annotated[int, "runs of the batch that were executed and have no successful execution", "1"]
+    missing: Annotated[int, "runs of the batch that were not executed", "1"]
+    interrupted: Annotated[bool, "whether the user interrupted it"]
+    sierra: Annotated[str, "SIERRA's version"]
+    environment: Annotated[str, "the environment in which it ran"]
+    source: Annotated[str, "the recorded state of the source"]
+    programs: Annotated[str, "fingerprint of the programs with which its runs were, or would have been, executed"]
+    ingest_rules: Annotated[str, "hash of the rules, as in executions"]
+    batch_rules: Annotated[str, "hash of the rules and of the allowed differences between runs of the batch (mismatch)"]
+    lamport: Annotated[
+        int,
+        "its position in the logical order: a greater number is later, independent of clocks; old records have "
+        "negative numbers, in the order of their times, and so come first",
+    ]
+
+
+class ReplayRow(NamedTuple):
+    """Replays: recorded runs that were executed again from the record alone, and compared with it."""
+
+    replay: Annotated[str, "the replay's id, which is also the session of its executions"]
+    kind: Annotated[str, "the kind of record that was replayed: batch, experiment, run or execution"]
+    target: Annotated[str, "the id of the replayed record"]
+    batch: Annotated[str, "the batch that was replayed, or that contains the replayed record"]
+    started: Annotated[datetime, "when it was submitted"]
+    ended: Annotated[datetime, "when its verdict was known"]
+    runner: Annotated[str, "where runs were executed"]
+    engine: Annotated[str, "the container engine"]
+    runs: Annotated[int, "runs compared", "1"]
+    verdict: Annotated[
+        str, "identical, equal, within tolerance, equivalent, different or failed: the worst verdict of its experiments"
+    ]
+    tolerances: Annotated[str, "tolerances that were requested, as JSON: by output, by column"]
+    environment: Annotated[str, "the environment in which it ran"]
+    programs: Annotated[str, "fingerprint of the programs with which it was executed"]
+    lamport: Annotated[int, "its position in the logical order, as in sessions"]
+
+
+class VerdictRow(NamedTuple):
+    """Verdicts: how far each output of a replayed run agrees with its record."""
+
+    replay: Annotated[str, "the replay"]
+    run: Annotated[str, "the run"]
+    recorded: Annotated[str, "the recorded execution"]
+    execution: Annotated[str | None, "the execution that was compared with it; NULL if there is none"]
+    path: Annotated[str | None, "the output's path; NULL if the verdict is about the whole run"]
+    verdict: Annotated[str, "identical, equal, within tolerance, different or failed"]
+    reason: Annotated[str | None, "the reason in one line; empty if they are identical"]
+    row: Annotated[int | None, "the first row (or line) in which they differ, from 0"]
+    column: Annotated[str | None, "the column of the first difference"]
+    recorded_value: Annotated[str | None, "the recorded value at the first difference"]
+    replayed_value: Annotated[str | None, "the replayed value at the first difference"]
+    max_abs: Annotated[float | None, "the greatest absolute difference in that column, in its unit"]
+    max_rel: Annotated[float | None, "the greatest difference relative to the recorded number", "1"]
+    max_ulp: Annotated[float | None, "the greatest difference in units in the last place", "1"]
+
+
+class EquivalenceRow(NamedTuple):
+    """Metrics of nondeterministic experiments that a replay compared over all runs, by two one-sided tests (TOST)."""
+
+    replay: Annotated[str, "the replay"]
+    experiment: Annotated[str, "the experiment"]
+    metric: Annotated[str, "the metric's name in [equivalence]"]
+    output: Annotated[str, "the output"]
+    column: Annotated[str, "the column of the output"]
+    measure: Annotated[str, "how each run was reduced to one number"]
+    recorded_mean: Annotated[float | None, "the recorded mean, in the column's unit"]
+    replayed_mean: Annotated[float | None, "the replayed mean"]
+    n: Annotated[int, "number of pairs of runs", "1"]
+    difference: Annotated[float | None, "the mean of the differences between paired runs"]
+    low: Annotated[float | None, "lower end of the confidence interval (level 1 - 2 alpha) of the difference"]
+    high: Annotated[float | None, "upper end of the confidence interval"]
+    margin: Annotated[float | None, "the interval must lie between -margin and +margin"]
+    alpha: Annotated[
+        float, "significance level: greatest probability of finding means equivalent that differ by the margin", "1"
+    ]
+    p: Annotated[float | None, "the greater p-value of the two tests", "1"]
+    power: Annotated[float | None, "power: probability of finding equal means equivalent", "1"]
+    equivalent: Annotated[bool, "whether the interval lies within the margins"]
+    reason: Annotated[str | None, "the reason, in one line"]
+
+
+class EnvironmentRow(NamedTuple):
+    """Environments of executions (operating system, hardware, libraries, variables), each recorded once."""
+
+    environment: Annotated[str, "hash of all columns below"]
+    host: Annotated[str, "host name"]
+    os: Annotated[str | None, "operating system, by its own name"]
+    kernel: Annotated[str, "kernel release"]
+    machine: Annotated[str, "processor architecture"]
+    cpu: Annotated[str | None, "processor model"]
+    cpu_flags: Annotated[list[str], "processor features that change arithmetic or its speed, such as avx2 and fma"]
+    cores: Annotated[int, "usable cores", "1"]
+    memory: Annotated[int | None, "main memory", "bytes"]
+    gpus: Annotated[list[str], "GPUs, by name or by vendor and device ids, each with its driver"]
+    libc: Annotated[str | None, "C library and its version"]
+    container: Annotated[str | None, "the container in which SIERRA ran, with its image if known; NULL if in no container"]
+    locale: Annotated[str | None, "SIERRA's locale; runs use the declared one"]
+    timezone: Annotated[str | None, "SIERRA's time zone; runs use the declared one"]
+    limits: Annotated[
+        str, "process limits (ulimit) as JSON, soft and hard by name, in bytes, seconds or numbers; null for no limit"
+    ]
+    modules: Annotated[list[str], "environment modules that were loaded"]
+    variables: Annotated[str, "environment variables as JSON: those known to change results, and those in [environment] record"]
+    python: Annotated[str, "version of the Python that ran SIERRA"]
+    sierra: Annotated[str, "SIERRA's version"]
+    distributions: Annotated[str, "Python distributions installed where SIERRA ran, one name==version per line"]
+    lock: Annotated[str | None, "SHA-256 of the column distributions"]
+
+
+class SourceRow(NamedTuple):
+    """Sources: states of the code of runs, each recorded once."""
+
+    source: Annotated[str, "hash of all columns below except files"]
+    tree: Annotated[str, "the tree of the code that identifies runs, as an SWHID"]
+    vcs: Annotated[str, "git, or none"]
+    commit: Annotated[str | None, "the commit that was checked out"]
+    branch: Annotated[str | None, "the branch that was checked out"]
+    dirty: Annotated[bool | None, "whether files of the tree differ from the commit; NULL outside git"]
+    remote: Annotated[str | None, "the remote's address, without credentials"]
+    described: Annotated[str | None, "the commit relative to the nearest tag, as given by git describe --always --dirty --tags"]
+    folder: Annotated[str | None, "the project's folder relative to the root of the repository; . if it is the root"]
+    submodules: Annotated[str | None, "submodules, as JSON: path and commit; NULL if there are none"]
+    files: Annotated[str, "SHA-256 of the list of files, which is in objects: one mode, hash and path per line"]
+
+
+class BlobRow(NamedTuple):
+    """Files of sources outside git, by the hash that git would give them; the list of a source's files has this hash."""
+
+    blob: Annotated[str, "git's hash of the file"]
+    sha256: Annotated[str, "SHA-256 of the file; the file itself is in objects"]
+
+
+class IngestRulesRow(NamedTuple):
+    """The rules by which executions were evaluated, so that other executions can be evaluated by the same rules."""
+
+    ingest_rules: Annotated[str, "hash of the rules, as in executions"]
+    declared: Annotated[str, "the tables [outputs] and [success] of sierra.toml, as JSON"]
+
+
+class ProgramRow(NamedTuple):
+    """Dependencies of executions outside source and image: programs, libraries, Python distributions, files."""
+
+    programs: Annotated[str, "fingerprint of the set of programs that was used together"]
+    name: Annotated[
+        str,
+        "the name that the command uses; for a library, the name that the loader uses; for a file in the project "
+        "or in a mount, {project}/… or {mount}/…",
+    ]
+    kind: Annotated[str, "program, library, distributions (packages installed for a Python), file or link"]
+    version: Annotated[
+        str | None,
+        "for a program, the first line of its version text; for distributions, one name==version per line; else NULL",
+    ]
+    path: Annotated[str | None, "where it was found; several folders are separated by :"]
+    sha256: Annotated[str | None, "SHA-256 of the file; for distributions, of their names and versions, or of their content"]
+
+
+class ImageRow(NamedTuple):
+    """Container images in which runs were, or would have been, executed, each recorded once."""
+
+    image: Annotated[
+        str, "content identity: sha256: and the digest of an OCI image's configuration; squashfs: and that of a file system"
+    ]
+    kind: Annotated[str, "oci or squashfs"]
+    architecture: Annotated[str | None, "the OCI name: amd64, arm64, …; NULL if the image does not state it"]
+    layers: Annotated[list[str], "digests of the layers' files (OCI's diff_ids), lowest layer first; empty for a squashfs"]
+    name: Annotated[str | None, "the name that the project uses"]
+    file: Annotated[
+        str | None, "path of the image file, relative to the project's root if it is in the project; NULL for a tag"
+    ]
+    sha256: Annotated[str | None, "SHA-256 of that file"]
+    squashfs: Annotated[str | None, "SHA-256 of the squashfs that SIERRA made from it for apptainer; NULL if it made none"]
+    manifests: Annotated[
+        str | None, "digests of its manifests as JSON, by the form in which they were seen; each form has another digest"
+    ]
+    created: Annotated[datetime | None, "when it was created, as the image states"]
+    labels: Annotated[str | None, "its labels, as JSON"]
+    variables: Annotated[str | None, "environment variables that it sets for its programs, as JSON"]
+    packages: Annotated[str | None, "installed packages, as JSON: for each of dpkg, apk and python a list of name==version"]
+    recipe: Annotated[str | None, "how it was made, if known: a definition file, or a history"]
+    files: Annotated[
+        str | None,
+        "SHA-256 of the list of its files, which is in objects: one JSON object per line with path, type, size, sha256",
+    ]
+    size: Annotated[int, "total size of its files", "bytes"]
+
+
+class ObjectRow(NamedTuple):
+    """Recorded files by the hash of their content, in parts of at most 8 MiB; files that became tables are included unless
+    [store] raw is false.
+    """
+
+    sha256: Annotated[str, "SHA-256 of the whole file"]
+    part: Annotated[int, "position of this part, from 0"]
+    size: Annotated[int, "size of the whole file", "bytes"]
+    content: Annotated[bytes, "the part's bytes"]
+
+
+ROWS: dict[str, type[NamedTuple]] = {
+    "batches": BatchRow,
+    "experiments": ExperimentRow,
+    "batch_runs": BatchRunRow,
+    "specs": SpecRow,
+    "executions": ExecutionRow,
+    "attempts": AttemptRow,
+    "duplicates": DuplicateRow,
+    "isolations": IsolationRow,
+    "judgements": JudgementRow,
+    "findings": FindingRow,
+    "artifacts": ArtifactRow,
+    "sessions": SessionRow,
+    "replays": ReplayRow,
+    "verdicts": VerdictRow,
+    "equivalences": EquivalenceRow,
+    "environments": EnvironmentRow,
+    "sources": SourceRow,
+    "blobs": BlobRow,
+    "ingest_rules": IngestRulesRow,
+    "programs": ProgramRow,
+    "images": ImageRow,
+    "objects": ObjectRow,
+}
+"""The class of each recorded table's rows."""
+
+TABLES = {row: name for name, row in ROWS.items()}
+"""The table of each class of rows."""
