@@ -84,32 +84,17 @@ def runs(folder: Path) -> None:
     say("1,000 runs of true, recorded / xargs -P2", *in_turn(5, ours, lambda: xargs(folder / "x", 1000)), "at most 2")
 
 
-CAPTURE = """
+PLAN = """
 import time
-from pathlib import Path
-from sierra import config, jobs, platforms
-from sierra.provenance import environment, named, programs, source, versions
-root = Path.cwd()
-project = config.load(root)
-platform = platforms.find("command", project.config)
-variables = jobs.declared(jobs.environment(platform, project.config), root)
-parts = [("", time.perf_counter())]
-done = lambda what: parts.append((what, time.perf_counter()))
-code = source.capture(root, paths=(), without=(".sierra", "sierra.toml", "template.xml"))
-done("source")
-data = named.data(root / "template.xml", (), root, source.paths(code.manifest), ())
-found = programs.find(jobs.fill(jobs.command(platform, root), root), variables, root, data)
-done("programs")
-versions.asked(found, project.config.programs, variables, root)
-done("versions")
-environment.capture("1")
-done("environment")
-print(*(f"{what}={after - before}" for (_, before), (what, after) in zip(parts, parts[1:])))
+import sierra
+began = time.perf_counter()
+sierra.Project(".").plan("population_size=1,2,3,4", runs=250)
+print(time.perf_counter() - began)
 """
 
 
-def provenance(folder: Path) -> None:
-    """Measure the costs of source, programs, versions and environment for a batch of 1,000 runs; none is per run."""
+def planning(folder: Path) -> None:
+    """Measure the plan of a batch of 1,000 runs: source, programs, environment and inputs; without and with its caches."""
     here = project(folder / "project")
     quietly("git", "init", "-q", str(here))
     began = time.perf_counter()
@@ -117,25 +102,20 @@ def provenance(folder: Path) -> None:
     wall = time.perf_counter() - began
     for command in ("/bin/true {input}", "{python} sim.py {input}"):
         project(here, command=command)
+        (here / "sim.py").write_text("")
         for state in ("cold", "warm"):
             cache = folder / "cache" if state == "warm" else folder / "no cache"
             shutil.rmtree(folder / "no cache", ignore_errors=True)
-            took = [capture(here, cache) for _ in range(5 if state == "warm" else 1)]
-            best = {part: statistics.median(one[part] for one in took) for part in took[0]}
-            say(
-                f"provenance of {command.split()[0].strip('{}')}, {state} / 1,000 runs",
-                sum(best.values()),
-                wall,
-                "at most 0.05",
-            )
-            print("  " + ", ".join(f"{part} {seconds * 1000:.1f} ms" for part, seconds in best.items()), flush=True)
+            took = statistics.median(plan_seconds(here, cache) for _ in range(5 if state == "warm" else 1))
+            program = command.split()[0].strip("{}")
+            say(f"plan of 1,000 runs of {program}, {state} / the runs of true", took, wall, "at most 0.1")
 
 
-def capture(here: Path, cache: Path) -> dict[str, float]:
-    """Return the seconds of each part, measured in a separate process."""
+def plan_seconds(here: Path, cache: Path) -> float:
+    """Return the seconds that a plan takes in a separate process, without the start of Python."""
     around = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    done = subprocess.run((sys.executable, "-c", CAPTURE), cwd=here, env=around, capture_output=True, text=True, check=True)
-    return {part: float(seconds) for part, seconds in (word.split("=") for word in done.stdout.split())}
+    done = subprocess.run((sys.executable, "-c", PLAN), cwd=here, env=around, capture_output=True, text=True, check=True)
+    return float(done.stdout)
 
 
 def linear(folder: Path) -> None:
@@ -219,6 +199,42 @@ def start(folder: Path) -> None:
         *in_turn(9, lambda: quietly(SIERRA, "--help"), lambda: quietly(sys.executable, str(small), "--help")),
         "at most 1.5",
     )
+
+
+SELECT = "import duckdb; duckdb.connect().execute('SELECT 1').fetchall()"
+
+
+def commands(folder: Path) -> None:
+    """Measure the CPU time of short commands, compared with Python and one SELECT by DuckDB."""
+    here = project(folder / "project")
+    sizes = iter(range(2, 1000))
+
+    def run(size: int = 1) -> tuple[str, ...]:
+        return (SIERRA, "run", f"population_size={size}", "--runs", "1", "--no-figures")
+
+    quietly(*run(), cwd=here)
+    calls: dict[str, tuple[Callable[[], tuple[str, ...]], str]] = {
+        "sierra ls": (lambda: (SIERRA, "ls"), "at most 2"),
+        "sierra sql": (lambda: (SIERRA, "sql", "SELECT count(*) FROM runs"), "at most 2"),
+        "sierra status": (lambda: (SIERRA, "status"), "at most 2"),
+        "sierra run, nothing to execute": (run, "at most 2.7"),
+        "sierra run, one run": (lambda: run(next(sizes)), "at most 4"),
+    }
+    measured: dict[str, list[float]] = {name: [] for name in ("", *calls)}
+    for _ in range(9):
+        measured[""].append(cpu_seconds(lambda: quietly(sys.executable, "-c", SELECT)))
+        for name, (call, _promise) in calls.items():
+            measured[name].append(cpu_seconds(lambda: quietly(*call(), cwd=here)))  # noqa: B023
+    for name, (_call, promise) in calls.items():
+        say(f"{name}, CPU / one SELECT by duckdb", *(statistics.median(measured[one]) for one in (name, "")), promise)
+
+
+def cpu_seconds(what: Callable[[], None]) -> float:
+    """Return the CPU seconds, in user and kernel mode, of the processes that a function starts and waits for."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    what()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def listing(folder: Path) -> None:
@@ -385,7 +401,8 @@ def schema_of(table: str) -> tuple[list[str], list[object]]:
 BENCHES: dict[str, Callable[[Path], None]] = {
     "start": start,
     "runs": runs,
-    "provenance": provenance,
+    "planning": planning,
+    "commands": commands,
     "linear": linear,
     "recording": recording,
     "listing": listing,
