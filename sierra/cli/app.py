@@ -18,6 +18,7 @@ from sierra.cli import (
     image,
     init,
     ls,
+    quick_start,
     replay,
     rm,
     run,
@@ -37,6 +38,7 @@ EXIT_CODES = (
 
 app = typer.Typer(
     name="sierra",
+    cls=quick_start.Group,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -110,7 +112,7 @@ for command in (
     doctor.doctor,
     schema.schema,
 ):
-    app.command()(command)
+    app.command(cls=quick_start.Command)(command)
 
 for group in (image.app, source.app):
     app.add_typer(group)

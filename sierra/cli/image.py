@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sierra.cli import quick_start
+
 if TYPE_CHECKING:
     from sierra.containers.images.image import Image
     from sierra.containers.images.image_contents import Contents
 
 app = typer.Typer(
+    cls=quick_start.Group,
     name="image",
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -27,7 +30,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text
 PACKAGES = 12
 
 
-@app.command()
+@app.command(cls=quick_start.Command)
 def build(
     recipes: Annotated[
         list[str] | None, typer.Argument(metavar="RECIPE", help="Folders with a Containerfile (default: [container] image).")
@@ -62,7 +65,7 @@ def build(
         print_json(built)
 
 
-@app.command("import")
+@app.command("import", cls=quick_start.Command)
 def import_(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A docker-archive or oci-archive file.")],
     name: Annotated[
@@ -91,7 +94,7 @@ def import_(
     print(f"pinned already: {', '.join(pinned)}" if pinned else f"next: sierra image pin {found.image.name}")
 
 
-@app.command()
+@app.command(cls=quick_start.Command)
 def export(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A tag, a file, or a recipe's folder.")],
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The archive to write.")],
@@ -115,7 +118,7 @@ def export(
         print(f"{image.id}  {file}")
 
 
-@app.command()
+@app.command(cls=quick_start.Command)
 def pin(name: Name = None, as_json: AsJson = False) -> None:
     """Pin the image that a name refers to now.
 
@@ -141,7 +144,7 @@ def pin(name: Name = None, as_json: AsJson = False) -> None:
         print(f"{found.image.id}  {found.image.name}: pinned in sierra.lock")
 
 
-@app.command()
+@app.command(cls=quick_start.Command)
 def show(
     name: Name = None,
     programs: Annotated[
@@ -172,7 +175,7 @@ def show(
         _print_part(key, shown[key])
 
 
-@app.command()
+@app.command(cls=quick_start.Command)
 def ls(as_json: AsJson = False) -> None:
     """List the project's images, and where they are stored.
 

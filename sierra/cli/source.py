@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sierra.cli import quick_start
+
 if TYPE_CHECKING:
     from sierra.provenance.source.share_refs import Shared
 
 app = typer.Typer(
+    cls=quick_start.Group,
     name="source",
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -25,7 +28,7 @@ Remote = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 
 
-@app.command()
+@app.command(cls=quick_start.Command)
 def push(remote: Remote = None, as_json: AsJson = False) -> None:
     """Push the recorded code to a git remote.
 
@@ -42,7 +45,7 @@ def push(remote: Remote = None, as_json: AsJson = False) -> None:
     _tell(project().push_sources(remote), "pushed to", as_json=as_json)
 
 
-@app.command()
+@app.command(cls=quick_start.Command)
 def fetch(remote: Remote = None, as_json: AsJson = False) -> None:
     """Fetch the recorded code that others pushed with sierra source push.
 

@@ -1,0 +1,62 @@
+"""Commands that start without pydantic if their arguments need no conversion.
+
+Typer makes a pydantic adapter for each parameter, even for one that was not given, and pydantic takes as long to load as
+most commands take to run. Here an adapter is made only for a value that needs it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from typer.core import TyperCommand, TyperGroup
+
+if TYPE_CHECKING:
+    from typer._click.core import Context, Parameter
+    from typer.core import TyperArgument, TyperOption
+
+
+class _Converter:
+    """Converts the values of one parameter; typer calls `coerce`."""
+
+    def coerce(self, value: object, param: TyperArgument | TyperOption, ctx: Context) -> object:
+        """Return a value as the command takes it. Raises typer's error for a wrong value."""
+        if value is None:
+            return () if param.multiple or param.nargs == -1 else None
+        if param.type_descriptor.parameter_info.parser is None:
+            annotation = param.type_descriptor.annotation
+            if _is_plain(value, annotation):
+                return value
+            if annotation == list[str] and isinstance(value, tuple) and all(_is_plain(one, str) for one in value):
+                return list(value)
+        param._runtime_param = None
+        return param.get_runtime_param().coerce(value, param=param, ctx=ctx)
+
+
+CONVERTER = _Converter()
+
+
+def _is_plain(value: object, annotation: object) -> bool:
+    """Check if a value is of its parameter's type already; a text must be encodable too, as pydantic requires."""
+    if type(value) is not annotation:
+        return False
+    try:
+        return not isinstance(value, str) or value.encode() is not None
+    except UnicodeEncodeError:
+        return False
+
+
+def _lean(parameters: list[Parameter]) -> list[Parameter]:
+    for one in parameters:
+        if getattr(one, "_runtime_param", CONVERTER) is None:
+            setattr(one, "_runtime_param", CONVERTER)  # noqa: B010 - typer's own attribute, which may go
+    return parameters
+
+
+class Command(TyperCommand):
+    def get_params(self, ctx: Context) -> list[Parameter]:
+        return _lean(super().get_params(ctx))
+
+
+class Group(TyperGroup):
+    def get_params(self, ctx: Context) -> list[Parameter]:
+        return _lean(super().get_params(ctx))
