@@ -14,7 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sierra.config import project_file, user
+from sierra.config import find_project
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
@@ -22,6 +22,7 @@ from sierra.store.store import Store
 if TYPE_CHECKING:
     import pandas as pd
 
+    from sierra.config import project_file
     from sierra.containers.images.image import Image
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
@@ -58,18 +59,21 @@ class Project:
 
     def __init__(self, path: str | os.PathLike[str] = ".") -> None:
         """Open the project that contains the folder `path`, or only the store there. Raises Missing if there is neither."""
-        self._found = project_file.load_store(Path(path))
+        self._found = find_project.find_store(Path(path))
         self.paths = ProjectPaths(self._found.root)
 
     @cached_property
     def _loaded(self) -> project_file.LoadedProject:
         """Return the project; if only a store exists, its outputs are the ones that were recorded last."""
-        if self._found.written:
-            return self._found
+        from sierra.config import project_file
+
+        loaded = project_file.read(self._found)
+        if loaded.written:
+            return loaded
         from sierra.execution import plan_from_record
 
         outputs = plan_from_record.last_outputs(self.store)
-        return replace(self._found, config=self._found.config.model_copy(update={"outputs": outputs}))
+        return replace(loaded, config=loaded.config.model_copy(update={"outputs": outputs}))
 
     def _repr_html_(self) -> str:
         from sierra.util import html
@@ -691,6 +695,7 @@ def _slots(jobs: int | None) -> int:
 
     Raises UsageError for less than 1.
     """
+    from sierra.config import user
     from sierra.provenance.environment import usable_cores
 
     slots = (user.load().jobs or usable_cores()) if jobs is None else jobs

@@ -13,7 +13,6 @@ import json
 import os
 import re
 import shlex
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -34,8 +33,9 @@ from pydantic import (
 )
 
 from sierra.config import forbidden_directives as directives
+from sierra.config.find_project import ProjectFolder, find, settings
 from sierra.errors import ConfigError, Missing
-from sierra.store.layout import CONFIG, PYPROJECT, STORE
+from sierra.store.layout import CONFIG, PYPROJECT
 
 NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
 Name = Annotated[str, StringConstraints(pattern=NAME)]
@@ -625,35 +625,17 @@ class LoadedProject:
 
 
 def load(folder: Path) -> LoadedProject:
-    """Return the project that contains `folder`: the nearest `sierra.toml` or `[tool.sierra]` here or above.
-
-    Raises ConfigError if it is invalid, Missing if there is none.
-    """
-    folder = folder.resolve()
-    for root in (folder, *folder.parents):
-        file = root / CONFIG
-        if file.is_file():
-            return LoadedProject(root, file, parse(read_toml(file), str(file)))
-        file = root / PYPROJECT
-        if file.is_file() and (table := read_toml(file).get("tool", {}).get("sierra")) is not None:
-            return LoadedProject(root, file, parse(table, f"{file} [tool.sierra]"))
-    raise Missing(f"no {CONFIG} in {folder} or above it; create one with: sierra init")
+    """Return the project that contains `folder`. Raises ConfigError if its file is invalid, Missing if there is none."""
+    return read(find(folder))
 
 
-def load_store(folder: Path) -> LoadedProject:
-    """Return the project that contains `folder`, like `load`, or the nearest store as a project without declarations.
-
-    Raises ConfigError, and Missing if there is neither.
-    """
-    try:
-        return load(folder)
-    except Missing:
-        for root in (folder.resolve(), *folder.resolve().parents):
-            if any((root / name).exists() for name in (CONFIG, PYPROJECT)):
-                raise
-            if (root / STORE).is_dir():
-                return LoadedProject(root, root / CONFIG, Project(template=""), written=False)
-        raise
+def read(found: ProjectFolder) -> LoadedProject:
+    """Return a project with its configuration; a store alone is a project without declarations. Raises ConfigError."""
+    root, file, written = found
+    if not written:
+        return LoadedProject(root, file, Project(template=""), written=False)
+    origin = f"{file} [tool.sierra]" if file.name == PYPROJECT else str(file)
+    return LoadedProject(root, file, parse(settings(file) or {}, origin))
 
 
 def parse(table: Mapping[str, Any], origin: str) -> Project:
@@ -702,17 +684,6 @@ def _frozen(value: Any, origin: str) -> Any:
             return tuple(_frozen(inner, origin) for inner in value)
         case _:
             return value
-
-
-def read_toml(file: Path) -> dict[str, Any]:
-    """Return the content of a TOML file. Raises ConfigError if it is not TOML, Missing if it cannot be read."""
-    try:
-        with file.open("rb") as stream:
-            return tomllib.load(stream)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: not TOML: {error}") from error
-    except OSError as error:
-        raise Missing(f"{file}: {error.strerror}") from error
 
 
 def _explain(error: ValidationError, model: type[BaseModel], within: tuple[str, ...] = ()) -> str:

@@ -22,7 +22,6 @@ import fcntl
 import json
 import os
 import platform
-import secrets
 import socket
 import sys
 import tempfile
@@ -54,7 +53,7 @@ class Session:
 
         If `logged`, it has a log file: see `sierra.store.session_log`.
         """
-        self.id = secrets.token_hex(8)
+        self.id = os.urandom(8).hex()
         self.paths: SessionPaths = store.session(self.id)
         self.store = store
         self.number: int | None = None

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import re
-import secrets
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -81,7 +80,7 @@ def connect() -> Any:
             "autoinstall_known_extensions": "false",
             "autoload_known_extensions": "false",
             # DuckDB allows reads there, so the folder has a random name; DuckDB makes and removes it as needed.
-            "temp_directory": steady(str(Path(tempfile.gettempdir(), f"sierra-{secrets.token_hex(8)}"))),
+            "temp_directory": steady(str(Path(tempfile.gettempdir(), f"sierra-{os.urandom(8).hex()}"))),
             "python_enable_replacements": "false",
         },
     )

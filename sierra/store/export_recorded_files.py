@@ -15,7 +15,6 @@ import contextlib
 import errno
 import fnmatch
 import os
-import secrets
 import stat
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -159,7 +158,7 @@ class _Whole:
         self._name = self._folders.pop()
         if any(part in ("", ".", "..") or "\0" in part for part in (*self._folders, self._name)):
             raise Damaged("its recorded path leads outside the folder")
-        self._unfinished = f".sierra-{secrets.token_hex(8)}"
+        self._unfinished = f".sierra-{os.urandom(8).hex()}"
         self._root = root
 
     def __enter__(self) -> IO[bytes]:

@@ -17,7 +17,6 @@ import contextlib
 import json
 import os
 import re
-import secrets
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -39,7 +38,7 @@ ADVICE = 'remove the link; to execute runs elsewhere, set in sierra.toml: [store
 def identity(store: StorePaths) -> str:
     """Return the store's id; create one if there is none. Raises Damaged if the file does not contain a valid id."""
     if not os.path.lexists(store.identity):
-        _write_once(store.identity, _checked(secrets.token_hex(12)))
+        _write_once(store.identity, _checked(os.urandom(12).hex()))
     if (found := id_in(store.identity)) is None:
         raise Damaged(f"{store.identity}: contains no store id; move it and {store.work} away, and SIERRA creates both again")
     return found

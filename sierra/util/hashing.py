@@ -12,14 +12,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import rfc8785
-from pydantic_core import to_json
-
 CHUNK = 1 << 20
 
 
 def canonical(value: Any) -> bytes:
     """Return `value` (JSON types only) in its canonical form by RFC 8785."""
+    import rfc8785
+
     return rfc8785.dumps(value)
 
 
@@ -28,6 +27,8 @@ def canonical_plain(value: Mapping[str, Any]) -> bytes:
 
     For such an object, RFC 8785 only requires sorted keys.
     """
+    from pydantic_core import to_json  # slow to load, and commands that only read need no hash
+
     return to_json(dict(sorted(value.items())))
 
 

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from sierra import templates
-from sierra.config import project_file
+from sierra.config import find_project
 from sierra.errors import Missing, UsageError
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.suggest_exclusions import is_hardly_code
@@ -40,7 +40,7 @@ def check(root: Path) -> None:
         raise Missing(f"{root} is not a folder; create it, and put the template and the simulator there")
     if not os.access(root, os.W_OK | os.X_OK):
         raise Missing(f"{root} is not writable; change its permissions, or use another folder")
-    if pyproject.is_file() and "sierra" in project_file.read_toml(pyproject).get("tool", {}):
+    if pyproject.is_file() and find_project.settings(pyproject) is not None:
         raise UsageError(f"{pyproject} has [tool.sierra] already, which {CONFIG} would hide; change that table with an editor")
 
 

@@ -42,9 +42,9 @@ def test_help_imports_only_the_command_line_library(root: Path) -> None:
     assert imported(root, "--help") == set()
 
 
-@pytest.mark.parametrize("words", [("ls",), ("status",), ("sql", "SELECT 1")], ids=" ".join)
-def test_read_only_commands_import_neither_git_nor_plotting_libraries(root: Path, words: tuple[str, ...]) -> None:
-    assert imported(root, *words) <= {"duckdb", "logging", "lxml", "numpy", "pyarrow", "pydantic"}
+@pytest.mark.parametrize("words", [("ls",), ("sql", "SELECT 1")], ids=" ".join)
+def test_commands_that_read_a_few_rows_import_only_duckdb(root: Path, words: tuple[str, ...]) -> None:
+    assert imported(root, *words) <= {"duckdb", "logging"}
 
 
 @pytest.mark.integration

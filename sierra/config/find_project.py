@@ -1,0 +1,73 @@
+"""The folder that a command works on: the nearest project, or the nearest store.
+
+Commands that only read the store need no more than the folder, so they start without the models of `sierra.toml`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import NamedTuple
+
+from sierra.errors import ConfigError, Missing
+from sierra.store.layout import CONFIG, PYPROJECT, STORE
+
+
+class ProjectFolder(NamedTuple):
+    """The root of a project (absolute), and its file."""
+
+    root: Path
+    file: Path
+    written: bool = True
+    """True if the file exists. A store without a file can be read too."""
+
+
+def find(folder: Path) -> ProjectFolder:
+    """Return the project that contains `folder`: the nearest `sierra.toml` or `[tool.sierra]` here or above.
+
+    Raises Missing if there is none.
+    """
+    folder = folder.resolve()
+    for root in (folder, *folder.parents):
+        if (file := root / CONFIG).is_file() or ((file := root / PYPROJECT).is_file() and settings(file) is not None):
+            return ProjectFolder(root, file)
+    raise Missing(f"no {CONFIG} in {folder} or above it; create one with: sierra init")
+
+
+def find_store(folder: Path) -> ProjectFolder:
+    """Return the project that contains `folder`, like `find`, or the nearest store without a project.
+
+    Raises Missing if there is neither.
+    """
+    try:
+        return find(folder)
+    except Missing:
+        for root in (folder.resolve(), *folder.resolve().parents):
+            if any((root / name).exists() for name in (CONFIG, PYPROJECT)):
+                raise
+            if (root / STORE).is_dir():
+                return ProjectFolder(root, root / CONFIG, written=False)
+        raise
+
+
+def settings(file: Path) -> dict[str, object] | None:
+    """Return the settings in a project's file; None if a `pyproject.toml` has none. Raises as `read_toml` does."""
+    table = read_toml(file)
+    if file.name != PYPROJECT:
+        return table
+    tools = table.get("tool")
+    found = tools.get("sierra") if isinstance(tools, dict) else None
+    if found is not None and not isinstance(found, dict):
+        raise ConfigError(f"{file}: tool.sierra must be a table: [tool.sierra]")
+    return found
+
+
+def read_toml(file: Path) -> dict[str, object]:
+    """Return the content of a TOML file. Raises ConfigError if it is not TOML, Missing if it cannot be read."""
+    try:
+        with file.open("rb") as stream:
+            return tomllib.load(stream)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: not TOML: {error}") from error
+    except OSError as error:
+        raise Missing(f"{file}: {error.strerror}") from error

@@ -1,0 +1,25 @@
+"""The folder that a command works on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.projects import make, quick
+
+
+@pytest.mark.parametrize("text", ["[variables\n", 'unknown = 1\ntemplate = "t"\n'])
+def test_recorded_results_can_be_read_while_the_configuration_is_invalid(tmp_path: Path, text: str) -> None:
+    project = make(tmp_path / "project")
+    assert quick(project, "run", "population_size=1", "--no-figures").returncode == 0
+    (project / "sierra.toml").write_text(text)
+    assert quick(project, "ls").returncode == 0
+    refused = quick(project, "run", "population_size=1")
+    assert (refused.returncode, "sierra.toml" in refused.stderr) == (2, True)
+
+
+def test_settings_that_are_not_a_table_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "pyproject.toml").write_text("[tool]\nsierra = 1\n")
+    refused = quick(tmp_path, "ls")
+    assert (refused.returncode, "tool.sierra must be a table" in refused.stderr) == (2, True)
