@@ -13,7 +13,7 @@ from dataclasses import replace
 from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra import stats
 from sierra.config.project_file import Figure, LoadedProject
@@ -29,6 +29,9 @@ from sierra.store.union_files import TEXT
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
 from sierra.version import __version__
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
 """Names of a first column that make it the time axis, if the project declares no time column."""
@@ -61,7 +64,7 @@ def figures(
                     raise
                 notes.append(f"figure {figure_name}: {error}")
         drawer.note()
-        notes += gallery.taken
+        notes += gallery.time_notes
     return drawn, notes
 
 
@@ -74,7 +77,7 @@ def statistics(
     measure: str | None,
     threshold: float | None = None,
     times: str | None = None,
-) -> Any:
+) -> pa.Table:
     """Return all statistics of one column, as `sierra.api.Project.statistics` does, with the values of the axes.
 
     The columns are `experiment`, one for each axis, and those of the statistics. If an axis has the name of another column,
@@ -92,9 +95,9 @@ def statistics(
             notes = []
         if stats.is_rate(table):
             notes.append(f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate")
-        notes = [*gallery.taken, *stats.left_out([table], seen, gallery.planned, threshold), *notes]
-        told = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
-        return _with_axes(table, frame).replace_schema_metadata(told)
+        notes = [*gallery.time_notes, *stats.left_out([table], seen, gallery.planned, threshold), *notes]
+        metadata = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
+        return _with_axes(table, frame).replace_schema_metadata(metadata)
 
 
 def _check_reduction(measure: str | None, threshold: float | None, times: str | None) -> None:
@@ -110,7 +113,7 @@ def _check_reduction(measure: str | None, threshold: float | None, times: str | 
         )
 
 
-def _with_axes(table: Any, frame: Frame) -> Any:
+def _with_axes(table: pa.Table, frame: Frame) -> pa.Table:
     """Return the statistics with the values of the axes after `experiment`."""
     import pyarrow as pa
 
@@ -178,7 +181,7 @@ class _Gallery:
         self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
         self._seen: dict[str, stats.Coverage] = {}
         self._times: dict[str, str] = {}
-        self.taken: list[str] = []
+        self.time_notes: list[str] = []
         """Notes on outputs whose time column is neither declared nor known by its name: the column that was chosen, or none."""
 
     def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
@@ -223,8 +226,7 @@ class _Gallery:
     def _check(self, output: OutputTable, columns: Sequence[str]) -> None:
         for column in columns:
             if column in output.mixed:
-                told = f"{MIXED}; see {column + TEXT!r} in sierra sql"
-                raise UsageError(f"column {column!r} of output {output.name!r} {told}")
+                raise UsageError(f"column {column!r} of output {output.name!r} {MIXED}; see {column + TEXT!r} in sierra sql")
             if column not in output.columns:
                 raise NotFound(f"output {output.name!r} has no numeric column {column!r}; it has {', '.join(output.columns)}")
 
@@ -241,7 +243,7 @@ class _Gallery:
         declared = self._config.outputs.get(output.name)
         return Drawing(
             name=name,
-            figure=replace_columns(figure, columns),
+            figure=figure if figure.columns == columns else figure.model_copy(update={"columns": columns}),
             axes=self._axes,
             cells=self._cells,
             tables=computed.tables,
@@ -272,12 +274,15 @@ class _Gallery:
         found = self._frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
         if found is None:
             if declared is None and output.rows > 1:
-                told = f"output {output.name!r} has no time column: row numbers are used instead"
-                hint = f'to name one, set time = "COLUMN" in [outputs.{output.name}]'
-                self.taken.append(f"{told}, because no column increases equally in all runs ({hint})")
+                self.time_notes.append(
+                    f"output {output.name!r} has no time column: row numbers are used instead, because no column increases"
+                    f' equally in all runs (to name one, set time = "COLUMN" in [outputs.{output.name}])'
+                )
             return ""
-        told = f"{found!r} is used as the time of output {output.name!r}, because it increases equally in all runs"
-        self.taken.append(f'{told} (to name another, set time = "COLUMN" in [outputs.{output.name}])')
+        self.time_notes.append(
+            f"{found!r} is used as the time of output {output.name!r}, because it increases equally in all runs"
+            f' (to name another, set time = "COLUMN" in [outputs.{output.name}])'
+        )
         return found
 
     def _coverage(self, output: OutputTable) -> stats.Coverage:
@@ -321,8 +326,3 @@ def _file_name(name: str, taken: Mapping[str, Figure]) -> str:
     """Return a file name for a figure that is valid on all systems and not taken."""
     plain = re.sub(r"[^\w.-]+", "_", name).strip("_.") or "figure"
     return next(free for free in (plain, *(f"{plain}_{n}" for n in range(2, len(taken) + 3))) if free not in taken)
-
-
-def replace_columns(figure: Figure, columns: tuple[str, ...]) -> Figure:
-    """Return the figure with `columns` as its columns."""
-    return figure if figure.columns == columns else figure.model_copy(update={"columns": columns})

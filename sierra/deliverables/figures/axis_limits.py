@@ -11,9 +11,10 @@ more than half the largest number of runs. Parts of intervals beyond it are cut 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from sierra.deliverables.figures import style
 
@@ -63,7 +64,7 @@ def said(drawing: Drawing) -> Drawing:
     return replace(drawing, note="; ".join(filter(None, (drawing.note, _not_above_0(drawing), few))))
 
 
-def apply(plot: Any, drawing: Drawing) -> None:
+def apply(plot: Axes, drawing: Drawing) -> None:
     """Set the y axis to this range."""
     if found := cut(drawing):
         plot.set_ylim(found.low, found.high)
@@ -85,12 +86,12 @@ def _not_above_0(drawing: Drawing) -> str:
     return "log scale: intervals that reach 0 are cut off" if any((end <= 0).any() for end in spread) else ""
 
 
-def _scaled(values: Any, drawing: Drawing) -> Any:
+def _scaled(values: style.Floats, drawing: Drawing) -> style.Floats:
     numbers = style.drawable(values, drawing)
     return np.log10(numbers) if drawing.figure.log_y else numbers
 
 
-def _span(*ends: Any) -> tuple[float, float] | None:
+def _span(*ends: style.Floats) -> tuple[float, float] | None:
     values = np.concatenate(ends)
     values = values[np.isfinite(values)]
     return (float(values.min()), float(values.max())) if len(values) else None

@@ -16,12 +16,16 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from sierra.config.project_file import Figure
 from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Axis, Value
 from sierra.util.fs import write_whole
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+    import pyarrow as pa
 
 Format = Literal["png", "pdf", "svg"]
 
@@ -43,8 +47,8 @@ class Drawing:
     axes: tuple[Axis, ...]
     cells: Mapping[int, Mapping[str, Value]]
     """By ordinal of the experiment: the value of each axis."""
-    tables: Mapping[str, Any]
-    runs: Any = None
+    tables: Mapping[str, pa.Table]
+    runs: pa.Table | None = None
     note: str = ""
     """Notes for the reader, in small print: n, the kind of interval, missing values."""
     sql: str = ""
@@ -102,7 +106,7 @@ def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
         return [(ending, _bytes(figure, ending, drawing)) for ending in drawing.formats]
 
 
-def _bytes(figure: Any, ending: Format, drawing: Drawing) -> bytes:
+def _bytes(figure: matplotlib.figure.Figure, ending: Format, drawing: Drawing) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format=ending, metadata=_metadata(ending, drawing))
     return buffer.getvalue()

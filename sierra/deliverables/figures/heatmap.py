@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -45,7 +46,7 @@ def heatmap(drawing: Drawing) -> Figure:
     return figure
 
 
-def _paint(figure: Figure, plot: Any, cells: Any, drawing: Drawing) -> None:
+def _paint(figure: Figure, plot: Axes, cells: style.Floats, drawing: Drawing) -> None:
     norm_limits = _limits(cells)
     norm = (LogNorm if drawing.figure.log_y else Normalize)(*norm_limits)
     edges = (np.arange(size + 1) - 0.5 for size in reversed(cells.shape))
@@ -64,18 +65,10 @@ def _paint(figure: Figure, plot: Any, cells: Any, drawing: Drawing) -> None:
                 Rectangle((place - 0.5, row - 0.5), 1, 1, facecolor="#F2F2F2", edgecolor="#BBBBBB", hatch="////", linewidth=0)
             )
         elif fits:
-            light = float(norm(value)) > 0.6
-            plot.text(
-                place,
-                row,
-                style.number(value, 3),
-                ha="center",
-                va="center",
-                fontsize=6,
-                color="black" if light else "white",
-            )
+            colour = "black" if float(norm(value)) > 0.6 else "white"
+            plot.text(place, row, style.number(value, 3), ha="center", va="center", fontsize=6, color=colour)
 
 
-def _limits(cells: Any) -> tuple[float, float]:
+def _limits(cells: style.Floats) -> tuple[float, float]:
     low, high = float(np.nanmin(cells)), float(np.nanmax(cells))
     return (low, high) if low < high else (low - abs(low) * 0.1 - 1e-12, high + abs(high) * 0.1 + 1e-12)

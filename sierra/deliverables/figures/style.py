@@ -10,24 +10,45 @@ import textwrap
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from functools import cache
+from typing import TYPE_CHECKING, TypedDict
 
 import matplotlib as mpl
 import numpy as np
+import numpy.typing as npt
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, LogLocator, NullLocator
+from matplotlib.typing import ColorType, LineStyleType, RcKeyType
 
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from sierra.deliverables.figures.base import Drawing
+
+Floats = npt.NDArray[np.float64]
+
+
+class Look(TypedDict, total=False):
+    """The look of a line, as matplotlib's keyword arguments."""
+
+    color: ColorType
+    linestyle: LineStyleType
+    linewidth: float
+    marker: str
+
 
 COLUMN = 3.5
 PAGE = 7.16
@@ -43,12 +64,12 @@ FAINT = "#777777"
 NAMED = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#8C8C8C")
 """Okabe and Ito's palette without its yellow, which is too light for lines on white."""
 MARKERS = "osD^vPX*"
-DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)), (0, (3, 1, 1, 1)))
+DASHES: tuple[LineStyleType, ...] = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)), (0, (3, 1, 1, 1)))
 """Line styles, so that lines differ in more than colour."""
 NAMES = 24
 """The largest number of names with an entry each in a legend; more names become a scale of colours."""
 
-SETTINGS: dict[str, Any] = {
+SETTINGS: dict[RcKeyType, str | float] = {
     "font.family": "DejaVu Sans",
     "font.size": 8,
     "axes.titlesize": 8,
@@ -100,8 +121,7 @@ SETTINGS: dict[str, Any] = {
 def applied() -> Iterator[None]:
     """Apply matplotlib's defaults and these settings, whatever the user's settings are; restore them afterwards."""
     with mpl.rc_context(), warnings.catch_warnings():
-        settings: Any = mpl.rcParams
-        settings.update(_defaults())
+        mpl.rcParams.update(_defaults())
         # A character that the font lacks is drawn as a box; the figure is still drawn.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         yield
@@ -114,7 +134,7 @@ def blank(width: float = COLUMN, height: float = HEIGHT) -> Figure:
     return figure
 
 
-def panels(count: int) -> tuple[Figure, list[Any]]:
+def panels(count: int) -> tuple[Figure, list[Axes]]:
     """Return a figure of `count` panels that share their axes, and the panels row by row."""
     if count == 1:
         figure = blank()
@@ -122,7 +142,7 @@ def panels(count: int) -> tuple[Figure, list[Any]]:
     columns = 2 if count in (2, 4) else min(6, max(3, int(np.ceil(np.sqrt(count)))))
     rows = -(-count // columns)
     figure = blank(COLUMN if columns == 2 else PAGE, 1.0 + rows * (1.3 if columns == 2 else 1.5))
-    every = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
+    every: list[Axes] = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
     for unused in every[count:]:
         unused.remove()
     for above in every[count - columns : count]:
@@ -130,11 +150,11 @@ def panels(count: int) -> tuple[Figure, list[Any]]:
     return figure, every[:count]
 
 
-def outer_labels(plots: Sequence[Any], xlabel: str, ylabel: str) -> None:
+def outer_labels(plots: Sequence[Axes], xlabel: str, ylabel: str) -> None:
     """Label the outer panels of each row and column, once each."""
-    last: dict[int, Any] = {}
+    last: dict[int, Axes] = {}
     for plot in plots:
-        place = plot.get_subplotspec()
+        _, place = _panel(plot)
         last[place.colspan.start] = plot
         if place.is_first_col():
             plot.set_ylabel(shortened(ylabel, _letters(plot, 48, down=True)))
@@ -142,18 +162,28 @@ def outer_labels(plots: Sequence[Any], xlabel: str, ylabel: str) -> None:
         plot.set_xlabel(shortened(xlabel, _letters(plot, 60)))
 
 
-def _letters(plot: Any, most: int, *, down: bool = False) -> int:
+def _letters(plot: Axes, most: int, *, down: bool = False) -> int:
     """Return the largest length of a label, in letters, beside one of several panels."""
-    grid = plot.get_gridspec()
+    figure, place = _panel(plot)
+    grid = place.get_gridspec()
     if grid.ncols * grid.nrows == 1:
         return most
-    inches = plot.figure.get_figheight() / grid.nrows if down else plot.figure.get_figwidth() / grid.ncols
+    inches = figure.get_figheight() / grid.nrows if down else figure.get_figwidth() / grid.ncols
     return min(most, max(12, int(inches / (LETTER * 1.15))))
 
 
-def title(plot: Any, text: str) -> None:
+def _panel(plot: Axes) -> tuple[Figure, SubplotSpec]:
+    """Return the figure of a panel, and its place in the grid of panels."""
+    figure, place = plot.get_figure(root=True), plot.get_subplotspec()
+    if figure is None or place is None:
+        raise TypeError("these axes are not a panel of a figure")
+    return figure, place
+
+
+def title(plot: Axes, text: str) -> None:
     """Write the title of a panel, in at most three lines that are no wider than the panel."""
-    wide = plot.figure.get_figwidth() / plot.get_gridspec().ncols - 0.4
+    figure, place = _panel(plot)
+    wide = figure.get_figwidth() / place.get_gridspec().ncols - 0.4
     lines = textwrap.wrap(text, max(10, int(wide / LETTER)), max_lines=3, placeholder=" …")
     plot.set_title("\n".join(lines), fontsize=7)
 
@@ -161,11 +191,12 @@ def title(plot: Any, text: str) -> None:
 def settle(figure: Figure, drawing: Drawing) -> None:
     """Place title, legend and small print around the plots; then compute the layout once for all formats."""
     width = figure.get_figwidth()
-    small: dict[str, Any] = {"fontsize": 6, "color": FAINT}
-    above: list[Any] = [*figure.legends]
+    above: list[Legend | Text] = [*figure.legends]
     if drawing.figure.title:
         above.insert(0, figure.text(0.02, 1, wrapped(drawing.figure.title, width, 8.5), va="top", fontsize=8.5))
-    below = [figure.text(0.99, 0, wrapped(drawing.note, width, 6), va="bottom", ha="right", **small)] if drawing.note else []
+    below: list[Text] = []
+    if drawing.note:
+        below = [figure.text(0.99, 0, wrapped(drawing.note, width, 6), va="bottom", ha="right", fontsize=6, color=FAINT)]
     room = {item: item.get_window_extent().height / figure.dpi + GAP for item in [*above, *below]}
     height = figure.get_figheight() + sum(room[item] for item in above) + GAP
     figure.set_figheight(height)
@@ -181,7 +212,7 @@ def settle(figure: Figure, drawing: Drawing) -> None:
     ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, hspace=0.02, wspace=0.02, rect=rect).execute(figure)
 
 
-def _hang(figure: Figure, item: Any, top: float) -> None:
+def _hang(figure: Figure, item: Legend | Text, top: float) -> None:
     """Move the upper edge of a legend or a text to a height of the figure."""
     if isinstance(item, Legend):
         item.set_bbox_to_anchor((0.5, top), figure.transFigure)
@@ -254,18 +285,18 @@ def wrapped(text: str, width: float, size: float) -> str:
 # Colours
 
 
-def colours(axis: Axis) -> list[Any]:
+def colours(axis: Axis) -> list[ColorType]:
     """Return a colour for each value: along a scale for numbers, which have an order; clearly different ones for names."""
     count = len(axis.values)
     if count <= FEW and not axis.numeric:
         return list(NAMED[:count])
     if count == 1:
         return [NAMED[0]]
-    norm = _norm(axis) if axis.numeric else float
-    return list(sequential()([norm(v) if count > FEW and axis.numeric else k / (count - 1) for k, v in _enumerated(axis)]))
+    places = _norm(axis)(numbers(axis)) if count > FEW and axis.numeric else np.linspace(0, 1, count)
+    return list(sequential()(places))
 
 
-def looks(axis: Axis) -> list[dict[str, Any]]:
+def looks(axis: Axis) -> list[Look]:
     """Return the look of a line for each value; if each has an entry in the legend, no two have the same colour and style."""
     count = len(axis.values)
     if count == 1:
@@ -282,7 +313,7 @@ def sequential() -> LinearSegmentedColormap:
     return LinearSegmentedColormap.from_list("sierra", mpl.colormaps["viridis"](np.linspace(0, 0.85, 128)))
 
 
-def legend(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequence[str], looks: Sequence[dict[str, Any]]) -> None:
+def legend(figure: Figure, plots: Sequence[Axes], axis: Axis, entries: Sequence[str], looks: Sequence[Look]) -> None:
     """Identify the lines: by a legend above the data if there are few, else by a colour bar."""
     if len(entries) <= 1:
         return
@@ -292,7 +323,7 @@ def legend(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequence[s
     place_legend(figure, [Line2D([], [], **look) for look in looks], entries, shortened(axis_label(axis), 60))
 
 
-def place_legend(figure: Figure, handles: Sequence[Any], entries: Sequence[str], title: str = "") -> None:
+def place_legend(figure: Figure, handles: Sequence[Artist], entries: Sequence[str], title: str = "") -> None:
     """Add a legend in as few rows as possible, with its title before the first entry if there is room."""
     room = figure.get_figwidth() * 0.98
     wide = max(len(entry) for entry in entries) * LETTER + 0.38
@@ -305,14 +336,14 @@ def place_legend(figure: Figure, handles: Sequence[Any], entries: Sequence[str],
     legend.set_in_layout(False)
 
 
-def colour_bar(figure: Figure, plots: Sequence[Any], axis: Axis, entries: Sequence[str]) -> None:
+def colour_bar(figure: Figure, plots: Sequence[Axes], axis: Axis, entries: Sequence[str]) -> None:
     """Show the values of an axis as a scale of colours."""
     if axis.numeric:
         source = ScalarMappable(_norm(axis), sequential())
-        values: list[float] = [float(value) for value in axis.values]
+        values = numbers(axis)
     else:
         source = ScalarMappable(BoundaryNorm(np.arange(len(entries) + 1) - 0.5, len(entries)), ListedColormap(colours(axis)))
-        values = [float(k) for k in range(len(entries))]
+        values = list(map(float, range(len(entries))))
     bar = figure.colorbar(source, ax=list(plots), pad=0.02, aspect=28, fraction=0.05, use_gridspec=False)
     bar.outline.set_linewidth(0.4)
     shown = thinned(len(values), 10 if axis.numeric else 24)
@@ -335,17 +366,17 @@ def geometric(values: Sequence[Value]) -> bool:
     """Return whether numbers grow by a constant factor, as those of a Log scale do."""
     if len(values) < 3 or any(isinstance(v, str) or v <= 0 for v in values):
         return False
-    numbers = np.array(values, dtype=float)
-    ratios = numbers[1:] / numbers[:-1]
+    exact = np.array(values, dtype=float)
+    ratios = exact[1:] / exact[:-1]
     return bool(ratios[0] > 1 and np.allclose(ratios, ratios[0], rtol=1e-9))
 
 
-def scale_values(plot: Any, axis: Axis, *, log: bool, margin: float = 0.04) -> None:
+def scale_values(plot: Axes, axis: Axis, *, log: bool, margin: float = 0.04) -> None:
     """Set up the x axis of an independent variable: numbers at their positions, names side by side."""
     if not axis.numeric:
         side_by_side(plot, axis)
         return
-    values = [float(value) for value in axis.values]
+    values = numbers(axis)
     if log and min(values) <= 0:
         raise UsageError(f"log_x needs values above 0, but {axis.name} has {number(min(values))}")
     if log or geometric(axis.values):
@@ -364,7 +395,7 @@ def scale_values(plot: Any, axis: Axis, *, log: bool, margin: float = 0.04) -> N
         plot.xaxis.set_minor_locator(NullLocator())
 
 
-def side_by_side(plot: Any, axis: Axis, *, most: int = 20) -> None:
+def side_by_side(plot: Axes, axis: Axis, *, most: int = 20) -> None:
     """Give each value one place, at 0, 1, 2, …; rotate long names."""
     names = [named(value, 22) for value in axis.values]
     shown = thinned(len(names), most)
@@ -379,10 +410,13 @@ def side_by_side(plot: Any, axis: Axis, *, most: int = 20) -> None:
     )
     plot.grid(visible=False, axis="x")
     if turned:
-        _heighten(plot.figure, 0.045 * min(22, max(len(names[k]) for k in shown)) * (1 if len(shown) > 12 else 0.6))
+        figure, _ = _panel(plot)
+        figure.set_figheight(
+            figure.get_figheight() + 0.045 * min(22, max(len(names[k]) for k in shown)) * (1 if len(shown) > 12 else 0.6)
+        )
 
 
-def scale_y(plot: Any, drawing: Drawing, lowest: float, highest: float) -> None:
+def scale_y(plot: Axes, drawing: Drawing, lowest: float, highest: float) -> None:
     """Make the y axis logarithmic if the figure declares it. Raises UsageError if no value is above 0."""
     if not drawing.figure.log_y:
         return
@@ -392,7 +426,7 @@ def scale_y(plot: Any, drawing: Drawing, lowest: float, highest: float) -> None:
     log_ticks(plot, lowest, highest)
 
 
-def log_ticks(plot: Any, lowest: float, highest: float) -> None:
+def log_ticks(plot: Axes, lowest: float, highest: float) -> None:
     """Set the ticks of a logarithmic y axis: powers of 10 if the range is wide enough, else ordinary ones."""
     wide = lowest <= 0 or highest / lowest >= 10
     plot.yaxis.set_major_locator(LogLocator(numticks=8) if wide else AutoLocator())
@@ -400,7 +434,7 @@ def log_ticks(plot: Any, lowest: float, highest: float) -> None:
     plot.yaxis.set_minor_locator(NullLocator())
 
 
-def scale_time(plot: Any, drawing: Drawing, earliest: float) -> None:
+def scale_time(plot: Axes, drawing: Drawing, earliest: float) -> None:
     """Make the time axis logarithmic if the figure declares it."""
     if drawing.figure.log_x:
         plot.set_xscale("log", nonpositive="mask" if earliest > 0 else "clip")
@@ -408,39 +442,32 @@ def scale_time(plot: Any, drawing: Drawing, earliest: float) -> None:
         plot.xaxis.set_minor_locator(NullLocator())
 
 
-def drawable(values: Any, drawing: Drawing) -> Any:
+def drawable(values: npt.ArrayLike, drawing: Drawing) -> Floats:
     """Return the values as floats; NaN if a value is missing, or if the scale cannot show it."""
-    numbers = np.asarray(values, dtype=float)
-    bad = ~np.isfinite(numbers)
-    if drawing.figure.log_y:
-        bad |= numbers <= 0
-    return np.where(bad, np.nan, numbers) if bad.any() else numbers
+    floats = np.asarray(values, dtype=float)
+    bad = ~np.isfinite(floats) | (drawing.figure.log_y & (floats <= 0))
+    return np.where(bad, np.nan, floats)
 
 
-def column(table: Any, name: str) -> Any:
+def column(table: pa.Table, name: str) -> Floats:
     """Return a column of a pyarrow table as numpy floats; NULL becomes NaN."""
-    return table.column(name).to_numpy().astype(float, copy=False)
+    values: Floats = table.column(name).to_numpy().astype(float, copy=False)
+    return values
 
 
-_kept: dict[str, Any] = {}
-"""The cached settings of all figures."""
+def numbers(axis: Axis) -> list[float]:
+    return [float(value) for value in axis.values]
 
 
-def _defaults() -> dict[str, Any]:
-    if not _kept:
-        skipped = {"backend", "backend_fallback", "interactive", "toolbar", "timezone", "webagg.port"}
-        _kept.update({k: v for k, v in mpl.rcParamsDefault.items() if k not in skipped} | SETTINGS)
-    return _kept
-
-
-def _enumerated(axis: Axis) -> list[tuple[int, Any]]:
-    return list(enumerate(axis.values))
+@cache
+def _defaults() -> dict[RcKeyType, object]:
+    """Return the settings of all figures."""
+    skipped = {"backend", "backend_fallback", "interactive", "toolbar", "timezone", "webagg.port"}
+    return {name: value for name, value in mpl.rcParamsDefault.items() if name not in skipped} | SETTINGS
 
 
 def _norm(axis: Axis) -> Normalize:
-    values = [float(value) for value in axis.values]
-    kind = LogNorm if geometric(axis.values) else Normalize
-    return kind(min(values), max(values))
+    return (LogNorm if geometric(axis.values) else Normalize)(min(numbers(axis)), max(numbers(axis)))
 
 
 def _table(names: dict[float, str]) -> FuncFormatter:
@@ -452,7 +479,3 @@ def _power(value: float) -> str:
     if value <= 0 or -2.5 <= exponent < 3 or abs(exponent - round(exponent)) > 1e-9:
         return number(value)
     return "10" + str(round(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-
-
-def _heighten(figure: Figure, inches: float) -> None:
-    figure.set_figheight(figure.get_figheight() + inches)

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.cbook import violin_stats
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
+from matplotlib.typing import ColorType
 
 from sierra.deliverables.figures import axis_limits, style
 from sierra.deliverables.figures.axis_limits import CENTERS
+from sierra.deliverables.figures.style import Floats, Look
 from sierra.deliverables.figures.timeseries import first_axis, others, rest_of, value_of, with_n
 from sierra.model import Axis, Value
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from sierra.deliverables.figures.base import Drawing
 
 GOLDEN = 0.6180339887498949
@@ -42,18 +48,18 @@ def summary(drawing: Drawing) -> Figure:
     center = style.drawable(style.column(table, names[0]), drawing)
     low, high = (style.column(table, name) for name in names[1:])
     ordinals = table.column("experiment").to_pylist()
-    looks = _looks(groups)
+    looks = [Look(marker="o") | look for look in style.looks(groups)]
     shifts = _shifts(first, len(groups.values))
-    for (place, _), look in zip(enumerate(groups.values), looks, strict=True):
+    for place, look in enumerate(looks):
         rows = [k for k, o in enumerate(ordinals) if others(drawing).index(rest_of(drawing, o)) == place]
         x = _places(drawing, first, [ordinals[k] for k in rows], place, len(groups.values))
         censored = style.column(table, "never")[rows] > 0
-        made = _interval(plot, x, center[rows], low[rows], high[rows], look, joined=first.numeric)
-        hollow = {**look, "linestyle": "none", "markerfacecolor": "white", "zorder": 3}
-        made += plot.plot(np.asarray(x)[censored], center[rows][censored], **hollow)
-        made += _never(plot, np.asarray(x)[censored & (style.column(table, "n")[rows] == 0)], look["color"])
+        artists = _interval(plot, x, center[rows], low[rows], high[rows], look, joined=first.numeric)
+        hollow = look | Look(linestyle="none")
+        artists += plot.plot(x[censored], center[rows][censored], **hollow, markerfacecolor="white", zorder=3)
+        artists += _never(plot, x[censored & (style.column(table, "n")[rows] == 0)], look["color"])
         if first.numeric:
-            _shift(made, shifts[place])
+            _shift(artists, shifts[place])
     aside = max(map(abs, shifts)) + CAP
     style.scale_values(plot, first, log=drawing.figure.log_x, margin=max(0.04, aside / (WIDTH - 2 * aside)))
     _frame(figure, plot, drawing, first, groups, looks, table, float(np.nanmin(center)), float(np.nanmax(center)))
@@ -87,23 +93,18 @@ def _side_by_side(drawing: Drawing, paint: Callable[..., None]) -> Figure:
             continue
         shown = style.drawable(runs[row["experiment"]], drawing)
         paint(plot, x, 0.7 / count, row, shown[np.isfinite(shown)], colours[place])
-    looks = [{"color": colour, "linewidth": 4} for colour in colours]
+    looks = [Look(color=colour, linewidth=4) for colour in colours]
     values = np.concatenate(list(runs.values()))
     plot.set_xlim(-0.6, len(first.values) - 0.4)
     _frame(figure, plot, drawing, first, groups, looks, table, float(values.min()), float(values.max()))
     return figure
 
 
-def _box(plot: Any, x: float, width: float, row: dict[str, Any], runs: Any, colour: Any) -> None:
-    beyond = runs[(runs < row["whisker_low"]) | (runs > row["whisker_high"])]
-    stats = {
-        "med": row["median"],
-        "q1": row["q1"],
-        "q3": row["q3"],
-        "whislo": row["whisker_low"],
-        "whishi": row["whisker_high"],
-        "fliers": beyond,
-    }
+def _box(plot: Axes, x: float, width: float, row: Mapping[str, float], runs: Floats, colour: ColorType) -> None:
+    low, high = row["whisker_low"], row["whisker_high"]
+    beyond = runs[(runs < low) | (runs > high)]
+    stats = {"med": row["median"], "q1": row["q1"], "q3": row["q3"], "whislo": low, "whishi": high, "fliers": beyond}
+    fliers = {"marker": "o", "markersize": 2.2, "markerfacecolor": "none", "markeredgecolor": colour, "markeredgewidth": 0.6}
     thin = {"color": colour, "linewidth": 0.8}
     plot.bxp(
         [stats],
@@ -115,17 +116,11 @@ def _box(plot: Any, x: float, width: float, row: dict[str, Any], runs: Any, colo
         medianprops={"color": colour, "linewidth": 1.6, "solid_capstyle": "butt"},
         whiskerprops=thin,
         capprops=thin,
-        flierprops={
-            "marker": "o",
-            "markersize": 2.2,
-            "markerfacecolor": "none",
-            "markeredgecolor": colour,
-            "markeredgewidth": 0.6,
-        },
+        flierprops=fliers,
     )
 
 
-def _violin(plot: Any, x: float, width: float, row: dict[str, Any], runs: Any, colour: Any) -> None:
+def _violin(plot: Axes, x: float, width: float, row: Mapping[str, float], runs: Floats, colour: ColorType) -> None:
     spread = np.full(len(runs), 0.25)
     if len(runs) >= DENSE and runs.min() < runs.max():
         (stats,) = violin_stats(runs, points=80)
@@ -135,45 +130,39 @@ def _violin(plot: Any, x: float, width: float, row: dict[str, Any], runs: Any, c
     offsets = ((np.arange(len(runs)) + 1) * GOLDEN % 1 - 0.5) * 1.4 * spread * width
     plot.plot(x + offsets, runs, "o", color=colour, markersize=1.6, markeredgewidth=0, alpha=0.7)
     plot.plot([x, x], [row["q1"], row["q3"]], color=colour, linewidth=2.2, solid_capstyle="butt")
-    plot.plot(
-        [x],
-        [row["median"]],
-        "o",
-        color="white",
-        markeredgecolor=colour,
-        markersize=min(3.0, 20 * width),
-        markeredgewidth=0.8,
-    )
+    size = min(3.0, 20 * width)
+    plot.plot([x], [row["median"]], "o", color="white", markeredgecolor=colour, markersize=size, markeredgewidth=0.8)
 
 
-def _interval(plot: Any, x: Any, center: Any, low: Any, high: Any, look: dict[str, Any], *, joined: bool) -> list[Any]:
-    x, made = np.asarray(x, dtype=float), []
+def _interval(plot: Axes, x: Floats, center: Floats, low: Floats, high: Floats, look: Look, *, joined: bool) -> list[Artist]:
+    artists: list[Artist] = []
     if joined:
         known = np.isfinite(center)
-        made += plot.plot(x[known], center[known], **{**look, "marker": "none"})
+        artists += plot.plot(x[known], center[known], **look | Look(marker="none"))
     some = np.isfinite(center) & np.isfinite(low) & np.isfinite(high)
     if some.any():
         reach = [(center - low)[some], (high - center)[some]]
-        thin = {"ecolor": look["color"], "elinewidth": 0.9, "capsize": 2, "capthick": 0.9}
-        _, caps, bars = plot.errorbar(x[some], center[some], reach, fmt="none", **thin)
-        made += [*caps, *bars]
-    return [*made, *plot.plot(x, center, **{**look, "linestyle": "none"})]
+        bars = plot.errorbar(
+            x[some], center[some], reach, fmt="none", ecolor=look["color"], elinewidth=0.9, capsize=2, capthick=0.9
+        )
+        artists += [*bars[1], *bars[2]]
+    return [*artists, *plot.plot(x, center, **look | Look(linestyle="none"))]
 
 
-def _never(plot: Any, x: Any, colour: Any) -> list[Any]:
+def _never(plot: Axes, x: Sequence[float] | Floats, colour: ColorType) -> Sequence[Artist]:
     """Draw triangles at the upper edge for experiments in which no run reached the threshold."""
-    marks = {"marker": "^", "markersize": 4, "markerfacecolor": "white", "linestyle": "none", "color": colour}
     if not len(x):
         return []
-    made: list[Any] = plot.plot(x, np.ones(len(x)), transform=plot.get_xaxis_transform(), clip_on=False, zorder=4, **marks)
-    return made
+    upper_edge, marks = plot.get_xaxis_transform(), Look(marker="^", linestyle="none", color=colour)
+    ones = np.ones(len(x))
+    return plot.plot(x, ones, **marks, markersize=4, markerfacecolor="white", transform=upper_edge, clip_on=False, zorder=4)
 
 
-def _places(drawing: Drawing, first: Axis, ordinals: list[int], place: int, count: int) -> list[float]:
+def _places(drawing: Drawing, first: Axis, ordinals: list[int], place: int, count: int) -> Floats:
     values = [value_of(drawing, ordinal) for ordinal in ordinals]
     if first.numeric:
-        return [float(value) for value in values]
-    return [first.values.index(value) + _dodge(place, count) for value in values]
+        return np.array(values, dtype=float)
+    return np.array([first.values.index(value) + _dodge(place, count) for value in values])
 
 
 def _shifts(first: Axis, count: int) -> list[float]:
@@ -182,9 +171,9 @@ def _shifts(first: Axis, count: int) -> list[float]:
     return [(place - (0 if 0 in first.values else (count - 1) / 2)) * apart for place in range(count)]
 
 
-def _shift(made: list[Any], points: float) -> None:
+def _shift(artists: Sequence[Artist], points: float) -> None:
     """Shift artists aside by this many points, so that the intervals of several groups at one number are all visible."""
-    for artist in made:
+    for artist in artists:
         artist.set_transform(artist.get_transform() + ScaledTranslation(points / 72, 0, artist.figure.dpi_scale_trans))
 
 
@@ -201,11 +190,9 @@ def _groups(drawing: Drawing) -> Axis:
     return Axis(label, tuple(names), label=label)
 
 
-def _looks(groups: Axis) -> list[dict[str, Any]]:
-    return [{"marker": "o", **look} for look in style.looks(groups)]
-
-
-def _runs(drawing: Drawing) -> dict[int, Any]:
+def _runs(drawing: Drawing) -> dict[int, Floats]:
+    if drawing.runs is None:
+        raise TypeError(f"a {drawing.figure.kind} figure needs the values of its runs")
     ordinals = drawing.runs.column("experiment").to_numpy()
     values = style.column(drawing.runs, "value")
     return {int(ordinal): values[ordinals == ordinal] for ordinal in np.unique(ordinals)}
@@ -213,12 +200,12 @@ def _runs(drawing: Drawing) -> dict[int, Any]:
 
 def _frame(
     figure: Figure,
-    plot: Any,
+    plot: Axes,
     drawing: Drawing,
     first: Axis,
     groups: Axis,
-    looks: list[dict[str, Any]],
-    table: Any,
+    looks: list[Look],
+    table: pa.Table,
     lowest: float,
     highest: float,
 ) -> None:

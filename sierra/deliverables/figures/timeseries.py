@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
 from matplotlib.collections import FillBetweenPolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.typing import ColorType
 
 from sierra.deliverables.figures import axis_limits, style
 from sierra.deliverables.figures.axis_limits import CENTERS
+from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from sierra.deliverables.figures.base import Drawing
 
 TICKS = 2000
@@ -28,7 +35,9 @@ def timeseries(drawing: Drawing) -> Figure:
     first, rest = first_axis(drawing), others(drawing)
     slices = by_experiment(table)
     figure, plots = style.panels(_panel_count(drawing, rest))
-    looks = [{name: one[name] for name in one if name != "marker"} for one in style.looks(first)]
+    looks = style.looks(first)
+    for line in looks:
+        line.pop("marker", None)
     look = dict(zip(first.values, looks, strict=True))
     highest = [0] * len(first.values)
     for ordinal, rows in slices.items():
@@ -57,14 +66,14 @@ def stacked(drawing: Drawing) -> Figure:
         raise UsageError("stacked areas need values of at least 0; draw lines instead")
     units = {name: drawing.units.get(name, "") for name in drawing.tables}
     if len(set(units.values())) > 1:
-        told = ", ".join(f"{name} [{unit}]" if unit else f"{name} (no unit)" for name, unit in units.items())
-        raise UsageError(f"only columns with the same unit can be stacked, not {told}; see units in [outputs]")
+        found = ", ".join(f"{name} [{unit}]" if unit else f"{name} (no unit)" for name, unit in units.items())
+        raise UsageError(f"only columns with the same unit can be stacked, not {found}; see units in [outputs]")
     if "t" in next(iter(drawing.tables.values())).column_names:
         return _stacked_over_time(drawing, center)
     return _stacked_over_axis(drawing, center)
 
 
-def by_experiment(table: Any) -> dict[int, slice]:
+def by_experiment(table: pa.Table) -> dict[int, slice]:
     """Return the slice of each experiment's rows in a table that is sorted by experiment."""
     ordinals, starts = np.unique(table.column("experiment").to_numpy(), return_index=True)
     stops = [*starts[1:], table.num_rows]
@@ -98,7 +107,7 @@ def with_n(entries: list[str], counts: list[int]) -> list[str]:
     return [f"{entry} (n = {count})" for entry, count in zip(entries, counts, strict=True)]
 
 
-def _panel_count(drawing: Drawing, combinations: list[Any]) -> int:
+def _panel_count(drawing: Drawing, combinations: Sequence[object]) -> int:
     if len(combinations) > PANELS:
         raise UsageError(
             f"the figure needs {len(combinations)} panels, but at most {PANELS} are possible; draw a summary or a heatmap"
@@ -112,7 +121,7 @@ def _others_of(drawing: Drawing, values: tuple[Value, ...]) -> str:
     return style.point(drawing, drawing.axes[1:], ordinal)
 
 
-def _line(plot: Any, drawing: Drawing, table: Any, look: dict[str, Any]) -> None:
+def _line(plot: Axes, drawing: Drawing, table: pa.Table, look: Look) -> None:
     colour = look["color"]
     shown = _shown(table.num_rows)
     t = style.column(table, "t")[shown]
@@ -127,12 +136,12 @@ def _line(plot: Any, drawing: Drawing, table: Any, look: dict[str, Any]) -> None
     if len(t) == 1 and some.any():
         plot.errorbar(t, center, [center - low, high - center], color=colour, capsize=2)
     elif some.any():
-        band = FillBetweenPolyCollection("x", t, low, high, where=some, facecolor=colour, alpha=0.2, linewidth=0)
+        band = FillBetweenPolyCollection("x", t, low, high, where=some.tolist(), facecolor=colour, alpha=0.2, linewidth=0)
         plot.add_collection(band)
         plot.autoscale_view()
 
 
-def _shown(count: int) -> Any:
+def _shown(count: int) -> slice | npt.NDArray[np.int_]:
     if count <= TICKS:
         return slice(None)
     return np.unique(np.append(np.arange(0, count, -(-count // TICKS)), count - 1))
@@ -163,7 +172,7 @@ def _stacked_over_axis(drawing: Drawing, center: str) -> Figure:
     for plot, combination in zip(plots, rest, strict=True):
         rows = [k for k, ordinal in enumerate(ordinals) if rest_of(drawing, ordinal) == combination]
         values = [value_of(drawing, ordinals[k]) for k in rows]
-        places: Any = [float(v) if first.numeric else first.values.index(v) for v in values]
+        places = [float(v) if first.numeric else first.values.index(v) for v in values]
         heights = [style.column(table, center)[rows] for table in drawing.tables.values()]
         if first.numeric:
             _areas(plot, drawing, places, heights)
@@ -178,25 +187,20 @@ def _stacked_over_axis(drawing: Drawing, center: str) -> Figure:
     return figure
 
 
-def _areas(plot: Any, drawing: Drawing, places: Any, heights: list[Any]) -> None:
-    plot.stackplot(
-        places,
-        [np.nan_to_num(h) for h in heights],
-        colors=_stack_colours(len(heights)),
-        linewidth=0.4,
-        edgecolor="white",
-    )
+def _areas(plot: Axes, drawing: Drawing, places: npt.ArrayLike, heights: list[Floats]) -> None:
+    known = [np.nan_to_num(height) for height in heights]
+    plot.stackplot(places, known, colors=_stack_colours(len(heights)), linewidth=0.4, edgecolor="white")
     plot.margins(x=0)
 
 
-def _bars(plot: Any, places: Any, heights: list[Any]) -> None:
+def _bars(plot: Axes, places: Sequence[float], heights: list[Floats]) -> None:
     base = np.zeros(len(places))
     for height, colour in zip(heights, _stack_colours(len(heights)), strict=True):
         plot.bar(places, np.nan_to_num(height), 0.7, base, color=colour, edgecolor="white", linewidth=0.4)
         base = base + np.nan_to_num(height)
 
 
-def _stack_colours(count: int) -> list[Any]:
+def _stack_colours(count: int) -> list[ColorType]:
     return style.colours(Axis("column", tuple(f"{k:03}" for k in range(count))))
 
 
