@@ -15,11 +15,11 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sierra import stats
 from sierra.config.project_file import Figure, LoadedProject
 from sierra.deliverables.figures.base import Drawing, draw
 from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.model import Axis
+from sierra.stats import aggregate as stats
 from sierra.store.layout import ProjectPaths
 from sierra.store.samples import MIXED, Column, Frame, OutputTable
 from sierra.store.segments import disk_errors

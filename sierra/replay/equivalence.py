@@ -10,9 +10,9 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from sierra import stats
 from sierra.config.project_file import Equivalence, Output
 from sierra.errors import NotFound, SierraError, UsageError
+from sierra.stats import aggregate as stats
 from sierra.stats import equivalence
 from sierra.store.samples import Column, Frame
 from sierra.store.store import Store

@@ -24,12 +24,16 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from statistics import NormalDist
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from sierra.config.project_file import Figure
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.stats import student_t
+from sierra.util.text import counted
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 HERE = Path(__file__).parent
 LEVEL = 0.95
@@ -65,10 +69,14 @@ CENTERS: Mapping[str, tuple[str, str]] = {
 """The centers of a figure: by name, the statistic of the center and the statistic of its spread."""
 
 
+Parameter: TypeAlias = bool | float | str | list[float] | None
+"""The value of a parameter in SQL."""
+
+
 class Frame(Protocol):
     """A connection that executes statements and has the relation `samples`."""
 
-    def sql(self, text: str, /, **params: Any) -> Any:
+    def sql(self, text: str, /, **params: Parameter) -> pa.Table:
         """Return the rows of a statement as a pyarrow.Table; `$name` in it stands for the parameter of that name."""
         ...
 
@@ -98,8 +106,8 @@ class Computed:
     values that the runs were reduced to (`experiment`, `run`, `value`, finite only), if the figure shows them.
     """
 
-    tables: Mapping[str, Any]
-    runs: Any
+    tables: Mapping[str, pa.Table]
+    runs: pa.Table | None
     sql: str
     note: str
 
@@ -114,7 +122,7 @@ def coverage(frame: Frame) -> Coverage:
         raise SierraError("no run has written any row of this output yet; there is nothing to compute")
     if doubled := sum(row["doubled"] for row in rows):
         raise UsageError(
-            f"{_count(doubled, 'run')} with more than one row at the same time; statistics over runs need one value"
+            f"{counted(doubled, 'run')} with more than one row at the same time; statistics over runs need one value"
             " per run and time: name the right column as `time`, or let the run write its own mean"
         )
     timed = [row for row in rows if row["first"] is not None]
@@ -209,7 +217,7 @@ def by_experiment(
     threshold: float | None = None,
     *,
     whole: bool = False,
-) -> tuple[Any, str]:
+) -> tuple[pa.Table, str]:
     """Return statistics over the runs of each experiment, each run reduced by `measure`; and the statement.
 
     `whole`: the column holds only whole numbers or truth values; if all are 0 or 1, they are a rate.
@@ -218,7 +226,7 @@ def by_experiment(
     return _run(frame, text, seen, rates=measure != "time_to", whole=whole, threshold=threshold)
 
 
-def by_time(frame: Frame, statistics: Iterable[str], seen: Coverage, *, whole: bool = False) -> tuple[Any, str]:
+def by_time(frame: Frame, statistics: Iterable[str], seen: Coverage, *, whole: bool = False) -> tuple[pa.Table, str]:
     """Return statistics over the runs of each experiment at each of their times; and the statement."""
     text = statement("SELECT experiment, t, value FROM samples", "by_time", _ordered(statistics))
     return _run(frame, text, seen, whole=whole)
@@ -226,7 +234,7 @@ def by_time(frame: Frame, statistics: Iterable[str], seen: Coverage, *, whole: b
 
 def at_times(
     frame: Frame, times: str | None, statistics: Iterable[str], seen: Coverage, *, whole: bool = False
-) -> tuple[Any, str, list[str]]:
+) -> tuple[pa.Table, str, list[str]]:
     """Return statistics at the runs' `own` times or at common ones (`carry`, `linear`); the statement; notes about the times.
 
     The result is that of `by_time`. With None as `times`, the times are `own` if most runs share them, else `carry`. Common
@@ -255,13 +263,13 @@ def resampled(
     *,
     linear: bool = False,
     whole: bool = False,
-) -> tuple[Any, str]:
+) -> tuple[pa.Table, str]:
     """Return the result of `by_time` at the times of `grid`, which need not be times of any run; and the statement."""
     text = statement(_file("resample"), "by_time", _ordered(statistics))
     return _run(frame, text, seen, whole=whole and not linear, grid=list(grid), linear=linear)
 
 
-def reduced(frame: Frame, measure: str, threshold: float | None = None) -> Any:
+def reduced(frame: Frame, measure: str, threshold: float | None = None) -> pa.Table:
     """Return the finite values that the runs are reduced to: `experiment`, `run`, `value`."""
     text = (
         f"WITH observations AS (\n{_file(f'measures/{measure}')})\n"
@@ -300,17 +308,19 @@ def _common(frame: Frame, seen: Coverage) -> list[float]:
     return grid
 
 
-def _run(frame: Frame, text: str, seen: Coverage, *, whole: bool, rates: bool = True, **params: Any) -> tuple[Any, str]:
+def _run(
+    frame: Frame, text: str, seen: Coverage, *, whole: bool, rates: bool = True, **params: Parameter
+) -> tuple[pa.Table, str]:
     most = max(seen.runs.values())
     params |= {"z": NormalDist().inv_cdf((1 + LEVEL) / 2), "rates": rates, "whole": whole}
     return frame.sql(text, **_used(text, t=_t(most), **params)), _documented(text, most, **params)
 
 
-def _used(text: str, **params: Any) -> dict[str, Any]:
+def _used(text: str, **params: Parameter) -> dict[str, Parameter]:
     return {name: value for name, value in params.items() if re.search(rf"\${name}\b", _code(text))}
 
 
-def _documented(text: str, most: int, **params: Any) -> str:
+def _documented(text: str, most: int, **params: Parameter) -> str:
     """Return the statement after comments that explain its parameters."""
     said = {"t": f"quantiles of Student's t, p = {(1 + LEVEL) / 2}, for 1 … {max(1, most - 1)} degrees of freedom"}
     for name, value in params.items():
@@ -353,19 +363,18 @@ def _check(figure: Figure, axes: Sequence[Axis], frames: Mapping[str, Frame]) ->
         raise UsageError(f"a {figure.kind} figure shows one column, not {len(frames)}: {', '.join(frames)}")
 
 
-def _note(figure: Figure, tables: Iterable[Any], seen: Coverage, planned: Mapping[int, int] | None) -> list[str]:
+def _note(figure: Figure, tables: Iterable[pa.Table], seen: Coverage, planned: Mapping[int, int] | None) -> list[str]:
     """Return notes for the reader: what is shown, n, and everything that is not in the numbers."""
     tables = list(tables)
     counts = [table.column("n").to_numpy() for table in tables]
     low, high = int(min(n.min() for n in counts)), int(max(n.max() for n in counts))
-    shown = f"{_shown(figure, several=high > 1, rate=any(map(is_rate, tables)))}, n = {low}" + (
-        f"–{high}" if low < high else ""
-    )
-    return [shown, *left_out(tables, seen, planned, figure.threshold, _marked(figure, tables[0]))]
+    shown = _shown(figure, several=high > 1, rate=any(map(is_rate, tables)))
+    runs = f"n = {low}–{high}" if low < high else f"n = {low}"
+    return [f"{shown}, {runs}", *left_out(tables, seen, planned, figure.threshold, _marked(figure, tables[0]))]
 
 
 def left_out(
-    tables: Iterable[Any],
+    tables: Iterable[pa.Table],
     seen: Coverage,
     planned: Mapping[int, int] | None = None,
     threshold: float | None = None,
@@ -376,21 +385,21 @@ def left_out(
     wanted = sum((planned or {}).values())
     absent = sum(max(0, count - seen.runs.get(experiment, 0)) for experiment, count in (planned or {}).items())
     if absent:
-        notes.append(f"{absent} of {_count(wanted, 'run')} missing")
+        notes.append(f"{absent} of {counted(wanted, 'run')} missing")
     for name, what in (("missing", "missing value"), ("infinite", "infinite value")):
         if count := sum(_total(table, name) for table in tables):
-            notes.append(f"{_count(count, what)} left out")
+            notes.append(f"{counted(count, what)} left out")
     if never := sum(_total(table, "never") for table in tables if "never" in table.column_names):
-        runs = _count(sum(seen.runs.values()), "run")
+        runs = counted(sum(seen.runs.values()), "run")
         notes.append(f"threshold {threshold:.12g} never reached in {never} of {runs}{marked}")
     if seen.untimed:
-        notes.append(f"{_count(seen.untimed, 'row')} without a time left out")
+        notes.append(f"{counted(seen.untimed, 'row')} without a time left out")
     return notes
 
 
-def _nothing(figure: Figure, tables: Mapping[str, Any], seen: Coverage) -> str:
+def _nothing(figure: Figure, tables: Mapping[str, pa.Table], seen: Coverage) -> str:
     """Return an error message that explains why there is nothing to draw."""
-    columns, runs = ", ".join(tables), _count(sum(seen.runs.values()), "run")
+    columns, runs = ", ".join(tables), counted(sum(seen.runs.values()), "run")
     never = sum(_total(table, "never") for table in tables.values() if "never" in table.column_names)
     if not never:
         return f"no finite value in {columns}; there is nothing to draw"
@@ -399,7 +408,7 @@ def _nothing(figure: Figure, tables: Mapping[str, Any], seen: Coverage) -> str:
     return f"{columns} reaches the threshold {figure.threshold:.12g} in none of {runs}{missing}; there is no time to draw"
 
 
-def is_rate(table: Any) -> bool:
+def is_rate(table: pa.Table) -> bool:
     """Return whether the intervals of computed statistics are those of a rate."""
     return "interval" in table.column_names and "Wilson" in table.column("interval").to_pylist()
 
@@ -419,7 +428,7 @@ def _shown(figure: Figure, *, several: bool, rate: bool) -> str:
             return f"{center}, {spread if several else 'no interval'}"
 
 
-def _marked(figure: Figure, table: Any) -> str:
+def _marked(figure: Figure, table: pa.Table) -> str:
     """Return how a figure marks the experiments of which some runs, or all, never reached the threshold."""
     if "never" not in table.column_names:
         return ""
@@ -430,9 +439,5 @@ def _marked(figure: Figure, table: Any) -> str:
     return f" ({', '.join([*some, *none])})" if some or none else ""
 
 
-def _total(table: Any, column: str) -> int:
+def _total(table: pa.Table, column: str) -> int:
     return int(table.column(column).to_numpy().sum())
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -18,10 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sierra
-from sierra import stats
 from sierra.config.project_file import Figure
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
+from sierra.stats import aggregate as stats
 from sierra.stats import student_t
 
 AXIS = (Axis("size", (1, 2)),)
