@@ -17,7 +17,7 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from sierra.config.project_file import ClusterTable, Project, Table, options
+from sierra.config.project_file import ClusterTable, Project, RawTable, Table, options
 from sierra.errors import ConfigError, PluginError, SierraError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 VERSION = 1
 """The version of all contracts. It increases when a plug-in for an earlier version would not work any more."""
 
-Tables = Mapping[str, Mapping[str, Any]]
+Tables = Mapping[str, RawTable]
 """The tables of one kind in `sierra.toml`, by the names of plug-ins."""
 
 _loaded: dict[str, str] = {}
@@ -100,11 +100,12 @@ class Kind:
             raise ConfigError(f"unknown {self.word} {name!r}; known are {', '.join(self.names())}")
         return self._checked(others[0])
 
-    def options(self, name: str, table: Mapping[str, Any], where: str = "") -> Any:
-        """Return the options of a plug-in from its table; messages call it `where`. Raises ConfigError."""
-        return options(self.load(name).Options, table, where or f"[{self.word}s.{name}]")
+    def options(self, name: str, table: RawTable) -> Table:
+        """Return the options of a plug-in from its table. Raises ConfigError."""
+        model: type[Table] = self.load(name).Options
+        return options(model, table, f"[{self.word}s.{name}]")
 
-    def make(self, name: str, tables: Tables, *arguments: Any) -> Any:
+    def make(self, name: str, tables: Tables, *arguments: object) -> Any:
         """Return a new object of a plug-in's class, made from `arguments` and from its options in `tables`."""
         found, chosen = self.load(name), self.options(name, tables.get(name, {}))
         try:
@@ -123,19 +124,17 @@ class Kind:
                 raise ConfigError(f"[{self.word}s.{name}]: unknown {self.word} {name!r}; known are {', '.join(self.names())}")
             self.options(name, table)
 
-    def _checked(self, offer: Offer) -> Any:
+    def _checked(self, offer: Offer) -> type:
         """Return the class of another package. Raises PluginError if it cannot be loaded or breaks the contract."""
         try:
-            found = offer.point.load()
+            found: Any = offer.point.load()
         except (Exception, SystemExit) as error:
             raise _broken(self, offer, "loaded", error) from error
         said = f"the {self.word} {offer.name!r} of {offer.package}"
         version = getattr(found, "contract", None)
         if version != VERSION:
-            made = (
-                "declares no version of the contract" if version is None else f"is made for version {version} of the contract"
-            )
-            raise PluginError(f"{said} {made}, but this SIERRA has version {VERSION}; {offer.remedy}")
+            declared = "declares no version" if version is None else f"is made for version {version}"
+            raise PluginError(f"{said} {declared} of the contract, but this SIERRA has version {VERSION}; {offer.remedy}")
         if not isinstance(found, type):
             raise PluginError(f"{said} is not a class ({offer.point.value}); {offer.remedy}")
         if lacking := [name for name in _members(_attribute(self.protocol)) if not hasattr(found, name)]:
@@ -147,7 +146,7 @@ class Kind:
         return found
 
     def _others(self) -> Mapping[str, tuple[Offer, ...]]:
-        return _offers(self.group, tuple(sys.path))
+        return _offers(tuple(sys.path))[self.group]
 
 
 PLATFORMS = Kind(
@@ -201,30 +200,28 @@ def culprit(error: BaseException) -> str | None:
 
 
 @cache
-def _offers(group: str, path: tuple[str, ...]) -> Mapping[str, tuple[Offer, ...]]:
-    """Return the entry points of a group in the packages installed on `path`, by name."""
-    found: dict[str, list[Offer]] = {}
-    for point in _installed(path).select(group=group):
-        package = f"{point.dist.name} {point.dist.version}" if point.dist else point.value
-        found.setdefault(point.name, []).append(Offer(point.name, point, package))
-    return {name: tuple(offers) for name, offers in found.items()}
-
-
-@cache
-def _installed(path: tuple[str, ...]) -> Any:
-    """Return all entry points of the packages installed on `path`.
+def _offers(path: tuple[str, ...]) -> Mapping[str, Mapping[str, tuple[Offer, ...]]]:
+    """Return the entry points in the packages installed on `path`, by group and name.
 
     The result is cached: a search takes 6 ms, and a plan may need it.
     """
     from importlib.metadata import entry_points
 
-    return entry_points()
+    installed = entry_points()
+    found: dict[str, dict[str, tuple[Offer, ...]]] = {}
+    for group in (kind.group for kind in KINDS):
+        offers = found[group] = {}
+        for point in installed.select(group=group):
+            package = f"{point.dist.name} {point.dist.version}" if point.dist else point.value
+            offers[point.name] = (*offers.get(point.name, ()), Offer(point.name, point, package))
+    return found
 
 
-def _attribute(name: str) -> Any:
+def _attribute(name: str) -> type:
     """Return what `module:name` names."""
     module, _, attribute = name.partition(":")
-    return getattr(import_module(module), attribute)
+    found: type = getattr(import_module(module), attribute)
+    return found
 
 
 def _members(protocol: type) -> Iterable[str]:
@@ -236,7 +233,7 @@ def _members(protocol: type) -> Iterable[str]:
 
 
 def _broken(kind: Kind, offer: Offer, what: str, error: BaseException) -> PluginError:
-    told = " ".join(f"{type(error).__name__}: {error}".split())
+    reason = " ".join(f"{type(error).__name__}: {error}".split())
     return PluginError(
-        f"the {kind.word} {offer.name!r} of {offer.package} ({offer.point.value}) cannot be {what}: {told}; {offer.remedy}"
+        f"the {kind.word} {offer.name!r} of {offer.package} ({offer.point.value}) cannot be {what}: {reason}; {offer.remedy}"
     )

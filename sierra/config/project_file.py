@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -41,10 +41,14 @@ NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
 Name = Annotated[str, StringConstraints(pattern=NAME)]
 """A name that is also a column in SQL."""
 VariableName = Annotated[str, StringConstraints(pattern=r"^[^=]+$")]
-Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Scalar = str | int | float
 Words = str | tuple[str, ...]
 """A list of texts, or its short form."""
+RawTable = Mapping[str, object]
+"""A table that no model has validated yet."""
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
 SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
@@ -77,49 +81,33 @@ KINDS = {
 """Messages in the terms of TOML for the error types of pydantic."""
 
 
-def _as_words(value: Any) -> Any:
+def _as_words(value: object) -> object:
     """Split a command that is written as one line. The rules are those of a shell, but no shell executes it."""
     return tuple(shlex.split(value)) if isinstance(value, str) else value
 
 
-def _set_to(value: Any) -> Any:
+def _set_to(value: object) -> object:
     """Expand the short form of a table, which is the XPath alone."""
     return {"set": value} if isinstance(value, str) else value
 
 
-def _inside(path: str) -> str:
-    """Check that a path or glob stays in the output folder."""
-    if path.startswith("/") or ".." in PurePosixPath(path).parts:
-        raise ValueError(f"{path!r} should be a path within the run's output folder, such as results.csv")
-    return path
+def _path(is_valid: Callable[[str], bool], expected: str) -> AfterValidator:
+    """Return a validator that refuses a path with a message that says what was expected."""
+
+    def check(path: str) -> str:
+        if not is_valid(path):
+            raise ValueError(f"{path!r} should be {expected}")
+        return path
+
+    return AfterValidator(check)
 
 
-def _inner(path: str) -> str:
+def _in_container(path: str) -> str:
     """Check that something can be mounted at a path in a container."""
     parts = PurePosixPath(path).parts
     if parts[:1] != ("/",) or len(parts) < 2 or ".." in parts or parts[:3] == ("/", "run", "sierra") or parts[1] in SYSTEM:
         raise ValueError(f"{path!r} should be a path in the container such as /data (not in {', '.join(SYSTEM)} or run/sierra)")
     return str(PurePosixPath(path))
-
-
-def _on_node(path: str) -> str:
-    """Check that a path does not depend on the folder in which a task starts."""
-    if not path.startswith(("/", "$")):
-        raise ValueError(f"{path!r} should be an absolute path on the node, such as /scratch or $TMPDIR/x")
-    return path
-
-
-def _elsewhere(path: str) -> str:
-    """Check that a path does not depend on the folder in which a command starts."""
-    if not path.startswith(("/", "~", "$")):
-        raise ValueError(f"{path!r} should be an absolute path, such as /scratch/me, ~/scratch or $SCRATCH")
-    return path
-
-
-def _device(path: str) -> str:
-    if not path.startswith("/dev/") or ".." in PurePosixPath(path).parts:
-        raise ValueError(f"{path!r} should be a device, such as /dev/dri")
-    return path
 
 
 def _once(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -128,7 +116,7 @@ def _once(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-def size(text: Any) -> Any:
+def size(text: object) -> object:
     """Return a size in bytes from `500 MB`, `2 GiB`, or a plain number. Raises ValueError."""
     if not isinstance(text, str):
         return text
@@ -140,7 +128,7 @@ def size(text: Any) -> Any:
     return int(float(number) * base ** " kmgt".index(prefix[:1].lower() or " "))
 
 
-def _as_text(value: Any) -> Any:
+def _as_text(value: object) -> object:
     if isinstance(value, bool):
         return "true" if value else "false"
     return str(value) if isinstance(value, int | float) else value
@@ -153,9 +141,26 @@ Size = Annotated[
     WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer", "exclusiveMinimum": 0}]}),
 ]
 Line = Annotated[str, StringConstraints(pattern=r"^[^\n\r]+$")]
-Inside = Annotated[str, AfterValidator(_inside)]
-Inner = Annotated[str, AfterValidator(_inner)]
-Device = Annotated[str, AfterValidator(_device)]
+Inside = Annotated[
+    str,
+    _path(
+        lambda path: not path.startswith("/") and ".." not in PurePosixPath(path).parts,
+        "a path within the run's output folder, such as results.csv",
+    ),
+]
+InContainer = Annotated[str, AfterValidator(_in_container)]
+Device = Annotated[
+    str,
+    _path(lambda path: path.startswith("/dev/") and ".." not in PurePosixPath(path).parts, "a device, such as /dev/dri"),
+]
+OnNode = Annotated[
+    str,
+    _path(lambda path: path.startswith(("/", "$")), "an absolute path on the node, such as /scratch or $TMPDIR/x"),
+]
+Absolute = Annotated[
+    str,
+    _path(lambda path: path.startswith(("/", "~", "$")), "an absolute path, such as /scratch/me, ~/scratch or $SCRATCH"),
+]
 
 
 class Table(BaseModel):
@@ -183,18 +188,13 @@ class ChangeTable(Table):
 
     @model_validator(mode="after")
     def _one_operation(self) -> ChangeTable:
-        needs = {
-            "set": {"value", "attribute"},
-            "add": {"xml", "at"},
-            "remove": set[str](),
-            "rename": {"to"},
-        }
-        given = [name for name in needs if getattr(self, name) is not None]
+        accepted = {"set": ("value", "attribute"), "add": ("xml", "at"), "remove": (), "rename": ("to",)}
+        given = [name for name in accepted if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError("a change needs exactly one of set, add, remove, rename")
         operation = given[0]
         for other in ("value", "attribute", "xml", "at", "to"):
-            if getattr(self, other) is not None and other not in needs[operation]:
+            if getattr(self, other) is not None and other not in accepted[operation]:
                 raise ValueError(f"{other!r} cannot be used with {operation!r}")
         required = {"add": "xml", "rename": "to"}.get(operation)
         if required and getattr(self, required) is None:
@@ -242,11 +242,9 @@ class Group(Table):
 class Tolerance(Table):
     """The largest difference of a replayed number from the recorded one; one of these limits must be met."""
 
-    abs: float = Field(0.0, ge=0, allow_inf_nan=False, description="maximum absolute difference, in the column's unit")
-    rel: float = Field(
-        0.0, ge=0, allow_inf_nan=False, description="maximum difference divided by the absolute value of the recorded number"
-    )
-    ulp: float = Field(0.0, ge=0, allow_inf_nan=False, description="maximum difference in units in the last place of a double")
+    abs: NotNegative = Field(0.0, description="maximum absolute difference, in the column's unit")
+    rel: NotNegative = Field(0.0, description="maximum difference divided by the absolute value of the recorded number")
+    ulp: NotNegative = Field(0.0, description="maximum difference in units in the last place of a double")
 
 
 class Output(Table):
@@ -303,14 +301,14 @@ class Success(Table):
 class LimitsTable(Table):
     """Limits of one execution; a missing limit means no limit."""
 
-    wall: Seconds | None = Field(None, description="wall-clock time, in seconds")
-    cpu: Seconds | None = Field(None, description="CPU time of all its processes, in seconds")
+    wall: Positive | None = Field(None, description="wall-clock time, in seconds")
+    cpu: Positive | None = Field(None, description="CPU time of all its processes, in seconds")
     memory: Size | None = Field(None, description="resident memory of all its processes, in bytes or as in `2 GiB`")
     output: Size | None = Field(
         None,
         description="total size of the files in its folder, in bytes or as in `500 MB`; holes of sparse files are included",
     )
-    grace: Seconds = Field(5.0, description="time between SIGTERM and SIGKILL, in seconds")
+    grace: Positive = Field(5.0, description="time between SIGTERM and SIGKILL, in seconds")
 
 
 class Environment(Table):
@@ -338,7 +336,7 @@ class Container(Table):
         "run",
         description="`run`: a container for each run; `worker`: one for all runs of a slot (faster, weaker isolation)",
     )
-    mounts: Mapping[Inner, str] = Field(
+    mounts: Mapping[InContainer, str] = Field(
         default_factory=dict,
         description="files and folders that runs may read: path in the container = path on the host, from the project's root",
     )
@@ -348,9 +346,7 @@ class Container(Table):
     network: bool = Field(False, description="whether runs can use the network; part of their identity")
     devices: tuple[Device, ...] = Field((), description="devices that runs may use, such as `/dev/dri`; part of their identity")
     gpu: bool = Field(False, description="whether runs can use NVIDIA GPUs; part of their identity")
-    cpus: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        None, description="maximum number of cores that a container may use at a time"
-    )
+    cpus: Positive | None = Field(None, description="maximum number of cores that a container may use at a time")
     pids: PositiveInt | None = Field(None, description="maximum number of processes and threads in a container")
 
 
@@ -364,7 +360,7 @@ class ClusterTable(Table):
     )
     cpus: PositiveInt = Field(1, description="cores of an array task; it executes as many runs at a time")
     memory: Size | None = Field(None, description="memory of an array task, in bytes or as in `4 GiB`")
-    wall: Seconds | None = Field(
+    wall: Positive | None = Field(
         None, description="time limit of an array task, in seconds; default: estimated, or the site's default"
     )
     partition: Line | None = Field(None, description="partition (PBS: queue)")
@@ -379,7 +375,7 @@ class ClusterTable(Table):
         (), description="further directives for which there is no setting: the text after `#SBATCH` or `#PBS`"
     )
     python: str = Field("python3", min_length=1, description="the command for Python 3.8 or newer on the nodes")
-    scratch: Annotated[str, AfterValidator(_on_node)] | None = Field(
+    scratch: OnNode | None = Field(
         None,
         description="folder on the node in which runs execute, such as `$TMPDIR/x`; its parent folder must exist; default: "
         "$SLURM_TMPDIR, $TMPDIR or /tmp",
@@ -415,7 +411,7 @@ class StoreTable(Table):
         description="whether the bytes of files that become tables are stored too, so that changes to [outputs] and [success] "
         "need no new executions",
     )
-    work_folder: Annotated[str, AfterValidator(_elsewhere)] | None = Field(
+    work_folder: Absolute | None = Field(
         None,
         description="folder in which runs of this machine execute; SIERRA makes a folder for each project in it; `~` and "
         "variables such as `$SCRATCH` are expanded; default: in the store",
@@ -449,13 +445,11 @@ class Equivalence(Table):
     measure: Literal["final", "mean", "time_to"] = Field(
         "final", description="how a run is reduced to one number, as in figures"
     )
-    threshold: Annotated[float, Field(allow_inf_nan=False)] | None = Field(None, description="for `time_to`, as in figures")
-    margin: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+    threshold: Finite | None = Field(None, description="for `time_to`, as in figures")
+    margin: Positive | None = Field(
         None, description="maximum difference between means that are still equivalent, in the column's unit"
     )
-    relative: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        None, description="the margin as a fraction of the recorded mean (0.05: 5 %)"
-    )
+    relative: Positive | None = Field(None, description="the margin as a fraction of the recorded mean (0.05: 5 %)")
     alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
         0.05, description="significance level: maximum probability of finding means equivalent that differ by the margin"
     )
@@ -520,7 +514,7 @@ class Figure(Table):
         "final",
         description="how a run is reduced to one number: its last value, its mean over time, or the time until `threshold`",
     )
-    threshold: Annotated[float, Field(allow_inf_nan=False)] | None = Field(
+    threshold: Finite | None = Field(
         None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"
     )
     center: Literal["mean", "median", "iqm"] = Field(
@@ -597,13 +591,13 @@ class Project(Table):
     programs: ProgramsTable = ProgramsTable()
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="named queries")
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
-    platforms: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of platforms, by name")
-    runners: Mapping[str, Mapping[str, Any]] = Field(
+    platforms: Mapping[str, RawTable] = Field(default_factory=dict, description="options of platforms, by name")
+    runners: Mapping[str, RawTable] = Field(
         default_factory=dict, description="clusters for `--on`, by name: `slurm`, `pbs`, or your own name with a `scheduler`"
     )
-    templates: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of template formats, by name")
-    engines: Mapping[str, Mapping[str, Any]] = Field(default_factory=dict, description="options of container engines, by name")
-    readers: Mapping[str, Mapping[str, Any]] = Field(
+    templates: Mapping[str, RawTable] = Field(default_factory=dict, description="options of template formats, by name")
+    engines: Mapping[str, RawTable] = Field(default_factory=dict, description="options of container engines, by name")
+    readers: Mapping[str, RawTable] = Field(
         default_factory=dict, description="options of the readers of output formats, by name"
     )
 
@@ -638,7 +632,7 @@ def read(found: ProjectFolder) -> LoadedProject:
     return LoadedProject(root, file, parse(settings(file) or {}, origin))
 
 
-def parse(table: Mapping[str, Any], origin: str) -> Project:
+def parse(table: object, origin: str) -> Project:
     """Validate a table from TOML; messages call it `origin`.
 
     The tables of plug-ins are validated when they are used (see `sierra.config.plugin_registry`),
@@ -646,7 +640,8 @@ def parse(table: Mapping[str, Any], origin: str) -> Project:
     """
     project = options(Project, table, origin)
     for name, runner in project.runners.items():
-        if (scheduler := runner.get("scheduler", name)) in directives.CHECKED:
+        scheduler = runner.get("scheduler", name)
+        if isinstance(scheduler, str) and scheduler in directives.CHECKED:
             cluster = options(ClusterTable, runner, origin, ("runners", name))
             check_directives(cluster, partial(directives.complaint, scheduler), f"{origin}: runners", name)
     return project
@@ -659,8 +654,8 @@ def check_directives(table: ClusterTable, complaint: Callable[[str], str | None]
             raise ConfigError(f"{where}: directive {line!r} of {name!r} cannot be added: {why}")
 
 
-def options(model: type[OptionsT], table: Mapping[str, Any], origin: str, within: tuple[str, ...] = ()) -> OptionsT:
-    """Validate a table by its model: the project's, or that of a plug-in. A text is not accepted as a number.
+def options(model: type[OptionsT], table: object, origin: str, within: tuple[str, ...] = ()) -> OptionsT:
+    """Validate a table that people write, in TOML or JSON, by its model. A text is not accepted as a number.
 
     `within` is the place of the table in `origin`, for messages.
     """
@@ -670,7 +665,7 @@ def options(model: type[OptionsT], table: Mapping[str, Any], origin: str, within
         raise ConfigError(f"{origin}: {_explain(error, model, within)}") from error
 
 
-def _frozen(value: Any, origin: str) -> Any:
+def _frozen(value: object, origin: str) -> object:
     """Return lists as tuples, which are immutable.
 
     Raises ConfigError for a text with the character NUL, which no file or argument can contain.
@@ -711,7 +706,7 @@ def _no_name(value: object) -> str:
     return f"{value!r} is not a valid name; use letters, digits and _, as in {letters or 'my_name'}"
 
 
-def _written(value: Any) -> str:
+def _written(value: object) -> str:
     """Return a value nearly in the form of TOML, shortened."""
     text = json.dumps(value, ensure_ascii=False, default=str)
     return text if len(text) <= 60 else text[:57] + "..."
@@ -730,10 +725,8 @@ def _nearest(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
 
 def _keys(model: type[BaseModel], location: tuple[int | str, ...]) -> set[str]:
     found = _models(model)
-    current: Any = model
+    current = model
     for part in location:
-        if not (isinstance(current, type) and issubclass(current, BaseModel)):
-            break
         inner = next((f.annotation for n, f in current.model_fields.items() if part in (n, f.alias)), None)
         current = next((m for m in found if inner is not None and m.__name__ in str(inner)), current)
     return {field.alias or name for name, field in current.model_fields.items()}

@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
+from sierra.config.project_file import Table, options
 from sierra.errors import Missing, UsageError
 from sierra.query.grammar import setting
 
@@ -19,18 +21,14 @@ KEY = "request"
 """The key of a request in the JSON of a dry run."""
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Override(_Model):
+class Override(Table):
     """A value that is set in the template of all runs."""
 
     xpath: str = Field(min_length=1, description="XPath 1.0 of the attributes or elements")
     value: str = Field(description="the new value; may contain {expressions}")
 
 
-class QueryRequest(_Model):
+class QueryRequest(Table):
     """A research query: criteria, and the settings that all experiments share."""
 
     criteria: tuple[str, ...] = Field(min_length=1, description="a criterion for each axis, or names of queries in sierra.toml")
@@ -78,22 +76,13 @@ def repeated(row: Mapping[str, Any], runs: int) -> QueryRequest:
 def read(path: Path) -> RequestFile:
     """Return the request in a JSON file, alone or in the JSON of a dry run. Raises Missing, UsageError."""
     try:
-        text = path.read_bytes()
+        content = json.loads(path.read_bytes())
     except OSError as error:
         raise Missing(f"{path}: cannot be read: {error.strerror}") from error
-    try:
-        return RequestFile.model_validate_json(text)
-    except ValidationError as error:
-        if any(one["loc"][:1] == (KEY,) and one["type"] != "missing" for one in error.errors()):
-            raise UsageError(f"{path}: {_reason(error)}") from error
-    try:
-        return RequestFile(request=QueryRequest.model_validate_json(text), batch=None)
-    except ValidationError as error:
-        raise UsageError(f"{path}: {_reason(error)}") from error
-
-
-def _reason(error: ValidationError) -> str:
-    first = error.errors()[0]
-    place = ".".join(str(part) for part in first["loc"])
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    return f"{place}: {first['msg'].lower()}{more}" if place else f"{first['msg'].lower()}{more}"
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{path}: not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise UsageError(f'{path}: a request should be an object, as in {{"criteria": ["population_size.Log8"]}}')
+    if KEY in content:
+        return options(RequestFile, content, str(path))
+    return RequestFile(request=options(QueryRequest, content, str(path)), batch=None)

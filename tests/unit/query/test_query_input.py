@@ -50,13 +50,15 @@ def test_the_request_of_a_recorded_batch_gives_the_same_batch(project: Path) -> 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "query.json: "),
-        ("[]", "query.json: "),
-        ("{}", "query.json: criteria: field required"),
-        ('{"criteria": []}', "criteria: "),
-        ('{"criteria": ["population_size=1"], "runs": 0}', "runs: "),
-        ('{"criteria": ["population_size=1"], "run": 1}', "run: "),
-        ('{"request": {"criteria": ["population_size=1"], "runs": "x"}}', "request.runs: "),
+        ("", "query.json: not JSON: Expecting value"),
+        ("[]", "query.json: a request should be an object, as in {"),
+        ("{}", "query.json: 'criteria' is missing"),
+        ('{"criteria": []}', "query.json: criteria should not be empty"),
+        ('{"criteria": ["population_size=1"], "runs": 0}', "query.json: runs should be greater than 0, not 0"),
+        ('{"criteria": ["population_size=1"], "run": 1}', "query.json: unknown key 'run'; did you mean 'runs'?"),
+        ('{"request": {"criteria": ["x=1"], "runs": "x"}}', 'query.json: request.runs should be a whole number, not "x"'),
+        ('{"request": {"criteria": ["x=1"], "run": 1}}', "query.json: unknown key 'request.run'; did you mean 'runs'?"),
+        ('{"request": {"criteria": ["x=1"], "overrides": [{"xpath": ""}]}}', "query.json: request.overrides.0.xpath should"),
     ],
 )
 def test_an_invalid_file_is_refused_in_one_line(project: Path, text: str, said: str) -> None:
