@@ -7,7 +7,7 @@ Shipped platforms are `command` (any program) and `argos`. Others are entry poin
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 from sierra.config.plugin_registry import PLATFORMS
 from sierra.config.project_file import Project, Table
@@ -32,7 +32,7 @@ class Platform(Protocol):
     Options: ClassVar[type[Table]]
     """The model of `[platforms.NAME]`. Such a table is always checked, even if another platform is used."""
 
-    def __init__(self, project: Project, options: Any) -> None:
+    def __init__(self, project: Project, options: Table) -> None:
         """Make the platform. `options` is an object of `Options`.
 
         Raises ConfigError if the project or the options are invalid for this platform.

@@ -20,7 +20,6 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 from sierra.errors import ConfigError
 from sierra.model import Value
@@ -124,18 +123,9 @@ def _allow(node: ast.expr, shown: str) -> None:
             raise ConfigError(f"{ast.unparse(node)!r} is not allowed in {shown!r}; allowed: {allowed}")
 
 
-def _names(node: ast.expr) -> Iterable[str]:
-    match node:
-        case ast.Name():
-            yield node.id
-        case ast.Call():
-            for argument in node.args:
-                yield from _names(argument)
-        case ast.UnaryOp():
-            yield from _names(node.operand)
-        case ast.BinOp():
-            yield from _names(node.left)
-            yield from _names(node.right)
+def _names(tree: ast.expr) -> Iterable[str]:
+    functions = {node.func for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    return (node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and node not in functions)
 
 
 def _text(expression: _Expression, values: Mapping[str, Value]) -> str:
@@ -168,8 +158,8 @@ def _value(node: ast.expr, values: Mapping[str, Value]) -> Number:
     match node:
         case ast.Name():
             return _bounded(_named(node.id, values))
-        case ast.Constant():
-            return _bounded(node.value)
+        case ast.Constant(value=int() | float() as number):
+            return _bounded(number)
         case ast.UnaryOp(op=op):
             inner = _value(node.operand, values)
             return -inner if isinstance(op, ast.USub) else inner
@@ -187,7 +177,7 @@ def _named(name: str, values: Mapping[str, Value]) -> Number:
     return value
 
 
-def _bounded(value: Any) -> Number:
+def _bounded(value: Number | complex) -> Number:
     if type(value) is int:
         if value.bit_length() > MAX_BITS:
             raise OverflowError
@@ -205,7 +195,7 @@ def _divide(left: Number, right: Number) -> Number:
     return left / right
 
 
-def _power(base: Number, exponent: Number) -> Any:
+def _power(base: Number, exponent: Number) -> Number | complex:
     """Return a power; a result that would be too large is refused before it is calculated."""
     whole = isinstance(base, int) and isinstance(exponent, int)
     if whole and exponent * (int(abs(base)).bit_length() - 1) > MAX_BITS:
@@ -247,7 +237,7 @@ FUNCTIONS: Mapping[str, Callable[..., Number]] = {
 }
 """The functions of expressions; `log(x, base)` and `round(x, digits)` work as in Python."""
 
-_OPERATORS: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
+_OPERATORS: Mapping[type[ast.operator], Callable[[Number, Number], Number | complex]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 from sierra.config.plugin_registry import TEMPLATES, Tables
 from sierra.config.project_file import Table
@@ -46,7 +46,7 @@ class Template(Protocol):
     sha256: str
     """The SHA-256 of the file's bytes, as 64 hexadecimal digits."""
 
-    def __init__(self, data: bytes, name: str, options: Any) -> None:
+    def __init__(self, data: bytes, name: str, options: Table) -> None:
         """Read a file's bytes; messages call it `name`. `options` is an object of `Options`.
 
         Raises TemplateError if it does not have this format.

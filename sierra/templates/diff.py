@@ -17,19 +17,21 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
-from typing import Any, Literal
+from typing import Literal, TypeAlias
 
 from lxml import etree
 
 from sierra.errors import TemplateError
-from sierra.templates.xml import DEFAULT, declarations, parse
+from sierra.templates.xml import DEFAULT, Element, declarations, parse
 from sierra.util.textdiff import patch
 
-Element = Any
+Shape: TypeAlias = tuple[str, frozenset[tuple[str, str]], str, tuple[int, ...]]
+"""The content of an element: tag, attributes, text, and the numbers of the shapes of its children."""
 NAMES = ("id", "name")
 """Attributes that distinguish an element from its siblings."""
 MATCHED = 4_000_000
 """Limit for the product of the numbers of children of two elements; above it, children are matched in their order."""
+What: TypeAlias = Literal["changed", "added", "removed", "order", "lines", "bytes", "writing"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +39,7 @@ class Spot:
     """One place where two input files differ."""
 
     path: str
-    what: Literal["changed", "added", "removed", "order", "lines", "bytes", "writing"]
+    what: What
     """`order`: another order of the children that both have; `writing`: the same content in other bytes."""
     was: str | None = None
     """The value, or the whole element if it was removed."""
@@ -70,7 +72,7 @@ class _Comparison:
     def __init__(self, before: Element, after: Element) -> None:
         self._roots = (before, after)
         self._prefixes = {uri: prefix for root in (after, before) for prefix, uri in declarations(root).items()}
-        self._shapes: dict[Any, int] = {}
+        self._shapes: dict[Shape, int] = {}
         self._like: dict[Element, int] = {}
         self._steps: dict[Element, dict[Element, str]] = {}
         for root in self._roots:
@@ -101,7 +103,7 @@ class _Comparison:
         for name in dict.fromkeys((*before.attrib, *after.attrib)):
             was, now = before.get(name), after.get(name)
             if was != now:
-                what: Any = "added" if was is None else "removed" if now is None else "changed"
+                what: What = "added" if was is None else "removed" if now is None else "changed"
                 yield Spot(f"{self._path(after) if was is None else path}/@{self._name(name)}", what, was, now)
         if _text(before) != _text(after):
             yield Spot(path, "changed", _text(before), _text(after))
@@ -217,7 +219,7 @@ def _name_of(child: Element, tags: Counter[str]) -> tuple[str, str, str] | None:
 
 def _by_tag(old: Sequence[Element], new: Sequence[Element], left: Sequence[int], right: Sequence[int]) -> dict[int, int]:
     """Return pairs of children with the same tag (and name, if they have one), in their order."""
-    waiting: dict[Any, list[int]] = {}
+    waiting: dict[tuple[str | None, ...], list[int]] = {}
     for place in reversed(right):
         waiting.setdefault(_kind(new[place]), []).append(place)
     return {place: same.pop() for place in left if (same := waiting.get(_kind(old[place])))}

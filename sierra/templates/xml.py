@@ -29,7 +29,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal, TypeAlias, TypeGuard
 
 from lxml import etree
 
@@ -43,9 +43,10 @@ from sierra.templates.base import Rendered
 from sierra.templates.same_number import same
 from sierra.util.hashing import sha256
 
-Element = Any
-"""An `lxml.etree._Element`."""
-
+Element: TypeAlias = etree._Element
+Text: TypeAlias = etree._ElementUnicodeResult
+"""A text or an attribute's value that a path selects; it knows its element."""
+Node: TypeAlias = Element | Text
 DEFAULT = "_"
 """The prefix that paths give to the document's default namespace."""
 
@@ -57,7 +58,7 @@ class XmlTemplate:
 
     Options: ClassVar[type[Table]] = NoOptions
 
-    def __init__(self, data: bytes, name: str, options: Any = None) -> None:
+    def __init__(self, data: bytes, name: str, options: Table | None = None) -> None:
         self.sha256 = sha256(data)
         tree = parse(data, name)
         self._document = XmlDocument(copy.deepcopy(tree.getroot()), _frame(data, tree.docinfo.encoding, name))
@@ -69,7 +70,7 @@ class XmlTemplate:
 
     def find(self, path: str) -> tuple[str, ...]:
         """Return the text of each match; for an element, the text before its first child."""
-        return tuple(str(node) if isinstance(node, str) else str(node.text or "") for node in self._document.select(path))
+        return tuple(str(node) if _is_text(node) else str(node.text or "") for node in self._document.select(path))
 
     def attributes(self) -> tuple[tuple[str, str], ...]:
         return tuple(self._document.attributes())
@@ -109,7 +110,7 @@ class XmlDocument:
                 raise ConfigError(f"{_who(change)}{error}") from error
         return document
 
-    def select(self, path: str, who: str = "") -> list[Any]:
+    def select(self, path: str, who: str = "") -> list[Node]:
         """Return the nodes that a path selects. Raises TemplateError if it is not a path to nodes."""
         shown = _line(path)
         if not xpath_time_limit.ends(path, self._namespaces, self._root):
@@ -125,7 +126,7 @@ class XmlDocument:
         if not isinstance(found, list):
             kind = {bool: "a boolean", float: "a number"}.get(type(found), "a string")
             raise TemplateError(f"{who}{shown} returns {kind}, but must select nodes in {self._frame.name}")
-        if any(not isinstance(node, str) and not etree.iselement(node) for node in found):
+        if any(not _is_text(node) and not etree.iselement(node) for node in found):
             raise TemplateError(f"{who}{shown} selects namespaces in {self._frame.name}; select elements, attributes or texts")
         return found
 
@@ -210,7 +211,7 @@ class XmlDocument:
         if isinstance(change, Add | Rename):
             self._namespaces = declarations(self._root)
 
-    def _matches(self, change: Change) -> list[Any]:
+    def _matches(self, change: Change) -> list[Node]:
         """Return all matches of a change: at least one, and as many as the change expects."""
         found = self.select(change.path, _who(change))
         if isinstance(change, Set) and not change.attribute:  # a text and adjacent CDATA are one place
@@ -224,11 +225,11 @@ class XmlDocument:
     def _elements(self, change: Change) -> list[Element]:
         found = self._matches(change)
         for node in found:
-            if isinstance(node, str) or not isinstance(node.tag, str):
+            if _is_text(node) or not isinstance(node.tag, str):
                 raise self._unfit(change, node, "elements")
         return found
 
-    def _unfit(self, change: Change, node: Any, wanted: str) -> TemplateError:
+    def _unfit(self, change: Change, node: Node, wanted: str) -> TemplateError:
         verb = {Set: "set", Add: "add", Remove: "remove", Rename: "rename"}[type(change)]
         return self._frame.error(change, f"selects {_kind(node)}", f"; {verb} works on {wanted}")
 
@@ -245,11 +246,11 @@ class XmlDocument:
             places.append(place)
         return places
 
-    def _remove(self, node: Any, change: Remove) -> None:
-        if isinstance(node, str):
-            if not node.is_attribute:  # type: ignore[attr-defined]
+    def _remove(self, node: Node, change: Remove) -> None:
+        if _is_text(node):
+            if not node.is_attribute:
                 raise self._unfit(change, node, "elements and attributes")
-            del node.getparent().attrib[node.attrname]  # type: ignore[attr-defined]
+            del node.getparent().attrib[node.attrname]
         elif node is self._root:
             raise self._frame.error(change, "selects the root element", ", which cannot be removed")
         else:
@@ -290,8 +291,8 @@ class XmlDocument:
             wrapped = etree.fromstring(f"{wrapper}>{xml}</_>".encode(), _parser())
         except etree.XMLSyntaxError as error:
             raise self._frame.error(change, f"cannot contain {xml!r}", f": not XML: {_reason(error)}") from error
-        content = [node for node in wrapped.xpath("node()") if not isinstance(node, str) or node.strip()]
-        if len(content) != 1 or isinstance(content[0], str) or not isinstance(content[0].tag, str):
+        content = [node for node in wrapped.xpath("node()") if not _is_text(node) or node.strip()]
+        if len(content) != 1 or _is_text(content[0]) or not isinstance(content[0].tag, str):
             raise self._frame.error(change, f"cannot contain {xml!r}", "; add exactly one element")
         piece = content[0]
         piece.tail = None
@@ -320,7 +321,7 @@ class XmlDocument:
             good += mended
         return f"; nearest is {good}"
 
-    def _found(self, path: str) -> list[Any]:
+    def _found(self, path: str) -> list[Node]:
         try:
             return self.select(path)
         except TemplateError:
@@ -466,7 +467,7 @@ def _refuse_entities(doctype: str, name: str) -> None:
 # Reading
 
 
-def _parser() -> Any:
+def _parser() -> etree.XMLParser:
     return etree.XMLParser(
         resolve_entities=False,
         load_dtd=False,
@@ -479,7 +480,7 @@ def _parser() -> Any:
     )
 
 
-def parse(data: bytes, name: str) -> Any:
+def parse(data: bytes, name: str) -> etree._ElementTree:
     """Return a parsed document; nothing but `data` is read. Raises TemplateError if it is not XML."""
     try:
         return etree.fromstring(data, _parser()).getroottree()
@@ -549,19 +550,22 @@ class _Gap:
     """The previous text, the number of an earlier gap, or None."""
 
 
-def _place(node: Any) -> _Place | None:
+def _place(node: Node) -> _Place | None:
     """Return the place of a selected node's text; None for comments and processing instructions."""
-    if not isinstance(node, str):
+    if not _is_text(node):
         return _Place(node, "text") if isinstance(node.tag, str) else None
-    selected: Any = node
-    if selected.is_attribute:
-        return _Place(selected.getparent(), "attribute", selected.attrname)
-    return _Place(selected.getparent(), "tail" if selected.is_tail else "text")
+    if node.is_attribute:
+        return _Place(node.getparent(), "attribute", node.attrname)
+    return _Place(node.getparent(), "tail" if node.is_tail else "text")
 
 
-def _kind(node: Any) -> str:
-    if isinstance(node, str):
-        return "attributes" if node.is_attribute else "texts"  # type: ignore[attr-defined]
+def _is_text(node: Node) -> TypeGuard[Text]:
+    return isinstance(node, str)
+
+
+def _kind(node: Node) -> str:
+    if _is_text(node):
+        return "attributes" if node.is_attribute else "texts"
     return "elements" if isinstance(node.tag, str) else "comments or processing instructions"
 
 

@@ -17,7 +17,6 @@ import resource
 import subprocess
 import sys
 from collections.abc import Mapping
-from typing import Any
 
 from lxml import etree
 
@@ -38,7 +37,7 @@ _ended: set[tuple[str, int]] = set()
 """Expressions that ended within the limit, with the number of nodes."""
 
 
-def ends(path: str, namespaces: Mapping[str, str], root: Any) -> bool:
+def ends(path: str, namespaces: Mapping[str, str], root: etree._Element) -> bool:
     """Return True if an expression ends within the limit, for this document and all others of its size."""
     exponent = _exponent(path)
     if exponent < 2:
@@ -64,7 +63,7 @@ def _exponent(path: str) -> int:
     return len(_WIDE.findall(every)) - outside + max(1, outside)
 
 
-def _tried(path: str, namespaces: Mapping[str, str], root: Any) -> bool:
+def _tried(path: str, namespaces: Mapping[str, str], root: etree._Element) -> bool:
     said = json.dumps([path, dict(namespaces), LIMIT_S]).encode()
     document = etree.tostring(root, encoding="utf-8", with_tail=False)
     try:
