@@ -29,7 +29,7 @@ from sierra.containers.engines.base import HOSTNAME, INSIDE, WRITABLE, Capabilit
 from sierra.containers.images.image import Image, Kind
 from sierra.model import Client, Result
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
-from sierra.testing.option_claims import says_what_its_options_are
+from sierra.testing.claims import holds, is_one_line, says_what_its_options_are, variable, wait
 from sierra.worker import marked_processes
 
 PATIENCE_S = 30.0
@@ -89,7 +89,7 @@ class Started:
     def until_it_says(self, word: str) -> None:
         _wait(lambda: word in self.said() or self.process.poll() is not None, f"the program never printed {word!r}")
         time.sleep(GRACE_S)  # a client such as podman's passes signals on only a moment after its container has begun
-        _holds(
+        holds(
             word in self.said(),
             f"the program ended before it printed {word!r}: {(self.folder / 'stderr').read_text(errors='replace')}",
         )
@@ -210,7 +210,7 @@ class Trial:
     def look(self) -> list[tuple[str, str]]:
         """Pairs of a kind and a fact about the environment that a process sees."""
         ended = self.script(LOOK)
-        _holds(ended.result.exit_code == 0, f"the inspection of the container failed: {ended.result.error or ended.result}")
+        holds(ended.result.exit_code == 0, f"the inspection of the container failed: {ended.result.error or ended.result}")
         return [line.partition(" ")[::2] for line in ended.out.decode().splitlines()]
 
     def saw(self, kind: str) -> list[str]:
@@ -231,15 +231,15 @@ def says_what_it_can(trial: Trial) -> None:
     """Check that the engine works here, declares its options, reports its version in one line, and repeats itself at once."""
     able = trial.able
     says_what_its_options_are(trial.engine)
-    _holds(not able.trouble, able.trouble)
-    _is_one_line(able.version)
+    holds(not able.trouble, able.trouble)
+    is_one_line(able.version)
     took = []
     for _ in range(3):  # the answer may change in between, as other users' activity changes
         began = time.monotonic()
-        _holds(trial.engine.probe() == able, "the answer differs when it is requested again")
+        holds(trial.engine.probe() == able, "the answer differs when it is requested again")
         took.append(time.monotonic() - began)
-    _holds(min(took) < 1, "the engine was probed again, although nothing has changed")
-    _holds(able.enforced <= {"memory", "cpus", "pids"}, f"unknown limits: {sorted(able.enforced)}")
+    holds(min(took) < 1, "the engine was probed again, although nothing has changed")
+    holds(able.enforced <= {"memory", "cpus", "pids"}, f"unknown limits: {sorted(able.enforced)}")
 
 
 def prepares_once(trial: Trial) -> None:
@@ -248,71 +248,68 @@ def prepares_once(trial: Trial) -> None:
         return
     first, began = trial.reference, time.monotonic()
     again = trial.engine.prepare(trial.image, trial.root, StorePaths(trial.folder / "store"))
-    _holds(again == first, f"the image's reference is first {first!r}, then {again!r}")
-    _holds(time.monotonic() - began < SOON_S, "preparing an image that is ready took too long")
+    holds(again == first, f"the image's reference is first {first!r}, then {again!r}")
+    holds(time.monotonic() - began < SOON_S, "preparing an image that is ready took too long")
 
 
 def ends_with_the_programs_status(trial: Trial) -> None:
     """Check that the program's exit status is kept, even if it is one that engines use themselves."""
     for status in (0, 3, 125, 126, 127, 255):
         result = trial.script(f"exit {status}").result
-        _holds((result.exit_code, result.error) == (status, None), f"status {status} became {result.exit_code}, {result.error}")
+        holds((result.exit_code, result.error) == (status, None), f"status {status} became {result.exit_code}, {result.error}")
 
 
 def tells_the_programs_signal(trial: Trial) -> None:
     """Check that a program that a signal ended has the signal and no status."""
     for number in (signal.SIGSEGV, signal.SIGTERM, signal.SIGABRT):
         result = trial.script(f"kill -{number.value} $$; sleep 9").result
-        _holds((result.exit_code, result.signal) == (None, number), f"{number.name} became {result}")
-        _holds(result.error is None, f"{number.name} became an error: {result.error}")
+        holds((result.exit_code, result.signal) == (None, number), f"{number.name} became {result}")
+        holds(result.error is None, f"{number.name} became an error: {result.error}")
 
 
 def passes_words_as_they_are(trial: Trial) -> None:
     """Check that no word of a command is evaluated, split or lost."""
     ended = trial.script('printf "<%s>" "$@"', *WORDS)
     wanted = "".join(f"<{word}>" for word in WORDS)
-    _holds(ended.out.decode() == wanted, f"{wanted!r} became {ended.out.decode(errors='replace')!r}")
+    holds(ended.out.decode() == wanted, f"{wanted!r} became {ended.out.decode(errors='replace')!r}")
 
 
 def passes_the_environment_exactly(trial: Trial) -> None:
     """Check that each variable keeps its value, and that none of the caller's variables is passed on."""
-    os.environ[CANARY] = "1"
-    try:
+    with variable(CANARY):
         ended = trial.run("cat", "/proc/self/environ", variables=VALUES)
-    finally:
-        del os.environ[CANARY]
     seen = dict(entry.split("=", 1) for entry in ended.out.decode().split("\0") if "=" in entry)
     for name, value in VALUES.items():
-        _holds(seen.get(name) == value, f"the variable {name} is {seen.get(name)!r}, not {value!r}")
-    _holds(seen.get("HOME", "").endswith(f"/{RUN_HOME}"), f"HOME is {seen.get('HOME')!r}, not the run's folder")
+        holds(seen.get(name) == value, f"the variable {name} is {seen.get(name)!r}, not {value!r}")
+    holds(seen.get("HOME", "").endswith(f"/{RUN_HOME}"), f"HOME is {seen.get('HOME')!r}, not the run's folder")
     given = {*VALUES, "PATH", "HOME", "TMPDIR", "SIERRA_RUN_DIR", "SIERRA_EXECUTION", "SIERRA_SESSION"}
     leaked = {name for name in seen.keys() - given if os.environ.get(name) == seen[name] or name == CANARY}
-    _holds(not leaked, f"the container sees variables of the caller: {sorted(leaked)}")
+    holds(not leaked, f"the container sees variables of the caller: {sorted(leaked)}")
 
 
 def keeps_output_apart(trial: Trial) -> None:
     """Check that standard output and error contain exactly the program's bytes."""
     ended = trial.script(r"printf 'out\000\377\n'; printf 'err' >&2")
-    _holds(ended.out == b"out\0\xff\n", f"standard output became {ended.out!r}")
-    _holds(ended.err == b"err", f"standard error became {ended.err!r}")
+    holds(ended.out == b"out\0\xff\n", f"standard output became {ended.out!r}")
+    holds(ended.err == b"err", f"standard error became {ended.err!r}")
 
 
 def passes_standard_input(trial: Trial) -> None:
     """Check that an interactive process reads what its client is given, and that any other process reads nothing."""
     if trial.contains:
         ended = trial.end(trial.start("cat", said="a\nb"))
-        _holds(ended.out == b"a\nb", f"its standard input became {ended.out!r}")
-    _holds(trial.run("cat").out == b"", "its standard input is not empty")
+        holds(ended.out == b"a\nb", f"its standard input became {ended.out!r}")
+    holds(trial.run("cat").out == b"", "its standard input is not empty")
 
 
 def begins_in_its_folder(trial: Trial) -> None:
     """Check that the working directory is the output folder, and that the caller owns the outputs."""
     ended = trial.script("pwd; echo done > file; mkdir folder")
-    _holds(ended.out.decode().strip().endswith(f"/{RUN_OUTPUT}"), f"the program begins in {ended.out.decode().strip()}")
+    holds(ended.out.decode().strip().endswith(f"/{RUN_OUTPUT}"), f"the program begins in {ended.out.decode().strip()}")
     for name in ("file", "folder"):
         path = ended.folder / RUN_OUTPUT / name
-        _holds(path.exists(), f"the output {name} is missing")
-        _holds(path.stat().st_uid == os.geteuid(), f"the output {name} belongs to user {path.stat().st_uid}")
+        holds(path.exists(), f"the output {name} is missing")
+        holds(path.stat().st_uid == os.geteuid(), f"the output {name} belongs to user {path.stat().st_uid}")
 
 
 def leaves_nothing_on_the_host(trial: Trial) -> None:
@@ -321,13 +318,13 @@ def leaves_nothing_on_the_host(trial: Trial) -> None:
         name = f"sierra-{secrets.token_hex(8)}"
         trial.script(f'for place in {" ".join(WRITABLE)}; do : > "$place/{name}"; done 2>/dev/null')
         left = [place for place in WRITABLE if Path(place, name).exists()]
-        _holds(not left, f"files that it wrote in {left} are on the host")
+        holds(not left, f"files that it wrote in {left} are on the host")
 
 
 def has_no_network(trial: Trial) -> None:
     """Check that there is no network, unless it is requested or the engine reports that it cannot isolate it."""
     cards = [card for card in trial.saw("card") if card.partition(":")[0] != "lo"]
-    _holds(not cards or not trial.able.isolated, f"the container has network interfaces: {cards}")
+    holds(not cards or not trial.able.isolated, f"the container has network interfaces: {cards}")
 
 
 def has_the_network_where_asked(trial: Trial) -> None:
@@ -335,31 +332,31 @@ def has_the_network_where_asked(trial: Trial) -> None:
     ended = trial.script("cat /proc/net/dev", box=replace(trial.box(), network=True))
     cards = {line.partition(":")[0].strip() for line in Path("/proc/net/dev").read_text().splitlines() if ":" in line}
     seen = {line.partition(":")[0].strip() for line in ended.out.decode().splitlines() if ":" in line}
-    _holds(seen == cards, f"the container sees {sorted(seen)}, not {sorted(cards)}")
+    holds(seen == cards, f"the container sees {sorted(seen)}, not {sorted(cards)}")
 
 
 def writes_where_it_may(trial: Trial) -> None:
     """Check that a run can write to its own home, temporary and output folders, and to nothing else."""
-    _holds(not trial.saw("wrote"), f"the program could write {trial.saw('wrote')}")
-    _holds(not trial.saw("refused"), f"the program could not write {trial.saw('refused')}")
-    _holds(trial.saw("input") == ["given"], f"the program's input is {trial.saw('input')}")
+    holds(not trial.saw("wrote"), f"the program could write {trial.saw('wrote')}")
+    holds(not trial.saw("refused"), f"the program could not write {trial.saw('refused')}")
+    holds(trial.saw("input") == ["given"], f"the program's input is {trial.saw('input')}")
     ended = trial.script('echo 1 > "$HOME/h"; echo 2 > "$TMPDIR/t"; echo 3 > /tmp/u')
     for path in (f"{RUN_HOME}/h", f"{RUN_TMP}/t", f"{RUN_TMP}/u"):
-        _holds((ended.folder / path).is_file(), f"{path} is not in the run's folder")
+        holds((ended.folder / path).is_file(), f"{path} is not in the run's folder")
 
 
 def has_no_rights(trial: Trial) -> None:
     """Check that a run has no capabilities, and cannot get new ones."""
     said = dict(line.split(" ", 1) for line in trial.saw("status") if " " in line)
     for name in ("CapInh:", "CapPrm:", "CapEff:", "CapAmb:", "CapBnd:"):
-        _holds(int(said[name].strip(), 16) == 0, f"{name} is {said[name]}")
-    _holds(said["NoNewPrivs:"].strip() == "1", "the program can gain privileges (NoNewPrivs is 0)")
+        holds(int(said[name].strip(), 16) == 0, f"{name} is {said[name]}")
+    holds(said["NoNewPrivs:"].strip() == "1", "the program can gain privileges (NoNewPrivs is 0)")
 
 
 def has_no_name_of_the_hosts(trial: Trial) -> None:
     """Check that the host's name and processes are hidden."""
-    _holds(trial.saw("host") == [HOSTNAME], f"the container's host name is {trial.saw('host')}")
-    _holds(len(trial.saw("process")) < 10, f"the container sees {len(trial.saw('process'))} processes")
+    holds(trial.saw("host") == [HOSTNAME], f"the container's host name is {trial.saw('host')}")
+    holds(len(trial.saw("process")) < 10, f"the container sees {len(trial.saw('process'))} processes")
 
 
 def ends_when_asked(trial: Trial) -> None:
@@ -370,7 +367,7 @@ def ends_when_asked(trial: Trial) -> None:
     trial.end(started, seconds=SOON_S, stopped="interrupted")
     _wait(lambda: "got" in started.said() or not started.left(), "SIGTERM did not reach the program")  # podman may end first
     started.stop()
-    _holds("got" in started.said(), "SIGTERM did not reach the program")
+    holds("got" in started.said(), "SIGTERM did not reach the program")
     _nothing_is_left(started)
 
 
@@ -380,7 +377,7 @@ def ends_a_program_that_does_not_care(trial: Trial) -> None:
     started.until_it_says("ready")
     started.signal(signal.SIGTERM)
     result = trial.end(started, seconds=SOON_S, stopped="timeout").result
-    _holds(result.stopped == "timeout", f"a time limit became {result}")
+    holds(result.stopped == "timeout", f"a time limit became {result}")
     started.stop()
     _nothing_is_left(started)
 
@@ -391,7 +388,7 @@ def is_killed_after_its_grace(trial: Trial) -> None:
     started.until_it_says("ready")
     started.signal(signal.SIGTERM)
     time.sleep(GRACE_S)
-    _holds(bool(started.left()), "the program ended, although it ignores SIGTERM")
+    holds(bool(started.left()), "the program ended, although it ignores SIGTERM")
     started.signal(signal.SIGKILL)
     started.process.wait(SOON_S)
     started.stop()
@@ -406,7 +403,7 @@ def stops_what_lost_its_client(trial: Trial) -> None:
     result = trial.end(started).result
     started.stop()
     _nothing_is_left(started)
-    _holds(result.exit_code is None, f"a killed client became {result}")
+    holds(result.exit_code is None, f"a killed client became {result}")
 
 
 def sweeps_what_is_left_of_a_session(trial: Trial) -> None:
@@ -420,7 +417,7 @@ def sweeps_what_is_left_of_a_session(trial: Trial) -> None:
     started.process.wait()
     trial.engine.sweep([trial.session, "trial-that-never-was"])
     _nothing_is_left(started)
-    _holds(bool(kept.left()), "a container of another session was removed too")
+    holds(bool(kept.left()), "a container of another session was removed too")
     trial.engine.sweep([other.session])
     _wait(lambda: kept.process.poll() is not None, "the client of a removed container is still running")
     _nothing_is_left(kept)
@@ -429,7 +426,7 @@ def sweeps_what_is_left_of_a_session(trial: Trial) -> None:
 def leaves_nothing_behind(trial: Trial) -> None:
     """Check that processes which a program has started end with it, even in a session of their own."""
     started = trial.start("sh", "-c", "(setsid sleep 60 >/dev/null 2>&1 &) ; exit 3")
-    _holds(trial.end(started, seconds=SOON_S).result.exit_code == 3, "the program's exit status was lost")
+    holds(trial.end(started, seconds=SOON_S).result.exit_code == 3, "the program's exit status was lost")
     _nothing_is_left(started)
 
 
@@ -439,8 +436,8 @@ def says_what_cannot_be_started(trial: Trial) -> None:
         result = trial.run(word).result
         if result.error is None:
             raise AssertionError(f"{word!r} cannot be executed, but became {result}")
-        _holds(result.exit_code is None, f"{word!r} cannot be executed, but has the exit status {result.exit_code}")
-        _is_one_line(result.error)
+        holds(result.exit_code is None, f"{word!r} cannot be executed, but has the exit status {result.exit_code}")
+        is_one_line(result.error)
 
 
 def says_that_an_image_is_missing(trial: Trial) -> None:
@@ -448,21 +445,20 @@ def says_that_an_image_is_missing(trial: Trial) -> None:
     result = trial.run("true", box=replace(trial.box(), reference=trial.reference[:-8] + "00000000")).result
     if result.error is None:
         raise AssertionError(f"a missing image became {result}")
-    _is_one_line(result.error)
+    is_one_line(result.error)
 
 
 def enforces_what_it_says(trial: Trial) -> None:
     """Check that the engine enforces the limits that it reports as enforced. Other limits are no reason to fail."""
     box, enforced = trial.box_of_limits(), trial.able.enforced
     ended = trial.script("exit 3", box=box)
-    _holds(ended.result.exit_code == 3, f"with limits, status 3 became {ended.result.error or ended.result}")
+    holds(ended.result.exit_code == 3, f"with limits, status 3 became {ended.result.error or ended.result}")
     if "memory" in enforced:
         _is_held_to_its_memory(trial, box)
     if "pids" in enforced:
-        ended = trial.script(
-            "for i in 0 1 2 3 4 5; do for j in 0 1 2 3 4 5 6 7 8 9; do sleep 2 & done; done; echo all", box=box
-        )
-        _holds(b"all" not in ended.out or b"fork" in ended.err, "60 processes started, but only 50 are allowed")
+        sixty = "for i in 0 1 2 3 4 5; do for j in 0 1 2 3 4 5 6 7 8 9; do sleep 2 & done; done; echo all"
+        ended = trial.script(sixty, box=box)
+        holds(b"all" not in ended.out or b"fork" in ended.err, "60 processes started, but only 50 are allowed")
 
 
 def _is_held_to_its_memory(trial: Trial, box: ContainerSpec) -> None:
@@ -477,10 +473,10 @@ def _is_held_to_its_memory(trial: Trial, box: ContainerSpec) -> None:
         started.signal(signal.SIGKILL)
         status = started.process.wait()
         started.stop()
-    _holds("all" not in started.said(), "a script continues although it exceeded its memory limit")
+    holds("all" not in started.said(), "a script continues although it exceeded its memory limit")
     if status in (-signal.SIGKILL, 128 + signal.SIGKILL):
         result = trial.end(started).result
-        _holds(result.stopped == "memory" or status < 0, f"a program that exceeded its memory limit became {result}")
+        holds(result.stopped == "memory" or status < 0, f"a program that exceeded its memory limit became {result}")
     _nothing_is_left(started)
 
 
@@ -489,10 +485,10 @@ def runs_in_odd_folders(trial: Trial) -> None:
     for name in (*ODD, *ODDER):
         ended = trial.end(trial.start("sh", "-c", "cat ../input; echo done > file", name=f"runs {name}"))
         if ended.result.error and name in ODDER:
-            _is_one_line(ended.result.error)
+            is_one_line(ended.result.error)
             continue
-        _holds(ended.out == b"given", f"in a folder called {name!r}, its input is {ended.out!r}: {ended.result.error}")
-        _holds((ended.folder / RUN_OUTPUT / "file").is_file(), f"in a folder called {name!r}, its output was lost")
+        holds(ended.out == b"given", f"in a folder called {name!r}, its input is {ended.out!r}: {ended.result.error}")
+        holds((ended.folder / RUN_OUTPUT / "file").is_file(), f"in a folder called {name!r}, its output was lost")
 
 
 def starts_many_at_once(trial: Trial) -> None:
@@ -500,10 +496,8 @@ def starts_many_at_once(trial: Trial) -> None:
     with ThreadPoolExecutor(4) as pool:
         ended = list(pool.map(lambda number: trial.script(f"echo {number}; exit {number}"), range(8)))
     for number, one in enumerate(ended):
-        _holds(
-            (one.result.exit_code, one.out) == (number, f"{number}\n".encode()),
-            f"one of many simultaneous containers became {one}",
-        )
+        is_own = (one.result.exit_code, one.out) == (number, f"{number}\n".encode())
+        holds(is_own, f"one of many simultaneous containers became {one}")
 
 
 CLAIMS: tuple[Callable[[Trial], None], ...] = (
@@ -565,16 +559,4 @@ def _nothing_is_left(started: Started) -> None:
 
 
 def _wait(condition: Callable[[], bool], otherwise: str) -> None:
-    give_up = time.monotonic() + PATIENCE_S
-    while not condition():
-        _holds(time.monotonic() < give_up, otherwise)
-        time.sleep(0.02)
-
-
-def _is_one_line(text: str) -> None:
-    _holds(len(text.splitlines()) == 1, f"{text!r} is not one line")
-
-
-def _holds(condition: bool, otherwise: str) -> None:
-    if not condition:
-        raise AssertionError(otherwise)
+    wait(condition, lambda: otherwise, PATIENCE_S)

@@ -17,13 +17,12 @@ from collections.abc import Iterable, Mapping
 from itertools import chain
 from pathlib import Path
 from types import UnionType
-from typing import Any
 
 from sierra.config.project_file import Project, options
 from sierra.errors import SierraError
 from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Remove, Rename, Set
 from sierra.platforms.base import Platform, Reader
-from sierra.testing.option_claims import says_what_its_options_are
+from sierra.testing.claims import holds, is_one_line, says_what_its_options_are
 
 COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python", "arguments"))
 """Placeholders that a command may contain in braces; `sierra.execution.commands` describes each."""
@@ -32,7 +31,7 @@ VARIABLE_PLACEHOLDERS = frozenset(("project", "python"))
 CRITERION_NOBODY_HAS = "no_platform_has_a_criterion_of_this_name"
 DOCUMENTS = (b"<a/>", b"", b"\xff\x00not text\n")
 
-Make = type[Any]
+Make = type[Platform]
 """The class of a platform."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -60,18 +59,17 @@ def check(make: Make, project: Project, template: Reader, examples: Mapping[str,
 def made(make: Make, project: Project) -> Platform:
     """Return a platform of this class, made for a project with its options, as SIERRA makes it."""
     name = project.platform
-    platform: Platform = make(project, options(make.Options, project.platforms.get(name, {}), f"[platforms.{name}]"))
-    return platform
+    return make(project, options(make.Options, project.platforms.get(name, {}), f"[platforms.{name}]"))
 
 
 def gives_the_same_answers(make: Make, project: Project, template: Reader, examples: Mapping[str, Criterion]) -> None:
     """Check that a platform repeats its answers, even if it is made again: they are part of identities."""
     platform = made(make, project)
     first = _answers(platform, template, examples.values())
-    _holds(_answers(platform, template, examples.values()) == first, "the answer differs when it is requested again")
-    _holds(_answers(made(make, project), template, examples.values()) == first, "a new instance gives a different answer")
+    holds(_answers(platform, template, examples.values()) == first, "the answer differs when it is requested again")
+    holds(_answers(made(make, project), template, examples.values()) == first, "a new instance gives a different answer")
     backwards = _answers(made(make, project), template, reversed(list(examples.values())))
-    _holds(backwards[1:] == first[1:], "the answer differs after other calls")
+    holds(backwards[1:] == first[1:], "the answer differs after other calls")
 
 
 def checks_in_one_line(platform: Platform, template: Reader) -> None:
@@ -79,9 +77,9 @@ def checks_in_one_line(platform: Platform, template: Reader) -> None:
     try:
         answer: object = platform.check(template, template)  # type: ignore[func-returns-value]
     except SierraError as error:
-        _is_one_line(str(error))
+        is_one_line(str(error))
         return
-    _holds(answer is None, f"check() is {answer!r}, not None")
+    holds(answer is None, f"check() is {answer!r}, not None")
 
 
 def changes_are_well_formed(platform: Platform, template: Reader) -> None:
@@ -90,7 +88,7 @@ def changes_are_well_formed(platform: Platform, template: Reader) -> None:
     _are_changes(changes)
     for change in changes:
         text = f"{change.value if isinstance(change, Set) else ''}{change.xml if isinstance(change, Add) else ''}"
-        _holds(not _SEEDLESS.search(text), f"{change} uses the seed or the run; only seed_changes and run_changes may")
+        holds(not _SEEDLESS.search(text), f"{change} uses the seed or the run; only seed_changes and run_changes may")
 
 
 def seed_changes_are_well_formed(platform: Platform) -> None:
@@ -98,34 +96,30 @@ def seed_changes_are_well_formed(platform: Platform) -> None:
     changes = platform.seed_changes()
     _are_changes(changes)
     for change in changes:
-        _holds(isinstance(change, Set), f"{change} is not a Set; a seed is a value of its run")
+        holds(isinstance(change, Set), f"{change} is not a Set; a seed is a value of its run")
     used = any("{seed}" in change.value for change in changes if isinstance(change, Set))
-    _holds(used or not changes, "no seed change contains {seed}")
+    holds(used or not changes, "no seed change contains {seed}")
 
 
 def says_none_for_unknown_criteria(platform: Platform, template: Reader) -> None:
     """Check that the answer for an unknown criterion is None, without an error, on any scale."""
-    _holds(
-        CRITERION_NOBODY_HAS not in platform.criteria(), f"criteria() contains {CRITERION_NOBODY_HAS!r}, which no platform has"
-    )
+    unknown = CRITERION_NOBODY_HAS not in platform.criteria()
+    holds(unknown, f"criteria() contains {CRITERION_NOBODY_HAS!r}, which no platform has")
     for scale in (Log(8), Linear(10, 5), Listed(("one", "two")), MonteCarlo(3)):
         answer = platform.criterion(Criterion(CRITERION_NOBODY_HAS, scale), template)
-        _holds(answer is None, f"criterion {CRITERION_NOBODY_HAS!r} is {answer!r}, not None")
+        holds(answer is None, f"criterion {CRITERION_NOBODY_HAS!r} is {answer!r}, not None")
 
 
 def describes_its_criteria(platform: Platform, examples: Mapping[str, Criterion]) -> None:
     """Check that criteria have names that can be columns and a sentence each, and that `examples` has one of each."""
     criteria = platform.criteria()
     for name, sentence in criteria.items():
-        _holds(bool(_NAME.fullmatch(name)), f"{name!r} is not a valid column name; use letters, digits and _")
-        _holds(bool(sentence.strip()), f"criterion {name!r} has no description")
-        _is_one_line(sentence)
-    _holds(
-        set(criteria) == set(examples),
-        f"criteria() has {sorted(criteria)}, but there are examples of {sorted(examples)}",
-    )
+        holds(bool(_NAME.fullmatch(name)), f"{name!r} is not a valid column name; use letters, digits and _")
+        holds(bool(sentence.strip()), f"criterion {name!r} has no description")
+        is_one_line(sentence)
+    holds(set(criteria) == set(examples), f"criteria() has {sorted(criteria)}, but there are examples of {sorted(examples)}")
     for name, criterion in examples.items():
-        _holds(criterion.name == name, f"the example for {name!r} is for {criterion.name!r}")
+        holds(criterion.name == name, f"the example for {name!r} is for {criterion.name!r}")
 
 
 def spans_an_axis(platform: Platform, template: Reader, criterion: Criterion) -> None:
@@ -136,15 +130,13 @@ def spans_an_axis(platform: Platform, template: Reader, criterion: Criterion) ->
     axis, points = answer
     _is(axis, Axis)
     _is(axis.values, tuple)
-    _holds(axis.name == criterion.name, f"the axis of {criterion.name!r} has the name {axis.name!r}")
-    _holds(bool(axis.values), f"the axis {axis.name!r} has no values")
-    _holds(len(set(axis.values)) == len(axis.values), f"the axis {axis.name!r} has duplicate values: {axis.values}")
+    holds(axis.name == criterion.name, f"the axis of {criterion.name!r} has the name {axis.name!r}")
+    holds(bool(axis.values), f"the axis {axis.name!r} has no values")
+    holds(len(set(axis.values)) == len(axis.values), f"the axis {axis.name!r} has duplicate values: {axis.values}")
     for value in axis.values:
-        _holds(type(value) in (int, float, str), f"{value!r} on axis {axis.name!r} is not an int, float or str")
-    _holds(
-        axis.numeric or all(isinstance(value, str) for value in axis.values),
-        f"the axis {axis.name!r} mixes numbers and names: {axis.values}",
-    )
+        holds(type(value) in (int, float, str), f"{value!r} on axis {axis.name!r} is not an int, float or str")
+    of_one_kind = axis.numeric or all(isinstance(value, str) for value in axis.values)
+    holds(of_one_kind, f"the axis {axis.name!r} mixes numbers and names: {axis.values}")
     _are_points(axis, points)
 
 
@@ -152,7 +144,7 @@ def command_is_argv_with_known_placeholders(platform: Platform) -> None:
     """Check that the command is a program with text arguments, and has only known placeholders."""
     command = platform.command()
     _is_a_tuple_of_texts(command, "command()")
-    _holds(bool(command) and bool(command[0]), "command() names no program")
+    holds(bool(command) and bool(command[0]), "command() names no program")
     for word in command:
         _is_filled_as_known(word, COMMAND_PLACEHOLDERS, "command()")
 
@@ -160,7 +152,7 @@ def command_is_argv_with_known_placeholders(platform: Platform) -> None:
 def environment_is_of_no_machine(platform: Platform) -> None:
     """Check that variables have portable names, and values without paths of this machine."""
     for name, value in platform.environment().items():
-        _holds(bool(_NAME.fullmatch(name)), f"{name!r} is not the name of a variable")
+        holds(bool(_NAME.fullmatch(name)), f"{name!r} is not the name of a variable")
         _is_a_tuple_of_texts((value,), f"variable {name}")
         _is_filled_as_known(value, VARIABLE_PLACEHOLDERS, f"variable {name}")
 
@@ -173,15 +165,15 @@ def files_are_safe(platform: Platform) -> None:
         except SierraError:  # a platform that splits its document may refuse invalid ones
             continue
         _is(files, tuple)
-        _holds(bool(files), f"files({document!r}) returns no files")
+        holds(bool(files), f"files({document!r}) returns no files")
         names = [name for name, _ in files]
         for name, content in files:
-            _holds(bool(_FILE.fullmatch(name)), f"{name!r} is not a safe file name; use letters, digits, _ - and .")
+            holds(bool(_FILE.fullmatch(name)), f"{name!r} is not a safe file name; use letters, digits, _ - and .")
             _is(content, bytes)
-        _holds(len({name.lower() for name in names}) == len(names), f"two files have the same name: {names}")
+        holds(len({name.lower() for name in names}) == len(names), f"two files have the same name: {names}")
 
 
-def _answers(platform: Platform, template: Reader, criteria: Iterable[Criterion]) -> list[Any]:
+def _answers(platform: Platform, template: Reader, criteria: Iterable[Criterion]) -> list[object]:
     """Return all answers of a platform. The criteria come first, sorted by name, so that their order does not matter."""
     spanned = {criterion.name: platform.criterion(criterion, template) for criterion in criteria}
     return [
@@ -198,16 +190,14 @@ def _answers(platform: Platform, template: Reader, criteria: Iterable[Criterion]
 
 def _are_points(axis: Axis, points: tuple[Point, ...]) -> None:
     _is(points, tuple)
-    _holds(
-        tuple(point.value for point in points) == axis.values,
-        f"the points of {axis.name!r} do not have the axis's values in order",
-    )
+    in_order = tuple(point.value for point in points) == axis.values
+    holds(in_order, f"the points of {axis.name!r} do not have the axis's values in order")
     for point in points:
         _are_changes(point.changes)
     moved = any(chain.from_iterable(point.changes for point in points)) or len({p.stream for p in points}) > 1
-    _holds(moved or len(points) == 1, f"the points of {axis.name!r} change nothing, not even seeds")
+    holds(moved or len(points) == 1, f"the points of {axis.name!r} change nothing, not even seeds")
     distinct = {(point.changes, point.stream) for point in points}
-    _holds(len(distinct) == len(points), f"two points of {axis.name!r} make the same changes, so they are the same experiment")
+    holds(len(distinct) == len(points), f"two points of {axis.name!r} make the same changes, so they are the same experiment")
 
 
 def _are_changes(changes: tuple[Change, ...]) -> None:
@@ -215,10 +205,10 @@ def _are_changes(changes: tuple[Change, ...]) -> None:
     _is(changes, tuple)
     for change in changes:
         _is(change, Set | Add | Remove | Rename)
-        _holds(bool(change.path.strip()), f"{change} has no path")
-        _holds(change.expect is None or change.expect > 0, f"{change} expects less than one match")
-        _holds(bool(change.why), f"{change} has no `why`, which messages show")
-        _is_one_line(change.why)
+        holds(bool(change.path.strip()), f"{change} has no path")
+        holds(change.expect is None or change.expect > 0, f"{change} expects less than one match")
+        holds(bool(change.why), f"{change} has no `why`, which messages show")
+        is_one_line(change.why)
         if isinstance(change, Set):
             _is(change.value, str)
 
@@ -226,24 +216,15 @@ def _are_changes(changes: tuple[Change, ...]) -> None:
 def _is_filled_as_known(text: str, known: frozenset[str], where: str) -> None:
     """Check that a text has no path of this machine, and only known placeholders."""
     for path in (str(Path.home()), str(Path.cwd())):
-        _holds(path == "/" or path not in text, f"{where} contains {path!r}, a path of this machine; use {{project}}")
+        holds(path == "/" or path not in text, f"{where} contains {path!r}, a path of this machine; use {{project}}")
     unknown = [name for name in _PLACEHOLDER.findall(text) if name not in known]
-    _holds(not unknown, f"{where} has unknown placeholders {unknown}; known are {sorted(known)}")
+    holds(not unknown, f"{where} has unknown placeholders {unknown}; known are {sorted(known)}")
 
 
 def _is_a_tuple_of_texts(value: object, where: str) -> None:
     texts = isinstance(value, tuple) and all(isinstance(word, str) and "\0" not in word for word in value)
-    _holds(texts, f"{where} is {value!r}, not a tuple of texts")
-
-
-def _is_one_line(text: str) -> None:
-    _holds(len(text.splitlines()) == 1, f"{text!r} is not one line")
+    holds(texts, f"{where} is {value!r}, not a tuple of texts")
 
 
 def _is(value: object, kind: type | UnionType) -> None:
-    _holds(isinstance(value, kind), f"{value!r} is {type(value).__name__}, not {kind}")
-
-
-def _holds(condition: bool, otherwise: str) -> None:
-    if not condition:
-        raise AssertionError(otherwise)
+    holds(isinstance(value, kind), f"{value!r} is {type(value).__name__}, not {kind}")

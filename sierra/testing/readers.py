@@ -16,16 +16,18 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from sierra.config.plugin_registry import READERS
+from sierra.config.project_file import RawTable
 from sierra.ingest.base import Columns, described
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
-from sierra.testing.option_claims import holds, is_one_line, says_what_its_options_are
+from sierra.testing.claims import holds, is_one_line, says_what_its_options_are
 from sierra.worker import worker
 
 GARBAGE = (b"", b"\0", b"\xff\xfe\x00", b"PAR1", b"{", b"[" * 10_000, b"\n\n\n", bytes(range(256)))
+Row = Mapping[str, object]
+
 OWN = ("run", "execution")
 """Columns that SIERRA adds to each table."""
 
@@ -38,10 +40,10 @@ class Trial:
     tables: Mapping[bytes, Columns]
     damaged: Sequence[bytes]
     folder: Path
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: RawTable = field(default_factory=dict)
     _count: int = 0
 
-    def read(self, contents: Sequence[bytes]) -> tuple[Reading, dict[str, list[dict[str, Any]]]]:
+    def read(self, contents: Sequence[bytes]) -> tuple[Reading, dict[str, list[Row]]]:
         """Read files as recording does; return the result, and the rows by execution in their order."""
         import pyarrow.parquet as pq
 
@@ -57,7 +59,7 @@ class Trial:
             reading = read(connection, [_written(path, number) for number, path in enumerate(files)], shape, target)
         for path, content in zip(files, contents, strict=True):
             holds(path.read_bytes() == content, "the reader changes the file")
-        rows: dict[str, list[dict[str, Any]]] = {}
+        rows: dict[str, list[Row]] = {}
         for part in sorted(target.parent.iterdir()):
             for row in pq.ParquetFile(part).read().to_pylist():
                 rows.setdefault(row["execution"], []).append({key: row[key] for key in row if key not in OWN})
@@ -70,11 +72,7 @@ class Trial:
 
 
 def check(
-    name: str,
-    tables: Mapping[bytes, Columns],
-    damaged: Sequence[bytes],
-    folder: Path,
-    options: Mapping[str, Any] | None = None,
+    name: str, tables: Mapping[bytes, Columns], damaged: Sequence[bytes], folder: Path, options: RawTable | None = None
 ) -> None:
     """Check all claims about the reader `name`. `folder` is an empty folder; `options` are those of `[readers.NAME]`."""
     trial = Trial(name, tables, damaged, folder, options or {})
@@ -126,7 +124,7 @@ def survives_garbage(trial: Trial) -> None:
             holds("failed: " not in fault, f"the reader itself failed for {content[:40]!r}: {fault}")
 
 
-def _are(rows: Sequence[Mapping[str, Any]], columns: Columns) -> None:
+def _are(rows: Sequence[Row], columns: Columns) -> None:
     wanted = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
     holds(len(rows) == len(wanted), f"the file has {len(wanted)} rows, but {len(rows)} were read")
     for row, expected in zip(rows, wanted, strict=True):

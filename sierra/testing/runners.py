@@ -25,7 +25,6 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from sierra.config.project_file import ClusterTable
 from sierra.model import Job, Limits, Result
@@ -33,7 +32,7 @@ from sierra.provenance import environment
 from sierra.runners.base import Look, Runner, Work
 from sierra.runners.schedulers.base import NAME_LENGTH, Request, Scheduler, State, Task
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
-from sierra.testing.option_claims import says_what_its_options_are
+from sierra.testing.claims import holds, is_one_line, says_what_its_options_are, variable, wait
 
 PATIENCE_S = 60.0
 POLL_S = 0.1
@@ -50,12 +49,12 @@ class Trial:
 
     scheduler: Scheduler
     root: Path
-    made: list[str] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
 
     def request(self, script: str, *elements: int, words: tuple[str, ...] = (), after: str = "") -> Request:
         """Return a request for a shell script that begins in a folder of its own. Its last argument is the element."""
         name = f"sierra-{secrets.token_hex(8)}"[:NAME_LENGTH]
-        self.made.append(name)
+        self.names.append(name)
         folder = self.root / name / ODD
         (folder / "logs").mkdir(parents=True)
         command = ("sh", "-c", script, "sh", *words)
@@ -72,10 +71,7 @@ class Trial:
         return found
 
     def until(self, request: Request, condition: Callable[[tuple[Task, ...]], bool], otherwise: str) -> None:
-        give_up = time.monotonic() + PATIENCE_S
-        while not condition(seen := self.seen(request)):
-            _holds(time.monotonic() < give_up, f"{otherwise}; tasks: {seen}")
-            time.sleep(POLL_S)
+        wait(lambda: condition(self.seen(request)), lambda: f"{otherwise}; tasks: {self.seen(request)}", PATIENCE_S, POLL_S)
 
     def until_ended(self, request: Request) -> None:
         self.until(request, lambda seen: all(task.state == State.ENDED for task in seen), "the job does not end")
@@ -93,7 +89,7 @@ def check(scheduler: Scheduler, folder: Path) -> None:
         for claim in CLAIMS:
             claim(trial)
     finally:
-        for name in trial.made:
+        for name in trial.names:
             scheduler.cancel(name)
 
 
@@ -101,15 +97,15 @@ def refuses_lines_in_one_line(trial: Trial) -> None:
     """Check that its options are clusters' settings, and that the answer to any additional line is None or one line."""
     says_what_its_options_are(trial.scheduler, ClusterTable)
     for line in ("", "-x", "--an-option-of-no-scheduler=1", "words", "'unclosed"):
-        told = trial.scheduler.refuses(line)
-        _holds(told is None or len(told.splitlines()) == 1, f"refuses({line!r}) returned {told!r}, not None or one line")
+        reason = trial.scheduler.refuses(line)
+        holds(reason is None or len(reason.splitlines()) == 1, f"refuses({line!r}) returned {reason!r}, not None or one line")
 
 
 def says_its_version(trial: Trial) -> None:
     """Check that the version is one line, and is repeated."""
     version = trial.scheduler.version()
-    _holds(len(version.splitlines()) == 1, f"{version!r} is not one line")
-    _holds(trial.scheduler.version() == version, "the version differs when it is requested again")
+    is_one_line(version)
+    holds(trial.scheduler.version() == version, "the version differs when it is requested again")
 
 
 def knows_what_is_allowed(trial: Trial) -> None:
@@ -117,30 +113,26 @@ def knows_what_is_allowed(trial: Trial) -> None:
     bounds = trial.scheduler.bounds()
     for name in ("array", "jobs", "wall_s", "running"):
         bound = getattr(bounds, name)
-        _holds(bound is None or bound > 0, f"{name} is {bound}")
+        holds(bound is None or bound > 0, f"{name} is {bound}")
 
 
 def explains_in_a_line(trial: Trial) -> None:
     """Check that an explanation is one line that begins with the scheduler's own words."""
     for words in ("Invalid account", "what nobody has ever said"):
-        told = trial.scheduler.explain(words)
-        _holds(
-            told.startswith(words) and "\n" not in told, f"explain({words!r}) must return one line that begins with these words"
-        )
+        explanation = trial.scheduler.explain(words)
+        begins = explanation.startswith(words) and "\n" not in explanation
+        holds(begins, f"explain({words!r}) must return one line that begins with these words")
 
 
 def says_what_it_hands_over(trial: Trial) -> None:
     """Check that a script contains its command, is repeated, and contains nothing of the environment."""
-    os.environ[CANARY] = "a secret canary"
-    try:
+    with variable(CANARY, "a secret canary"):
         request = trial.request("true", words=("a-word",))
         script = trial.scheduler.script(request)
-        _holds(script == trial.scheduler.script(request), "the script differs when it is requested again")
-    finally:
-        del os.environ[CANARY]
-    _holds(script.startswith("#!"), "a script does not begin with its interpreter")
-    _holds("a-word" in script, "a script does not contain its command")
-    _holds("a secret canary" not in script, "a script contains a value from the environment")
+        holds(script == trial.scheduler.script(request), "the script differs when it is requested again")
+    holds(script.startswith("#!"), "a script does not begin with its interpreter")
+    holds("a-word" in script, "a script does not contain its command")
+    holds("a secret canary" not in script, "a script contains a value from the environment")
 
 
 def executes_each_element_once(trial: Trial) -> None:
@@ -148,40 +140,37 @@ def executes_each_element_once(trial: Trial) -> None:
     for elements in ((0,), (4,), (0, 1, 2), (1, 2, 5)):
         request, _ = trial.run('for last; do :; done; echo "$#" >> "ran-$last"', *elements, words=("first",))
         ran = {path.name: path.read_text() for path in request.folder.glob("ran-*")}
-        _holds(ran == {f"ran-{each}": "2\n" for each in elements}, f"submitted array tasks: {elements}; executed: {ran}")
+        holds(ran == {f"ran-{each}": "2\n" for each in elements}, f"submitted array tasks: {elements}; executed: {ran}")
 
 
 def begins_in_its_folder(trial: Trial) -> None:
     request, _ = trial.run("pwd -P > where")
     where = request.folder / "where"
-    _holds(where.is_file(), f"the job does not begin in {request.folder}")
-    _holds(where.read_text().strip() == str(request.folder.resolve()), f"the job begins in {where.read_text().strip()}")
+    holds(where.is_file(), f"the job does not begin in {request.folder}")
+    holds(where.read_text().strip() == str(request.folder.resolve()), f"the job begins in {where.read_text().strip()}")
 
 
 def passes_words_as_they_are(trial: Trial) -> None:
     """Check that no word of a command is evaluated, split or lost."""
     request, _ = trial.run('printf "<%s>" "$@" > words', words=WORDS)
     wanted, got = "".join(f"<{word}>" for word in (*WORDS, "0")), (request.folder / "words").read_text()
-    _holds(got == wanted, f"{wanted!r} became {got!r}")
+    holds(got == wanted, f"{wanted!r} became {got!r}")
 
 
 def gives_nothing_of_the_environment(trial: Trial) -> None:
-    os.environ[CANARY] = "1"
-    try:
+    with variable(CANARY):
         request, _ = trial.run("env > variables")
-    finally:
-        del os.environ[CANARY]
-    _holds(CANARY not in (request.folder / "variables").read_text(), "jobs see a variable of the caller")
+    holds(CANARY not in (request.folder / "variables").read_text(), "jobs see a variable of the caller")
 
 
 def keeps_logs_apart(trial: Trial) -> None:
     """Check that each element's output and error output are in a file of its own."""
     request, _ = trial.run('echo "printed by $1"; echo "complained by $1" >&2', 0, 1, 3)
     texts = sorted(path.read_text() for path in request.logs.iterdir())
-    _holds(len(texts) == 3, f"3 array tasks have {len(texts)} logs")
+    holds(len(texts) == 3, f"3 array tasks have {len(texts)} logs")
     for text, element in zip(texts, (0, 1, 3), strict=True):
         said = f"printed by {element}" in text and f"complained by {element}" in text
-        _holds(said and text.count("printed by") == 1, f"the log of array task {element} is {text!r}")
+        holds(said and text.count("printed by") == 1, f"the log of array task {element} is {text!r}")
 
 
 def finds_jobs_by_name(trial: Trial) -> None:
@@ -191,11 +180,9 @@ def finds_jobs_by_name(trial: Trial) -> None:
     """
     first, job = trial.submit(UNTIL_TOLD, 0, 2)
     other, another = trial.submit(UNTIL_TOLD)
-    _holds({task.job for task in trial.seen(first)} == {job}, f"job {job} is not found immediately by its name {first.name}")
-    _holds(
-        {task.job for task in trial.seen(other)} == {another},
-        f"job {another} is not found immediately by its name {other.name}",
-    )
+    for number, of in ((job, first), (another, other)):
+        found = {task.job for task in trial.seen(of)}
+        holds(found == {number}, f"job {number} is not found immediately by its name {of.name}")
     trial.until(first, lambda seen: _running(seen) == {0, 2}, "array tasks 0 and 2 never run")
     for request in (first, other):
         (request.folder / "go").touch()
@@ -203,14 +190,14 @@ def finds_jobs_by_name(trial: Trial) -> None:
 
 
 def knows_nothing_of_other_names(trial: Trial) -> None:
-    _holds(trial.seen(trial.request("true")) == (), "jobs are found under a name that no job has")
+    holds(trial.seen(trial.request("true")) == (), "jobs are found under a name that no job has")
 
 
 def may_be_looked_at_after_the_end(trial: Trial) -> None:
     """Check that ended tasks are not reported as alive, however they ended, nor as cancelled."""
     request, _ = trial.run('exit "$1"', 0, 3)
-    _holds(not any(task.cancelled for task in trial.seen(request)), "a job that ended by itself is reported as cancelled")
-    _holds(not [task for task in trial.seen(request) if task.state != State.ENDED], "an ended job is reported as alive")
+    holds(not any(task.cancelled for task in trial.seen(request)), "a job that ended by itself is reported as cancelled")
+    holds(not [task for task in trial.seen(request) if task.state != State.ENDED], "an ended job is reported as alive")
 
 
 def cancels_some(trial: Trial) -> None:
@@ -222,9 +209,9 @@ def cancels_some(trial: Trial) -> None:
     (request.folder / "go").touch()
     trial.until_ended(request)
     ended = sorted(path.name for path in request.folder.glob("done-*"))
-    _holds(ended == ["done-0", "done-3"], f"after array task 1 was cancelled, the others left {ended}")
+    holds(ended == ["done-0", "done-3"], f"after array task 1 was cancelled, the others left {ended}")
     cancelled = {task.element for task in trial.seen(request) if task.cancelled}
-    _holds(cancelled == {1} or (trial.scheduler.forgets and not cancelled), f"array tasks reported as cancelled: {cancelled}")
+    holds(cancelled == {1} or (trial.scheduler.forgets and not cancelled), f"array tasks reported as cancelled: {cancelled}")
 
 
 def cancels_all(trial: Trial) -> None:
@@ -237,7 +224,7 @@ def cancels_all(trial: Trial) -> None:
     trial.scheduler.cancel(request.name)
     (other.folder / "go").touch()
     trial.until_ended(other)
-    _holds((other.folder / "done-0").exists(), "a job of another name was cancelled too")
+    holds((other.folder / "done-0").exists(), "a job of another name was cancelled too")
 
 
 def cancels_nothing_where_there_is_none(trial: Trial) -> None:
@@ -314,9 +301,7 @@ class Ordeal:
     def executed(self, *scripts: str, limits: Limits = NOTHING) -> list[Result]:
         """Execute scripts, and return their results in the same order."""
         errand = self.errand()
-        errand.submit([errand.script(text, limits=limits) for text in scripts])
-        errand.until_over()
-        errand.told_each_once()
+        errand.execute([errand.script(text, limits=limits) for text in scripts])
         return [errand.results[job.execution] for job in errand.jobs]
 
 
@@ -328,24 +313,18 @@ class Errand:
     session: SessionPaths
     shared: Path
     jobs: list[Job] = field(default_factory=list)
-    told: list[Result] = field(default_factory=list)
-    rows: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
+    reported: list[Result] = field(default_factory=list)
+    rows: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
     over: bool = False
 
     @property
     def results(self) -> dict[str, Result]:
-        return {result.execution: result for result in self.told}
+        return {result.execution: result for result in self.reported}
 
     def job(self, argv: Sequence[str], *, limits: Limits = NOTHING, files: Mapping[str, bytes] | None = None) -> Job:
         run, execution = secrets.token_hex(32), secrets.token_hex(32)
-        variables = {
-            "PATH": PATH,
-            "HOME": "\0/home",
-            "SIERRA_RUN_DIR": "\0",
-            "SIERRA_SESSION": self.session.root.name,
-            "SIERRA_EXECUTION": execution,
-            "ODD": " ".join(WORDS),
-        }
+        ids = {"SIERRA_SESSION": self.session.root.name, "SIERRA_EXECUTION": execution}
+        variables = {"PATH": PATH, "HOME": "\0/home", "SIERRA_RUN_DIR": "\0", **ids, "ODD": " ".join(WORDS)}
         return Job(run, execution, tuple(argv), variables, tuple((files or {"in.xml": b"<in/>"}).items()), limits)
 
     def script(self, text: str, *, limits: Limits = NOTHING) -> Job:
@@ -355,6 +334,15 @@ class Errand:
     def submit(self, jobs: Sequence[Job]) -> None:
         self.jobs = list(jobs)
         self.runner.submit(self.work(), self.session)
+
+    def execute(self, jobs: Sequence[Job]) -> None:
+        """Submit jobs, wait for the end of the session, and check that each job has one result."""
+        self.submit(jobs)
+        self.end()
+
+    def end(self) -> None:
+        self.until_over()
+        self.each_is_reported_once()
 
     def work(self) -> Work:
         return Work(iter(self.jobs), len(self.jobs), batch="0" * 64, around=environment.capture("0"))
@@ -366,7 +354,7 @@ class Errand:
 
     def look(self) -> Look:
         look = self.runner.look()
-        self.told += look.results
+        self.reported += look.results
         self.rows += look.rows
         self.over = not look.alive
         if look.wrong is not None:
@@ -377,7 +365,7 @@ class Errand:
         """Look until a condition is true."""
         give_up = time.monotonic() + PATIENCE_S
         while not condition():
-            _holds(time.monotonic() < give_up, otherwise)
+            holds(time.monotonic() < give_up, otherwise)
             self.look()
             time.sleep(POLL_S)
 
@@ -390,14 +378,14 @@ class Errand:
     def has(self, pattern: str) -> int:
         return len(list(self.shared.glob(pattern)))
 
-    def told_each_once(self) -> None:
+    def each_is_reported_once(self) -> None:
         wanted = sorted(job.execution for job in self.jobs)
-        _holds(sorted(result.execution for result in self.told) == wanted, f"{len(wanted)} jobs, but {self._counts()}")
+        holds(sorted(result.execution for result in self.reported) == wanted, f"{len(wanted)} jobs, but {self._counts()}")
         runs = {job.execution: job.run for job in self.jobs}
-        _holds(all(runs[one.execution] == one.run for one in self.told), "a result has the run of another job")
+        holds(all(runs[one.execution] == one.run for one in self.reported), "a result has the run of another job")
 
     def _counts(self) -> str:
-        return f"{len(self.told)} results of {len(self.results)} executions were reported"
+        return f"{len(self.reported)} results of {len(self.results)} executions were reported"
 
     def at_rest(self) -> None:
         """Check that nothing keeps running."""
@@ -431,14 +419,14 @@ def executes_each_job_once(ordeal: Ordeal) -> None:
     began = time.time()
     results = ordeal.executed(*['echo "$1" >> "$0/executed"; echo "$1" > own'] * 7)
     executed = (ordeal.begun[-1].shared / "executed").read_text().split()
-    _holds(sorted(executed) == sorted(job.argv[4] for job in ordeal.begun[-1].jobs), f"submitted jobs: 7; executed: {executed}")
+    holds(sorted(executed) == sorted(job.argv[4] for job in ordeal.begun[-1].jobs), f"submitted jobs: 7; executed: {executed}")
     for result in results:
-        _holds(result.exit_code == 0 and result.error is None, f"a successful job has the result {result}")
+        holds(result.exit_code == 0 and result.error is None, f"a successful job has the result {result}")
         # a node's clock may differ by seconds
-        _holds(began - 5 < result.started <= result.ended < time.time() + 5, f"its times are {result.started}, {result.ended}")
-        _holds(bool(result.host), "a result has no host")
+        holds(began - 5 < result.started <= result.ended < time.time() + 5, f"its times are {result.started}, {result.ended}")
+        holds(bool(result.host), "a result has no host")
     cut = [row for table, row in ordeal.begun[-1].rows if table == "attempts" and row["state"] != "finished"]
-    _holds(not cut, f"everything was executed, but attempts are reported as cut off: {cut}")
+    holds(not cut, f"everything was executed, but attempts are reported as cut off: {cut}")
 
 
 def keeps_what_runs_leave(ordeal: Ordeal) -> None:
@@ -447,29 +435,25 @@ def keeps_what_runs_leave(ordeal: Ordeal) -> None:
     for result in ordeal.executed(text, text):
         folder = Path(result.directory)
         found = {file.path: (folder / RUN_OUTPUT / file.path).read_bytes() for file in result.outputs}
-        _holds(
-            found == {"a/b/t.csv": b"x,y\n1,2\n", "empty": b"", "big": bytes(3_000_000)},
-            f"the reported outputs are {sorted(found)}",
-        )
+        written = {"a/b/t.csv": b"x,y\n1,2\n", "empty": b"", "big": bytes(3_000_000)}
+        holds(found == written, f"the reported outputs are {sorted(found)}")
         for file in result.outputs:
             content = found[file.path]
-            told = (file.bytes, file.sha256) == (len(content), hashlib.sha256(content).hexdigest())
-            _holds(told, f"{file.path} differs from its reported size or hash")
+            described = (file.bytes, file.sha256) == (len(content), hashlib.sha256(content).hexdigest())
+            holds(described, f"{file.path} differs from its reported size or hash")
         printed = (folder / RUN_STDOUT).read_bytes(), (folder / RUN_STDERR).read_bytes()
-        _holds(printed == (b"out\n", b"err\n"), f"the recorded printed output is {printed}")
+        holds(printed == (b"out\n", b"err\n"), f"the recorded printed output is {printed}")
 
 
 def tells_how_each_ended(ordeal: Ordeal) -> None:
     """Check that a failed run has a result, and so has a run that cannot be started."""
     errand = ordeal.errand()
-    errand.submit([errand.script("exit 3"), errand.script("kill -9 $$"), errand.job(("/nowhere/at all",)), errand.script(":")])
-    errand.until_over()
-    errand.told_each_once()
+    errand.execute([errand.script("exit 3"), errand.script("kill -9 $$"), errand.job(("/nowhere/at all",)), errand.script(":")])
     failed, killed, absent, fine = (errand.results[job.execution] for job in errand.jobs)
-    _holds((failed.exit_code, failed.signal, failed.stopped) == (3, None, None), f"exit status 3 became {failed}")
-    _holds((killed.exit_code, killed.signal, killed.stopped) == (None, 9, None), f"a run that was killed became {killed}")
-    _holds(absent.error is not None and absent.exit_code is None, f"a missing program became {absent}")
-    _holds(fine.exit_code == 0 and fine.error is None, f"a successful run became {fine}")
+    holds((failed.exit_code, failed.signal, failed.stopped) == (3, None, None), f"exit status 3 became {failed}")
+    holds((killed.exit_code, killed.signal, killed.stopped) == (None, 9, None), f"a run that was killed became {killed}")
+    holds(absent.error is not None and absent.exit_code is None, f"a missing program became {absent}")
+    holds(fine.exit_code == 0 and fine.error is None, f"a successful run became {fine}")
 
 
 def gives_what_the_job_has(ordeal: Ordeal) -> None:
@@ -480,41 +464,34 @@ def gives_what_the_job_has(ordeal: Ordeal) -> None:
     errand = ordeal.errand()
     script = 'cat "$1/in.xml"; pwd -P; cd "$1/output" && pwd -P; shift; printf "<%s>" "$@"'
     content = bytes(range(256)) * 3
-    errand.submit([errand.job(("sh", "-c", script, "sh", "\0", *WORDS), files={"in.xml": content, "other": b""})])
-    errand.until_over()
-    errand.told_each_once()
-    said = (Path(errand.told[0].directory) / RUN_STDOUT).read_bytes()
-    _holds(said.startswith(content), "its input file differs from the job's")
-    here, there, words = said[len(content) :].decode().split("\n", 2)
-    _holds(here == there, f"the run begins in {here}, but its output folder is {there}")
+    errand.execute([errand.job(("sh", "-c", script, "sh", "\0", *WORDS), files={"in.xml": content, "other": b""})])
+    printed = (Path(errand.reported[0].directory) / RUN_STDOUT).read_bytes()
+    holds(printed.startswith(content), "its input file differs from the job's")
+    here, output, words = printed[len(content) :].decode().split("\n", 2)
+    holds(here == output, f"the run begins in {here}, but its output folder is {output}")
     wanted = "".join(f"<{word}>" for word in WORDS)
-    _holds(words == wanted, f"{wanted!r} became {words!r}")
+    holds(words == wanted, f"{wanted!r} became {words!r}")
 
 
 def gives_exactly_the_jobs_environment(ordeal: Ordeal) -> None:
     """Check that a run's environment has nothing of the caller, the scheduler or the node."""
-    os.environ[CANARY] = "1"
-    try:
-        errand = ordeal.errand()
-        errand.submit([errand.job(("env", "-0")) for _ in range(2)])
-        errand.until_over()
-    finally:
-        del os.environ[CANARY]
-    errand.told_each_once()
+    errand = ordeal.errand()
+    with variable(CANARY):
+        errand.execute([errand.job(("env", "-0")) for _ in range(2)])
     for job in errand.jobs:
-        said = (Path(errand.results[job.execution].directory) / RUN_STDOUT).read_bytes().decode().split("\0")[:-1]
-        seen = dict(line.split("=", 1) for line in said)
+        printed = (Path(errand.results[job.execution].directory) / RUN_STDOUT).read_bytes().decode().split("\0")[:-1]
+        seen = dict(line.split("=", 1) for line in printed)
         wanted = {name: value.replace("\0", seen.get("SIERRA_RUN_DIR", "")) for name, value in job.environment.items()}
         other = sorted(seen.items() ^ wanted.items())
-        _holds(not other, f"the variables differ from the job's: {other}")
+        holds(not other, f"the variables differ from the job's: {other}")
 
 
 def keeps_the_time_limit(ordeal: Ordeal) -> None:
     """Check the time limit of each run. A run that ignores signals is killed."""
     bounds = Limits(wall_s=1.0, grace_s=0.5)
     for result in ordeal.executed("sleep 60", 'trap "" TERM; while :; do sleep 0.1; done', limits=bounds):
-        _holds(result.stopped == "timeout", f"a run over its limit became {result}")
-        _holds(0.9 < result.ended - result.started < PATIENCE_S / 2, f"the run took {result.ended - result.started:.1f} s")
+        holds(result.stopped == "timeout", f"a run over its limit became {result}")
+        holds(0.9 < result.ended - result.started < PATIENCE_S / 2, f"the run took {result.ended - result.started:.1f} s")
 
 
 def looks_at_once(ordeal: Ordeal) -> None:
@@ -526,23 +503,22 @@ def looks_at_once(ordeal: Ordeal) -> None:
         began = time.monotonic()
         look = errand.look()
         took = time.monotonic() - began
-        _holds(took < AT_ONCE_S, f"look() took {took:.1f} s")
-        _holds(look.alive, "the session is reported as ended while a job runs")
+        holds(took < AT_ONCE_S, f"look() took {took:.1f} s")
+        holds(look.alive, "the session is reported as ended while a job runs")
         time.sleep(POLL_S)
     (errand.shared / "go").touch()
-    errand.until_over()
-    errand.told_each_once()
+    errand.end()
 
 
 def ends_when_stopped(ordeal: Ordeal) -> None:
     """Check that `stop` ends the runs in flight, begins no more, and keeps earlier results. It may be called twice."""
     errand = ordeal.errand()
     errand.submit([errand.script("echo 1 > ended"), *(errand.script(UNTIL_GO) for _ in range(6))])
-    errand.until(lambda: bool(errand.told), "an ended run is not reported while others run")
+    errand.until(lambda: bool(errand.reported), "an ended run is not reported while others run")
     errand.until_begun(1)
     is_stopped(errand)
-    good = [result for result in errand.told if result.stopped is None and result.exit_code == 0]
-    _holds([result.execution for result in good] == [errand.jobs[0].execution], f"successful runs after the stop: {good}")
+    good = [result for result in errand.reported if result.stopped is None and result.exit_code == 0]
+    holds([result.execution for result in good] == [errand.jobs[0].execution], f"successful runs after the stop: {good}")
 
 
 def is_stopped(errand: Errand) -> None:
@@ -551,44 +527,43 @@ def is_stopped(errand: Errand) -> None:
     errand.runner.stop()
     errand.until_over()
     errand.look()
-    _holds(errand.over, "the session is alive again after its end")
+    holds(errand.over, "the session is alive again after its end")
     begun = errand.has("begun-*")
     errand.at_rest()
-    _holds(errand.has("begun-*") == begun, "runs begin after the stop")
-    told = [result.execution for result in errand.told]
-    _holds(len(told) == len(set(told)), "a run was reported twice")
+    holds(errand.has("begun-*") == begun, "runs begin after the stop")
+    reported = [result.execution for result in errand.reported]
+    holds(len(reported) == len(set(reported)), "a run was reported twice")
 
 
 def goes_on_for_another(ordeal: Ordeal) -> None:
     """Check that another runner reports exactly the results that are not recorded, and that runs go on and execute once."""
     errand = ordeal.errand()
     errand.submit([errand.script("echo 1 > ended"), errand.script(UNTIL_GO), errand.script(UNTIL_GO)])
-    errand.until(lambda: bool(errand.told), "an ended run is not reported while others run")
+    errand.until(lambda: bool(errand.reported), "an ended run is not reported while others run")
     errand.until_begun(1)
     errand.leave()
-    first = errand.told[0]
+    first = errand.reported[0]
     other = ordeal.resumed(errand, {first.execution: first.attempt})
     (errand.shared / "go").touch()
     other.until_over()
-    told = sorted(result.execution for result in other.told)
-    _holds(told == sorted(job.execution for job in errand.jobs[1:]), f"expected the results of 2 other runs, but got {told}")
-    _holds(all(result.exit_code == 0 for result in other.told), f"runs ended when their runner was closed: {other.told}")
-    _holds(errand.has("begun-*") == 2, "a run was begun more than once")
+    reported = sorted(result.execution for result in other.reported)
+    holds(
+        reported == sorted(job.execution for job in errand.jobs[1:]),
+        f"expected the results of 2 other runs, but got {reported}",
+    )
+    holds(all(result.exit_code == 0 for result in other.reported), f"runs ended when their runner was closed: {other.reported}")
+    holds(errand.has("begun-*") == 2, "a run was begun more than once")
 
 
 def tells_another_of_all(ordeal: Ordeal) -> None:
     """Check that another runner reports all results if nothing is recorded, even those that were reported before."""
     errand = ordeal.errand()
-    errand.submit([errand.script("echo 1 > ended"), errand.script("exit 4")])
-    errand.until_over()
-    errand.told_each_once()
+    errand.execute([errand.script("echo 1 > ended"), errand.script("exit 4")])
     errand.leave()
     other = ordeal.resumed(errand, {})
-    other.until_over()
-    other.told_each_once()
-    _holds(
-        [other.results[job.execution].exit_code for job in errand.jobs] == [0, 4], "the results differ from the first report"
-    )
+    other.end()
+    codes = [other.results[job.execution].exit_code for job in errand.jobs]
+    holds(codes == [0, 4], "the results differ from the first report")
 
 
 def is_stopped_by_another(ordeal: Ordeal) -> None:
@@ -604,10 +579,9 @@ def lives_on_without_its_process(ordeal: Ordeal) -> None:
     errand = killed_after_submission(ordeal)
     other = ordeal.resumed(errand, {})
     (errand.shared / "go").touch()
-    other.until_over()
-    other.told_each_once()
-    _holds(all(result.exit_code == 0 for result in other.told), f"runs ended with the process: {other.told}")
-    _holds(errand.has("begun-*") == 2, "a run was begun more than once")
+    other.end()
+    holds(all(result.exit_code == 0 for result in other.reported), f"runs ended with the process: {other.reported}")
+    holds(errand.has("begun-*") == 2, "a run was begun more than once")
 
 
 def ends_with_its_process(ordeal: Ordeal) -> None:
@@ -630,11 +604,8 @@ def killed_after_submission(ordeal: Ordeal) -> Errand:
                 time.sleep(POLL_S)
         finally:
             os._exit(1)
-    give_up = time.monotonic() + PATIENCE_S
     try:
-        while errand.has("begun-*") < 2:
-            _holds(time.monotonic() < give_up, "2 runs do not begin")
-            time.sleep(POLL_S)
+        wait(lambda: errand.has("begun-*") >= 2, lambda: "2 runs do not begin", PATIENCE_S, POLL_S)
     finally:
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
@@ -669,8 +640,3 @@ def _running(seen: tuple[Task, ...]) -> set[int | None]:
 
 def _alive(seen: tuple[Task, ...]) -> set[int | None]:
     return {task.element for task in seen if task.state != State.ENDED}
-
-
-def _holds(condition: bool, otherwise: str) -> None:
-    if not condition:
-        raise AssertionError(otherwise)

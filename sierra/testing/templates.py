@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from sierra.errors import ConfigError, SierraError, TemplateError
 from sierra.model import Set, Value
 from sierra.templates.base import ARGUMENTS, Document, Files, Rendered, Template
-from sierra.testing.option_claims import holds, is_one_line, says_what_its_options_are
+from sierra.testing.claims import holds, is_one_line, says_what_its_options_are
 
 Make = Callable[[bytes, str], Template]
 NAME = "the template of a trial"
@@ -87,18 +87,14 @@ def renders_safe_files(trial: Trial) -> None:
         return
     names = [name for name, _ in one]
     holds(names == [name for name, _ in _files(other)], "the file names depend on values")
-    holds(
-        bool(names) and len({name.lower() for name in names}) == len(names),
-        f"no files, or two files with the same name: {names}",
-    )
+    different = {name.lower() for name in names}
+    holds(0 < len(different) == len(names), f"no files, or two files with the same name: {names}")
     for name, content in one:
         holds(not name or bool(_FILE.fullmatch(name)), f"{name!r} is not a safe file name; use letters, digits, _ - and .")
         if name == ARGUMENTS:
             words = json.loads(content)
-            holds(
-                isinstance(words, list) and all(isinstance(word, str) for word in words),
-                f"{words!r} is not a list of arguments",
-            )
+            texts = isinstance(words, list) and all(isinstance(word, str) for word in words)
+            holds(texts, f"{words!r} is not a list of arguments")
 
 
 def finds_values(trial: Trial) -> None:
