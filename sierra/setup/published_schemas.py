@@ -14,15 +14,16 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TypedDict, cast
 
-from pydantic import TypeAdapter
+from pydantic import BaseModel, TypeAdapter
 
 from sierra.config.plugin_registry import ENGINES, KINDS, PLATFORMS, READERS, RUNNERS, SCHEDULERS, TEMPLATES, Kind
 from sierra.config.project_file import ClusterTable, Project
 from sierra.errors import PluginError
 from sierra.query.query_input import QueryRequest, RequestFile
 from sierra.store.schema import DERIVED, RECORDED, Table, sql
+from sierra.util.json_types import Json
 
 TOML = "sierra.toml.schema.json"
 QUERY = "query.schema.json"
@@ -33,195 +34,50 @@ All keys of sierra.toml. They may also be in the table [tool.sierra] of pyprojec
 A line that starts with # and no space is an example: remove the # to use it. The text above it describes the key.
 Its type, its default and whether it is required are in brackets. An XPath is XPath 1.0."""
 
+Values = dict[str, Json]
+"""An example of a table."""
+Schema = TypedDict(
+    "Schema",
+    {
+        "$schema": str,
+        "$defs": "dict[str, Schema]",
+        "$ref": str,
+        "title": str,
+        "description": str,
+        "type": str,
+        "default": Json,
+        "anyOf": "list[Schema]",
+        "enum": list[Json],
+        "items": "Schema",
+        "minimum": float,
+        "exclusiveMinimum": float,
+        "properties": "dict[str, Schema]",
+        "required": list[str],
+        "patternProperties": "dict[str, Schema]",
+        "additionalProperties": "Schema | bool",
+    },
+    total=False,
+)
+"""The parts of a JSON Schema that pydantic generates and this module reads."""
 Note = Callable[[str], None]
 """A function that receives a line for people."""
 BARE = re.compile(r"[A-Za-z0-9_-]+")
 """The pattern of a TOML key that needs no quotes."""
-EXAMPLES = r"""
-template = "template.xml"
-command = "python3 sim.py {input}"
-platform = "command"
-runs = 10
-controller = "pheromone"
-scenario = "cluttered"
-
-[seed]
-set = "/experiment/@seed"
-base = 0
-independent = false
-
-[variables.population_size]
-set = "//swarm/@count"
-label = "population size"
-unit = "robots"
-[[variables.density.changes]]
-set = "//arena/@size"
-value = "{10 * density}"
-
-[[changes]]
-set = "//swarm/robot"
-attribute = "radius"
-value = 0.1
-expect = 1
-[[changes]]
-add = "//world"
-xml = '<geom type="box" size=".3 .3 .2"/>'
-at = 0
-[[changes]]
-remove = "//camera"
-[[changes]]
-rename = "//controller"
-to = "{controller}"
-
-[per_run]
-start = [0.1, 0.2, 0.4]
-
-[[run_changes]]
-set = "//swarm/@start"
-value = "{start}"
-
-[[controllers.pheromone.changes]]
-set = "//robot/@controller"
-value = "pheromone"
-
-[[scenarios.cluttered.changes]]
-add = "//world"
-xml = '<geom type="box" size=".3 .3 .2"/>'
-
-[outputs.swarm]
-file = "swarm.csv"
-format = "csv"
-delimiter = ","
-header = false
-columns = ["clock", "energy"]
-time = "clock"
-required = true
-min_rows = 1
-mismatch = "strict"
-units = { clock = "s", energy = "J" }
-tolerance = { energy = { abs = 1e-9, rel = 1e-12, ulp = 4.0 } }
-ordered = false
-volatile = ["written_at"]
-
-[success]
-marker = "stdout"
-contains = "finished"
-exit_status = [0]
-
-[limits]
-wall = 60.0
-cpu = 120.0
-memory = "1 GiB"
-output = "500 MB"
-grace = 5.0
-
-[environment]
-set = { OMP_NUM_THREADS = 4 }
-pass = ["LICENSE_SERVER"]
-record = ["MODEL_ZOO"]
-
-[container]
-image = "localhost/sim:1"
-engine = "podman"
-isolation = "run"
-mounts = { "/data" = "data" }
-variables = { LD_LIBRARY_PATH = "/opt/sim/lib" }
-network = false
-devices = ["/dev/dri"]
-gpu = false
-cpus = 2.0
-pids = 500
-
-[source]
-paths = ["sim.py", "controllers"]
-dirty = "record"
-max_untracked = "50 MB"
-
-[store]
-raw = true
-work_folder = "$SCRATCH"
-
-[determinism]
-probe = true
-
-[equivalence.energy]
-table = "swarm"
-column = "energy"
-measure = "time_to"
-threshold = 1.0
-margin = 0.1
-alpha = 0.05
-[equivalence.energy_at_the_end]
-table = "swarm"
-column = "energy"
-relative = 0.05
-[programs]
-version = "--version"
-versions = { argos3 = "-v" }
-
-[queries.scalability]
-criteria = ["population_size.Log8", "density=1:5:3"]
-runs = 20
-controller = "pheromone"
-scenario = "cluttered"
-
-[figures.energy]
-kind = "timeseries"
-table = "swarm"
-column = "energy"
-times = "own"
-center = "mean"
-title = "Energy over time"
-xlabel = "time [s]"
-ylabel = "energy [J]"
-log_x = false
-log_y = false
-[figures.time_to_one_joule]
-kind = "summary"
-column = "energy"
-measure = "time_to"
-threshold = 1.0
-
-[runners.slurm]
-array_tasks = 20
-cpus = 4
-memory = "8 GiB"
-wall = 3600.0
-partition = "batch"
-account = "swarm"
-qos = "normal"
-constraint = "avx2"
-gpus = 1
-scratch = "$TMPDIR/sierra"
-modules = ["python/3.12", "apptainer"]
-directives = ["--mail-type=END"]
-[runners.tier2]
-scheduler = "pbs"
-partition = "workq"
-
-[platforms.argos]
-length = 300.0
-ticks_per_second = 10
-threads = 0
-visualization = false
-arena = "10x10"
-walls = "//arena/box[starts-with(@id, 'wall')]"
-population = "//distribute/entity[2]/@quantity"
-label = "loop_controller"
-"""
+EXAMPLES = Path(__file__).with_name("all_keys.toml")
 """A `sierra.toml` with all keys, for the commented TOML; a key that it lacks is shown with its default."""
 
 
-def json_schema(note: Note | None = None) -> Mapping[str, Any]:
+def json_schema(note: Note | None = None) -> Schema:
     """Return the JSON Schema of `sierra.toml` (draft 2020-12) with the options of the shipped plug-ins.
 
     With `note`, those of the installed plug-ins are included. `note` receives a line for each one that cannot be used.
     """
-    schema = Project.model_json_schema(by_alias=True)
+    schema = _schema(Project)
     for kind in (PLATFORMS, RUNNERS, TEMPLATES, ENGINES, READERS):
         table = schema["properties"][f"{kind.word}s"]
         named = {name: _define(schema, f"{kind.word}s.{name}", kind.load(name).Options) for name in _with_options(kind, note)}
-        table |= {"properties": named} if named else {}
+        if named:
+            table["properties"] = named
     _clusters(schema, note)
     _formats(schema, note)
     schema["$defs"] = dict(sorted(schema["$defs"].items()))
@@ -253,26 +109,30 @@ def _usable(kind: Kind, note: Note | None) -> Iterator[str]:
             yield name
 
 
-def _define(schema: dict[str, Any], title: str, model: Any) -> dict[str, str]:
+def _schema(model: type[BaseModel]) -> Schema:
+    return cast("Schema", model.model_json_schema(by_alias=True))
+
+
+def _define(schema: Schema, title: str, model: type[BaseModel]) -> Schema:
     """Add the schema of a plug-in's options; return the reference to it."""
-    theirs = model.model_json_schema(by_alias=True)
+    theirs = _schema(model)
     schema["$defs"] |= theirs.pop("$defs", {})
-    schema["$defs"][title] = theirs | {"title": title}
+    schema["$defs"][title] = {**theirs, "title": title}
     return {"$ref": f"#/$defs/{title}"}
 
 
-def _clusters(schema: dict[str, Any], note: Note | None) -> None:
+def _clusters(schema: Schema, note: Note | None) -> None:
     """Add the tables of clusters: those of the shipped schedulers, and those of the installed ones."""
-    schema["$defs"]["ClusterTable"] = ClusterTable.model_json_schema(by_alias=True)
+    schema["$defs"]["ClusterTable"] = _schema(ClusterTable)
     runners = schema["properties"]["runners"]
-    clusters = [{"$ref": "#/$defs/ClusterTable"}]
+    clusters: list[Schema] = [{"$ref": "#/$defs/ClusterTable"}]
     for name in _usable(SCHEDULERS, note):
         clusters.append(_define(schema, f"schedulers.{name}", SCHEDULERS.load(name).Options))
         runners.setdefault("properties", {}).setdefault(name, clusters[-1])
     runners["additionalProperties"] = clusters[0] if len(clusters) == 1 else {"anyOf": clusters}
 
 
-def _formats(schema: dict[str, Any], note: Note | None) -> None:
+def _formats(schema: Schema, note: Note | None) -> None:
     """Add the names of installed readers to the formats of outputs."""
     formats = schema["$defs"]["Output"]["properties"]["format"]["anyOf"][0]["enum"]
     formats.extend(name for name in _usable(READERS, note) if name not in formats)
@@ -308,16 +168,16 @@ def write(folder: Path) -> None:
 class _Reference:
     """The commented TOML of a JSON Schema. The first occurrence of a key carries its explanation."""
 
-    def __init__(self, schema: Mapping[str, Any]) -> None:
+    def __init__(self, schema: Schema) -> None:
         self._schema = schema
         self._said: set[str] = set()
 
     def lines(self) -> Iterator[str]:
-        yield from self._table((), self._schema, [tomllib.loads(EXAMPLES)])
+        yield from self._table((), self._schema, [tomllib.loads(EXAMPLES.read_text())])
 
-    def _table(self, path: tuple[str, ...], model: Mapping[str, Any], examples: list[dict[str, Any]]) -> Iterator[str]:
+    def _table(self, path: tuple[str, ...], model: Schema, examples: list[Values]) -> Iterator[str]:
         """Yield the lines of a table's first example; the first table of its kind also shows the keys that no example has."""
-        known: Mapping[str, Any] = model.get("properties", {})
+        known = model.get("properties", {})
         values = examples[0] | self._lacking(model, examples)
         names = [*(name for name in known if name in values), *(name for name in values if name not in known)]
         below = [name for name in names if _has_header(path, values[name])]
@@ -329,14 +189,14 @@ class _Reference:
             yield ""
             yield from self._below((*path, name), known.get(name) or _of_any(model), values[name])
 
-    def _lacking(self, model: Mapping[str, Any], examples: list[dict[str, Any]]) -> dict[str, Any]:
+    def _lacking(self, model: Schema, examples: list[Values]) -> Values:
         if not self._first(f"{model.get('title')}, completed"):
             return {}
         shown = set(chain.from_iterable(examples))
         known = model.get("properties", {}).items()
         return {name: _placeholder(self._plain(inner)) for name, inner in known if name not in shown}
 
-    def _sentence(self, model: Mapping[str, Any], name: str) -> Iterator[str]:
+    def _sentence(self, model: Schema, name: str) -> Iterator[str]:
         """Yield the meaning of a key, its type, and its default."""
         schema = model.get("properties", {}).get(name)
         if schema is None or not self._first(f"{model.get('title')}.{name}"):
@@ -348,18 +208,21 @@ class _Reference:
             facts.append(f"default {_written(schema['default'])}")
         yield from _prose(f"{schema.get('description', '')} ({'; '.join(facts)})")
 
-    def _below(self, path: tuple[str, ...], schema: Mapping[str, Any], value: Any) -> Iterator[str]:
+    def _below(self, path: tuple[str, ...], schema: Schema, value: Json) -> Iterator[str]:
         """Yield the lines, with headers, of a table, a list of tables or a mapping of names to tables."""
         model, place = self._plain(schema), ".".join(path)
         named = self._plain(_of_any(model))
-        if isinstance(value, list):
-            model = self._plain(model["items"])
-            tables = [(f"#[[{place}]]", path, one) for one in value]
-        elif "properties" in named and "properties" not in model:
-            model = named
-            tables = [(f"#[{place}.{name}]", (*path, name), one) for name, one in value.items()]
-        else:
-            tables = [(f"#[{place}]", path, value)]
+        match value:
+            case list():
+                model = self._plain(model["items"])
+                tables = [(f"#[[{place}]]", path, one) for one in value if isinstance(one, dict)]
+            case dict() if "properties" in named and "properties" not in model:
+                model = named
+                tables = [(f"#[{place}.{name}]", (*path, name), one) for name, one in value.items() if isinstance(one, dict)]
+            case dict():
+                tables = [(f"#[{place}]", path, value)]
+            case _:
+                tables = []
         yield from _prose("" if schema is model else schema.get("description", ""))
         if self._first(str(model.get("title"))):
             yield from _prose(model.get("description", ""))
@@ -372,15 +235,14 @@ class _Reference:
         self._said.add(what)
         return first
 
-    def _plain(self, schema: Mapping[str, Any]) -> Mapping[str, Any]:
+    def _plain(self, schema: Schema) -> Schema:
         """Return the table that a schema refers to, alone or beside a short form; else the schema itself."""
         for option in (schema, *schema.get("anyOf", ())):
             if reference := option.get("$ref"):
-                found: Mapping[str, Any] = self._schema["$defs"][reference.rpartition("/")[2]]
-                return found
+                return self._schema["$defs"][reference.rpartition("/")[2]]
         return schema
 
-    def _type(self, schema: Mapping[str, Any]) -> str:
+    def _type(self, schema: Schema) -> str:
         if options := schema.get("anyOf"):
             return _either(list(dict.fromkeys(self._type(o) for o in options if o.get("type") != "null")))
         if choices := schema.get("enum"):
@@ -396,32 +258,35 @@ class _Reference:
                 return {"string": "text", "boolean": "true or false"}.get(str(kind), "table")
 
 
-def _has_header(path: tuple[str, ...], value: Any) -> bool:
+def _has_header(path: tuple[str, ...], value: Json) -> bool:
     """Return whether a value has a header of its own; tables within tables are written in one line."""
     tables = isinstance(value, dict) or (isinstance(value, list) and value != [] and isinstance(value[0], dict))
     return tables and path in ((), *((f"{kind.word}s",) for kind in KINDS))
 
 
-def _of_any(schema: Mapping[str, Any]) -> Mapping[str, Any]:
+def _of_any(schema: Schema) -> Schema:
     """Return the schema of the values of a mapping with arbitrary names."""
-    free = schema.get("additionalProperties")
-    return next(iter(schema.get("patternProperties", {}).values()), free if isinstance(free, dict) else {})
+    for named in schema.get("patternProperties", {}).values():
+        return named
+    free = schema.get("additionalProperties", False)
+    return {} if isinstance(free, bool) else free
 
 
-def _placeholder(schema: Mapping[str, Any]) -> Any:
+def _placeholder(schema: Schema) -> Json:
     """Return a value for a key without an example: its default, or one of its type."""
     if schema.get("default") is not None:
         return schema["default"]
     options = [schema, *schema.get("anyOf", ())]
     kinds = [option["type"] for option in options if option.get("type", "null") != "null"]
-    return {"integer": 1, "number": 1.0, "boolean": False, "array": [], "object": {}}.get(kinds[0] if kinds else "", "")
+    of_kind: Values = {"integer": 1, "number": 1.0, "boolean": False, "array": [], "object": {}}
+    return of_kind.get(kinds[0] if kinds else "", "")
 
 
 def _either(options: list[str]) -> str:
     return " or ".join([", ".join(options[:-1]), options[-1]]) if len(options) > 1 else options[0]
 
 
-def _bound(schema: Mapping[str, Any]) -> str:
+def _bound(schema: Schema) -> str:
     if "exclusiveMinimum" in schema:
         return f" above {schema['exclusiveMinimum']:g}"
     return f" from {schema['minimum']:g}" if "minimum" in schema else ""
@@ -432,7 +297,7 @@ def _prose(text: str) -> list[str]:
     return [f"# {line}" for line in lines]
 
 
-def _written(value: Any) -> str:
+def _written(value: Json) -> str:
     """Return a value as TOML."""
     match value:
         case str() if '"' in value and "'" not in value:

@@ -14,7 +14,6 @@ import os
 import sys
 from pathlib import Path
 from random import Random
-from typing import Any
 
 os.environ["MUJOCO_GL"] = "disable"  # physics alone: `import mujoco` need not look for a display
 
@@ -23,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+Cells = npt.NDArray[np.int_]
 
 
 def vectors(headings: list[float]) -> Floats:
@@ -43,7 +43,7 @@ class InputError(Exception):
 class Swarm:
     """The robots and their world. Positions are arrays of (robots, 2) in m, headings are in rad."""
 
-    def __init__(self, model: Any) -> None:
+    def __init__(self, model: mj.MjModel) -> None:
         self.model, self.data, self.size = model, mj.MjData(model), model.nq // 2
         if self.size < 1 or not model.nq == model.nv == model.nu == 2 * self.size:
             raise InputError("there must be one robot or more, each with two slide joints and two motors")
@@ -80,7 +80,7 @@ class Swarm:
         """Pairs of robots that touch, the smaller number first; it is -1 for what is no robot."""
         return {(min(pair), max(pair)) for pair in self.robot_of_geom[self.data.contact.geom].tolist()}
 
-    def cells(self, points: Floats) -> tuple[Any, Any]:
+    def cells(self, points: Floats) -> tuple[Cells, Cells]:
         """The indices of the floor's cells that points lie in; the outermost ring is all beyond the walls."""
         index = np.floor((points + self.half) / self.cell).astype(int) + 1
         index = np.minimum(np.maximum(index, 0), self.last)
@@ -149,7 +149,7 @@ def pheromone(swarm: Swarm) -> list[float]:
 CONTROLLERS = {"random_walk": random_walk, "pheromone": pheromone}
 
 
-def simulate(model: Any, folder: Path) -> None:
+def simulate(model: mj.MjModel, folder: Path) -> None:
     """Run the whole experiment and write its two files."""
     controller = text(model, "controller")
     if controller not in CONTROLLERS:
@@ -171,7 +171,7 @@ def simulate(model: Any, folder: Path) -> None:
                 poses.writerows([tick / rate, robot, *xy] for robot, xy in enumerate(swarm.positions.tolist()))
 
 
-def number(model: Any, name: str, *, positive: bool = False) -> float:
+def number(model: mj.MjModel, name: str, *, positive: bool = False) -> float:
     """A `<custom><numeric>` of the input. Raises InputError where it is negative, or 0 and has to be positive."""
     value = float(model.numeric(name).data[0])
     if not 0 <= value < math.inf or (positive and value == 0):
@@ -179,7 +179,7 @@ def number(model: Any, name: str, *, positive: bool = False) -> float:
     return value
 
 
-def text(model: Any, name: str) -> str:
+def text(model: mj.MjModel, name: str) -> str:
     """A `<custom><text>` of the input."""
     found = mj.mj_name2id(model, mj.mjtObj.mjOBJ_TEXT, name)
     if found < 0:
