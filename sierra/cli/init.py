@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from sierra.util.text import one_line
+
 if TYPE_CHECKING:
     from sierra.setup.init.answers import Question
     from sierra.setup.init.write import Guess
@@ -67,9 +69,9 @@ def _ask(question: Question, check: Callable[[str], T]) -> T:
     text, before, last = question.text.rpartition("\n")
     print(text, end=before)
     for number, choice in enumerate(question.choices if question.choices != (question.default,) else (), 1):
-        print(f"  {number}  {_one_line(choice)}")
+        print(f"  {number}  {one_line(choice)}")
     while True:
-        shown = f"{last} [{_one_line(question.default)}]" if question.default else last
+        shown = f"{last} [{one_line(question.default)}]" if question.default else last
         answer = typer.prompt(shown, default="", show_default=False).strip() or question.default
         if answer is None:
             continue
@@ -90,12 +92,12 @@ def _say(folder: Path, path: Path, guess: Guess, *, as_json: bool) -> None:
         return
     print(f"wrote {path}")
     started = guess.command or f"platform {guess.platform}"
-    seed = f"; seed {_one_line(guess.seed)}" if guess.seed else ""
-    print(f"  template {_one_line(guess.template)}; {_one_line(started)}{seed}")
+    seed = f"; seed {one_line(guess.seed)}" if guess.seed else ""
+    print(f"  template {one_line(guess.template)}; {one_line(started)}{seed}")
     for name, place in guess.variables.items():
-        print(f"  {name} = {_one_line(place)}")
+        print(f"  {name} = {one_line(place)}")
     for text in guess.notes:
-        note(_one_line(text))
+        note(one_line(text))
     if command:
         print(f"next: {command}    (this only shows the runs; without -n they execute)")
     else:
@@ -139,7 +141,3 @@ def _absent(folder: Path) -> str | None:
 
 def _there(folder: Path) -> str:
     return "" if folder.resolve() == Path.cwd() else f"cd {shlex.quote(str(folder))} && "
-
-
-def _one_line(text: str) -> str:
-    return "".join(c if c.isprintable() else c.encode("unicode_escape", "backslashreplace").decode() for c in text)

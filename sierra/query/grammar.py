@@ -31,6 +31,7 @@ from sierra.errors import QueryError, UsageError
 from sierra.model import ConstantDensity, Criterion, Linear, Listed, Log, MonteCarlo, Scale, Span, Steps, Value, VariableDensity
 from sierra.query import ranges
 from sierra.store.schema import RESERVED
+from sierra.util.text import outside
 
 """`RESERVED` has the names of the store's own columns, which axes must not use; SQL ignores case."""
 MONTE_CARLO = "montecarlo"
@@ -289,16 +290,7 @@ def _shown(what: object) -> str:
 
 def setting(text: str) -> tuple[str, str]:
     """Split XPATH=VALUE at the first `=` that is not within brackets or quotes. Raises UsageError."""
-    depth, quote = 0, ""
-    for place, character in enumerate(text):
-        if quote:
-            quote = "" if character == quote else quote
-        elif character in "'\"":
-            quote = character
-        elif character in "[(":
-            depth += 1
-        elif character in ")]":
-            depth -= 1
-        elif character == "=" and depth == 0 and place:
+    for place in outside(text, "="):
+        if place:
             return text[:place], text[place + 1 :]
     raise UsageError(f"--set {text!r}: use XPATH=VALUE, for example --set \"//numeric[@name='noise']/@data=0.5\"")

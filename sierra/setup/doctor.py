@@ -18,13 +18,15 @@ from sierra.errors import SierraError
 from sierra.provenance.environment import usable_cores
 from sierra.store.layout import StorePaths, user_settings
 
+State = Literal["ok", "absent", "missing"]
+
 
 @dataclass(frozen=True, slots=True)
 class Check:
     """The result of one check. State `missing` means needed but not found, `absent` means optional and not found."""
 
     name: str
-    state: Literal["ok", "absent", "missing"]
+    state: State
     found: str
     remedy: str = ""
 
@@ -43,22 +45,14 @@ def all_checks() -> list[Check]:
 
 
 def _machine() -> Iterator[Check]:
-    version = platform.python_version()
-    fits = sys.version_info >= (3, 11)
-    yield Check("python", "ok" if fits else "missing", f"{version} ({sys.executable})", "" if fits else "install 3.11 or newer")
+    version = f"{platform.python_version()} ({sys.executable})"
+    yield _check("python", sys.version_info >= (3, 11), version, "install 3.11 or newer")
     yield Check("cores", "ok", f"{usable_cores()} usable")
     free = shutil.disk_usage(Path.cwd()).free
-    room = free > 1 << 30
-    yield Check("disk", "ok" if room else "missing", f"{free / 1e9:.1f} GB free here", "" if room else "free some disk space")
+    yield _check("disk", free > 1 << 30, f"{free / 1e9:.1f} GB free here", "free some disk space")
     reaper = Path(f"/proc/self/task/{os.getpid()}/children").exists()
-    yield Check(
-        "process supervision",
-        "ok" if reaper else "absent",
-        "processes that leave their process group are found and ended"
-        if reaper
-        else "processes that leave their process group are not found",
-        "" if reaper else "use a Linux kernel with CONFIG_PROC_CHILDREN",
-    )
+    found = f"processes that leave their process group are {'found and ended' if reaper else 'not found'}"
+    yield _check("process supervision", reaper, found, "use a Linux kernel with CONFIG_PROC_CHILDREN", "absent")
 
 
 def _settings() -> Iterator[Check]:
@@ -70,22 +64,17 @@ def _settings() -> Iterator[Check]:
 
 
 def _libraries() -> Iterator[Check]:
-    for name in LIBRARIES:
+    for name in (*LIBRARIES, *OPTIONAL):
         try:
             yield Check(name, "ok", metadata.version(name))
         except metadata.PackageNotFoundError:
-            yield Check(name, "missing", "not installed", f"pip install {name}")
-    for name, use in OPTIONAL.items():
-        try:
-            yield Check(name, "ok", metadata.version(name))
-        except metadata.PackageNotFoundError:
-            yield Check(name, "absent", "not installed", use)
+            state: State = "absent" if name in OPTIONAL else "missing"
+            yield Check(name, state, "not installed", OPTIONAL.get(name, f"pip install {name}"))
 
 
 def _programs() -> Iterator[Check]:
     path = shutil.which("git")
-    remedy = "" if path else "needed for projects in git: install git"
-    yield Check("git", "ok" if path else "absent", path or "not installed", remedy)
+    yield _check("git", path is not None, path or "not installed", "needed for projects in git: install git", "absent")
 
 
 def _plugins() -> Iterator[Check]:
@@ -98,8 +87,8 @@ def _plugins() -> Iterator[Check]:
                 keys = ", ".join(key for key in found.Options.model_fields if key in own) or "none"
                 yield Check(f"{kind.word} {name}", "ok", f"from {kind.packages(name)[0]}, options: {keys}")
             except SierraError as error:
-                told, _, remedy = str(error).rpartition("; ")
-                yield Check(f"{kind.word} {name}", "missing", told, remedy)
+                problem, _, remedy = str(error).rpartition("; ")
+                yield Check(f"{kind.word} {name}", "missing", problem, remedy)
 
 
 def _engines() -> Iterator[Check]:
@@ -119,12 +108,12 @@ def _engines() -> Iterator[Check]:
             yield Check(name, "absent", found, remedy)
         else:
             slow = name == "podman" and podman_images.driver() == "vfs"
-            told = ["SLOW: its storage driver vfs copies whole images, so runs take 2 to 3 times as long"] if slow else []
+            warning = ["SLOW: its storage driver vfs copies whole images, so runs take 2 to 3 times as long"] if slow else []
             remedy = 'install fuse-overlayfs, or set driver = "overlay" in storage.conf' if slow else ""
-            yield Check(name, "ok", ", ".join([able.version, *_said(able), *told]), remedy)
+            yield Check(name, "ok", ", ".join([able.version, *_properties(able), *warning]), remedy)
 
 
-def _said(able: Capabilities) -> Iterator[str]:
+def _properties(able: Capabilities) -> Iterator[str]:
     """Yield the properties and limitations of an engine's containers."""
     yield f"{'rootless' if able.rootless else 'as root'}, outputs belong to {able.user}"
     ignored = {"cpus", "pids"} - able.enforced
@@ -179,11 +168,14 @@ def _project() -> Iterator[Check]:
     yield _tried("command", find_program)
     if project.config.requires:
         absent = required_packages.missing(project.config, contained=project.config.container is not None)
-        state: Literal["ok", "missing"] = "missing" if absent else "ok"
-        told = f"not installed: {', '.join(absent)}" if absent else ", ".join(project.config.requires)
-        yield Check("requires", state, told, required_packages.remedy(absent) if absent else "")
+        found = f"not installed: {', '.join(absent)}" if absent else ", ".join(project.config.requires)
+        yield _check("requires", not absent, found, required_packages.remedy(absent))
     if project.paths.store.exists():
         yield _tried("store", lambda: f"{len(project.batches)} batches")
+
+
+def _check(name: str, fits: bool, found: str, remedy: str, otherwise: State = "missing") -> Check:
+    return Check(name, "ok" if fits else otherwise, found, "" if fits else remedy)
 
 
 def _tried(name: str, what: Callable[[], str]) -> Check:

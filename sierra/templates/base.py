@@ -15,6 +15,7 @@ from sierra.config.plugin_registry import TEMPLATES, Tables
 from sierra.config.project_file import Table
 from sierra.errors import Missing, TemplateError
 from sierra.model import Change, Value
+from sierra.util.text import one_line
 
 Files = tuple[tuple[str, bytes], ...]
 """Names and contents of files."""
@@ -103,7 +104,7 @@ def read(path: Path, tables: Tables | None = None) -> Template:
 
     Raises Missing if the file cannot be read, TemplateError if it is not a template.
     """
-    name = _one_line(str(path))
+    name = one_line(str(path))
     try:
         if path.exists() and not path.is_file():
             raise TemplateError(f"{name}: not a file; a template must be a file")
@@ -118,7 +119,3 @@ def read(path: Path, tables: Tables | None = None) -> Template:
 def formats() -> tuple[str, ...]:
     """Return the names of all available template formats, the shipped ones first."""
     return TEMPLATES.names()
-
-
-def _one_line(text: str) -> str:
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -29,6 +29,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import ClassVar, Literal, TypeAlias, TypeGuard
 
 from lxml import etree
@@ -42,6 +43,7 @@ from sierra.templates.arithmetic import fill, names
 from sierra.templates.base import Rendered
 from sierra.templates.same_number import same
 from sierra.util.hashing import sha256
+from sierra.util.text import one_line, outside
 
 Element: TypeAlias = etree._Element
 Text: TypeAlias = etree._ElementUnicodeResult
@@ -105,14 +107,14 @@ class XmlDocument:
             try:
                 document._make(change, filled)
             except ValueError as error:  # lxml's error about names
-                raise self._frame.error(change, "cannot be changed", f": {_line(error)}") from error
+                raise self._frame.error(change, "cannot be changed", f": {one_line(error)}") from error
             except ConfigError as error:
                 raise ConfigError(f"{_who(change)}{error}") from error
         return document
 
     def select(self, path: str, who: str = "") -> list[Node]:
         """Return the nodes that a path selects. Raises TemplateError if it is not a path to nodes."""
-        shown = _line(path)
+        shown = one_line(path)
         if not xpath_time_limit.ends(path, self._namespaces, self._root):
             raise TemplateError(
                 f"{who}{shown} takes more than {xpath_time_limit.LIMIT_S} s of computing time in {self._frame.name}; "
@@ -122,7 +124,7 @@ class XmlDocument:
             found = etree.XPath(path, namespaces=self._namespaces, regexp=False)(self._root)
         except (etree.XPathError, ValueError) as error:
             known = f"; known prefixes are {', '.join(self._namespaces)}" if "prefix" in str(error) and self._namespaces else ""
-            raise TemplateError(f"{who}{shown} is not an XPath for {self._frame.name}: {_line(error)}{known}") from error
+            raise TemplateError(f"{who}{shown} is not an XPath for {self._frame.name}: {one_line(error)}{known}") from error
         if not isinstance(found, list):
             kind = {bool: "a boolean", float: "a number"}.get(type(found), "a string")
             raise TemplateError(f"{who}{shown} returns {kind}, but must select nodes in {self._frame.name}")
@@ -217,7 +219,7 @@ class XmlDocument:
         if isinstance(change, Set) and not change.attribute:  # a text and adjacent CDATA are one place
             found = list({_place(node) or node: node for node in found}.values())
         if not found:
-            raise self._frame.error(change, "matches nothing", _line(self._nearest(change.path)))
+            raise self._frame.error(change, "matches nothing", one_line(self._nearest(change.path)))
         if change.expect is not None and len(found) != change.expect:
             raise self._frame.error(change, f"matches {len(found)}", f", not {change.expect} as expected")
         return found
@@ -405,7 +407,7 @@ class _Frame:
 
     def error(self, change: Change, what: str, more: str) -> TemplateError:
         """Return an error with a one-line message: the source of the change, its path, and what is wrong in this template."""
-        return TemplateError(f"{_who(change)}{_line(change.path)} {what} in {self.name}{more}")
+        return TemplateError(f"{_who(change)}{one_line(change.path)} {what} in {self.name}{more}")
 
     def lacks(self, text: str) -> bool:
         try:
@@ -490,7 +492,7 @@ def parse(data: bytes, name: str) -> etree._ElementTree:
 
 
 def _reason(error: Exception) -> str:
-    return re.sub(r", line \d+, column \d+.*$", "", _line(getattr(error, "msg", None) or "the document is empty"))
+    return re.sub(r", line \d+, column \d+.*$", "", one_line(getattr(error, "msg", None) or "the document is empty"))
 
 
 def declarations(root: Element) -> dict[str, str]:
@@ -663,18 +665,9 @@ _SIMPLE_PREDICATE = re.compile(r"""\[\s*@([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')\s*\]
 
 def _steps(path: str) -> list[str]:
     """Split a path into steps: `//swarm/@count` into `//swarm` and `/@count`."""
-    steps, depth, quote = [""], 0, ""
-    for character in path.strip():
-        if quote or character in "\"'":
-            quote = "" if character == quote else quote or character
-        elif character in "[(":
-            depth += 1
-        elif character in "])":
-            depth -= 1
-        elif character == "/" and not depth and steps[-1].strip("/"):
-            steps.append("")
-        steps[-1] += character
-    return steps
+    path = path.strip()
+    starts = [place for place in outside(path, "/") if place and path[place - 1] != "/"]
+    return [path[start:end] for start, end in pairwise((0, *starts, len(path)))]
 
 
 def _closest(name: str, known: list[str]) -> str | None:
@@ -685,9 +678,4 @@ def _closest(name: str, known: list[str]) -> str | None:
 
 
 def _who(change: Change) -> str:
-    return f"{_line(change.why)}: " if change.why else ""
-
-
-def _line(text: object) -> str:
-    """Return a text on one line, with control characters escaped."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape", "backslashreplace").decode() for c in str(text))
+    return f"{one_line(change.why)}: " if change.why else ""

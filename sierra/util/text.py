@@ -1,9 +1,9 @@
-"""Short texts for lists and numbers: the first items and the number of the others, plurals, ranges, natural sorting."""
+"""Short texts for lists and numbers, texts on one line, natural sorting, and the structure of paths."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 
 def few(things: Sequence[str], most: int) -> str:
@@ -15,6 +15,25 @@ def few(things: Sequence[str], most: int) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a number with its noun: `1 element`, `2 elements`."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def one_line(text: object) -> str:
+    """Return a text on one line, with control characters escaped."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+
+
+def outside(text: str, wanted: str) -> Iterator[int]:
+    """Yield the places of a character that are outside of brackets and quotes."""
+    depth, quote = 0, ""
+    for place, character in enumerate(text):
+        if quote or character in "'\"":
+            quote = "" if character == quote else quote or character
+        elif character in "[(":
+            depth += 1
+        elif character in ")]":
+            depth -= 1
+        elif character == wanted and not depth:
+            yield place
 
 
 def natural(name: str) -> tuple[tuple[str | int, ...], str]:

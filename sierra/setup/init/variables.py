@@ -1,15 +1,103 @@
-"""Paths into the template for the seed and the variables; each is tested before it is accepted."""
+"""The variables of a first `sierra.toml`: their names and paths in the template, and a first query over one of them.
+
+Each path is tested before it is accepted.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import contextlib
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from decimal import Decimal
 from functools import partial
 
-from sierra.errors import UsageError
+from sierra.design.experiments import GROUPED
+from sierra.errors import QueryError, SierraError, UsageError
 from sierra.model import Change, Set
+from sierra.platforms.base import Platform
+from sierra.query import grammar
 from sierra.setup.init.answers import NONE, SHOWN, Ask, Question, settled
-from sierra.setup.init.variable_names import mistaken
 from sierra.templates.base import Template
+
+NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+NUMBER = re.compile(r"[+-]?\d+(\.\d+)?")
+CROWDS = frozenset(
+    ["population", "robots", "agents", "swarm", "individuals", "vehicles", "drones", "boids", "ants", "particles"]
+)
+COUNTS = frozenset(["quantity", "count", "number", "num", "n", "amount"])
+BESIDE = frozenset(["size", "of", "total", "model"])
+GENERIC = frozenset(["value", "val", "default", "data"])
+SELDOM = frozenset(["id", "name", "version", "port", "threads"])
+POPULATION = "population_size"
+FEW = 16
+"""The largest value that doubling from 1 reaches soon enough."""
+
+
+def numbers(template: Template) -> dict[str, str]:
+    """Return the paths that select one number, with the number."""
+    return {path: value.strip() for path, value in template.attributes() if NUMBER.fullmatch(value.strip())}
+
+
+def seeds(numbers: Iterable[str]) -> tuple[str, ...]:
+    """Return the paths of numbers that are called a seed."""
+    return tuple(path for path in numbers if any(word.endswith("seed") for word in _words(_called(path)[0])))
+
+
+def named(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
+    """Return possible variables by name.
+
+    The number of robots comes first, as population_size, unless `known` already has a criterion for it.
+    """
+    robots = None if known else _counting(numbers)
+    found = {"population_size": robots} if robots else {}
+    for path in numbers:
+        short, element = _called(path)
+        proposed = (re.sub(r"\W", "_", name, flags=re.ASCII) for name in (short, f"{element}_{short}"))
+        name = next((name for name in proposed if not mistaken(name, {*found, *known})), None)
+        if name and path != robots and short.lower() not in SELDOM and len(found) <= SHOWN:
+            found[name] = path
+    return found
+
+
+def mistaken(name: str, known: Iterable[str]) -> str | None:
+    """Return why queries or the store cannot have a name, and what would be right; None if they can."""
+    if not NAME.fullmatch(name):
+        return "this is not a name of letters, digits and _; use a name such as my_name"
+    if name in GROUPED:
+        return f"this name has another meaning in queries; use another name, such as my_{name}"
+    if name.lower() in {other.lower() for other in known}:
+        return "this name is used already; use another name"
+    try:
+        grammar.parse_all([f"{name}=1"])
+    except QueryError as error:
+        return str(error).rpartition(": ")[2]
+    return None
+
+
+def _counting(numbers: Mapping[str, str]) -> str | None:
+    """Return the path that most likely selects the number of robots; None if no path does."""
+    counts = [
+        (path, set(_words(short)), set(_words(element)))
+        for path, value in numbers.items()
+        for short, element in [_called(path)]
+        if value.isdigit() and set(_words(short)) <= CROWDS | COUNTS | BESIDE
+    ]
+    likely = [path for path, words, around in counts if (words | around) & CROWDS]
+    return next(iter([*likely, *(path for path, words, _ in counts if words & COUNTS)]), None)
+
+
+def _called(path: str) -> tuple[str, str]:
+    """Return a name for what a path selects, and its element: for `//param[@name='speed']/@value`, the name is speed."""
+    element, _, attribute = path.rpartition("/@") if "/@" in path else (path, "", "")
+    named = re.search(r"\[(?:@\w+|local-name\(\))='(.+)'\]$", element)
+    label = named[1] if named else re.split("[/:]", element)[-1]
+    attribute = attribute.rpartition(":")[2]
+    return (label if not attribute or attribute.lower() in GENERIC else attribute), label
+
+
+def _words(name: str) -> list[str]:
+    """Return the words of a name: `numRobots` and `num_robots` are num, robots."""
+    return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)]
 
 
 def choose_seed(template: Template, found: Sequence[str], given: str | None, ask: Ask | None) -> str | None:
@@ -96,3 +184,33 @@ def _one_more(template: Template, per_run: Sequence[Change], chosen: dict[str, s
         return {other: path for other, path in chosen.items() if other != name}
     name, path = _check(template, per_run, chosen, text)
     return {other: place for other, place in chosen.items() if place != path} | {name: path}
+
+
+def first_query(platform: Platform, template: Template, variables: Mapping[str, str]) -> str | None:
+    """Return a query over the platform's population, or else over the first variable; None if there is neither."""
+    criterion = grammar.parse(f"{POPULATION}.Log8")
+    with contextlib.suppress(SierraError):  # the platform finds no population in the template
+        if POPULATION not in variables and platform.criterion(criterion, template):
+            return grammar.text(criterion)
+    return next((_around(name, template.find(path)[0].strip()) for name, path in variables.items()), None)
+
+
+def _around(name: str, value: str) -> str:
+    if not re.fullmatch(r"[+-]?\d{1,6}(\.\d{1,6})?", value, re.ASCII):
+        return _word(name, value)
+    number = Decimal(value)
+    if not number:
+        return f"{name}=0:1:5" if "." in value else f"{name}=0,1,2"
+    if value.isdigit() and (name == POPULATION or number <= FEW):
+        return f"{name}.Log8"
+    return f"{name}=" + ",".join(f"{(number * times).normalize():f}" for times in (Decimal("0.5"), 1, 2))
+
+
+def _word(name: str, value: str) -> str:
+    """Return a criterion with the word's own value, as an example; with VALUE if a query cannot contain that value."""
+    if value.lower() in ("true", "false"):
+        return f"{name}=true,false" if value.islower() else f"{name}=True,False"
+    try:
+        return grammar.text(grammar.parse(f"{name}={value}"))
+    except QueryError:
+        return f"{name}=VALUE"

@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import shutil
+from importlib import resources
 from pathlib import Path
 
+from sierra.errors import UsageError
 from sierra.model import Set
-from sierra.setup.init import command, folder, source, variable_names, variables
+from sierra.setup.init import command, folder, source, variables
 from sierra.setup.init.answers import Ask, Options, Question
-from sierra.setup.init.example import copy_example
-from sierra.setup.init.first_query import first_query
 from sierra.setup.init.write import Guess, write
 
 __all__ = ["Ask", "Guess", "Options", "Question", "copy_example", "find_out", "write"]
@@ -27,13 +28,11 @@ def find_out(root: Path, said: Options, ask: Ask | None = None) -> Guess:
     template, content = folder.template(root, said.template, ask)
     started = command.choose(root, template, said.command, ask)
     platform_name, platform = command.platform(template, started)
-    numbers = variable_names.numbers(content)
-    seeds = variable_names.seeds(numbers)
+    numbers = variables.numbers(content)
+    seeds = variables.seeds(numbers)
     by_platform = platform.seed_changes()
     seed = None if by_platform and said.seed is None else variables.choose_seed(content, seeds, said.seed, ask)
-    named = variable_names.named(
-        {path: value for path, value in numbers.items() if path not in (seed, *seeds)}, platform.criteria()
-    )
+    named = variables.named({path: value for path, value in numbers.items() if path not in (seed, *seeds)}, platform.criteria())
     per_run = (*by_platform, *([Set(seed, "{seed}")] if seed else []))
     likely = {} if platform.criteria() else dict(list(named.items())[:1])
     chosen = variables.choose(content, per_run, named, likely, said.variables, ask)
@@ -46,10 +45,26 @@ def find_out(root: Path, said: Options, ask: Ask | None = None) -> Guess:
         variables=chosen,
         other_variables={name: path for name, path in named.items() if path not in chosen.values()},
         source=source.choose(root, template, said.source, ask),
-        next=first_query(platform, content, chosen),
+        next=variables.first_query(platform, content, chosen),
         notes=(
             *command.doubts(platform, root),
             *variables.doubts(seed, seeds, elsewhere=bool(by_platform) or "{seed}" in (started or "")),
             *folder.doubts(root),
         ),
     )
+
+
+def copy_example(name: str, target: Path) -> list[str]:
+    """Copy a bundled example; return the files' names. Raises UsageError for an unknown name or a folder that is not empty."""
+    examples = resources.files("sierra.setup") / "examples"
+    known = sorted(entry.name for entry in examples.iterdir() if entry.is_dir() and not entry.name.startswith("_"))
+    if name not in known:
+        raise UsageError(f"no example {name!r}; known are {', '.join(known)}")
+    if target.exists() and any(target.iterdir()):
+        raise UsageError(f"{target} is not empty; use a new folder")
+    target.mkdir(parents=True, exist_ok=True)
+    with resources.as_file(examples / name) as example:
+        files = sorted(file for file in example.iterdir() if file.is_file())
+        for file in files:
+            shutil.copyfile(file, target / file.name)
+    return [file.name for file in files]
