@@ -150,16 +150,13 @@ Inside = Annotated[
 ]
 InContainer = Annotated[str, AfterValidator(_in_container)]
 Device = Annotated[
-    str,
-    _path(lambda path: path.startswith("/dev/") and ".." not in PurePosixPath(path).parts, "a device, such as /dev/dri"),
+    str, _path(lambda path: path.startswith("/dev/") and ".." not in PurePosixPath(path).parts, "a device, such as /dev/dri")
 ]
 OnNode = Annotated[
-    str,
-    _path(lambda path: path.startswith(("/", "$")), "an absolute path on the node, such as /scratch or $TMPDIR/x"),
+    str, _path(lambda path: path.startswith(("/", "$")), "an absolute path on the node, such as /scratch or $TMPDIR/x")
 ]
 Absolute = Annotated[
-    str,
-    _path(lambda path: path.startswith(("/", "~", "$")), "an absolute path, such as /scratch/me, ~/scratch or $SCRATCH"),
+    str, _path(lambda path: path.startswith(("/", "~", "$")), "an absolute path, such as /scratch/me, ~/scratch or $SCRATCH")
 ]
 
 
@@ -274,8 +271,7 @@ class Output(Table):
     )
     ordered: bool = Field(True, description="whether a replay compares the order of rows")
     volatile: tuple[str, ...] = Field(
-        (),
-        description="not compared by a replay: columns of a table; for other files, regular expressions that match lines",
+        (), description="not compared by a replay: columns of a table; for other files, regular expressions that match lines"
     )
 
     def matches(self, path: str) -> bool:
@@ -333,8 +329,7 @@ class Container(Table):
     )
     engine: str = Field("podman", description="container engine: `podman`, `apptainer`, `none`, or an installed plug-in")
     isolation: Literal["run", "worker"] = Field(
-        "run",
-        description="`run`: a container for each run; `worker`: one for all runs of a slot (faster, weaker isolation)",
+        "run", description="`run`: a container for each run; `worker`: one for all runs of a slot (faster, weaker isolation)"
     )
     mounts: Mapping[InContainer, str] = Field(
         default_factory=dict,
@@ -355,8 +350,7 @@ class ClusterTable(Table):
 
     scheduler: str | None = Field(None, description="`slurm`, `pbs`, or an installed plug-in; default: the name of the table")
     array_tasks: PositiveInt | None = Field(
-        None,
-        description="number of array tasks; each executes a share of the batch; default: enough for 5 to 10 minutes each",
+        None, description="number of array tasks; each executes a share of the batch; default: enough for 5 to 10 minutes each"
     )
     cpus: PositiveInt = Field(1, description="cores of an array task; it executes as many runs at a time")
     memory: Size | None = Field(None, description="memory of an array task, in bytes or as in `4 GiB`")
@@ -381,8 +375,7 @@ class ClusterTable(Table):
         "$SLURM_TMPDIR, $TMPDIR or /tmp",
     )
     cancelled: Literal["stop", "resubmit"] = Field(
-        "stop",
-        description="if somebody else cancels an array task: `stop` the session, or `resubmit` the task",
+        "stop", description="if somebody else cancels an array task: `stop` the session, or `resubmit` the task"
     )
     attempts: PositiveInt = Field(
         3,
@@ -544,8 +537,7 @@ class Project(Table):
 
     template: str = Field(description="the XML file from which the inputs of all runs are generated")
     command: Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_type=Words)] = Field(
-        (),
-        description="the program and its arguments; {input}, {output}, {seed}, {project} and {python} are filled in",
+        (), description="the program and its arguments; {input}, {output}, {seed}, {project} and {python} are filled in"
     )
     requires: tuple[Annotated[str, Field(pattern=r"^[A-Za-z0-9]")], ...] = Field(
         (), description="Python packages that `{python}` needs, as for pip; checked before anything executes"

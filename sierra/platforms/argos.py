@@ -129,8 +129,7 @@ class ArgosOptions(Table):
     )
     walls: str = Field(WALLS, description="XPath of the four boxes that bound the arena")
     population: str | None = Field(
-        None,
-        description="XPath of the attribute that population_size sets; default: the quantity of the distributed robots",
+        None, description="XPath of the attribute that population_size sets; default: the quantity of the distributed robots"
     )
     libraries: tuple[str, ...] = Field(
         ("build",), description="folders of the project that contain the libraries of the template"

@@ -256,13 +256,7 @@ def at_times(
 
 
 def resampled(
-    frame: Frame,
-    grid: Sequence[float],
-    statistics: Iterable[str],
-    seen: Coverage,
-    *,
-    linear: bool = False,
-    whole: bool = False,
+    frame: Frame, grid: Sequence[float], statistics: Iterable[str], seen: Coverage, *, linear: bool = False, whole: bool = False
 ) -> tuple[pa.Table, str]:
     """Return the result of `by_time` at the times of `grid`, which need not be times of any run; and the statement."""
     text = statement(_file("resample"), "by_time", _ordered(statistics))
