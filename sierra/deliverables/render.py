@@ -87,15 +87,14 @@ def statistics(
     _check_reduction(measure, threshold, times)
     with Frame(store, batch) as frame:
         gallery = _Gallery(project, frame)
-        samples, seen, whole = gallery.column(Figure(table=output, column=(column,)))
+        samples = gallery.column(Figure(table=output, column=(column,)))
         if measure is None:
-            table, text, notes = stats.at_times(samples, times or "own", stats.STATISTICS, seen, whole=whole)
+            table, text, notes = samples.at_times(times or "own", stats.STATISTICS)
         else:
-            table, text = stats.by_experiment(samples, measure, stats.STATISTICS, seen, threshold, whole=whole)
-            notes = []
+            (table, text), notes = samples.by_experiment(measure, stats.STATISTICS, threshold), []
         if stats.is_rate(table):
             notes.append(f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate")
-        notes = [*gallery.time_notes, *stats.left_out([table], seen, gallery.planned, threshold), *notes]
+        notes = [*gallery.time_notes, *stats.left_out([table], samples.coverage, gallery.planned, threshold), *notes]
         metadata = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
         return _with_axes(table, frame).replace_schema_metadata(metadata)
 
@@ -216,12 +215,13 @@ class _Gallery:
             found |= {_file_name(name, found): figure for name, figure in proposed.items()}
         return found, notes
 
-    def column(self, figure: Figure) -> tuple[Column, stats.Coverage, bool]:
-        """Return the one column that a figure names, its coverage, and whether it holds only whole numbers or truth values."""
+    def column(self, figure: Figure) -> stats.Samples:
+        """Return the samples of the one column that a figure names."""
         output = self._output(figure)
         (column,) = figure.columns
         self._check(output, figure.columns)
-        return Column(self._frame, output.name, column, self.time(output)), self._coverage(output), column in output.whole
+        frame = Column(self._frame, output.name, column, self.time(output))
+        return stats.Samples(frame, self._coverage(output), column in output.whole)
 
     def _check(self, output: OutputTable, columns: Sequence[str]) -> None:
         for column in columns:

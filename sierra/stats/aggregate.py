@@ -73,6 +73,9 @@ Parameter: TypeAlias = bool | float | str | list[float] | None
 """The value of a parameter in SQL."""
 
 
+Statistics: TypeAlias = "tuple[pa.Table, str]"
+
+
 class Frame(Protocol):
     """A connection that executes statements and has the relation `samples`."""
 
@@ -157,11 +160,12 @@ def compute(
     notes: dict[str, None] = {}
     tables, texts = {}, []
     for column, frame in frames.items():
+        samples = Samples(frame, seen, column in whole)
         if over_time(figure, axes, seen):
-            table, text, how = at_times(frame, figure.times, statistics, seen, whole=column in whole)
+            table, text, how = samples.at_times(figure.times, statistics)
             notes |= dict.fromkeys(how)
         else:
-            table, text = by_experiment(frame, figure.measure, statistics, seen, figure.threshold, whole=column in whole)
+            table, text = samples.by_experiment(figure.measure, statistics, figure.threshold)
         tables[column] = table
         texts.append(text)
     if not any(_total(table, "n") for table in tables.values()):
@@ -169,8 +173,8 @@ def compute(
     runs = None
     if figure.kind in ("box", "violin"):
         runs = reduced(next(iter(frames.values())), figure.measure, figure.threshold)
-    counted = _note(figure, tables.values(), seen, planned)
-    return Computed(tables, runs, "\n\n".join(dict.fromkeys(texts)), "; ".join([*counted, *notes]))
+    shown = _note(figure, tables.values(), seen, planned)
+    return Computed(tables, runs, "\n\n".join(dict.fromkeys(texts)), "; ".join([*shown, *notes]))
 
 
 def default_figures(table: str, columns: Iterable[str], axes: Sequence[Axis], *, series: bool) -> dict[str, Figure]:
@@ -209,58 +213,70 @@ def over_time(figure: Figure, axes: Sequence[Axis], seen: Coverage) -> bool:
     return figure.kind == "timeseries"
 
 
-def by_experiment(
-    frame: Frame,
-    measure: str,
-    statistics: Iterable[str],
-    seen: Coverage,
-    threshold: float | None = None,
-    *,
-    whole: bool = False,
-) -> tuple[pa.Table, str]:
-    """Return statistics over the runs of each experiment, each run reduced by `measure`; and the statement.
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """The samples of one column; each method returns a table of statistics over the runs, and the statement."""
 
-    `whole`: the column holds only whole numbers or truth values; if all are 0 or 1, they are a rate.
-    """
-    text = statement(_file(f"measures/{measure}"), "by_experiment", _ordered(statistics))
-    return _run(frame, text, seen, rates=measure != "time_to", whole=whole, threshold=threshold)
+    frame: Frame
+    coverage: Coverage
+    whole: bool = False
+    """True if the column holds only whole numbers or truth values; if all are 0 or 1, they are a rate."""
 
+    def by_experiment(self, measure: str, statistics: Iterable[str], threshold: float | None = None) -> Statistics:
+        """Return statistics of each experiment, each run reduced by `measure`."""
+        text = statement(_file(f"measures/{measure}"), "by_experiment", _ordered(statistics))
+        return self._run(text, rates=measure != "time_to", whole=self.whole, threshold=threshold)
 
-def by_time(frame: Frame, statistics: Iterable[str], seen: Coverage, *, whole: bool = False) -> tuple[pa.Table, str]:
-    """Return statistics over the runs of each experiment at each of their times; and the statement."""
-    text = statement("SELECT experiment, t, value FROM samples", "by_time", _ordered(statistics))
-    return _run(frame, text, seen, whole=whole)
+    def by_time(self, statistics: Iterable[str]) -> Statistics:
+        """Return statistics of each experiment at each of its runs' times."""
+        text = statement("SELECT experiment, t, value FROM samples", "by_time", _ordered(statistics))
+        return self._run(text, whole=self.whole)
 
+    def at_times(self, times: str | None, statistics: Iterable[str]) -> tuple[pa.Table, str, list[str]]:
+        """Return statistics at the runs' `own` times or at common ones (`carry`, `linear`), and also notes about the times.
 
-def at_times(
-    frame: Frame, times: str | None, statistics: Iterable[str], seen: Coverage, *, whole: bool = False
-) -> tuple[pa.Table, str, list[str]]:
-    """Return statistics at the runs' `own` times or at common ones (`carry`, `linear`); the statement; notes about the times.
+        The result is that of `by_time`. With None as `times`, the times are `own` if most runs share them, else `carry`.
+        Common times are equally spaced, as many as the longest run has rows, at most `GRID`. If a common time differs from a
+        run's own time by rounding only, the run's time replaces it. Raises UsageError for unknown `times`.
+        """
+        if times not in (*TIMES, None):
+            raise UsageError(f"unknown times {times!r}; known are {', '.join(TIMES)}")
+        if times in ("own", None):
+            table, text = self.by_time(statistics)
+            runs = self.coverage.runs.values()
+            differ = max(runs) > 1 and self.coverage.rows / max(1, table.num_rows) < sum(runs) / len(runs) / 2
+            if times == "own" or not differ:
+                return table, text, ["times differ: each run has its own times"] if differ else []
+        grid = self._common_times()
+        table, text = self.resampled(grid, statistics, linear=times == "linear")
+        how = "interpolated linearly" if times == "linear" else "last values carried forward"
+        return table, text, [f"{'times differ: ' if times is None else ''}{how} to {len(grid)} common times"]
 
-    The result is that of `by_time`. With None as `times`, the times are `own` if most runs share them, else `carry`. Common
-    times are equally spaced, as many as the longest run has rows, at most `GRID`. If a common time differs from a run's own
-    time by rounding only, the run's time replaces it. Raises UsageError for unknown `times`.
-    """
-    if times not in (*TIMES, None):
-        raise UsageError(f"unknown times {times!r}; known are {', '.join(TIMES)}")
-    if times in ("own", None):
-        table, text = by_time(frame, statistics, seen, whole=whole)
-        runs = seen.runs.values()
-        differ = max(runs) > 1 and seen.rows / max(1, table.num_rows) < sum(runs) / len(runs) / 2
-        if times == "own" or not differ:
-            return table, text, ["times differ: each run has its own times"] if differ else []
-    grid = _common(frame, seen)
-    table, text = resampled(frame, grid, statistics, seen, linear=times == "linear", whole=whole)
-    how = "interpolated linearly" if times == "linear" else "last values carried forward"
-    return table, text, [f"{'times differ: ' if times is None else ''}{how} to {len(grid)} common times"]
+    def resampled(self, grid: Sequence[float], statistics: Iterable[str], *, linear: bool = False) -> Statistics:
+        """Return the result of `by_time` at the times of `grid`, which need not be times of any run."""
+        text = statement(_file("resample"), "by_time", _ordered(statistics))
+        return self._run(text, whole=self.whole and not linear, grid=list(grid), linear=linear)
 
+    def _common_times(self) -> list[float]:
+        """Return the times of a common axis, in ascending order.
 
-def resampled(
-    frame: Frame, grid: Sequence[float], statistics: Iterable[str], seen: Coverage, *, linear: bool = False, whole: bool = False
-) -> tuple[pa.Table, str]:
-    """Return the result of `by_time` at the times of `grid`, which need not be times of any run; and the statement."""
-    text = statement(_file("resample"), "by_time", _ordered(statistics))
-    return _run(frame, text, seen, whole=whole and not linear, grid=list(grid), linear=linear)
+        If rounding put a time just before a run's own time, it would show the value of the previous row.
+        """
+        import numpy as np
+
+        first, last = self.coverage.first, self.coverage.last
+        even = np.linspace(first, last, max(2, min(self.coverage.most, GRID)))
+        own = self.frame.sql("SELECT DISTINCT t FROM samples WHERE isfinite(t) ORDER BY t").column("t").to_numpy()
+        after = np.clip(np.searchsorted(own, even), 1, max(1, len(own) - 1))
+        near = np.where(even - own[after - 1] < own[after % len(own)] - even, own[after - 1], own[after % len(own)])
+        close = np.abs(near - even) <= 1e-9 * (last - first)
+        grid: list[float] = np.unique(np.where(close, near, even)).tolist()
+        return grid
+
+    def _run(self, text: str, *, whole: bool, rates: bool = True, **params: Parameter) -> Statistics:
+        most = max(self.coverage.runs.values())
+        params |= {"z": NormalDist().inv_cdf((1 + LEVEL) / 2), "rates": rates, "whole": whole}
+        return self.frame.sql(text, **_used(text, t=_t(most), **params)), _documented(text, most, **params)
 
 
 def reduced(frame: Frame, measure: str, threshold: float | None = None) -> pa.Table:
@@ -285,41 +301,16 @@ def statement(observations: str, grouping: str, statistics: Iterable[str]) -> st
     )
 
 
-def _common(frame: Frame, seen: Coverage) -> list[float]:
-    """Return the times of a common axis, in ascending order.
-
-    If rounding put a time just before a run's own time, it would show the value of the previous row.
-    """
-    import numpy as np
-
-    points = max(2, min(seen.most, GRID))
-    even = np.linspace(seen.first, seen.last, points)
-    own = frame.sql("SELECT DISTINCT t FROM samples WHERE isfinite(t) ORDER BY t").column("t").to_numpy()
-    after = np.clip(np.searchsorted(own, even), 1, max(1, len(own) - 1))
-    near = np.where(even - own[after - 1] < own[after % len(own)] - even, own[after - 1], own[after % len(own)])
-    close = np.abs(near - even) <= 1e-9 * (seen.last - seen.first)
-    grid: list[float] = np.unique(np.where(close, near, even)).tolist()
-    return grid
-
-
-def _run(
-    frame: Frame, text: str, seen: Coverage, *, whole: bool, rates: bool = True, **params: Parameter
-) -> tuple[pa.Table, str]:
-    most = max(seen.runs.values())
-    params |= {"z": NormalDist().inv_cdf((1 + LEVEL) / 2), "rates": rates, "whole": whole}
-    return frame.sql(text, **_used(text, t=_t(most), **params)), _documented(text, most, **params)
-
-
 def _used(text: str, **params: Parameter) -> dict[str, Parameter]:
     return {name: value for name, value in params.items() if re.search(rf"\${name}\b", _code(text))}
 
 
 def _documented(text: str, most: int, **params: Parameter) -> str:
     """Return the statement after comments that explain its parameters."""
-    said = {"t": f"quantiles of Student's t, p = {(1 + LEVEL) / 2}, for 1 … {max(1, most - 1)} degrees of freedom"}
+    texts = {"t": f"quantiles of Student's t, p = {(1 + LEVEL) / 2}, for 1 … {max(1, most - 1)} degrees of freedom"}
     for name, value in params.items():
-        said[name] = f"{len(value)} times from {value[0]} to {value[-1]}" if isinstance(value, list) else str(value)
-    return "".join(f"-- ${name}: {said[name]}\n" for name in _used(text, **said)) + text
+        texts[name] = f"{len(value)} times from {value[0]} to {value[-1]}" if isinstance(value, list) else str(value)
+    return "".join(f"-- ${name}: {texts[name]}\n" for name in _used(text, **texts)) + text
 
 
 @cache

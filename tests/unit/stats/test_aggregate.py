@@ -51,10 +51,14 @@ class Memory:
         return self.connection.sql(text, params=params).to_arrow_table()
 
 
+def samples(frame: stats.Frame, *, whole: bool = False) -> stats.Samples:
+    return stats.Samples(frame, stats.coverage(frame), whole)
+
+
 def over_runs(values: Iterable[float | None], *, whole: bool = False) -> dict[str, Any]:
     """Return all statistics of one experiment whose runs ended with these values."""
     frame = Memory((0, number, 0.0, value) for number, value in enumerate(values))
-    table, _ = stats.by_experiment(frame, "final", stats.STATISTICS, stats.coverage(frame), whole=whole)
+    table, _ = samples(frame, whole=whole).by_experiment("final", stats.STATISTICS)
     found: list[dict[str, Any]] = table.to_pylist()
     return found[0]
 
@@ -173,14 +177,13 @@ def test_equal_fractions_are_not_a_rate() -> None:
 
 def test_a_rate_is_a_rate_in_all_experiments_and_at_all_times() -> None:
     frame = Memory((e, run, float(t), float(e == 1 and run > t)) for e in range(2) for run in range(5) for t in range(3))
-    seen = stats.coverage(frame)
     for table in (
-        stats.by_time(frame, ["interval"], seen)[0],
-        stats.by_experiment(frame, "final", ["interval"], seen)[0],
+        samples(frame).by_time(["interval"])[0],
+        samples(frame).by_experiment("final", ["interval"])[0],
     ):
         assert set(table["interval"].to_pylist()) == {"Wilson"}
         assert table["high"].to_pylist()[0] == pytest.approx(0.434482, abs=1e-6)
-    late, _ = stats.by_experiment(frame, "time_to", ["interval"], seen, 1.0, whole=True)
+    late, _ = samples(frame, whole=True).by_experiment("time_to", ["interval"], 1.0)
     assert "Wilson" not in late["interval"].to_pylist()
     note = stats.compute(figure(), AXIS, {"energy": frame}).note
     assert note.startswith("mean, Wilson's 95 % CI of a rate, n = 5")
@@ -228,7 +231,7 @@ def test_an_experiment_with_only_missing_values_has_no_mean() -> None:
 
 def test_n_is_counted_at_each_time() -> None:
     frame = Memory((0, run, float(t), float(run)) for run in range(5) for t in range(3 if run else 2))
-    table, _ = stats.by_time(frame, ["interval"], stats.coverage(frame))
+    table, _ = samples(frame).by_time(["interval"])
     assert table["n"].to_pylist() == [5, 5, 4]
     assert table["mean"].to_pylist() == [2.0, 2.0, 2.5]
 
@@ -239,16 +242,17 @@ def test_results_are_bit_identical_for_any_row_order_and_number_of_threads() -> 
     rng.shuffle(mixed := list(range(len(rows))))
     for measure in ("mean", "final"):
         one, many = Memory(rows, threads=1), Memory((rows[k] for k in mixed), threads=4)
-        seen = stats.coverage(one)
-        assert stats.by_experiment(one, measure, stats.STATISTICS, seen)[0].equals(
-            stats.by_experiment(many, measure, stats.STATISTICS, seen)[0]
+        assert (
+            samples(one)
+            .by_experiment(measure, stats.STATISTICS)[0]
+            .equals(samples(many).by_experiment(measure, stats.STATISTICS)[0])
         )
-        assert stats.by_time(one, ["interval"], seen)[0].equals(stats.by_time(many, ["interval"], seen)[0])
+        assert samples(one).by_time(["interval"])[0].equals(samples(many).by_time(["interval"])[0])
 
 
 def measured(measure: str, values: list[float | None], threshold: float | None = None) -> dict[str, Any]:
     frame = Memory((0, 0, float(t), value) for t, value in enumerate(values))
-    table, _ = stats.by_experiment(frame, measure, ["mean"], stats.coverage(frame), threshold)
+    table, _ = samples(frame).by_experiment(measure, ["mean"], threshold)
     found: list[dict[str, Any]] = table.to_pylist()
     return found[0]
 
@@ -279,7 +283,7 @@ def test_a_missing_value_reaches_no_threshold(gap: float | None) -> None:
 
 def test_runs_that_never_reach_a_threshold_are_counted_and_not_averaged() -> None:
     frame = Memory((0, run, float(t), float(t * run)) for run in range(4) for t in range(10))
-    found = stats.by_experiment(frame, "time_to", ["mean"], stats.coverage(frame), 9.0)[0].to_pylist()[0]
+    found = samples(frame).by_experiment("time_to", ["mean"], 9.0)[0].to_pylist()[0]
     assert (found["n"], found["never"], found["missing"]) == (3, 1, 0)
     assert found["mean"] == pytest.approx((9 + 5 + 3) / 3, rel=1e-12)
 
@@ -305,7 +309,7 @@ def test_runs_are_resampled_to_common_times_and_never_extrapolated(
     for run, expected in ((0, first), (1, second)):
         frame = Memory(row for row in RAGGED if row[1] == run)
         grid = [0.0, 1.0, 2.0, 3.0, 4.0]
-        table, _ = stats.resampled(frame, grid, ["mean"], stats.coverage(frame), linear=linear)
+        table, _ = samples(frame).resampled(grid, ["mean"], linear=linear)
         found = dict(zip(table["t"].to_pylist(), table["mean"].to_pylist(), strict=True))
         assert [found.get(t) for t in grid] == expected
 
@@ -313,7 +317,7 @@ def test_runs_are_resampled_to_common_times_and_never_extrapolated(
 def test_resampling_does_not_fill_missing_values() -> None:
     frame = Memory([(0, 0, 0.0, 1.0), (0, 0, 1.0, None), (0, 0, 2.0, 3.0)])
     for linear in (False, True):
-        table, _ = stats.resampled(frame, [0.0, 1.5, 2.0], ["mean"], stats.coverage(frame), linear=linear)
+        table, _ = samples(frame).resampled([0.0, 1.5, 2.0], ["mean"], linear=linear)
         assert table["mean"].to_pylist() == [1.0, None, 3.0]
         assert table["missing"].to_pylist() == [0, 1, 0]
 
@@ -326,7 +330,7 @@ def test_linear_interpolation_equals_that_of_numpy(points: list[tuple[int, float
     t, v = np.array(points, dtype=float).T
     grid = sorted(data.draw(st.sets(st.floats(t[0], t[-1]), min_size=1, max_size=10)))
     frame = Memory((0, 0, a, b) for a, b in zip(t.tolist(), v.tolist(), strict=True))
-    table, _ = stats.resampled(frame, grid, ["mean"], stats.coverage(frame), linear=True)
+    table, _ = samples(frame).resampled(grid, ["mean"], linear=True)
     assert table["mean"].to_pylist() == pytest.approx(np.interp(grid, t, v).tolist(), rel=1e-9, abs=1e-6)
 
 
@@ -357,7 +361,7 @@ def test_linear_interpolation_skips_missing_values_and_never_extrapolates(
 ) -> None:
     rows, grid = sorted((float(t), v) for t, v in points), sorted(times)
     frame = Memory((0, 0, t, v) for t, v in rows)
-    table, _ = stats.resampled(frame, grid, ["mean"], stats.coverage(frame), linear=True)
+    table, _ = samples(frame).resampled(grid, ["mean"], linear=True)
     found = dict(zip(table["t"].to_pylist(), table["mean"].to_pylist(), strict=True))
     expected = {t: v for t, v in zip(grid, interpolated(rows, grid), strict=True) if not math.isnan(v)}
     assert {t for t, v in found.items() if v is not None} == set(expected)
@@ -392,7 +396,7 @@ def test_times_that_all_runs_share_become_common_times_despite_rounding(times: s
     """A simulator adds 0.1 repeatedly: a grid just before its times would show the preceding row's value."""
     clock = np.cumsum(np.full(100, 0.1)).tolist()
     frame = Memory((0, run, clock[t], float(t * run)) for run in range(3) for t in range(100))
-    table, _, said = stats.at_times(frame, times, ["interval"], stats.coverage(frame))
+    table, _, said = samples(frame).at_times(times, ["interval"])
     assert table["mean"].to_pylist() == pytest.approx([float(t) for t in range(100)], abs=1e-9)
     assert said == [f"{'interpolated linearly' if times == 'linear' else 'last values carried forward'} to 100 common times"]
 
@@ -400,14 +404,14 @@ def test_times_that_all_runs_share_become_common_times_despite_rounding(times: s
 @pytest.mark.parametrize("times", ["own", "carry", "linear", None])
 def test_runs_with_one_time_are_counted_once_each(times: str | None) -> None:
     frame = Memory((0, run, 7.0, float(run)) for run in range(5))
-    table, _, _ = stats.at_times(frame, times, ["interval"], stats.coverage(frame))
+    table, _, _ = samples(frame).at_times(times, ["interval"])
     assert (table["t"].to_pylist(), table["n"].to_pylist(), table["mean"].to_pylist()) == ([7.0], [5], [2.0])
 
 
 def test_unknown_times_are_refused() -> None:
     frame = Memory(SHIFTED)
     with pytest.raises(UsageError, match="unknown times 'cubic'; known are own, carry, linear"):
-        stats.at_times(frame, "cubic", ["mean"], stats.coverage(frame))
+        samples(frame).at_times("cubic", ["mean"])
 
 
 def test_a_run_that_ended_early_does_not_cause_resampling() -> None:
@@ -496,7 +500,7 @@ def test_every_sql_file_is_used_and_begins_with_a_comment() -> None:
 
 def test_statements_pass_their_values_as_parameters() -> None:
     frame = Memory((0, run, 0.0, float(run)) for run in range(3))
-    _, text = stats.by_experiment(frame, "time_to", ["interval"], stats.coverage(frame), 1.5)
+    _, text = samples(frame).by_experiment("time_to", ["interval"], 1.5)
     assert "-- $threshold: 1.5\n" in text
     assert "1.5" not in re.sub(r"--[^\n]*", "", text)
 
