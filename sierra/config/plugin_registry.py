@@ -88,14 +88,14 @@ class Kind:
         Raises ConfigError if there is none, and PluginError if the class cannot be used.
         """
         others = self._others().get(name, ())
-        here = self.shipped.get(name)
-        if len(others) + (here is not None) > 1:
-            packages = sorted([*(offer.package for offer in others), *(["SIERRA itself"] if here else [])])
+        shipped = self.shipped.get(name)
+        if len(others) + (shipped is not None) > 1:
+            packages = sorted([*(offer.package for offer in others), *(["SIERRA itself"] if shipped else [])])
             raise PluginError(
                 f"the {self.word} {name!r} is offered by {' and by '.join(packages)}; uninstall all but one of these packages"
             )
-        if here is not None:
-            return _attribute(here)
+        if shipped is not None:
+            return _attribute(shipped)
         if not others:
             raise ConfigError(f"unknown {self.word} {name!r}; known are {', '.join(self.names())}")
         return self._checked(others[0])
@@ -130,19 +130,19 @@ class Kind:
             found: Any = offer.point.load()
         except (Exception, SystemExit) as error:
             raise _broken(self, offer, "loaded", error) from error
-        said = f"the {self.word} {offer.name!r} of {offer.package}"
+        plugin = f"the {self.word} {offer.name!r} of {offer.package}"
         version = getattr(found, "contract", None)
         if version != VERSION:
             declared = "declares no version" if version is None else f"is made for version {version}"
-            raise PluginError(f"{said} {declared} of the contract, but this SIERRA has version {VERSION}; {offer.remedy}")
+            raise PluginError(f"{plugin} {declared} of the contract, but this SIERRA has version {VERSION}; {offer.remedy}")
         if not isinstance(found, type):
-            raise PluginError(f"{said} is not a class ({offer.point.value}); {offer.remedy}")
+            raise PluginError(f"{plugin} is not a class ({offer.point.value}); {offer.remedy}")
         if lacking := [name for name in _members(_attribute(self.protocol)) if not hasattr(found, name)]:
-            raise PluginError(f"{said} lacks {', '.join(lacking)}; {offer.remedy}")
+            raise PluginError(f"{plugin} lacks {', '.join(lacking)}; {offer.remedy}")
         model = found.Options  # type: ignore[attr-defined]
         if not (isinstance(model, type) and issubclass(model, self.options_base)):
-            raise PluginError(f"{said}: Options is not a subclass of {self.options_base.__name__}; {offer.remedy}")
-        _loaded[found.__module__.partition(".")[0]] = said
+            raise PluginError(f"{plugin}: Options is not a subclass of {self.options_base.__name__}; {offer.remedy}")
+        _loaded[found.__module__.partition(".")[0]] = plugin
         return found
 
     def _others(self) -> Mapping[str, tuple[Offer, ...]]:

@@ -39,5 +39,5 @@ def _with(settings: Settings, name: str, text: str, variable: str) -> Settings:
     try:
         return Settings.model_validate({**settings.model_dump(), name: text})
     except ValidationError as error:
-        told = error.errors()[0]["msg"].replace("Input should", "should").split(",")[0]
-        raise ConfigError(f"{variable}={text!r}: {told}") from error
+        reason = error.errors()[0]["msg"].replace("Input should", "should").split(",")[0]
+        raise ConfigError(f"{variable}={text!r}: {reason}") from error

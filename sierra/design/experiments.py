@@ -96,14 +96,15 @@ def design(
     spans = _spans(query, project, platform, before, report)
     placed = tuple(_cells(query, spans, before))
     cells = tuple(cell for cell, _ in placed)
-    per_run = _seed_changes(project, platform), changes(project.run_changes, "sierra.toml: run_changes")
+    seed, run_changes = _seed_changes(project, platform), changes(project.run_changes, "sierra.toml: run_changes")
+    per_run = (*seed, *run_changes)
     _check_lists(project, spans.axes)
-    _check_effect(project, cells, (*per_run[0], *per_run[1]))
+    _check_effect(project, cells, per_run)
     designed = Design(
         query=query,
         axes=spans.axes,
         cells=cells,
-        per_run=(*per_run[0], *per_run[1]),
+        per_run=per_run,
         lists=dict(project.per_run),
         independent_seeds=project.seed.independent,
     )
@@ -111,7 +112,7 @@ def design(
     runs = overwritten.different_runs(designed)[: None if project.run_changes else 1]
     for cell, where in placed:
         report(0, len(cells), len(cells) * query.runs)
-        layers = (Layer("", common), *_layers(where, query.sets, *per_run))
+        layers = (Layer("", common), *_layers(where, query.sets, seed, run_changes))
         alike = tuple(layer.changes for layer in layers)
         if alike not in sure and not overwritten.check(template, designed, cell, layers):
             sure.add(alike)
@@ -171,9 +172,10 @@ def _spans(query: Query, project: Project, platform: Platform, common: Changed, 
     found: dict[tuple[int, ...], tuple[Spanned, ...]] = {}
     for places in itertools.product(*(range(len(axis.values)) for axis, _ in others)):
         chosen = [(axis, points[place]) for (axis, points), place in zip(others, places, strict=True)]
-        here = _without(common, chosen, query.sets, names)
+        template = _without(common, chosen, query.sets, names)
         found[places] = tuple(
-            span or _asked(criterion, project, platform, here) for criterion, span in zip(query.criteria, known, strict=True)
+            span or _of_platform(criterion, project, platform, template)
+            for criterion, span in zip(query.criteria, known, strict=True)
         )
         _check_same(next(iter(found.values())), found[places], chosen)
     first = next(iter(found.values()))
@@ -185,28 +187,28 @@ def _spans(query: Query, project: Project, platform: Platform, common: Changed, 
 
 def _without(common: Changed, chosen: Sequence[Placed], sets: Sequence[Set], names: Sequence[str]) -> Changed:
     """Return an input without the criteria with these names, and without the changes that use their values."""
-    made = (*common.changes, *(change for _, point in chosen for change in point.changes), *sets)
-    apart = tuple(change for change in made if not any(mentions(change, name) for name in names))
-    return Changed(common.template, apart, {**common.values, **{axis.name: point.value for axis, point in chosen}})
+    every = (*common.changes, *(change for _, point in chosen for change in point.changes), *sets)
+    others = tuple(change for change in every if not any(mentions(change, name) for name in names))
+    return Changed(common.template, others, {**common.values, **{axis.name: point.value for axis, point in chosen}})
 
 
-def _asked(criterion: Criterion, project: Project, platform: Platform, template: Reader) -> Spanned:
+def _of_platform(criterion: Criterion, project: Project, platform: Platform, template: Reader) -> Spanned:
     found = platform.criterion(criterion, template)
     if found is None:
         raise QueryError(_unknown(criterion.name, project, platform))
     return found
 
 
-def _check_same(first: Sequence[Spanned], here: Sequence[Spanned], chosen: Sequence[Placed]) -> None:
+def _check_same(first: Sequence[Spanned], spans: Sequence[Spanned], chosen: Sequence[Placed]) -> None:
     """Raise QueryError if an axis has several meanings in a batch; `first` has the axes at the first value of each."""
-    for (one, _), (other, _) in zip(first, here, strict=True):
+    for (one, _), (other, _) in zip(first, spans, strict=True):
         if one != other:
             starts = {axis.name: axis.values[0] for axis, _ in chosen}
             differ = [(axis.name, point.value) for axis, point in chosen if point.value != starts[axis.name]]
-            there = ", ".join(f"{name}={starts[name]}" for name, _ in differ)
-            where = ", ".join(f"{name}={value}" for name, value in differ)
+            start = ", ".join(f"{name}={starts[name]}" for name, _ in differ)
+            point = ", ".join(f"{name}={value}" for name, value in differ)
             raise QueryError(
-                f"{one.name} is {_few(one)} with {there}, but {_few(other)} with {where}; use one of these per query"
+                f"{one.name} is {_few(one)} with {start}, but {_few(other)} with {point}; use one of these per query"
             )
 
 
@@ -224,13 +226,12 @@ def _span(criterion: Criterion, project: Project) -> Spanned | None:
     if criterion.name not in project.variables:
         return None
     variable = project.variables[criterion.name]
-    why = f"variable {criterion.name!r}"
-    own = "{" + criterion.name + "}"
+    why, own = f"variable {criterion.name!r}", f"{{{criterion.name}}}"
     first = (Set(variable.set, own, why=why),) if variable.set else ()
-    made = (*first, *changes(variable.changes, why, own))
+    every = (*first, *changes(variable.changes, why, own))
     values = ranges.values(criterion.scale)
     axis = Axis(criterion.name, values, variable.label, variable.unit)
-    return axis, tuple(Point(value, made) for value in values)
+    return axis, tuple(Point(value, every) for value in values)
 
 
 def _check_independent(spanned: Sequence[Spanned]) -> None:
@@ -313,11 +314,11 @@ def _chosen(query: Query, project: Project) -> dict[str, str]:
     chosen: dict[str, str] = {}
     spanned = {criterion.name for criterion in query.criteria}
     for kind in GROUPED:
-        asked = getattr(query, kind)
+        requested = getattr(query, kind)
         if kind in spanned:
-            if asked:
-                raise QueryError(f"{kind} is an axis of this query; leave out --{kind} {asked}")
-        elif name := asked or getattr(project, kind):
+            if requested:
+                raise QueryError(f"{kind} is an axis of this query; leave out --{kind} {requested}")
+        elif name := requested or getattr(project, kind):
             chosen[kind] = name
     return chosen
 
@@ -339,8 +340,8 @@ def _layers(
     """Yield all layers that follow the common changes of a batch, in order."""
     for axis, point in placed:
         yield Layer(f"{axis.name}={point.value}", point.changes, axis=True)
-    for asked in sets:
-        yield Layer(f"--set {asked.path}", (asked,))
+    for change in sets:
+        yield Layer(f"--set {change.path}", (change,))
     yield Layer("the seed", seed, each_run=True)
     yield Layer("run_changes", run_changes, each_run=True)
 

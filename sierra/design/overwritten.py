@@ -39,15 +39,13 @@ class Layer:
 
     def marked(self, sets: Sequence[Set]) -> Layer:
         """Return a layer with the mark as the value of some of its sets."""
-        made = tuple(_mark(change) if isinstance(change, Set) and change in sets else change for change in self.changes)
-        return replace(self, changes=made)
+        marked = (
+            replace(change, value=MARK) if change in sets and isinstance(change, Set) else change for change in self.changes
+        )
+        return replace(self, changes=tuple(marked))
 
 
 Layers = tuple[Layer, ...]
-
-
-def _mark(change: Set) -> Set:
-    return replace(change, value=MARK)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +76,10 @@ class Input:
     def holds(self, sets: Sequence[Set]) -> bool | None:
         """Return True if setting these values again changes nothing, or None if their paths select nothing now."""
         again = [replace(change, expect=None) for change in sets]
-        made = self.template.reread(self.render(), "an input")
-        before = made.changed((), self.values).render()
+        rendered = self.template.reread(self.render(), "an input")
+        before = rendered.changed((), self.values).render()
         try:
-            return made.changed(again, self.values).render() == before
+            return rendered.changed(again, self.values).render() == before
         except TemplateError:
             return None
 
@@ -99,16 +97,11 @@ def check(template: Template, designed: Design, cell: Cell, layers: Layers) -> b
     setting = [number for number, layer in enumerate(layers) if number and layer.sets and not layer.each_run]
     doubtful = [number for number in setting if _by_value(layers, number) or not _lasts_marked(first, number)]
     for number, of_run in itertools.product(doubtful, runs):
-        made = replace(first, of_run=of_run)
-        if not made.holds(layers[number].sets):
-            _check_each(made, number)
+        run_input, sets = replace(first, of_run=of_run), layers[number].sets
+        for change in () if run_input.holds(sets) else sets:
+            if not _lasts(run_input, number, change):
+                raise QueryError(_overwritten(run_input, number, change))
     return bool(doubtful)
-
-
-def _check_each(made: Input, number: int) -> None:
-    for change in made.layers[number].sets:
-        if not _lasts(made, number, change):
-            raise QueryError(_overwritten(made, number, change))
 
 
 def different_runs(designed: Design) -> list[Mapping[str, Value]]:
@@ -132,9 +125,9 @@ def _by_value(layers: Layers, number: int) -> bool:
     return any("[" in CONSTANT.sub(left, change.path) for layer in layers[number + 1 :] for change in layer.changes)
 
 
-def _lasts_marked(made: Input, number: int) -> bool:
+def _lasts_marked(run_input: Input, number: int) -> bool:
     """Return True if the mark is not overwritten in any place that a layer sets; then no value is overwritten."""
-    marked = made.marked(number, made.layers[number].sets)
+    marked = run_input.marked(number, run_input.layers[number].sets)
     sets = marked.layers[number].sets
     try:
         return marked.holds(sets) or all(_lasts(marked, number, change) for change in sets)
@@ -142,11 +135,13 @@ def _lasts_marked(made: Input, number: int) -> bool:
         return False
 
 
-def _lasts(made: Input, number: int, change: Set) -> bool:
+def _lasts(run_input: Input, number: int, change: Set) -> bool:
     """Return True if a value of a layer is not overwritten in the end, as far as this can be determined."""
-    held = made.holds((change,))
-    if held is None or (held is False and not made.until(number).holds((change,))):  # its own layer may have overwritten it
-        return not _lost(made.marked(number, (change,)), number)
+    held = run_input.holds((change,))
+    if held is None or (
+        held is False and not run_input.until(number).holds((change,))
+    ):  # its own layer may have overwritten it
+        return not _lost(run_input.marked(number, (change,)), number)
     return held
 
 
@@ -163,17 +158,17 @@ def _marks(rendered: Rendered) -> int:
     return sum(content.replace(b"\0", b"").count(MARK.encode()) for content in contents)  # also in UTF-16
 
 
-def _overwritten(made: Input, number: int, change: Set) -> str:
-    layer = made.layers[number]
-    found = next((n for n in range(number + 1, len(made.layers)) if _blamed(made, n, number, change)), None)
-    who = made.layers[found] if found is not None else Layer("a later change", ())
+def _overwritten(run_input: Input, number: int, change: Set) -> str:
+    layer = run_input.layers[number]
+    found = next((n for n in range(number + 1, len(run_input.layers)) if _blamed(run_input, n, number, change)), None)
+    who = run_input.layers[found] if found is not None else Layer("a later change", ())
     order = ", or in another order" if layer.axis and who.axis else ""
     right = "only one of them can set it" if who.each_run else f"use one of them{order}"
     return f"{layer.name} is overwritten: {who.name} changes the same value later; {right}"
 
 
-def _blamed(made: Input, later: int, number: int, change: Set) -> bool:
+def _blamed(run_input: Input, later: int, number: int, change: Set) -> bool:
     try:
-        return _lasts(made.without(later), number, change)
+        return _lasts(run_input.without(later), number, change)
     except TemplateError:  # a later layer needs this one
         return False

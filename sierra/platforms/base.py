@@ -88,8 +88,8 @@ def find(name: str, project: Project) -> Platform:
     Raises ConfigError if there is none, or if a table `[platforms.NAME]` is invalid for that platform.
     """
     PLATFORMS.check(project.platforms)
-    made: Platform = PLATFORMS.make(name, project.platforms, project)
-    return made
+    platform: Platform = PLATFORMS.make(name, project.platforms, project)
+    return platform
 
 
 def names() -> tuple[str, ...]:

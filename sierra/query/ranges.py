@@ -208,8 +208,10 @@ def _check_mixed(values: tuple[Value, ...]) -> None:
     """Raise QueryError for large whole numbers among decimals: they become floats, which must represent them exactly."""
     large = [value for value in values if isinstance(value, int) and abs(value) > EXACT]
     if large and any(isinstance(value, float) for value in values):
-        told = f"{large[0]} is beyond 2**53, where a float cannot represent all whole numbers"
-        raise QueryError(f"{told}; use only whole numbers, or smaller ones")
+        raise QueryError(
+            f"{large[0]} is beyond 2**53, where a float cannot represent all whole numbers; "
+            "use only whole numbers, or smaller ones"
+        )
 
 
 def _check_listed_size(number: int | float) -> None:

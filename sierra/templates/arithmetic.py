@@ -138,7 +138,8 @@ def _text(expression: _Expression, values: Mapping[str, Value]) -> str:
     try:
         return repr(_value(tree, values))
     except ArithmeticError as error:
-        raise ConfigError(f"{expression.text!r} has no value: {_reason(error)}") from error
+        reason = "division by zero" if isinstance(error, ZeroDivisionError) else "it is too large"
+        raise ConfigError(f"{expression.text!r} has no value: {reason}") from error
     except (ValueError, TypeError) as error:
         raise ConfigError(f"{expression.text!r} has no value: {error}") from error
     except LookupError as error:
@@ -147,10 +148,6 @@ def _text(expression: _Expression, values: Mapping[str, Value]) -> str:
             right = f'write --{name} NAME, or {name} = "NAME" in sierra.toml'
             raise ConfigError(f"{expression.text!r} has no value: no {name} is chosen; {right}") from None
         raise ConfigError(f"unknown name {name!r} in {expression.text!r}{_nearest(name, values)}") from None
-
-
-def _reason(error: ArithmeticError) -> str:
-    return "division by zero" if isinstance(error, ZeroDivisionError) else "it is too large"
 
 
 def _value(node: ast.expr, values: Mapping[str, Value]) -> Number:

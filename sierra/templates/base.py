@@ -112,8 +112,8 @@ def read(path: Path, tables: Tables | None = None) -> Template:
     except (OSError, ValueError) as error:
         raise Missing(f"{name}: {getattr(error, 'strerror', None) or error}; cannot read the template") from error
     ending = path.suffix.removeprefix(".").lower()
-    made: Template = TEMPLATES.make(ending if ending in TEMPLATES.names() else "xml", tables or {}, data, name)
-    return made
+    template: Template = TEMPLATES.make(ending if ending in TEMPLATES.names() else "xml", tables or {}, data, name)
+    return template
 
 
 def formats() -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from difflib import SequenceMatcher
+from itertools import chain
 from typing import Literal, TypeAlias
 
 from lxml import etree
@@ -55,15 +56,11 @@ def differing(name: str, before: bytes, after: bytes) -> tuple[Spot, ...]:
     try:
         trees = [parse(content, name).getroot() for content in (before, after)]
     except TemplateError:
-        return (_no_xml(name, before, after),)
+        found = patch(before, after, name)
+        if found.added is None:
+            return (Spot(name, "bytes", f"{len(before)} bytes", f"{len(after)} bytes"),)
+        return (Spot(name, "lines", f"{found.removed} lines", f"{found.added} lines", found.lines),)
     return tuple(_Comparison(*trees).spots()) or (Spot(name, "writing"),)
-
-
-def _no_xml(name: str, before: bytes, after: bytes) -> Spot:
-    found = patch(before, after, name)
-    if found.added is None:
-        return Spot(name, "bytes", f"{len(before)} bytes", f"{len(after)} bytes")
-    return Spot(name, "lines", f"{found.removed} lines", f"{found.added} lines", found.lines)
 
 
 class _Comparison:
@@ -77,7 +74,8 @@ class _Comparison:
         self._steps: dict[Element, dict[Element, str]] = {}
         for root in self._roots:
             self._note(root)
-        self._calls = [Counter(call for element in _all(root) for call in self._called(element)) for root in self._roots]
+        every = ((self._called(element) for element in root.iter(etree.Element)) for root in self._roots)
+        self._calls = [Counter(chain.from_iterable(called)) for called in every]
 
     def spots(self) -> Iterator[Spot]:
         before, after = self._roots
@@ -88,12 +86,8 @@ class _Comparison:
 
     def _note(self, element: Element) -> int:
         """Return a number that is equal for elements with equal content."""
-        shape = (
-            element.tag,
-            frozenset(element.attrib.items()),
-            _text(element),
-            tuple(self._note(child) for child in _children(element)),
-        )
+        children = tuple(self._note(child) for child in _children(element))
+        shape = (element.tag, frozenset(element.attrib.items()), _text(element), children)
         return self._like.setdefault(element, self._shapes.setdefault(shape, len(self._shapes)))
 
     def _of(self, before: Element, after: Element) -> Iterator[Spot]:
@@ -110,7 +104,7 @@ class _Comparison:
         yield from self._children_of(path, before, after)
 
     def _children_of(self, path: str, before: Element, after: Element) -> Iterator[Spot]:
-        old, new = list(_children(before)), list(_children(after))
+        old, new = _children(before), _children(after)
         pairs = self._pairs(old, new)
         for place, child in enumerate(old):
             if place in pairs:
@@ -143,20 +137,19 @@ class _Comparison:
             yield 0, len(old), 0, len(new), False
             return
         matcher = SequenceMatcher(None, [self._like[one] for one in old], [self._like[one] for one in new], autojunk=False)
-        for what, *places in matcher.get_opcodes():
-            begin, end, first, last = places
+        for what, begin, end, first, last in matcher.get_opcodes():
             yield begin, end, first, last, what == "equal"
 
     def _path(self, element: Element) -> str:
         """Return a short path that selects only this element."""
-        ways = [call for call in self._called(element) if self._is_alone(call)]
-        if ways:
-            return f"//{ways[0]}"
+        for call in self._called(element):
+            if all(calls[call] <= 1 for calls in self._calls):
+                return f"//{call}"
         parent = element.getparent()
         if parent is None:
             return f"/{self._name(element.tag)}"
         if parent not in self._steps:
-            self._steps[parent] = dict(self._steps_to(list(_children(parent))))
+            self._steps[parent] = dict(self._steps_to(_children(parent)))
         return f"{self._path(parent)}/{self._steps[parent][element]}"
 
     def _steps_to(self, siblings: Sequence[Element]) -> Iterator[tuple[Element, str]]:
@@ -167,9 +160,6 @@ class _Comparison:
             place[child.tag] += 1
             alone = (call for call in self._called(child) if counted[call] == 1)
             yield child, next(alone, f"{self._name(child.tag)}[{place[child.tag]}]")
-
-    def _is_alone(self, call: str) -> bool:
-        return all(calls[call] <= 1 for calls in self._calls)
 
     def _called(self, element: Element) -> list[str]:
         """Return the possible steps of a path to an element: its tag, with its id, with its name."""
@@ -185,12 +175,8 @@ class _Comparison:
         return f"{prefix}:{name.localname}"
 
 
-def _all(root: Element) -> Iterator[Element]:
-    yield from root.iter(etree.Element)
-
-
-def _children(element: Element) -> Iterator[Element]:
-    yield from element.iterchildren(etree.Element)
+def _children(element: Element) -> list[Element]:
+    return list(element.iterchildren(etree.Element))
 
 
 def _text(element: Element) -> str:

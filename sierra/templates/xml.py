@@ -90,7 +90,7 @@ class XmlDocument:
         self._namespaces = declarations(root) if namespaces is None else namespaces
 
     def render(self) -> bytes:
-        return self._frame.around(self._body())
+        return self._frame.complete(self._body())
 
     def per_run(self, changes: Sequence[Change]) -> Callable[[Mapping[str, Value]], bytes]:
         self.changed(changes, _unfilled)
@@ -150,16 +150,14 @@ class XmlDocument:
     def _calls(self, element: Element) -> list[str]:
         """Return the possible names of an element in paths: its tag, with its name, with its id."""
         tag = f"//{self._qualified(element.tag)}"
-        named = [f"{tag}[@{key}='{element.get(key)}']" for key in ("name", "id") if "'" not in element.get(key, "'")]
-        return [tag, *named]
+        return [tag, *(f"{tag}[@{key}='{element.get(key)}']" for key in ("name", "id") if "'" not in element.get(key, "'"))]
 
     def _alone(self, call: str) -> bool:
         """Return True if a name that occurs once selects one element; `local-name()` may match other namespaces too."""
         return "local-name()" not in call or len(self._found(call)) == 1
 
     def _body(self) -> str:
-        text: str = etree.tostring(self._root, encoding="unicode", with_tail=False)
-        return text
+        return str(etree.tostring(self._root, encoding="unicode", with_tail=False))
 
     def _gapped(self, changes: Sequence[Set]) -> Callable[[Mapping[str, Value]], bytes]:
         """Split the document at the values that differ between runs, so that each run only fills these gaps."""
@@ -361,11 +359,11 @@ class XmlDocument:
         """Return the names that exist in the place where a step matches nothing."""
         at = "@" if step.lstrip("/").startswith("@") else ""
         way = re.match("/{0,2}", step)[0]  # type: ignore[index]
-        there = [at + name for name in self._names(good, way, at)]
-        if not there:
+        known = [at + name for name in self._names(good, way, at)]
+        if not known:
             return f"; only {good} matches" if good else ""
-        more = ", …" if len(there) > 8 else ""
-        return f"; {f'{good} has' if good else 'there are'} {', '.join(there[:8])}{more}"
+        more = ", …" if len(known) > 8 else ""
+        return f"; {f'{good} has' if good else 'there are'} {', '.join(known[:8])}{more}"
 
     def _names(self, good: str, way: str, at: str) -> list[str]:
         """Return the different names that are one step away from a path, in document order."""
@@ -382,9 +380,6 @@ class XmlDocument:
         return f"{prefix}:{name.localname}" if prefix else f"*[local-name()='{name.localname}']"
 
 
-# The content around the root element
-
-
 @dataclass(frozen=True, slots=True)
 class _Frame:
     """The content around the root element, and the encoding of the document."""
@@ -395,7 +390,7 @@ class _Frame:
     codec: str
     crlf: bool
 
-    def around(self, body: str) -> bytes:
+    def complete(self, body: str) -> bytes:
         return self.before + self.encoded(body) + self.after
 
     def encoded(self, body: str) -> bytes:
@@ -462,9 +457,6 @@ def _refuse_entities(doctype: str, name: str) -> None:
             )
 
 
-# Reading
-
-
 def _parser() -> etree.XMLParser:
     return etree.XMLParser(
         resolve_entities=False,
@@ -500,9 +492,6 @@ def declarations(root: Element) -> dict[str, str]:
     return found
 
 
-# Writing
-
-
 @dataclass(frozen=True, slots=True)
 class _Place:
     """The place of a text: an attribute, the beginning of an element, or the text after an element."""
@@ -513,14 +502,10 @@ class _Place:
 
     def read(self) -> str | None:
         """Return the text; None for an attribute that does not exist yet."""
-        match self.kind:
-            case "attribute":
-                found = self.element.get(self.name)
-            case "text":
-                found = self.element.text or ""
-            case "tail":
-                found = self.element.tail or ""
-        return None if found is None else str(found)
+        if self.kind == "attribute":
+            attribute: str | None = self.element.get(self.name)
+            return attribute
+        return getattr(self.element, self.kind) or ""
 
     def update(self, text: str) -> None:
         """Write a text, unless the current text spells the same number."""
@@ -529,13 +514,10 @@ class _Place:
             self.write(text)
 
     def write(self, text: str) -> None:
-        match self.kind:
-            case "attribute":
-                self.element.set(self.name, text)
-            case "text":
-                self.element.text = text
-            case "tail":
-                self.element.tail = text
+        if self.kind == "attribute":
+            self.element.set(self.name, text)
+        else:
+            setattr(self.element, self.kind, text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -648,9 +630,6 @@ def _unfilled(text: str) -> str:
     """Return a text unchanged, after checking that it can be filled."""
     names(text)
     return text
-
-
-# Messages
 
 
 _ONE_NAME = re.compile(r"\{[A-Za-z_]\w*\}")

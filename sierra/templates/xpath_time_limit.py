@@ -45,7 +45,7 @@ def ends(path: str, namespaces: Mapping[str, str], root: etree._Element) -> bool
     nodes = sum(1 + len(element.attrib) for element in root.iter(etree.Element))
     if nodes**exponent <= LITTLE or (path, nodes) in _ended:
         return True
-    if _tried(path, namespaces, root):
+    if _ends_when_tried(path, namespaces, root):
         _ended.add((path, nodes))
         return True
     return False
@@ -63,20 +63,20 @@ def _exponent(path: str) -> int:
     return len(_WIDE.findall(every)) - outside + max(1, outside)
 
 
-def _tried(path: str, namespaces: Mapping[str, str], root: etree._Element) -> bool:
-    said = json.dumps([path, dict(namespaces), LIMIT_S]).encode()
+def _ends_when_tried(path: str, namespaces: Mapping[str, str], root: etree._Element) -> bool:
+    question = json.dumps([path, dict(namespaces), LIMIT_S]).encode()
     document = etree.tostring(root, encoding="utf-8", with_tail=False)
     try:
-        tried = subprocess.run(
+        ended = subprocess.run(
             [sys.executable, "-I", __file__],
-            input=said + b"\n" + document,
+            input=question + b"\n" + document,
             capture_output=True,
             check=False,
             timeout=PATIENCE_S,
         )
     except subprocess.TimeoutExpired:
         return False
-    return tried.returncode == 0
+    return ended.returncode == 0
 
 
 def _main() -> None:

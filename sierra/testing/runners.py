@@ -253,8 +253,6 @@ CLAIMS: tuple[Callable[[Trial], None], ...] = (
 )
 
 
-# Claims about runners
-
 AT_ONCE_S = 2.0
 """Seconds that a look may take if it has little to report."""
 QUIET_S = 1.0

@@ -45,9 +45,9 @@ def cut(drawing: Drawing) -> Cut | None:
     center, low, high = (_scaled(style.column(table, name), drawing) for name in CENTERS[drawing.figure.center])
     n = style.column(table, "n")
     few = 2 * n <= n.max(initial=0)
-    whole = _span(center, low, high)
+    outer = _span(center, low, high)
     inner = _span(center, np.where(few, np.nan, low), np.where(few, np.nan, high))
-    if whole is None or inner is None or not 0 < (inner[1] - inner[0]) * WIDER < whole[1] - whole[0]:
+    if outer is None or inner is None or not 0 < (inner[1] - inner[0]) * WIDER < outer[1] - outer[0]:
         return None
     margin = (inner[1] - inner[0]) * MARGIN
     bottom, top = inner[0] - margin, inner[1] + margin
@@ -57,7 +57,7 @@ def cut(drawing: Drawing) -> Cut | None:
     return Cut(bottom, top, int(n[beyond].max()))
 
 
-def said(drawing: Drawing) -> Drawing:
+def with_notes(drawing: Drawing) -> Drawing:
     """Return the drawing with notes in its small print on everything that its y axis cannot show."""
     found = cut(drawing)
     few = f"some intervals of n ≤ {found.most} are cut off" if found else ""

@@ -99,7 +99,7 @@ def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
         "violin": summary.violin,
         "heatmap": heatmap.heatmap,
     }
-    drawing = axis_limits.said(drawing)
+    drawing = axis_limits.with_notes(drawing)
     with style.applied():
         figure = painters[drawing.figure.kind](drawing)
         style.settle(figure, drawing)

@@ -220,9 +220,6 @@ def _hang(figure: Figure, item: Legend | Text, top: float) -> None:
         item.set_y(top)
 
 
-# Texts
-
-
 def label(name: str, unit: str = "", *, given: str = "") -> str:
     """Return a label with its unit in brackets: the given text, or the name with blanks for underscores."""
     text = given or name.replace("_", " ")
@@ -282,9 +279,6 @@ def wrapped(text: str, width: float, size: float) -> str:
     return "\n".join(textwrap.wrap(line, max(20, int(width * 72 / (0.56 * size))), max_lines=4, placeholder=" …"))
 
 
-# Colours
-
-
 def colours(axis: Axis) -> list[ColorType]:
     """Return a colour for each value: along a scale for numbers, which have an order; clearly different ones for names."""
     count = len(axis.values)
@@ -292,8 +286,10 @@ def colours(axis: Axis) -> list[ColorType]:
         return list(NAMED[:count])
     if count == 1:
         return [NAMED[0]]
-    places = _norm(axis)(numbers(axis)) if count > FEW and axis.numeric else np.linspace(0, 1, count)
-    return list(sequential()(places))
+    if count > FEW and axis.numeric:
+        norm = _norm(axis)
+        return list(sequential()([norm(value) for value in axis.values if not isinstance(value, str)]))
+    return list(sequential()([k / (count - 1) for k in range(count)]))
 
 
 def looks(axis: Axis) -> list[Look]:
@@ -357,9 +353,6 @@ def colour_bar(figure: Figure, plots: Sequence[Axes], axis: Axis, entries: Seque
 def thinned(count: int, most: int) -> list[int]:
     """Return at most about `most` of `count` indices, at equal distances."""
     return list(range(0, count, -(-count // most)))
-
-
-# Scales
 
 
 def geometric(values: Sequence[Value]) -> bool:

@@ -128,8 +128,8 @@ def _line(plot: Axes, drawing: Drawing, table: pa.Table, look: Look) -> None:
     center, low, high = (style.column(table, name)[shown] for name in CENTERS[drawing.figure.center])
     center = style.drawable(center, drawing)
     known = np.isfinite(center)
-    beside = np.concatenate(([False], known, [False]))
-    alone = known & ~beside[:-2] & ~beside[2:]
+    padded = np.concatenate(([False], known, [False]))
+    alone = known & ~padded[:-2] & ~padded[2:]
     plot.plot(t, center, **look)
     plot.plot(t[alone], center[alone], "o", color=colour, markersize=3.5 if len(t) == 1 else 1.2)
     some = np.isfinite(low) & np.isfinite(high)

@@ -53,13 +53,13 @@ def named(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
     for path in numbers:
         short, element = _called(path)
         proposed = (re.sub(r"\W", "_", name, flags=re.ASCII) for name in (short, f"{element}_{short}"))
-        name = next((name for name in proposed if not mistaken(name, {*found, *known})), None)
+        name = next((name for name in proposed if not refused(name, {*found, *known})), None)
         if name and path != robots and short.lower() not in SELDOM and len(found) <= SHOWN:
             found[name] = path
     return found
 
 
-def mistaken(name: str, known: Iterable[str]) -> str | None:
+def refused(name: str, known: Iterable[str]) -> str | None:
     """Return why queries or the store cannot have a name, and what would be right; None if they can."""
     if not NAME.fullmatch(name):
         return "this is not a name of letters, digits and _; use a name such as my_name"
@@ -82,7 +82,7 @@ def _counting(numbers: Mapping[str, str]) -> str | None:
         for short, element in [_called(path)]
         if value.isdigit() and set(_words(short)) <= CROWDS | COUNTS | BESIDE
     ]
-    likely = [path for path, words, around in counts if (words | around) & CROWDS]
+    likely = [path for path, words, of_element in counts if (words | of_element) & CROWDS]
     return next(iter([*likely, *(path for path, words, _ in counts if words & COUNTS)]), None)
 
 
@@ -165,8 +165,8 @@ def _check(template: Template, per_run: Sequence[Change], known: Iterable[str], 
     if not equals or not name or not path or name[0] in "/@":
         raise UsageError(f'{text!r}: give a variable as NAME=XPATH, as in "population_size=//swarm/@count"')
     why = f"variable {name!r}"
-    if said := mistaken(name, known):
-        raise UsageError(f"{why}: {said}")
+    if refusal := refused(name, known):
+        raise UsageError(f"{why}: {refusal}")
     one, two = (template.changed((Set(path, value, why=why), *per_run), {"seed": 0}).render() for value in ("1", "2"))
     if one == two:
         raise UsageError(f"{why}: {path} gets the seed; vary something else, or use montecarlo.C20 for other seeds")
@@ -192,10 +192,10 @@ def first_query(platform: Platform, template: Template, variables: Mapping[str, 
     with contextlib.suppress(SierraError):  # the platform finds no population in the template
         if POPULATION not in variables and platform.criterion(criterion, template):
             return grammar.text(criterion)
-    return next((_around(name, template.find(path)[0].strip()) for name, path in variables.items()), None)
+    return next((_criterion(name, template.find(path)[0].strip()) for name, path in variables.items()), None)
 
 
-def _around(name: str, value: str) -> str:
+def _criterion(name: str, value: str) -> str:
     if not re.fullmatch(r"[+-]?\d{1,6}(\.\d{1,6})?", value, re.ASCII):
         return _word(name, value)
     number = Decimal(value)

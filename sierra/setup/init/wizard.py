@@ -18,24 +18,24 @@ from sierra.setup.init.write import Guess, write
 __all__ = ["Ask", "Guess", "Options", "Question", "copy_example", "find_out", "write"]
 
 
-def find_out(root: Path, said: Options, ask: Ask | None = None) -> Guess:
+def find_out(root: Path, options: Options, ask: Ask | None = None) -> Guess:
     """Return a guess from the options, and for the rest from the folder. If `ask` is given, it asks about uncertain values.
 
     Raises UsageError for a wrong option, or if there is a `sierra.toml` already; Missing if the folder does not show a value
     and nobody can be asked.
     """
     folder.check(root)
-    template, content = folder.template(root, said.template, ask)
-    started = command.choose(root, template, said.command, ask)
+    template, content = folder.template(root, options.template, ask)
+    started = command.choose(root, template, options.command, ask)
     platform_name, platform = command.platform(template, started)
     numbers = variables.numbers(content)
     seeds = variables.seeds(numbers)
     by_platform = platform.seed_changes()
-    seed = None if by_platform and said.seed is None else variables.choose_seed(content, seeds, said.seed, ask)
+    seed = None if by_platform and options.seed is None else variables.choose_seed(content, seeds, options.seed, ask)
     named = variables.named({path: value for path, value in numbers.items() if path not in (seed, *seeds)}, platform.criteria())
     per_run = (*by_platform, *([Set(seed, "{seed}")] if seed else []))
     likely = {} if platform.criteria() else dict(list(named.items())[:1])
-    chosen = variables.choose(content, per_run, named, likely, said.variables, ask)
+    chosen = variables.choose(content, per_run, named, likely, options.variables, ask)
     return Guess(
         template=template,
         platform=platform_name,
@@ -44,7 +44,7 @@ def find_out(root: Path, said: Options, ask: Ask | None = None) -> Guess:
         seed=seed,
         variables=chosen,
         other_variables={name: path for name, path in named.items() if path not in chosen.values()},
-        source=source.choose(root, template, said.source, ask),
+        source=source.choose(root, template, options.source, ask),
         next=variables.first_query(platform, content, chosen),
         notes=(
             *command.doubts(platform, root),
