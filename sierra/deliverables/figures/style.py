@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
 import matplotlib as mpl
@@ -59,7 +60,6 @@ LETTER = 0.06
 """The width of a letter of a legend, in inches."""
 FEW = 8
 """The largest number of lines with an entry each in a legend."""
-INK = "#333333"
 FAINT = "#777777"
 NAMED = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#8C8C8C")
 """Okabe and Ito's palette without its yellow, which is too light for lines on white."""
@@ -69,52 +69,7 @@ DASHES: tuple[LineStyleType, ...] = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1
 NAMES = 24
 """The largest number of names with an entry each in a legend; more names become a scale of colours."""
 
-SETTINGS: dict[RcKeyType, str | float] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
-    "figure.titlesize": 9,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7,
-    "legend.title_fontsize": 7,
-    "legend.frameon": False,
-    "legend.handlelength": 1.5,
-    "legend.handletextpad": 0.5,
-    "legend.columnspacing": 1.2,
-    "legend.labelspacing": 0.3,
-    "legend.borderpad": 0.1,
-    "legend.borderaxespad": 0.2,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.xmargin": 0.02,
-    "grid.color": "#E4E4E4",
-    "grid.linewidth": 0.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "lines.linewidth": 1.2,
-    "lines.markersize": 3.5,
-    "lines.solid_joinstyle": "round",
-    "figure.dpi": 300,
-    "savefig.dpi": 300,
-    "figure.facecolor": "white",
-    "text.parse_math": False,
-    "pdf.fonttype": 42,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "sierra",
-    "figure.constrained_layout.use": False,
-}
+SETTINGS = Path(__file__).with_name("sierra.mplstyle")
 
 
 @contextmanager
@@ -456,7 +411,8 @@ def numbers(axis: Axis) -> list[float]:
 def _defaults() -> dict[RcKeyType, object]:
     """Return the settings of all figures."""
     skipped = {"backend", "backend_fallback", "interactive", "toolbar", "timezone", "webagg.port"}
-    return {name: value for name, value in mpl.rcParamsDefault.items() if name not in skipped} | SETTINGS
+    ours = mpl.rc_params_from_file(SETTINGS, use_default_template=False)
+    return {name: value for name, value in {**mpl.rcParamsDefault, **ours}.items() if name not in skipped}
 
 
 def _norm(axis: Axis) -> Normalize:
