@@ -76,22 +76,16 @@ RESOURCES: Mapping[str, str] = {
 """The reason or the alternative for each resource after `-l`."""
 ATTRIBUTES: Mapping[str, str] = {"depend": WAITS, "block": FOLLOWED, "interactive": SUBMITTED}
 """The reason for each attribute after `-W`."""
-
-
 CHECKED = ("slurm", "pbs")
 """The schedulers whose lines are checked here; others refuse lines themselves (see `sierra.runners.schedulers.base`)."""
 
 
 def complaint(scheduler: str, line: str) -> str | None:
     """Return the reason why a line cannot be added for a scheduler of `CHECKED`, with an alternative; None if it can."""
+    mark, example, found = ("SBATCH", "--mail-type=FAIL", _slurm) if scheduler == "slurm" else ("PBS", "-l place=excl", _pbs)
     if not line.lstrip().startswith("-"):
-        return f"should be the text after #{'SBATCH' if scheduler == 'slurm' else 'PBS'}, such as {_example(scheduler)}"
-    found = _slurm(line) if scheduler == "slurm" else _pbs(line)
-    return next(found, None)
-
-
-def _example(scheduler: str) -> str:
-    return "--mail-type=FAIL" if scheduler == "slurm" else "-l place=excl"
+        return f"should be the text after #{mark}, such as {example}"
+    return next(found(line), None)
 
 
 def _slurm(line: str) -> Iterator[str]:

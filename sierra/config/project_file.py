@@ -716,13 +716,8 @@ def _nearest(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
 
 
 def _keys(model: type[BaseModel], location: tuple[int | str, ...]) -> set[str]:
-    found = _models(model)
-    current = model
+    others = [other for other in Table.__subclasses__() if other is not model]
     for part in location:
-        inner = next((f.annotation for n, f in current.model_fields.items() if part in (n, f.alias)), None)
-        current = next((m for m in found if inner is not None and m.__name__ in str(inner)), current)
-    return {field.alias or name for name, field in current.model_fields.items()}
-
-
-def _models(model: type[BaseModel]) -> list[type[BaseModel]]:
-    return [m for m in Table.__subclasses__() if m is not model]
+        inner = next((f.annotation for n, f in model.model_fields.items() if part in (n, f.alias)), None)
+        model = next((other for other in others if inner is not None and other.__name__ in str(inner)), model)
+    return {field.alias or name for name, field in model.model_fields.items()}

@@ -112,7 +112,7 @@ def _criterion(text: str) -> Criterion:
         raise QueryError("a criterion must not be empty; use population_size.Log8")
     if not text.isprintable() or " " in text:
         raise QueryError("a criterion must not contain blanks; use noise=0,0.5,1")
-    name, separator, rest = _split(text)
+    name, separator, rest = (*re.split(r"([.=])", text, maxsplit=1), "", "")[:3]
     if not _NAME.fullmatch(name):
         raise QueryError(f"{_shown(name)} is not a name of letters, digits and _; {_right_name(name)}")
     if not rest:
@@ -122,12 +122,6 @@ def _criterion(text: str) -> Criterion:
     scale = _dotted(name, rest) if separator == "." else _spelled(name, rest)
     ranges.check(scale)
     return Criterion(name, scale)
-
-
-def _split(text: str) -> tuple[str, str, str]:
-    """Return the name, the first `.` or `=`, and the text after it."""
-    name = re.split(r"[.=]", text, maxsplit=1)[0]
-    return name, text[len(name) : len(name) + 1], text[len(name) + 1 :]
 
 
 def _dotted(name: str, rest: str) -> Scale:

@@ -41,7 +41,7 @@ OPTIONAL = {
 
 def all_checks() -> list[Check]:
     """Return the results of all checks, those of the machine first."""
-    return [check for part in (_machine, _settings, _libraries, _programs, _plugins, _engines, _project) for check in part()]
+    return [check for part in (_machine, _settings, _installed, _plugins, _engines, _project) for check in part()]
 
 
 def _machine() -> Iterator[Check]:
@@ -63,16 +63,13 @@ def _settings() -> Iterator[Check]:
     yield _tried("settings", lambda: ", ".join(f"{name} = {value}" for name, value in user.load()) + f" ({file})")
 
 
-def _libraries() -> Iterator[Check]:
+def _installed() -> Iterator[Check]:
     for name in (*LIBRARIES, *OPTIONAL):
         try:
             yield Check(name, "ok", metadata.version(name))
         except metadata.PackageNotFoundError:
             state: State = "absent" if name in OPTIONAL else "missing"
             yield Check(name, state, "not installed", OPTIONAL.get(name, f"pip install {name}"))
-
-
-def _programs() -> Iterator[Check]:
     path = shutil.which("git")
     yield _check("git", path is not None, path or "not installed", "needed for projects in git: install git", "absent")
 

@@ -79,7 +79,8 @@ def json_schema(note: Note | None = None) -> Schema:
         if named:
             table["properties"] = named
     _clusters(schema, note)
-    _formats(schema, note)
+    formats = schema["$defs"]["Output"]["properties"]["format"]["anyOf"][0]["enum"]
+    formats.extend(name for name in _usable(READERS, note) if name not in formats)
     schema["$defs"] = dict(sorted(schema["$defs"].items()))
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "sierra.toml", **schema}
 
@@ -130,12 +131,6 @@ def _clusters(schema: Schema, note: Note | None) -> None:
         clusters.append(_define(schema, f"schedulers.{name}", SCHEDULERS.load(name).Options))
         runners.setdefault("properties", {}).setdefault(name, clusters[-1])
     runners["additionalProperties"] = clusters[0] if len(clusters) == 1 else {"anyOf": clusters}
-
-
-def _formats(schema: Schema, note: Note | None) -> None:
-    """Add the names of installed readers to the formats of outputs."""
-    formats = schema["$defs"]["Output"]["properties"]["format"]["anyOf"][0]["enum"]
-    formats.extend(name for name in _usable(READERS, note) if name not in formats)
 
 
 def toml_schema(note: Note | None = None) -> str:

@@ -336,14 +336,11 @@ class XmlDocument:
             return self._mended_predicate(good, bare, predicates)
         for way in (slash, "//") if not at else (slash,):
             close = _closest(name, self._names(good, way, at))
+            if close and (not predicates or self._found(good + way + at + close + predicates)):
+                return way + at + close + predicates
             if close:
-                return self._with(good, way + at + close, predicates)
+                return self._mended_predicate(good, way + at + close, predicates)
         return None
-
-    def _with(self, good: str, bare: str, predicates: str) -> str:
-        if not predicates or self._found(good + bare + predicates):
-            return bare + predicates
-        return self._mended_predicate(good, bare, predicates)
 
     def _mended_predicate(self, good: str, bare: str, predicates: str) -> str:
         """Return the step with `[@name='x']` changed to the most similar existing value; other predicates are left out."""

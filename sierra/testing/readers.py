@@ -51,7 +51,10 @@ class Trial:
 
         self._count += 1
         place = self.folder / str(self._count)
-        files = [_write(place / f"{number}" / f"out.{self.name}", content) for number, content in enumerate(contents)]
+        files = [place / f"{number}" / f"out.{self.name}" for number in range(len(contents))]
+        for path, content in zip(files, contents, strict=True):
+            path.parent.mkdir(parents=True)
+            path.write_bytes(content)
         target = place / "read" / "table.parquet"
         target.parent.mkdir(parents=True)
         shape = Shape(self.name, reader=self._described())
@@ -129,12 +132,6 @@ def _are(rows: Sequence[Row], columns: Columns) -> None:
     holds(len(rows) == len(wanted), f"the file has {len(wanted)} rows, but {len(rows)} were read")
     for row, expected in zip(rows, wanted, strict=True):
         holds(row == expected and list(row) == list(expected), f"the row {expected} became {dict(row)}")
-
-
-def _write(path: Path, content: bytes) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(content)
-    return path
 
 
 def _written(path: Path, number: int) -> Written:

@@ -378,12 +378,10 @@ class Errand:
 
     def each_is_reported_once(self) -> None:
         wanted = sorted(job.execution for job in self.jobs)
-        holds(sorted(result.execution for result in self.reported) == wanted, f"{len(wanted)} jobs, but {self._counts()}")
+        counts = f"{len(self.reported)} results of {len(self.results)} executions were reported"
+        holds(sorted(result.execution for result in self.reported) == wanted, f"{len(wanted)} jobs, but {counts}")
         runs = {job.execution: job.run for job in self.jobs}
         holds(all(runs[one.execution] == one.run for one in self.reported), "a result has the run of another job")
-
-    def _counts(self) -> str:
-        return f"{len(self.reported)} results of {len(self.results)} executions were reported"
 
     def at_rest(self) -> None:
         """Check that nothing keeps running."""

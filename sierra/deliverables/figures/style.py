@@ -136,9 +136,12 @@ def _panel(plot: Axes) -> tuple[Figure, SubplotSpec]:
 
 
 def title(plot: Axes, text: str) -> None:
-    """Write the title of a panel, in at most three lines that are no wider than the panel."""
+    """Write the title of one of several panels, in at most three lines that are no wider than the panel."""
     figure, place = _panel(plot)
-    wide = figure.get_figwidth() / place.get_gridspec().ncols - 0.4
+    grid = place.get_gridspec()
+    if grid.ncols * grid.nrows == 1:
+        return
+    wide = figure.get_figwidth() / grid.ncols - 0.4
     lines = textwrap.wrap(text, max(10, int(wide / LETTER)), max_lines=3, placeholder=" …")
     plot.set_title("\n".join(lines), fontsize=7)
 

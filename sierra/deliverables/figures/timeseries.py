@@ -51,8 +51,7 @@ def timeseries(drawing: Drawing) -> Figure:
         style.scale_y(plot, drawing, float(np.nanmin(center)), float(np.nanmax(center)))
         axis_limits.apply(plot, drawing)
         style.scale_time(plot, drawing, float(style.column(table, "t")[0]))
-        if len(plots) > 1:
-            style.title(plot, _others_of(drawing, values))
+        style.title(plot, _others_of(drawing, values))
     style.outer_labels(plots, style.time_label(drawing), style.value_label(drawing))
     entries = with_n([style.named(value) for value in first.values], highest)
     style.legend(figure, plots, first, entries, looks)
@@ -157,12 +156,8 @@ def _stacked_over_time(drawing: Drawing, center: str) -> Figure:
         ]
         shown = _shown(rows[0].num_rows)
         _areas(plot, drawing, style.column(rows[0], "t")[shown], [style.column(row, center)[shown] for row in rows])
-        if len(plots) > 1:
-            style.title(plot, style.point(drawing, drawing.axes, ordinal))
-    plots[0].set_ylim(bottom=0)
-    style.outer_labels(plots, style.time_label(drawing), _stack_label(drawing))
-    _stack_legend(figure, drawing)
-    return figure
+        style.title(plot, style.point(drawing, drawing.axes, ordinal))
+    return _labelled(figure, plots, drawing, style.time_label(drawing))
 
 
 def _stacked_over_axis(drawing: Drawing, center: str) -> Figure:
@@ -179,12 +174,8 @@ def _stacked_over_axis(drawing: Drawing, center: str) -> Figure:
         else:
             _bars(plot, places, heights)
         style.scale_values(plot, first, log=drawing.figure.log_x, margin=0)
-        if len(plots) > 1:
-            style.title(plot, _others_of(drawing, combination))
-    plots[0].set_ylim(bottom=0)
-    style.outer_labels(plots, drawing.figure.xlabel or style.axis_label(first), _stack_label(drawing))
-    _stack_legend(figure, drawing)
-    return figure
+        style.title(plot, _others_of(drawing, combination))
+    return _labelled(figure, plots, drawing, drawing.figure.xlabel or style.axis_label(first))
 
 
 def _areas(plot: Axes, drawing: Drawing, places: npt.ArrayLike, heights: list[Floats]) -> None:
@@ -204,13 +195,11 @@ def _stack_colours(count: int) -> list[ColorType]:
     return style.colours(Axis("column", tuple(f"{k:03}" for k in range(count))))
 
 
-def _stack_label(drawing: Drawing) -> str:
-    if drawing.figure.ylabel:
-        return drawing.figure.ylabel
-    return style.label("sum", drawing.units.get(next(iter(drawing.tables)), ""))
-
-
-def _stack_legend(figure: Figure, drawing: Drawing) -> None:
+def _labelled(figure: Figure, plots: Sequence[Axes], drawing: Drawing, xlabel: str) -> Figure:
+    """Return the figure of stacked columns with its labels and its legend."""
+    plots[0].set_ylim(bottom=0)
+    total = style.label("sum", drawing.units.get(next(iter(drawing.tables)), ""))
+    style.outer_labels(plots, xlabel, drawing.figure.ylabel or total)
     names = [style.named(name.replace("_", " ")) for name in drawing.tables]
-    handles = [Patch(color=colour) for colour in _stack_colours(len(names))]
-    style.place_legend(figure, handles, names)
+    style.place_legend(figure, [Patch(color=colour) for colour in _stack_colours(len(names))], names)
+    return figure
