@@ -35,6 +35,7 @@ CONTENTS = {
         "explanation/store-format",
         "explanation/execution",
         "explanation/cluster-protocol",
+        "explanation/argos",
         "explanation/threat-model",
         "explanation/self-checks",
     ],

@@ -1,50 +1,6 @@
 """ARGoS 3: a configuration in which SIERRA sets the seed, length, controller, arena and population.
 
-In every run, these parts of the template are replaced first; the project's own changes follow:
-
-- `framework/experiment` gets `random_seed`. It gets `length` and `ticks_per_second` if the options set them. A length of 0
-  (or less than a tick) makes ARGoS run for ever. Therefore it is refused, also if a change of the project sets it.
-- `framework/system/@threads` gets the option `threads`. The results are the same for any number. Many parallel runs are
-  faster than many threads, so the default is 0. With two or more, `method="balance_length"` hangs.
-  `pin_threads_to_cores` is refused if there are threads: it pins thread n of each run to core n.
-- The placeholder `__CONTROLLER__`, as a tag and as an attribute, becomes the controller's name.
-- `visualization` is removed. So `argos3` needs no `-z`, and a camera is not part of a run's identity.
-
-*The arena.* `arena = "10x10"` (or `10x10x2`, in metres) sets `arena/@size`. The arena keeps its centre, and the floor keeps
-its height. The elements that belong to its shape follow. All others stay in their places. If a smaller arena leaves a light
-outside, the run ends with an error of ARGoS.
-
-- The walls are the boxes whose ids begin with `wall`, or the boxes that the option `walls` selects: none, or one on each
-  side. The side of a wall follows from its longer dimension and its position among the walls, not from its name. Each wall
-  keeps its thickness and height, and becomes as long as the side. It is moved inside the arena with its outer face on the
-  edge. It cannot stand on the edge, because ARGoS ends a run as soon as a lit LED is outside `arena/@size`.
-- The boxes of `distribute/position[@method="uniform"]` are stretched like the space between the walls (or, without walls,
-  like the arena), and cut at the walls. A nest along one wall remains a nest along that wall.
-
-If another change sets the arena's size along x or y, or its centre (a variable, a scenario, `--set`, `run_changes`), the
-walls must have moved too. An input is refused if its walls are further from an edge than their thickness.
-
-*Densities* are percent of robots per m² of `arena/@size`. The size is the one after the changes of project, controller,
-scenario, variables and `--set`. A population is ⌊area · density / 100⌋. `population_constant_density.5p0.I16.C4` starts with
-the current arena, and each following arena is 16 m longer on both sides. `population_variable_density.1p0.5p0.C4` keeps the
-arena. The values of both axes are populations. Two equal populations, or less than one robot, are errors. Both criteria set
-`arena/@size`, so no other criterion may set it.
-
-*Libraries.* ARGoS searches the libraries that a template names in `ARGOS_PLUGIN_PATH`. The first entry is the project's
-folder: there `library="build/controllers/libx"` means the same as for a user who starts `argos3` in that folder. The folders
-of the option `libraries` follow, by default `build`. All files in these folders are fingerprinted like programs: a run
-executes again if one has changed, even if git ignores it. A path of one machine would become part of every run's id.
-Therefore ARGoS itself should be installed where its loader finds it: in an image, or by `make install` and ldconfig.
-Otherwise `[environment] pass = ["LD_LIBRARY_PATH"]` works as well, but its value becomes part of the ids. If the project sets
-the variable `ARGOS_PLUGIN_PATH`, its value replaces all this.
-
-*Failures.* ARGoS ends with exit status 1 if a library, a controller's id, a device, or space for the robots is missing, and
-if a loop function throws. It does the same if a controller throws and there are no threads. With threads, such a controller
-ends ARGoS by a signal; a controller that crashes always does. ARGoS writes nothing at its end that would identify a run
-that ended early with exit status 0; use `min_rows` in `[outputs.…]` to detect it.
-
-An `output_dir` in the template is relative to the folder where the run starts, which is its output folder. The worker keeps
-stdout and stderr, so neither `-l` nor `-e` is needed.
+`docs/explanation/argos.md` has the rules: replaced parts, the arena and its walls, densities, libraries, failures.
 """
 
 from __future__ import annotations
@@ -229,8 +185,7 @@ class Argos:
     def check(self, document: Reader, template: Reader) -> None:
         """Refuse an input that ARGoS would run for ever, hang in or not find, or whose arena does not fit its walls."""
         _check_length(document)
-        _check_method(document)
-        _check_pinning(document)
+        _check_threads(document)
         self._check_arena(document, template)
         if left := document.find(f"//@*[contains(., '{PLACEHOLDER}')]"):
             raise TemplateError(f"{left[0]!r} contains {PLACEHOLDER} among other text, or was added later; use {{controller}}")
@@ -424,16 +379,13 @@ def _check_length(document: Reader) -> None:
         )
 
 
-def _check_method(document: Reader) -> None:
+def _check_threads(document: Reader) -> None:
     threads = _at_most_one(document, f"{SYSTEM}/@threads") or "0"
-    if _number(threads, f"{SYSTEM}/@threads") > 1 and _at_most_one(document, f"{SYSTEM}/@method") == "balance_length":
+    count = _number(threads, f"{SYSTEM}/@threads")
+    if count > 1 and _at_most_one(document, f"{SYSTEM}/@method") == "balance_length":
         raise TemplateError(f'{SYSTEM} has method="balance_length", which hangs with {threads} threads; use balance_quantity')
-
-
-def _check_pinning(document: Reader) -> None:
-    threads = _at_most_one(document, f"{SYSTEM}/@threads") or "0"
     pinned = _at_most_one(document, f"{SYSTEM}/@pin_threads_to_cores") or "false"
-    if _number(threads, f"{SYSTEM}/@threads") > 0 and pinned.strip().lower() == "true":
+    if count > 0 and pinned.strip().lower() == "true":
         raise TemplateError(
             f'{SYSTEM} has pin_threads_to_cores="true", which pins thread n of each run to core n, '
             'so that runs at the same time would share the same cores; use pin_threads_to_cores="false"'
@@ -466,13 +418,10 @@ def _agents(name: str, area: Fraction, density: Fraction) -> int:
 
 
 def _too_slow(name: str, first: Size, scale: ConstantDensity, populations: tuple[int, ...]) -> str:
-    """Return a message for two arenas with equal populations.
-
-    It names an increment from which on each arena has at least one robot more than the last.
-    """
+    """Return a message with an increment from which on each arena has at least one robot more than the last."""
     twice = next(n for n in populations if populations.count(n) > 1)
-    around = float(first.x + first.y)
-    enough = (math.sqrt(around**2 + 400 / float(scale.density)) - around) / 2
+    sides = float(first.x + first.y)
+    enough = (math.sqrt(sides**2 + 400 / float(scale.density)) - sides) / 2
     return (
         f"{name}: with arenas that grow by {_plain(scale.increment)} m, two arenas have {twice} robots; "
         f"use an increment of I{_step(Fraction(enough))} or more"
@@ -636,7 +585,8 @@ def _parsed(text: str, what: str) -> Vector:
     parts = text.split(",")
     if len(parts) != 3:
         raise TemplateError(f"{what}: {text!r} is not three numbers; use a value such as 10,10,2")
-    return _number(parts[0], what), _number(parts[1], what), _number(parts[2], what)
+    x, y, z = (_number(part, what) for part in parts)
+    return x, y, z
 
 
 def _number(text: str, what: str) -> Fraction:
