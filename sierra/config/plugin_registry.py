@@ -83,10 +83,7 @@ class Kind:
         return tuple(offer.package for offer in self._others().get(name, ()))
 
     def load(self, name: str) -> Any:
-        """Return the class of that name.
-
-        Raises ConfigError if there is none, and PluginError if the class cannot be used.
-        """
+        """Return the class of that name. Raises ConfigError if there is none, and PluginError if the class cannot be used."""
         others = self._others().get(name, ())
         shipped = self.shipped.get(name)
         if len(others) + (shipped is not None) > 1:
@@ -201,10 +198,7 @@ def culprit(error: BaseException) -> str | None:
 
 @cache
 def _offers(path: tuple[str, ...]) -> Mapping[str, Mapping[str, tuple[Offer, ...]]]:
-    """Return the entry points in the packages installed on `path`, by group and name.
-
-    The result is cached: a search takes 6 ms, and a plan may need it.
-    """
+    """Return the installed entry points by group and name. They are cached, because a search on `path` takes 6 ms."""
     from importlib.metadata import entry_points
 
     installed = entry_points()

@@ -647,10 +647,7 @@ def check_directives(table: ClusterTable, complaint: Callable[[str], str | None]
 
 
 def options(model: type[OptionsT], table: object, origin: str, within: tuple[str, ...] = ()) -> OptionsT:
-    """Validate a table that people write, in TOML or JSON, by its model. A text is not accepted as a number.
-
-    `within` is the place of the table in `origin`, for messages.
-    """
+    """Validate a table by its model; a text is no number. Messages call it `origin`, and its place there `within`."""
     try:
         return model.model_validate(_frozen(table, origin), strict=True)
     except ValidationError as error:
@@ -658,10 +655,7 @@ def options(model: type[OptionsT], table: object, origin: str, within: tuple[str
 
 
 def _frozen(value: object, origin: str) -> object:
-    """Return lists as tuples, which are immutable.
-
-    Raises ConfigError for a text with the character NUL, which no file or argument can contain.
-    """
+    """Return lists as tuples. Raises ConfigError for a text with NUL, which no file or argument can contain."""
     match value:
         case str() if "\0" in value:
             raise ConfigError(f"{origin}: {value[:40]!r} contains the character NUL; remove it")

@@ -126,10 +126,7 @@ def _with_axes(table: pa.Table, frame: Frame) -> pa.Table:
 
 
 class _Drawer:
-    """The writer of figures' files.
-
-    Without `again`, it skips figures whose files exist and whose data and look are unchanged.
-    """
+    """The writer of figures' files. Without `again`, it skips figures whose files exist and whose content is unchanged."""
 
     def __init__(self, memory: Path, *, again: bool) -> None:
         self._memory = memory

@@ -82,10 +82,7 @@ def ignore_progress(done: int, experiments: int, runs: int) -> None:
 def design(
     query: Query, project: Project, platform: Platform, template: Template, report: PlanningProgress = ignore_progress
 ) -> Design:
-    """Return the design of a query.
-
-    Raises QueryError; ConfigError for names that do not exist; TemplateError; and any error that `report` raises.
-    """
+    """Return the design of a query. Raises QueryError, ConfigError, TemplateError, and any error that `report` raises."""
     chosen = _chosen(query, project)
     common = (
         *platform.changes(template),
@@ -159,10 +156,7 @@ class Spans:
 
 
 def _spans(query: Query, project: Project, platform: Platform, common: Changed, report: PlanningProgress) -> Spans:
-    """Return the axes and points of the criteria.
-
-    Raises QueryError if a criterion of the platform gives different axes for different values of the others.
-    """
+    """Return the axes and points. Raises QueryError if a criterion's axis depends on the values of the other criteria."""
     known = [_span(criterion, project) for criterion in query.criteria]
     own = tuple(span is None for span in known)
     others = [span for span in known if span is not None]

@@ -88,10 +88,7 @@ class Input:
 
 
 def check(template: Template, designed: Design, cell: Cell, layers: Layers) -> bool:
-    """Raise QueryError if an axis or `--set` value is overwritten in the runs.
-
-    Returns True if the check needed real values, so that it must be repeated for each experiment.
-    """
+    """Raise QueryError if a value is overwritten. Return True if that depends on the values, and so on the experiment."""
     runs = different_runs(designed)
     first = Input(template, layers, cell.values, runs[0])
     setting = [number for number, layer in enumerate(layers) if number and layer.sets and not layer.each_run]
@@ -112,10 +109,7 @@ def different_runs(designed: Design) -> list[Mapping[str, Value]]:
 
 
 def _by_value(layers: Layers, number: int) -> bool:
-    """Return True if a later path may select by a value that a layer sets.
-
-    It may do so if it contains more than tests of attributes that the layer does not set.
-    """
+    """Return True if a later path may select by a value that a layer sets: by more than tests of other attributes."""
     own = " ".join(f"{CONSTANT.sub('', change.path)} {change.attribute or ''}" for change in layers[number].sets)
     any_name = "*" in own or "(" in own
 

@@ -33,10 +33,7 @@ class Platform(Protocol):
     """The model of `[platforms.NAME]`. Such a table is always checked, even if another platform is used."""
 
     def __init__(self, project: Project, options: Table) -> None:
-        """Make the platform. `options` is an object of `Options`.
-
-        Raises ConfigError if the project or the options are invalid for this platform.
-        """
+        """Make the platform; `options` is an object of `Options`. Raises ConfigError for an invalid project or option."""
         ...
 
     def changes(self, template: Reader) -> tuple[Change, ...]:
@@ -83,10 +80,7 @@ class Platform(Protocol):
 
 
 def find(name: str, project: Project) -> Platform:
-    """Return the platform with that name, created for a project.
-
-    Raises ConfigError if there is none, or if a table `[platforms.NAME]` is invalid for that platform.
-    """
+    """Return a project's platform. Raises ConfigError for an unknown name, or for an invalid table `[platforms.NAME]`."""
     PLATFORMS.check(project.platforms)
     platform: Platform = PLATFORMS.make(name, project.platforms, project)
     return platform

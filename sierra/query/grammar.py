@@ -86,10 +86,7 @@ def parse_all(texts: Iterable[str]) -> tuple[Criterion, ...]:
 
 
 def text(criterion: Criterion) -> str:
-    """Return the canonical text, for which `parse(text(criterion)) == criterion`.
-
-    Raises QueryError for a criterion created by hand that no text describes.
-    """
+    """Return the canonical text; `parse` returns the criterion again. Raises QueryError if no text describes it."""
     ranges.check(criterion.scale)
     written = criterion.name + _written(criterion.scale)
     if parse(written) != criterion:

@@ -72,10 +72,7 @@ def densities(scale: VariableDensity) -> tuple[Fraction, ...]:
 
 
 def growths(scale: ConstantDensity) -> tuple[Fraction, ...]:
-    """Return the growth of each arena's sides in metres relative to the scenario's: 0, increment, 2 · increment, …
-
-    Raises QueryError if the scale is invalid.
-    """
+    """Return how much each arena's sides exceed the scenario's, in metres: 0, increment, 2 · increment, … Raises QueryError."""
     check(scale)
     return tuple(scale.increment * index for index in range(scale.count))
 

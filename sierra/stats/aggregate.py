@@ -116,10 +116,7 @@ class Computed:
 
 
 def coverage(frame: Frame) -> Coverage:
-    """Return the amount of data in `samples`.
-
-    Raises SierraError if it is empty, UsageError if a run has several rows at the same time.
-    """
+    """Return the amount of data. Raises SierraError if there is none, UsageError for several rows at the same time of a run."""
     rows = frame.sql(_file("coverage")).to_pylist()
     if not rows or all(row["first"] is None for row in rows):
         raise SierraError("no run has written any row of this output yet; there is nothing to compute")
@@ -178,10 +175,7 @@ def compute(
 
 
 def default_figures(table: str, columns: Iterable[str], axes: Sequence[Axis], *, series: bool) -> dict[str, Figure]:
-    """Return the default figures of an output by name, one or two for each numeric column.
-
-    `series`: whether runs write more than one row, so that there is something to show over time.
-    """
+    """Return the default figures of an output by name. `series`: whether there is something to show over time."""
     kinds = ["timeseries"] if series else []
     kinds.append("heatmap" if len(axes) == 2 else "summary")
     return {

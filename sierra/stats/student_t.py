@@ -27,10 +27,7 @@ _PRECISE = 1e-16
 
 @lru_cache(maxsize=1 << 16)
 def quantile(p: float, df: float) -> float:
-    """Return the t that a Student-t variable with `df` degrees of freedom stays below with probability `p`.
-
-    Raises ValueError unless 0 < p < 1 and df ≥ 1.
-    """
+    """Return the t that the variable stays below with probability `p`. Raises ValueError unless 0 < p < 1 and df ≥ 1."""
     if not 0 < p < 1 or not df >= 1:
         raise ValueError(f"no Student-t quantile for p = {p} and df = {df}; p must be between 0 and 1, and df at least 1")
     if p == 0.5:

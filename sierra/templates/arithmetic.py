@@ -45,10 +45,7 @@ class _Expression:
 
 
 def fill(text: str, values: Mapping[str, Value]) -> str:
-    """Return `text` with each `{expression}` replaced by its value.
-
-    Raises ConfigError, in one line, for invalid expressions, unknown names, and expressions without a finite value.
-    """
+    """Return `text` with each `{expression}` replaced by its value. Raises ConfigError for one without a finite value."""
     if "{" not in text and "}" not in text:
         return text
     return "".join([piece if isinstance(piece, str) else _text(piece, values) for piece in _parse(text)])

@@ -48,10 +48,7 @@ class Template(Protocol):
     """The SHA-256 of the file's bytes, as 64 hexadecimal digits."""
 
     def __init__(self, data: bytes, name: str, options: Table) -> None:
-        """Read a file's bytes; messages call it `name`. `options` is an object of `Options`.
-
-        Raises TemplateError if it does not have this format.
-        """
+        """Read a file's bytes; messages call it `name`. `options` is an object of `Options`. Raises TemplateError."""
         ...
 
     def reread(self, rendered: Rendered, name: str) -> Template:
@@ -67,10 +64,7 @@ class Template(Protocol):
         ...
 
     def attributes(self) -> tuple[tuple[str, str], ...]:
-        """Return pairs of a short path that selects exactly one value, and that value.
-
-        They are proposed to users as variables.
-        """
+        """Return pairs of a short path that selects exactly one value, and that value, to propose as variables."""
         ...
 
     def changed(self, changes: Sequence[Change], values: Mapping[str, Value]) -> Document:
@@ -100,10 +94,7 @@ class Document(Protocol):
 
 
 def read(path: Path, tables: Tables | None = None) -> Template:
-    """Return the template in a file; `tables` are `[templates.…]` of the project.
-
-    Raises Missing if the file cannot be read, TemplateError if it is not a template.
-    """
+    """Return the template in a file; `tables` are `[templates.…]` of the project. Raises Missing, TemplateError."""
     name = one_line(str(path))
     try:
         if path.exists() and not path.is_file():

@@ -391,10 +391,7 @@ class _Frame:
         return self.before + self.encoded(body) + self.after
 
     def encoded(self, body: str) -> bytes:
-        """Return XML as bytes.
-
-        Characters that the encoding lacks become references, so they must not occur in names or comments.
-        """
+        """Return XML as bytes. Characters that the encoding lacks become references; names and comments must not have any."""
         return (body.replace("\n", "\r\n") if self.crlf else body).encode(self.codec, "xmlcharrefreplace")
 
     def error(self, change: Change, what: str, more: str) -> TemplateError:
@@ -424,10 +421,7 @@ _ENTITY = re.compile(rf"{_SKIPPED} | {_QUOTED} | <!ENTITY\s+(?P<name>(?:%\s+)?[^
 
 
 def _frame(data: bytes, encoding: str | None, name: str) -> _Frame:
-    """Return the frame of a document.
-
-    Raises TemplateError if entities are declared, or if text and bytes do not convert without loss.
-    """
+    """Return the frame of a document. Raises TemplateError for declared entities, or if text and bytes do not convert."""
     mark, codec = next(((m, c) for m, c in _MARKS if data.startswith(m)), (b"", ""))
     codec = codec or next((c for start, c in _UNMARKED if data.startswith(start)), encoding or "utf-8")
     try:

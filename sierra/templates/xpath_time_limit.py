@@ -52,10 +52,7 @@ def ends(path: str, namespaces: Mapping[str, str], root: etree._Element) -> bool
 
 
 def _exponent(path: str) -> int:
-    """Return an upper bound for the power of the number of nodes that the work grows with.
-
-    Predicates are evaluated for each node.
-    """
+    """Return an upper bound for the power of the number of nodes that the work grows with; each predicate adds to it."""
     every = outer = _LITERAL.sub("''", path)
     while (shorter := _PREDICATE.sub("", outer)) != outer:
         outer = shorter

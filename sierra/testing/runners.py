@@ -453,10 +453,7 @@ def tells_how_each_ended(ordeal: Ordeal) -> None:
 
 
 def gives_what_the_job_has(ordeal: Ordeal) -> None:
-    """Check that a job's words and input arrive unchanged, and that it begins in its output folder.
-
-    NUL in a word stands for the run's own folder.
-    """
+    """Check that words (NUL is the run's folder) and input arrive unchanged, and that a job begins in its output folder."""
     errand = ordeal.errand()
     script = 'cat "$1/in.xml"; pwd -P; cd "$1/output" && pwd -P; shift; printf "<%s>" "$@"'
     content = bytes(range(256)) * 3

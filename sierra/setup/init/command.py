@@ -36,10 +36,7 @@ def platform(template: str, command: str | None) -> tuple[str, Platform]:
 
 
 def choose(root: Path, template: str, given: str | None, ask: Ask | None) -> str | None:
-    """Return the command, if the platform needs one.
-
-    Raises UsageError for a command that can never work, Missing if none is found and nobody can be asked.
-    """
+    """Return the command, if the platform needs one. Raises UsageError if it can never work, Missing if none is found."""
     if template.endswith(".argos") and given is None:
         return None
     found = folder.simulators(root)

@@ -44,10 +44,7 @@ def seeds(numbers: Iterable[str]) -> tuple[str, ...]:
 
 
 def named(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
-    """Return possible variables by name.
-
-    The number of robots comes first, as population_size, unless `known` already has a criterion for it.
-    """
+    """Return possible variables by name; the first is population_size, unless `known` already has a criterion for it."""
     robots = None if known else _counting(numbers)
     found = {"population_size": robots} if robots else {}
     for path in numbers:
@@ -141,10 +138,7 @@ def choose(
 
 
 def doubts(seed: str | None, seeds: Sequence[str], *, elsewhere: bool) -> Iterator[str]:
-    """Yield warnings about seeds.
-
-    `seeds` are the paths of all numbers that are called a seed. `elsewhere`: whether runs also get their seeds without a path.
-    """
+    """Yield warnings about `seeds`, the paths of numbers called so. `elsewhere`: whether runs get seeds without a path."""
     if seed is None and not elsewhere:
         yield 'all runs of an experiment are the same until they use the seed: set seed = "XPATH", or use {seed} in the command'
     others = [path for path in seeds if path != seed]
