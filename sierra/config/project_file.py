@@ -647,7 +647,7 @@ def check_directives(table: ClusterTable, complaint: Callable[[str], str | None]
 
 
 def options(model: type[OptionsT], table: object, origin: str, within: tuple[str, ...] = ()) -> OptionsT:
-    """Validate a table by its model; a text is no number. Messages call it `origin`, and its place there `within`."""
+    """Validate a table strictly: a text is not a number. Messages name `origin`, and `within` in it. Raises ConfigError."""
     try:
         return model.model_validate(_frozen(table, origin), strict=True)
     except ValidationError as error:

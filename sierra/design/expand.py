@@ -28,7 +28,7 @@ class Expansion:
         self._design = design
         self._template = template
         self._platform = platform
-        self._recipe = spec
+        self._spec = spec
         self.spec_id = digest("recipe", spec.preimage())
         self._numbers = tuple(range(design.query.runs))
         self._names: dict[tuple[str, ...], tuple[str, ...]] = {}
@@ -43,7 +43,7 @@ class Expansion:
             report(len(experiments), count, count * self._design.query.runs)
             experiments.append(self._experiment(cell))
         identity = merkle("batch", (experiment.id for experiment in experiments))
-        return Batch(identity, self._design.axes, tuple(experiments), self._recipe, self.spec_id)
+        return Batch(identity, self._design.axes, tuple(experiments), self._spec, self.spec_id)
 
     def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
         """Yield the wanted runs with their input files, in the batch's order; each is generated on demand."""

@@ -168,16 +168,13 @@ class Argos:
         return (Set(EXPERIMENT, "{seed}", attribute="random_seed", expect=1, why="the seed"),)
 
     def criterion(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]] | None:
-        match criterion.name:
-            case "population_size":
-                return self._population_size(criterion, template)
-            case "population_constant_density":
-                return self._constant_density(criterion, template)
-            case "population_variable_density":
-                return self._variable_density(criterion, template)
-            case "arena":
-                return self._arenas(criterion, template)
-        return None
+        spans = {
+            "population_size": self._population_size,
+            "population_constant_density": self._constant_density,
+            "population_variable_density": self._variable_density,
+            "arena": self._arenas,
+        }
+        return spans[criterion.name](criterion, template) if criterion.name in spans else None
 
     def criteria(self) -> Mapping[str, str]:
         return CRITERIA

@@ -165,7 +165,7 @@ class _Reference:
 
     def __init__(self, schema: Schema) -> None:
         self._schema = schema
-        self._said: set[str] = set()
+        self._explained: set[str] = set()
 
     def lines(self) -> Iterator[str]:
         yield from self._table((), self._schema, [tomllib.loads(EXAMPLES.read_text())])
@@ -226,8 +226,8 @@ class _Reference:
             yield from self._table(at, model, [one, *(later for _, _, later in tables[k + 1 :])])
 
     def _first(self, what: str) -> bool:
-        first = what not in self._said
-        self._said.add(what)
+        first = what not in self._explained
+        self._explained.add(what)
         return first
 
     def _plain(self, schema: Schema) -> Schema:
