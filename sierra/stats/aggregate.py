@@ -187,14 +187,8 @@ def default_figures(table: str, columns: Iterable[str], axes: Sequence[Axis], *,
 
 def needed(figure: Figure) -> tuple[str, ...]:
     """Return the statistics that a figure of this kind shows, each after those that its formula uses."""
-    match figure.kind:
-        case "box" | "violin":
-            wanted = ["median", "whiskers"]
-        case "stacked":
-            wanted = [CENTERS[figure.center][0]]
-        case _:
-            wanted = list(CENTERS[figure.center])
-    return _ordered(wanted)
+    boxes, center = ("median", "whiskers"), CENTERS[figure.center]
+    return _ordered({"box": boxes, "violin": boxes, "stacked": center[:1]}.get(figure.kind, center))
 
 
 def over_time(figure: Figure, axes: Sequence[Axis], seen: Coverage) -> bool:
@@ -396,15 +390,12 @@ def _shown(figure: Figure, *, several: bool, rate: bool) -> str:
     """Return a description of a figure's marks."""
     center = figure.center.replace("iqm", "interquartile mean")
     spread = "quartiles" if figure.center == "median" else "Wilson's 95 % CI of a rate" if rate else "95 % CI"
-    match figure.kind:
-        case "box":
-            return "median, quartiles, whiskers to at most 1.5 IQR"
-        case "violin":
-            return "median, quartiles, each dot a run"
-        case "heatmap" | "stacked":
-            return center
-        case _:
-            return f"{center}, {spread if several else 'no interval'}"
+    marks = {
+        "box": "median, quartiles, whiskers to at most 1.5 IQR",
+        "violin": "median, quartiles, each dot a run",
+        **dict.fromkeys(("heatmap", "stacked"), center),
+    }
+    return marks.get(figure.kind, f"{center}, {spread if several else 'no interval'}")
 
 
 def _marked(figure: Figure, table: pa.Table) -> str:

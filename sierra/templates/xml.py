@@ -29,6 +29,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import ClassVar, Literal, TypeAlias, TypeGuard
 
@@ -260,40 +261,34 @@ class XmlDocument:
         """Return `p:name` or `name` as `{uri}name`. Raises TemplateError for an unknown prefix."""
         if name.startswith("{"):
             return name
+        error = partial(self._frame.error, change)
         prefix, colon, local = name.rpartition(":")
         known = {"xml": _XML, **self._namespaces, **element.nsmap}
         if "xmlns" in (prefix, local):
-            raise self._frame.error(
-                change, f"cannot have the attribute {name!r}", "; it declares a namespace: write it in the template"
-            )
+            raise error(f"cannot have the attribute {name!r}", "; it declares a namespace: write it in the template")
         if colon and prefix not in known:
             prefixes = ", ".join(other for other in known if other)
-            raise self._frame.error(
-                change, f"cannot use the name {name!r}: its prefix is not declared", f"; known are {prefixes}"
-            )
+            raise error(f"cannot use the name {name!r}: its prefix is not declared", f"; known are {prefixes}")
         uri = known[prefix] if prefix else namespace
         if self._frame.lacks(local):
-            raise self._frame.error(
-                change, f"cannot use the name {name!r}", f"; the encoding {self._frame.codec} lacks some of its characters"
-            )
+            raise error(f"cannot use the name {name!r}", f"; the encoding {self._frame.codec} lacks some of its characters")
         return f"{{{uri}}}{local}" if uri else local
 
     def _piece(self, change: Add, parent: Element, filled: Callable[[str], str]) -> Element:
         """Return the new child, parsed in the namespaces of `parent`."""
+        error = partial(self._frame.error, change)
         declared = {**self._namespaces, **parent.nsmap}
         wrapper = etree.tostring(etree.Element("_", nsmap=declared), encoding="unicode").removesuffix("/>")
         xml = _legal(change.xml, change, self._frame)
         if self._frame.lacks(xml):
-            raise self._frame.error(
-                change, f"cannot contain {xml!r}", f", whose encoding is {self._frame.codec}; write &#8364; for €"
-            )
+            raise error(f"cannot contain {xml!r}", f", whose encoding is {self._frame.codec}; write &#8364; for €")
         try:
             wrapped = etree.fromstring(f"{wrapper}>{xml}</_>".encode(), _parser())
-        except etree.XMLSyntaxError as error:
-            raise self._frame.error(change, f"cannot contain {xml!r}", f": not XML: {_reason(error)}") from error
+        except etree.XMLSyntaxError as wrong:
+            raise error(f"cannot contain {xml!r}", f": not XML: {_reason(wrong)}") from wrong
         content = [node for node in wrapped.xpath("node()") if not _is_text(node) or node.strip()]
         if len(content) != 1 or _is_text(content[0]) or not isinstance(content[0].tag, str):
-            raise self._frame.error(change, f"cannot contain {xml!r}", "; add exactly one element")
+            raise error(f"cannot contain {xml!r}", "; add exactly one element")
         piece = content[0]
         piece.tail = None
         _fill_all(piece, lambda text: _legal(filled(text), change, self._frame))

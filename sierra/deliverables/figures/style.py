@@ -202,12 +202,10 @@ def value_label(drawing: Drawing) -> str:
         return drawing.figure.ylabel
     if drawing.figure.kind == "timeseries":
         return label(column, drawing.units.get(column, ""))
-    match drawing.figure.measure:
-        case "time_to":
-            threshold = number(drawing.figure.threshold or 0.0)
-            return label(f"{drawing.time} until {column} ≥ {threshold}", drawing.units.get(drawing.time, ""))
-        case measure:
-            return label(f"{measure} {column}", drawing.units.get(column, ""))
+    if drawing.figure.measure == "time_to":
+        threshold = number(drawing.figure.threshold or 0.0)
+        return label(f"{drawing.time} until {column} ≥ {threshold}", drawing.units.get(drawing.time, ""))
+    return label(f"{drawing.figure.measure} {column}", drawing.units.get(column, ""))
 
 
 def time_label(drawing: Drawing) -> str:
