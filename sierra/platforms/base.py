@@ -19,7 +19,6 @@ class Reader(Protocol):
 
     def find(self, path: str) -> tuple[str, ...]:
         """Return the text of each attribute, text or element that an XPath 1.0 expression selects, in document order."""
-        ...
 
 
 class Platform(Protocol):
@@ -34,15 +33,12 @@ class Platform(Protocol):
 
     def __init__(self, project: Project, options: Table) -> None:
         """Make the platform; `options` is an object of `Options`. Raises ConfigError for an invalid project or option."""
-        ...
 
     def changes(self, template: Reader) -> tuple[Change, ...]:
         """Return the platform's changes to every run's input; they are made before all others. `template` is as in its file."""
-        ...
 
     def seed_changes(self) -> tuple[Change, ...]:
         """Return the changes that write the seed (`{seed}`) by this platform's own rules; may be empty."""
-        ...
 
     def criterion(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]] | None:
         """Return the axis and the points of one of this platform's own criteria, or None for an unknown name.
@@ -53,30 +49,24 @@ class Platform(Protocol):
         name takes precedence. Raises QueryError if the criterion is the platform's but its scale does not fit.
         `sierra.query.ranges.values` returns a scale's numbers.
         """
-        ...
 
     def criteria(self) -> Mapping[str, str]:
         """Return the names of the criteria that `criterion` accepts, each with a description."""
-        ...
 
     def check(self, document: Reader, template: Reader) -> None:
         """Raise TemplateError if the input of a run, after all changes, cannot be correct.
 
         `template` is as in its file. If the runs of an experiment differ only in the seed, one of them is checked.
         """
-        ...
 
     def command(self) -> tuple[str, ...]:
         """Return the program and its arguments, with placeholders: `{input}`, `{output}`, `{seed}`, `{project}`, …"""
-        ...
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
         """Return the names and contents of the input files for one generated document; the first is `{input}`."""
-        ...
 
     def environment(self) -> Mapping[str, str]:
         """Return variables that this simulator needs. They are part of a run's identity, so they contain no local paths."""
-        ...
 
 
 def find(name: str, project: Project) -> Platform:

@@ -81,7 +81,6 @@ class Frame(Protocol):
 
     def sql(self, text: str, /, **params: Parameter) -> pa.Table:
         """Return the rows of a statement as a pyarrow.Table; `$name` in it stands for the parameter of that name."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

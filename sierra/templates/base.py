@@ -49,11 +49,9 @@ class Template(Protocol):
 
     def __init__(self, data: bytes, name: str, options: Table) -> None:
         """Read a file's bytes; messages call it `name`. `options` is an object of `Options`. Raises TemplateError."""
-        ...
 
     def reread(self, rendered: Rendered, name: str) -> Template:
         """Return the template that a rendered document would be, as if its files were read. Messages call it `name`."""
-        ...
 
     def find(self, path: str) -> tuple[str, ...]:
         """Return the text of each attribute, text or element that a path of this format (XPath 1.0 for XML) selects.
@@ -61,11 +59,9 @@ class Template(Protocol):
         The order is that of the document; the result is empty if the path selects nothing. Raises TemplateError for an invalid
         path. This method makes every template a `sierra.platforms.base.Reader`.
         """
-        ...
 
     def attributes(self) -> tuple[tuple[str, str], ...]:
         """Return pairs of a short path that selects exactly one value, and that value, to propose as variables."""
-        ...
 
     def changed(self, changes: Sequence[Change], values: Mapping[str, Value]) -> Document:
         """Return a copy with the changes made in order; each change sees the results of those before it.
@@ -74,7 +70,6 @@ class Template(Protocol):
         TemplateError if a change selects nothing, selects another number than it expects, or does not fit. Raises ConfigError
         for an expression. Both messages name `change.why`.
         """
-        ...
 
 
 class Document(Protocol):
@@ -82,7 +77,6 @@ class Document(Protocol):
 
     def render(self) -> Rendered:
         """Return the document as the input of a run."""
-        ...
 
     def per_run(self, changes: Sequence[Change]) -> Renderer:
         """Return a function that makes a run's input: it applies `changes` with the values of that run.
@@ -90,7 +84,6 @@ class Document(Protocol):
         All paths are checked here once, and raise the same errors as `Template.changed`. They must not depend on values that
         other per-run changes write. The returned function raises errors only for values.
         """
-        ...
 
 
 def read(path: Path, tables: Tables | None = None) -> Template:
