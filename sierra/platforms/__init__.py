@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from sierra.platforms.base import find, names
+from sierra.platforms.base import find
 
-__all__ = ["find", "names"]
+__all__ = ["find"]

@@ -1,4 +1,4 @@
-"""The Platform contract for driving one simulator or robot stack, and the functions to find a platform by name.
+"""The Platform contract for driving one simulator or robot stack, and the function to find one by name.
 
 Shipped platforms are `command` (any program) and `argos`. Others are entry points of the group `sierra.platforms` (see
 `sierra.plugin`). `sierra.testing.platforms` checks that they fulfil the contract.
@@ -74,8 +74,3 @@ def find(name: str, project: Project) -> Platform:
     PLATFORMS.check(project.platforms)
     platform: Platform = PLATFORMS.make(name, project.platforms, project)
     return platform
-
-
-def names() -> tuple[str, ...]:
-    """Return the names of all available platforms, the shipped ones first."""
-    return PLATFORMS.names()

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from sierra.templates.base import Template, formats, read
+from sierra.templates.base import Template, read
 
-__all__ = ["Template", "formats", "read"]
+__all__ = ["Template", "read"]

@@ -1,4 +1,4 @@
-"""The Template contract: one template becomes each run's input. Includes the functions to read one.
+"""The Template contract: one template becomes each run's input. Includes the function to read one.
 
 The shipped format is `xml`. Others are entry points of the group `sierra.templates` (see `sierra.plugin`). The ending of a file
 selects its format (`.json` selects an entry point `json`). Any other ending, such as `.argos` or `.world`, means XML.
@@ -98,8 +98,3 @@ def read(path: Path, tables: Tables | None = None) -> Template:
     ending = path.suffix.removeprefix(".").lower()
     template: Template = TEMPLATES.make(ending if ending in TEMPLATES.names() else "xml", tables or {}, data, name)
     return template
-
-
-def formats() -> tuple[str, ...]:
-    """Return the names of all available template formats, the shipped ones first."""
-    return TEMPLATES.names()

@@ -13,6 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from sierra import templates
+from sierra.config.plugin_registry import TEMPLATES
 from sierra.errors import ConfigError, Missing, SierraError, TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set, Value
 from sierra.templates.base import Template
@@ -115,7 +116,7 @@ def test_the_time_to_propose_paths_grows_linearly(element: str) -> None:
 
 
 def test_xml_is_the_first_template_format() -> None:
-    assert templates.formats()[0] == "xml"
+    assert TEMPLATES.names()[0] == "xml"
 
 
 @pytest.mark.parametrize("text", [MUJOCO, GAZEBO, SUMO, NAMESPACES])

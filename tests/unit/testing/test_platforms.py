@@ -12,6 +12,7 @@ from pydantic import ConfigDict
 
 from sierra import platforms
 from sierra.config import project_file
+from sierra.config.plugin_registry import PLATFORMS
 from sierra.errors import ConfigError, TemplateError
 from sierra.execution import commands
 from sierra.model import Add, Axis, Change, Criterion, Point, Remove, Rename, Set
@@ -270,7 +271,7 @@ def test_an_installed_platform_and_its_options_are_found_by_name(tmp_path: Path,
     (info / "entry_points.txt").write_text("[sierra.platforms]\nsoundly = soundly:Soundly\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     table = {"template": "t.xml", "platform": "soundly", "command": "x {input}", "platforms": {"soundly": {"volume": 2}}}
-    assert "soundly" in platforms.names()
+    assert "soundly" in PLATFORMS.names()
     assert type(platforms.find("soundly", project_file.parse(table, "sierra.toml"))).__name__ == "Soundly"
     wrong = project_file.parse({**table, "platform": "command", "platforms": {"soundly": {"volumes": 2}}}, "sierra.toml")
     with pytest.raises(ConfigError, match=r"\[platforms.soundly\]: .*volume"):
