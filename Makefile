@@ -11,7 +11,7 @@ MINUTES = 10
 UV = uv==0.13.8
 
 # The newest Python that is really there: the first name that also runs, and can make virtual environments.
-PYTHON = $(shell for python in python3.13 python3.12 python3.11 python3; do \
+PYTHON = $(shell for python in python3.14 python3.13 python3.12 python3.11 python3; do \
 	"$$python" -c 'import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 \
 		&& { echo "$$python"; break; }; done)
 

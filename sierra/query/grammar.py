@@ -185,7 +185,7 @@ def _step(word: str) -> Fraction:
 def _fraction(word: str) -> Fraction:
     """Return the exact number; its digits and exponent are limited, so that a hostile text cannot take long."""
     if len(word) > DIGITS:
-        raise QueryError(f"a number of {len(word)} characters is too long; use at most {DIGITS} characters characters")
+        raise QueryError(f"a number of {len(word)} characters is too long; use at most {DIGITS} characters")
     if not _NUMBER.fullmatch(word) or _LEADING_ZERO.match(word):
         raise QueryError(_almost(word))
     return Fraction(word)
