@@ -99,8 +99,8 @@ def _check_streams(last: int, runs: int) -> None:
 
 def run_id(spec: str, inputs: Iterable[tuple[str, str]], seed: int) -> str:
     """Return a run's id, the hash of its batch's run specification, its input files and its seed."""
-    preimage = {"sierra": "run", "format": 1, "recipe": spec, "inputs": [list(item) for item in inputs], "seed": seed}
-    return sha256(canonical_plain(preimage))
+    named = [list(item) for item in inputs]
+    return sha256(canonical_plain({"sierra": "run", "format": 1, "recipe": spec, "inputs": named, "seed": seed}))
 
 
 def exact(value: Value) -> Value:

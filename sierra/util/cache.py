@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 from pathlib import Path
-from typing import Any
 
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sealed, unsealed
+from sierra.util.json_types import JsonView
 
 
 class Cache:
@@ -23,14 +23,14 @@ class Cache:
         self._known = _read(path)
         self._new = False
 
-    def get(self, key: str) -> Any:
+    def get(self, key: str) -> JsonView:
         """Return the fact for a key, or None."""
         if key not in self._known:
             return None
         self._known[key] = self._known.pop(key)  # move to the end: most recently used
         return self._known[key]
 
-    def put(self, key: str, fact: Any) -> None:
+    def put(self, key: str, fact: JsonView) -> None:
         self._known.pop(key, None)
         self._known[key] = fact
         self._new = True
@@ -49,7 +49,7 @@ class Cache:
         self._new = False
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> dict[str, JsonView]:
     with contextlib.suppress(OSError, ValueError, RecursionError):
         known = json.loads(unsealed(path.read_bytes()) or b"{}")
         if isinstance(known, dict):

@@ -10,19 +10,20 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+
+from sierra.util.json_types import JsonView
 
 CHUNK = 1 << 20
 
 
-def canonical(value: Any) -> bytes:
-    """Return `value` (JSON types only) in its canonical form by RFC 8785."""
+def canonical(value: JsonView) -> bytes:
+    """Return the canonical form of `value` by RFC 8785."""
     import rfc8785
 
     return rfc8785.dumps(value)
 
 
-def canonical_plain(value: Mapping[str, Any]) -> bytes:
+def canonical_plain(value: Mapping[str, JsonView]) -> bytes:
     """Return the same bytes as `canonical`, but much faster, for a flat object with ASCII keys and without floats.
 
     For such an object, RFC 8785 only requires sorted keys.
@@ -54,11 +55,8 @@ def unsealed(data: bytes) -> bytes | None:
     return content if sha256(content).encode() == seal else None
 
 
-def digest(kind: str, fields: Mapping[str, Any], *, version: int = 1) -> str:
-    """Return the id of a record: the SHA-256 of its canonical pre-image.
-
-    `kind` and `version` name the record's format; `fields` holds JSON types only.
-    """
+def digest(kind: str, fields: Mapping[str, JsonView], *, version: int = 1) -> str:
+    """Return the id of a record: the SHA-256 of its canonical pre-image. `kind` and `version` name the record's format."""
     return sha256(canonical({"sierra": kind, "format": version, **fields}))
 
 
@@ -67,7 +65,7 @@ def digest_plain(kind: str, fields: Mapping[str, str]) -> str:
     return sha256(canonical_plain({"sierra": kind, "format": 1, **fields}))
 
 
-def merkle(kind: str, members: Iterable[str], fields: Mapping[str, Any] | None = None) -> str:
+def merkle(kind: str, members: Iterable[str], fields: Mapping[str, JsonView] | None = None) -> str:
     """Return the id of a collection: a digest over its members' ids, in their order."""
     if not fields:
         return sha256(canonical_plain({"sierra": kind, "format": 1, "members": list(members)}))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from html import escape
-from typing import Any
 
 ROWS = 20
 """Maximum number of rows that are shown of a table."""
@@ -13,7 +12,7 @@ LONGEST = 120
 
 
 def page(
-    title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]], notes: Iterable[str] = (), *, total: int = 0
+    title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = (), *, total: int = 0
 ) -> str:
     """Return a title, a table of the first rows and notes. `total`: the number of rows that there are, if it is known."""
     shown = [tuple(row) for _, row in zip(range(ROWS), rows, strict=False)]
@@ -25,7 +24,7 @@ def page(
     return f"<div><strong>{_text(title)}</strong>{table}{said}</div>"
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     match value:
         case None:
             return ""

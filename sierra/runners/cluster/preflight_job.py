@@ -19,6 +19,7 @@ from sierra.runners.schedulers.base import Request
 from sierra.store.layout import SessionPaths, user_clusters
 from sierra.util.cache import Cache
 from sierra.util.hashing import digest
+from sierra.util.json_types import Json
 
 VALID_S = 86_400.0
 MOST = 64
@@ -74,6 +75,7 @@ def _device(folder: Path) -> int:
     return next(one.stat().st_dev for one in (folder, *folder.parents) if one.exists())
 
 
-def _told(table: ClusterTable) -> object:
+def _told(table: ClusterTable) -> Json:
     """Return the settings of a cluster's table that affect which nodes are used and what they offer."""
-    return json.loads(table.model_dump_json(exclude={"array_tasks", "attempts", "wall", "cancelled"}))
+    settings: Json = json.loads(table.model_dump_json(exclude={"array_tasks", "attempts", "wall", "cancelled"}))
+    return settings
