@@ -26,7 +26,7 @@ class HashCache:
     """A cache of the SHA-256 of files; `save` stores it for the next time."""
 
     def __init__(self) -> None:
-        self._remembered = Cache(user_digests(), MOST)
+        self._cache = Cache(user_digests(), MOST)
 
     def of(self, path: str) -> str:
         """Return the SHA-256 of a file's content. Raises Missing if the file cannot be read."""
@@ -36,20 +36,28 @@ class HashCache:
             raise Missing(f"{path} cannot be read: {error.strerror}") from error
 
     def save(self) -> None:
-        self._remembered.save()
+        self._cache.save()
 
     def _of(self, path: str) -> str:
         state = _state(path)
         if state[2] <= SMALL:
             return sha256_file(Path(path))
-        known = self._remembered.get(path)
+        known = self._cache.get(path)
         if isinstance(known, list) and known[:-1] == state and isinstance(known[-1], str):
             return known[-1]
         now = time.time_ns()
         digest = sha256_file(Path(path))
         if _state(path) == state and max(state[3:]) < now - RACY_NS:
-            self._remembered.put(path, [*state, digest])
+            self._cache.put(path, [*state, digest])
         return digest
+
+
+def cached_sha256(path: Path | str) -> str:
+    """Return the SHA-256 of one file's content. Raises Missing if the file cannot be read."""
+    cache = HashCache()
+    found = cache.of(str(path))
+    cache.save()
+    return found
 
 
 def _state(path: str) -> list[int]:

@@ -63,7 +63,6 @@ def _run_rootfs(name: str, context: Path, epoch: int) -> None:
         [str(context / ROOTFS), str(target)],
         cwd=context,
         env={**os.environ, "SOURCE_DATE_EPOCH": str(epoch), "LC_ALL": "C.UTF-8", "TZ": "UTC"},
-        stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         umask=0o022,
     )

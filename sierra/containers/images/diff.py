@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
+from sierra.containers.images.merge_layers import Entry, listed
 from sierra.provenance.dependency_model import by_likelihood
 
 
@@ -59,43 +58,39 @@ def files(was: bytes, now: bytes) -> list[Change]:
     A folder is included only if both images have it with different modes.
     """
     before, after = set(was.splitlines()), set(now.splitlines())
-    old, new = _entries(before - after), _entries(after - before)
+    old, new = listed(before - after), listed(after - before)
     pairs = [(path, old.get(path), new.get(path)) for path in old.keys() | new.keys()]
     return [_file(*pair) for pair in sorted(filter(_counts, pairs), key=_likely)]
 
 
-Pair = tuple[str, Mapping[str, Any] | None, Mapping[str, Any] | None]
+Pair = tuple[str, Entry | None, Entry | None]
 """A path, and its entry in each of two images."""
-
-
-def _entries(lines: set[bytes]) -> dict[str, dict[str, Any]]:
-    return {entry["path"]: entry for entry in map(json.loads, lines)}
 
 
 def _counts(pair: Pair) -> bool:
     """Return whether a difference is reported. Added and removed folders are not, because their files are."""
-    _, was, now = pair
-    return (was is not None and now is not None) or (was or now or {})["type"] != "folder"
+    return None not in pair or all(entry.type != "folder" for entry in pair[1:] if entry)
 
 
 def _likely(pair: Pair) -> tuple[bool, str]:
     path, *entries = pair
-    executed = any(entry["type"] == "file" and entry.get("mode", 0) & 0o111 for entry in entries if entry)
+    executed = any(entry.type == "file" and entry.mode & 0o111 for entry in entries if entry)
     return not (executed or ".so" in path), path
 
 
-def _file(path: str, was: Mapping[str, Any] | None, now: Mapping[str, Any] | None) -> Change:
+def _file(path: str, was: Entry | None, now: Entry | None) -> Change:
+    return Change(path, _described(was), _described(now), f"{path}{_difference(was, now)}")
+
+
+def _difference(was: Entry | None, now: Entry | None) -> str:
     if was is None or now is None:
-        one = was or now or {}
-        return Change(path, _what(one) if was else None, _what(one) if now else None, f"{path} {'gone' if was else 'new'}")
-    if was["type"] != now["type"]:
-        how = f" ({was['type']} → {now['type']})"
-    elif was.get("mode") != now.get("mode"):
-        how = f" (mode {was.get('mode', 0):o} → {now.get('mode', 0):o})"
-    else:
-        how = f" (→ {now['target']})" if now["type"] == "link" else ""
-    return Change(path, _what(was), _what(now), f"{path}{how}")
+        return " new" if was is None else " gone"
+    if was.type != now.type:
+        return f" ({was.type} → {now.type})"
+    if was.mode != now.mode:
+        return f" (mode {was.mode:o} → {now.mode:o})"
+    return f" (→ {now.target})" if now.type == "link" else ""
 
 
-def _what(entry: Mapping[str, Any]) -> str:
-    return str(entry.get("sha256") or entry.get("target") or f"{entry['type']}, mode {entry.get('mode', 0):o}")
+def _described(entry: Entry | None) -> str | None:
+    return (entry.sha256 or entry.target or f"{entry.type}, mode {entry.mode:o}") if entry else None

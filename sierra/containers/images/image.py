@@ -17,16 +17,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-ARCHITECTURES = {
-    "x86_64": "amd64",
-    "aarch64": "arm64",
-    "armv7l": "arm",
-    "i686": "386",
-    "ppc64le": "ppc64le",
-    "riscv64": "riscv64",
-    "s390x": "s390x",
-}
-"""The OCI name of each processor architecture, by the kernel's name."""
+from sierra.util.json_types import JsonView, as_texts
+
+ARCHITECTURES = {"x86_64": "amd64", "aarch64": "arm64", "armv7l": "arm", "i686": "386"}
+"""The OCI names of processor architectures that have another name in the kernel."""
 
 ID = re.compile(r"(sha256|squashfs):[0-9a-f]{64}")
 
@@ -60,6 +54,30 @@ class Image:
     def folder(self) -> str:
         """Return the image's id as a file name."""
         return self.id.replace(":", "-")
+
+
+class InvalidImage(ValueError):
+    """A field of a recorded image has a wrong value; the message names it."""
+
+
+def of_fields(name: str, fields: Mapping[str, JsonView]) -> Image:
+    """Return the image that was recorded by its fields. Raises LookupError, TypeError or ValueError for other fields."""
+    identity, architecture, file, sha256 = (_text(name, fields, key) for key in ("id", "architecture", "file", "sha256"))
+    layers, variables = fields["layers"], fields["variables"]
+    if not isinstance(layers, list | tuple) or not isinstance(variables, Mapping):
+        raise TypeError(f"{name!r} has no layers or no variables")
+    texts = (*layers, *variables.values())
+    if not ID.fullmatch(identity) or not all(isinstance(one, str) for one in texts):
+        raise InvalidImage(f"{name!r} has the id {identity!r}")
+    sets = {variable: str(value) for variable, value in variables.items()}
+    return Image(name, identity, Kind(str(fields["kind"])), architecture, as_texts(layers), sets, file, sha256)
+
+
+def _text(name: str, fields: Mapping[str, JsonView], key: str) -> str:
+    value = fields[key]
+    if not isinstance(value, str):
+        raise InvalidImage(f"{key} of {name!r} is not a text")
+    return value
 
 
 def machine() -> str:

@@ -11,25 +11,24 @@ import contextlib
 import json
 import os
 import re
-import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-from sierra.containers.images import containerfile_folder, oci, packages, podman_images, sif_env, sif_format
+from sierra.containers.images import containerfile_folder, oci, packages, podman_images, sif_format
 from sierra.containers.images import squashfs_tools as squashfs
-from sierra.containers.images.image import Image, Kind, short
-from sierra.containers.images.merge_layers import Entry, Rootfs, merge, resolve
+from sierra.containers.images.image import Image, Kind, of_fields, short
+from sierra.containers.images.merge_layers import Entry, Rootfs, listed, listing, merge, resolve
 from sierra.containers.images.oci import Archive
 from sierra.errors import Damaged, Missing
-from sierra.provenance.hash_cache import HashCache
+from sierra.provenance.hash_cache import cached_sha256
 from sierra.store.layout import ImagePaths, StorePaths
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256
+from sierra.util.json_types import Cell, JsonView, as_object, as_texts
 
 FORMAT = 1
 UNFINISHED = re.compile(r"\.(saved\.\w+|image\.json|files\.jsonl|rootfs\.(sqfs|\d+))\.\d+")
@@ -37,6 +36,8 @@ FOLDER = re.compile(r"[a-z0-9]+-[0-9a-f]{64}")
 DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """The PATH that engines use if an image does not set one."""
 EXECUTABLE = 0o111
+STORED = ("form", "manifests", "config", "labels", "recipe", "created", "size", "squashfs")
+"""The fields of `Contents` that are stored as they are."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Contents:
     """The form that was read: docker-archive, oci-archive, oci, sif or squashfs."""
     manifests: Mapping[str, str]
     """The digests of its manifests, by the form in which each was seen; every form has its own."""
-    config: Mapping[str, Any]
+    config: Mapping[str, JsonView]
     labels: Mapping[str, str]
     packages: Mapping[str, tuple[str, ...]]
     recipe: str
@@ -62,35 +63,35 @@ class Contents:
     """The SHA-256 of the squashfs that was made from it; empty if there is none."""
 
     @classmethod
-    def of_row(cls, row: Mapping[str, Any], listing: bytes) -> Contents:
+    def of_row(cls, row: Mapping[str, Cell], listing: bytes) -> Contents:
         """Return the contents from a row of the table `images` and the listing that the row names."""
-        variables, layers = json.loads(row["variables"]), tuple(row["layers"] or ())
-        image = Image(row["name"], row["image"], Kind(row["kind"]), row["architecture"] or "", layers, variables)
+        name, identity, kind, architecture = (str(row[name] or "") for name in ("name", "image", "kind", "architecture"))
+        objects = {name: json.loads(str(row[name])) for name in ("variables", "manifests", "labels", "packages")}
+        created, size = row["created"], row["size"]
         return cls(
-            image=image,
+            image=Image(name, identity, Kind(kind), architecture, as_texts(row["layers"]), objects["variables"]),
             form="",
-            manifests=json.loads(row["manifests"]),
+            manifests=objects["manifests"],
             config={},
-            labels=json.loads(row["labels"]),
-            packages={manager: tuple(lines) for manager, lines in json.loads(row["packages"]).items()},
-            recipe=row["recipe"] or "",
-            created=row["created"].isoformat() if row["created"] else "",
-            size=row["size"],
+            labels=objects["labels"],
+            packages={manager: tuple(lines) for manager, lines in objects["packages"].items()},
+            recipe=str(row["recipe"] or ""),
+            created=created.isoformat() if isinstance(created, datetime) else "",
+            size=size if isinstance(size, int) else 0,
             listing=listing,
-            squashfs=row["squashfs"] or "",
+            squashfs=str(row["squashfs"] or ""),
         )
 
     @property
     def user(self) -> str:
         """Return the user that the image sets for its programs; empty for root. Engines ignore this user."""
-        said = str((self.config.get("config") or {}).get("User") or "")
-        return "" if said.partition(":")[0] in ("", "0", "root") else said
+        user = str(as_object(self.config.get("config")).get("User") or "")
+        return "" if user.partition(":")[0] in ("", "0", "root") else user
 
     @cached_property
     def files(self) -> dict[str, Entry]:
         """Return every path of the image with its entry. Paths have no leading slash."""
-        entries = (Entry(**json.loads(line)) for line in self.listing.splitlines())
-        return {entry.path: entry for entry in entries}
+        return listed(self.listing.splitlines())
 
     def program(self, word: str, path: str | None = None) -> str | None:
         """Return the path of the program that a command's first word calls in the image, or None if there is none.
@@ -123,7 +124,7 @@ class Contents:
         entry = self._file(path)
         return entry is not None and bool(entry.mode & EXECUTABLE)
 
-    def row(self) -> dict[str, Any]:
+    def row(self) -> dict[str, Cell]:
         """Return its row of the table `images`. The listing, whose hash is in `files`, is stored as an object."""
         image = self.image
         return {
@@ -146,38 +147,23 @@ class Contents:
         }
 
 
-def from_row(row: Mapping[str, Any]) -> Image:
-    """Return the image that a row of the table `images` describes."""
-    return Image(
-        name=row["name"],
-        id=row["image"],
-        kind=Kind(row["kind"]),
-        architecture=row["architecture"] or "",
-        layers=tuple(row["layers"] or ()),
-        variables=json.loads(row["variables"] or "{}"),
-        file=row["file"] or "",
-        sha256=row["sha256"] or "",
-    )
-
-
 def contents(store: StorePaths, image: Image) -> Contents | None:
     """Return the stored contents of an image, or None if they are missing or incomplete."""
-    paths = store.image(image.folder)
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
-        said, listing = json.loads(paths.description.read_text("utf-8")), paths.files.read_bytes()
-        if said["format"] == FORMAT and said["image"]["id"] == image.id and sha256(listing) == said["files"]:
-            return _read(said, listing, image)
+    found = _stored(store.image(image.folder))
+    if found is None or found.image.id != image.id:
+        return None
+    architecture, variables = image.architecture or found.image.architecture, image.variables or found.image.variables
+    return replace(found, image=replace(image, architecture=architecture, variables=variables))
+
+
+def _stored(paths: ImagePaths) -> Contents | None:
+    with contextlib.suppress(OSError, ValueError, LookupError, TypeError, AttributeError):
+        fields, files = json.loads(paths.description.read_text("utf-8")), paths.files.read_bytes()
+        if fields["format"] == FORMAT and sha256(files) == fields["files"]:
+            image = of_fields(fields["image"]["name"], fields["image"])
+            packages = {manager: tuple(lines) for manager, lines in fields["packages"].items()}
+            return Contents(image, packages=packages, listing=files, **{name: fields[name] for name in STORED})
     return None
-
-
-def _read(said: Mapping[str, Any], listing: bytes, image: Image) -> Contents:
-    was = said["image"]
-    known = replace(
-        image, architecture=image.architecture or was["architecture"], variables=image.variables or dict(was["variables"])
-    )
-    packaged = {manager: tuple(lines) for manager, lines in said["packages"].items()}
-    plain = ("form", "manifests", "config", "labels", "recipe", "created", "size", "squashfs")
-    return Contents(known, packages=packaged, listing=listing, **{name: said[name] for name in plain})
 
 
 def unfinished(store: StorePaths) -> Iterator[Path]:
@@ -202,11 +188,9 @@ def outdated(root: Path, store: StorePaths, image: Image) -> bool:
 def known(store: StorePaths) -> Iterator[Contents]:
     """Yield the contents of all images that this store describes, with the names by which they were first seen."""
     for folder in sorted(store.images.glob("*-*")) if store.images.is_dir() else ():
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            was = json.loads((folder / store.image(folder.name).description.name).read_text("utf-8"))["image"]
-            image = Image(**(was | {"kind": Kind(was["kind"]), "layers": tuple(was["layers"])}))
-            if (found := contents(store, image)) is not None:
-                yield found
+        found = _stored(store.image(folder.name))
+        if found is not None and found.image.folder == folder.name:
+            yield found
 
 
 def made_from(store: StorePaths, digest: str) -> Image | None:
@@ -219,12 +203,10 @@ def examine(root: Path, store: StorePaths, image: Image) -> Contents:
     found = contents(store, image)
     if found is not None:
         return found
-    with _disk(store.images):
-        store.images.mkdir(parents=True, exist_ok=True)
-        if image.file and squashfs_file(root / image.file):
+    if image.file and squashfs_file(root / image.file):
+        with _disk(store.images):
             return _keep(store, _of_squashfs(root / image.file, image))
-        with opened(root, store, image) as read:
-            return _keep(store, _with_recipe(root, of_archive(read, image)))
+    return examine_again(root, store, image)
 
 
 def examine_again(root: Path, store: StorePaths, image: Image, *, foreign: bool = False) -> Contents:
@@ -234,8 +216,9 @@ def examine_again(root: Path, store: StorePaths, image: Image, *, foreign: bool 
     """
     known = contents(store, image)
     with _disk(store.images), opened(root, store, image) as read:
-        found = _with_recipe(root, of_archive(read, image, foreign=foreign))
-        return _keep(store, replace(found, squashfs=known.squashfs if known else ""))
+        found = _of_rootfs(merge(read, wanted, foreign=foreign), image)
+        recipe = containerfile_folder.text(root / image.name, found.labels.get(containerfile_folder.LABEL, ""))
+        return _keep(store, replace(found, recipe=recipe or found.recipe, squashfs=known.squashfs if known else ""))
 
 
 def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
@@ -246,11 +229,8 @@ def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
     if image.file and squashfs_file(root / image.file):
         return root / image.file
     paths, known = store.image(image.folder), contents(store, image)
-    if known is not None and known.squashfs and _is(paths.rootfs, known.squashfs):
-        return paths.rootfs
-    with _disk(store.images):
-        store.images.mkdir(parents=True, exist_ok=True)
-        with opened(root, store, image) as read:
+    if known is None or not known.squashfs or not paths.rootfs.is_file() or cached_sha256(paths.rootfs) != known.squashfs:
+        with _disk(store.images), opened(root, store, image) as read:
             _make(store, image, merge(read, wanted))
     return paths.rootfs
 
@@ -283,18 +263,7 @@ def opened(root: Path, store: StorePaths, image: Image) -> Iterator[Archive]:
 
 
 def wanted(path: str) -> int:
-    return packages.wanted(path) or sif_env.wanted(path)
-
-
-def of_archive(read: Archive, image: Image, *, foreign: bool = False) -> Contents:
-    """Return the contents of the image in an archive. Reads and checks the whole archive."""
-    return _of_rootfs(merge(read, wanted, foreign=foreign), image)
-
-
-def _with_recipe(root: Path, found: Contents) -> Contents:
-    """Return the contents with the text of the Containerfile folder, if the project still has the same folder."""
-    said = containerfile_folder.text(root / found.image.name, found.labels.get(containerfile_folder.LABEL, ""))
-    return replace(found, recipe=said) if said else found
+    return packages.wanted(path) or sif_format.wanted(path)
 
 
 def _of_rootfs(merged: Rootfs, image: Image) -> Contents:
@@ -310,7 +279,7 @@ def _of_rootfs(merged: Rootfs, image: Image) -> Contents:
         recipe=_history(config),
         created=str(config.get("created") or ""),
         size=sum(entry.size for entry in merged.entries),
-        listing=_listing(merged.entries),
+        listing=listing(merged.entries),
     )
 
 
@@ -318,30 +287,25 @@ def _of_squashfs(path: Path, image: Image) -> Contents:
     read = sif_format.read(path) if sif_format.is_sif(path) else None
     entries, kept = squashfs.listing(path, read.offset if read else 0, wanted)
     own = image.kind is Kind.SQUASHFS  # else it was made from an OCI image, and does not contain its variables
-    found = sif_env.of(kept) if own else image.variables
+    found = sif_format.variables(kept) if own else image.variables
     return Contents(
         image=replace(image, variables=found),
         form="sif" if read else "squashfs",
         manifests={},
         config={"config": {"Env": [f"{name}={value}" for name, value in found.items()]}} if own else {},
-        labels=sif_env.labels(kept) or (read.labels if read else {}),
+        labels=sif_format.labels(kept) or (read.labels if read else {}),
         packages=packages.packages(kept),
         recipe=read.recipe if read else "",
         created="",
         size=sum(entry.size for entry in entries),
-        listing=_listing(entries),
+        listing=listing(entries),
     )
 
 
-def _listing(entries: tuple[Entry, ...]) -> bytes:
-    lines = ({name: value for name, value in asdict(entry).items() if value not in ("", 0)} for entry in entries)
-    return "".join(json.dumps({"mode": 0, **line}) + "\n" for line in lines).encode()
-
-
-def _history(config: Mapping[str, Any]) -> str:
+def _history(config: Mapping[str, JsonView]) -> str:
     steps = config.get("history")
-    said = [str(step.get("created_by") or "") for step in steps if isinstance(step, dict)] if isinstance(steps, list) else []
-    return "\n".join(line for line in said if line)
+    lines = [str(as_object(step).get("created_by") or "") for step in steps] if isinstance(steps, list) else []
+    return "\n".join(filter(None, lines))
 
 
 def _keep(store: StorePaths, found: Contents) -> Contents:
@@ -351,9 +315,7 @@ def _keep(store: StorePaths, found: Contents) -> Contents:
     described = {
         "format": FORMAT,
         "image": asdict(found.image),
-        **{name: getattr(found, name) for name in ("form", "manifests", "config", "labels", "recipe", "created", "size")},
-        "packages": found.packages,
-        "squashfs": found.squashfs,
+        **{name: getattr(found, name) for name in (*STORED, "packages")},
         "files": sha256(found.listing),
     }
     write_whole(paths.description, json.dumps(described, indent=2, sort_keys=True).encode())
@@ -365,20 +327,6 @@ def _make(store: StorePaths, image: Image, merged: Rootfs) -> None:
     paths.root.mkdir(parents=True, exist_ok=True)
     digest = squashfs.make(merged.write, paths.rootfs)
     _keep(store, replace(contents(store, image) or _of_rootfs(merged, image), squashfs=digest))
-
-
-def _is(path: Path, digest: str) -> bool:
-    if not path.is_file():
-        return False
-    digests = HashCache()
-    found = digests.of(str(path))
-    digests.save()
-    return found == digest
-
-
-def forget(paths: ImagePaths) -> None:
-    """Remove the stored contents of an image."""
-    shutil.rmtree(paths.root, ignore_errors=True)
 
 
 @contextlib.contextmanager

@@ -15,15 +15,17 @@ files and finds the files that remain; `Rootfs.write` streams them, folders firs
 from __future__ import annotations
 
 import hashlib
+import io
+import json
 import posixpath
 import tarfile
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field, replace
 from operator import itemgetter
-from typing import BinaryIO, Literal, cast
+from typing import BinaryIO, Literal
 
 from sierra.containers.images.oci import Archive
-from sierra.containers.images.streams import content, members
+from sierra.containers.images.streams import PIECE, content, members
 from sierra.errors import Damaged
 
 MOST_FILES = 1_000_000
@@ -33,16 +35,7 @@ DEPTH = 256
 LINKS = 40
 """The greatest number of links that are followed one after the other, as in the kernel."""
 
-MOUNTED_ON = {
-    "dev": 0o755,
-    "etc": 0o755,
-    "proc": 0o755,
-    "run": 0o755,
-    "sys": 0o755,
-    "tmp": 0o1777,
-    "var": 0o755,
-    "var/tmp": 0o1777,
-}
+MOUNTED_ON = ("dev", "etc", "proc", "run", "sys", "tmp", "var", "var/tmp")
 
 Type = Literal["file", "link", "folder", "device"]
 Wanted = Callable[[str], int]
@@ -61,6 +54,17 @@ class Entry:
     sha256: str = ""
     target: str = ""
     """The target of a symbolic link."""
+
+
+def listing(entries: Iterable[Entry]) -> bytes:
+    """Return entries as lines of JSON, without fields that have their default values."""
+    lines = ({name: value for name, value in asdict(entry).items() if value not in ("", 0)} for entry in entries)
+    return "".join(json.dumps({"mode": 0, **line}) + "\n" for line in lines).encode()
+
+
+def listed(lines: Iterable[bytes]) -> dict[str, Entry]:
+    """Return the entries in lines of a listing, by path."""
+    return {entry.path: entry for entry in (Entry(**json.loads(line)) for line in lines)}
 
 
 @dataclass(slots=True)
@@ -109,9 +113,9 @@ class Rootfs:
         """Yield the mount points that the image lacks: podman creates them, apptainer cannot."""
         there = {entry.path for entry in self.entries}
         others = {entry.path for entry in self.entries if entry.type != "folder"}
-        for path, mode in MOUNTED_ON.items():
+        for path in MOUNTED_ON:
             if path not in there and posixpath.dirname(path) not in others:
-                yield Entry(path, "folder", mode)
+                yield Entry(path, "folder", 0o1777 if path.endswith("tmp") else 0o755)
 
     def _write_layer(self, tar: tarfile.TarFile, place: int, by_path: dict[str, Entry]) -> None:
         with self.archive.layer(place) as stream:
@@ -121,7 +125,7 @@ class Rootfs:
                 if not first:
                     continue
                 header = _header(by_path[first])
-                tar.addfile(header, cast("BinaryIO", _Pieces(content(layer, member, what))))
+                tar.addfile(header, io.BufferedReader(_Pieces(content(layer, member, what)), PIECE))
                 for path in others:
                     tar.addfile(_header(by_path[path], first))
                 tar.members = []  # type: ignore[attr-defined]  # else it keeps all headers
@@ -266,14 +270,7 @@ def _folder(root: _Node, path: str, layer: int, what: str) -> _Node:
     return way[-1]
 
 
-class _Known:
-    """The attributes of a path that `resolve` needs; `_Node` and `Entry` both have them."""
-
-    type: Type
-    target: str
-
-
-def resolve(path: str, look: Callable[[str], object | None]) -> str | None:
+def resolve(path: str, look: Callable[[str], Entry | None]) -> str | None:
     """Return the path with all links followed within an image; None if nothing is there. The root is `""`."""
     done: list[str] = []
     parts, links = [part for part in path.split("/") if part not in ("", ".")][::-1], 0
@@ -282,7 +279,7 @@ def resolve(path: str, look: Callable[[str], object | None]) -> str | None:
         if part == "..":
             done = done[:-1]
             continue
-        found = cast("_Known | None", look("/".join((*done, part))))
+        found = look("/".join((*done, part)))
         if found is None:
             return None
         if found.type != "link":
@@ -326,21 +323,17 @@ def _header(entry: Entry, link: str = "") -> tarfile.TarInfo:
     return header
 
 
-class _Pieces:
-    """A file-like object over pieces, of which any number of bytes can be read."""
+class _Pieces(io.RawIOBase):
+    """A file whose content comes in pieces."""
 
     def __init__(self, pieces: Iterator[bytes]) -> None:
-        self._pieces, self._piece, self._place = pieces, b"", 0
+        self._pieces, self._left = pieces, b""
 
-    def read(self, size: int) -> bytes:
-        parts = []
-        while size and (self._place < len(self._piece) or self._next()):
-            part = self._piece[self._place : self._place + size]
-            self._place += len(part)
-            size -= len(part)
-            parts.append(part)
-        return b"".join(parts)
+    def readable(self) -> bool:
+        return True
 
-    def _next(self) -> bool:
-        self._piece, self._place = next(self._pieces, b""), 0
-        return bool(self._piece)
+    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]  # it is always called with this type
+        self._left = self._left or next(self._pieces, b"")
+        part, self._left = self._left[: len(buffer)], self._left[len(buffer) :]
+        buffer[: len(part)] = part
+        return len(part)

@@ -12,20 +12,20 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import io
 import json
 import re
 import tarfile
-import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol, cast
+from typing import BinaryIO, Protocol, cast
 
 from sierra.containers.images.image import Image, Kind, machine
-from sierra.containers.images.streams import ForwardStream, Hashed, members
+from sierra.containers.images.streams import PIECE, ForwardStream, Hashed, Readable, members
 from sierra.errors import Damaged, Missing
 from sierra.util.hashing import sha256
+from sierra.util.json_types import Json, JsonView, as_object, as_texts
 
 MANIFEST, LAYOUT, INDEX = "manifest.json", "oci-layout", "index.json"
 DOCUMENT = 8 << 20
@@ -48,7 +48,7 @@ class Files(Protocol):
         """Return the size of a file in bytes, or None if there is no such file."""
         ...
 
-    def open(self, name: str) -> contextlib.AbstractContextManager[BinaryIO]: ...
+    def open(self, name: str) -> contextlib.AbstractContextManager[Readable]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,17 +68,23 @@ class Archive:
     path: Path
     form: str
     """The form: docker-archive, oci-archive or oci."""
-    id: str
     manifest: str
     """The manifest's digest in this form; empty for a docker-archive, which has none."""
     document: bytes
     """The configuration, byte for byte."""
-    config: Mapping[str, Any]
+    config: Mapping[str, JsonView]
     tags: tuple[str, ...]
     """The tags that the image had at its origin."""
-    diff_ids: tuple[str, ...]
     blobs: tuple[Blob, ...]
     files: Files
+
+    @property
+    def id(self) -> str:
+        return f"sha256:{sha256(self.document)}"
+
+    @property
+    def diff_ids(self) -> tuple[str, ...]:
+        return diff_ids(self.config)
 
     @contextlib.contextmanager
     def layer(self, place: int) -> Iterator[ForwardStream]:
@@ -122,36 +128,32 @@ class Archive:
                     with self.layer(place) as stream:
                         tar.addfile(_header(name, sizes[place]), cast("BinaryIO", stream))
             for name, content in ((f"{self.id[7:]}.json", self.document), (MANIFEST, json.dumps(manifest).encode())):
-                tar.addfile(_header(name, len(content)), BytesIO(content))
+                tar.addfile(_header(name, len(content)), io.BytesIO(content))
 
     def image(self, name: str, *, file: str = "", sha256: str = "") -> Image:
         """Return this image under the name that a project gives it."""
         return image_of(name, self.id, self.config, file=file, sha256=sha256)
 
 
-def image_of(name: str, identity: str, config: Mapping[str, Any], *, file: str = "", sha256: str = "") -> Image:
+def image_of(name: str, identity: str, config: Mapping[str, JsonView], *, file: str = "", sha256: str = "") -> Image:
     """Return the image that a configuration describes."""
-    architecture = config.get("architecture") or ""
+    architecture = str(config.get("architecture") or "")
     return Image(name, identity, Kind.OCI, architecture, diff_ids(config), variables(config), file, sha256)
 
 
-def diff_ids(config: Mapping[str, Any]) -> tuple[str, ...]:
-    return tuple(_inner(config, "rootfs").get("diff_ids") or ())
+def diff_ids(config: Mapping[str, JsonView]) -> tuple[str, ...]:
+    return as_texts(as_object(config.get("rootfs")).get("diff_ids"))
 
 
-def variables(config: Mapping[str, Any]) -> dict[str, str]:
+def variables(config: Mapping[str, JsonView]) -> dict[str, str]:
     """Return the variables that a configuration sets. Of several values, the last one is used, as engines do."""
-    pairs = (one.partition("=") for one in _inner(config, "config").get("Env") or ())
+    pairs = (one.partition("=") for one in as_texts(as_object(config.get("config")).get("Env")))
     return {name: value for name, _, value in pairs if name}
 
 
-def labels(config: Mapping[str, Any]) -> dict[str, str]:
-    return {str(name): str(value) for name, value in (_inner(config, "config").get("Labels") or {}).items()}
-
-
-def _inner(config: Mapping[str, Any], name: str) -> dict[str, Any]:
-    found = config.get(name)
-    return found if isinstance(found, dict) else {}
+def labels(config: Mapping[str, JsonView]) -> dict[str, str]:
+    found = as_object(as_object(config.get("config")).get("Labels"))
+    return {name: str(value) for name, value in found.items()}
 
 
 def is_archive(path: Path) -> bool:
@@ -180,29 +182,31 @@ def read(path: Path) -> Archive:
 
 
 def _docker(path: Path, files: Files) -> Archive:
-    entry = _only(path, _json(path, files, MANIFEST), lambda one: ", ".join(map(str, one.get("RepoTags") or ["untagged"])))
-    name, layers = entry.get("Config"), entry.get("Layers")
-    if not isinstance(name, str) or not isinstance(layers, list) or not all(isinstance(one, str) for one in layers):
+    index = _json(path, files, MANIFEST)
+    entry = _only(path, index, lambda one: ", ".join(as_texts(one.get("RepoTags"))) or "untagged")
+    name, listed = entry.get("Config"), entry.get("Layers")
+    layers = as_texts(listed)
+    if not isinstance(name, str) or not isinstance(listed, list) or len(layers) != len(listed):
         raise Damaged(f"{path}: {MANIFEST} names no configuration, or no layers")
-    said = HEX.search(name)
+    digest = HEX.search(name)
     content = _document(path, files, name)
-    if said and sha256(content) != said[1]:
+    if digest and sha256(content) != digest[1]:
         raise Damaged(f"{path}: the configuration {name} does not match the hash in its name")
     config = _parsed(path, name, content)
     blobs = tuple(Blob(one, _size(path, files, one, f"layer {place + 1}")) for place, one in enumerate(layers))
-    tags = entry.get("RepoTags")
-    called = tuple(one for one in tags if isinstance(one, str)) if isinstance(tags, list) else ()
-    return _archive(path, "docker-archive", "", content, config, blobs, files, called)
+    tags = as_texts(entry.get("RepoTags"))
+    return _checked(Archive(path, "docker-archive", "", content, config, tags, blobs, files))
 
 
-def _only(path: Path, listed: Any, called: Any) -> dict[str, Any]:
+def _only(path: Path, listed: JsonView, name: Callable[[Mapping[str, JsonView]], str]) -> Mapping[str, JsonView]:
     """Return the only image of a list. Raises Damaged if the list has none or several."""
-    if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
+    found = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
+    if not found or not isinstance(listed, list) or len(found) != len(listed):
         raise Damaged(f"{path} contains no image")
-    if len(listed) > 1:
-        names = "; ".join(map(called, listed[:3]))
-        raise Damaged(f"{path} contains {len(listed)} images ({names}{'; …' * (len(listed) > 3)}); save only one")
-    return cast("dict[str, Any]", listed[0])
+    if len(found) > 1:
+        names = "; ".join(map(name, found[:3]))
+        raise Damaged(f"{path} contains {len(found)} images ({names}{'; …' * (len(found) > 3)}); save only one")
+    return found[0]
 
 
 # ---------------------------------------------------------------- OCI layouts
@@ -211,63 +215,78 @@ def _only(path: Path, listed: Any, called: Any) -> dict[str, Any]:
 def _oci(path: Path, files: Files) -> Archive:
     form = "oci" if path.is_dir() else "oci-archive"
     digest, manifest = _manifest(path, files, _json(path, files, INDEX), DEPTH)
-    config_blob = _descriptor(path, files, manifest.get("config"), "the configuration")
-    content = _checked(path, files, config_blob, "the configuration")
-    config = _parsed(path, config_blob.name, content)
+    content, config, _ = _referenced(path, files, manifest.get("config"), "the configuration")
     listed = manifest.get("layers")
     if not isinstance(listed, list):
         raise Damaged(f"{path}: its manifest names no layers")
     blobs = tuple(_descriptor(path, files, one, f"layer {place + 1}") for place, one in enumerate(listed))
-    return _archive(path, form, digest, content, config, blobs, files, ())
+    return _checked(Archive(path, form, digest, content, config, (), blobs, files))
 
 
-def _manifest(path: Path, files: Files, index: Any, depth: int) -> tuple[str, dict[str, Any]]:
+def _manifest(path: Path, files: Files, index: JsonView, depth: int) -> tuple[str, Mapping[str, JsonView]]:
     """Return the digest and content of the only manifest in an index, or of the only one for this machine's architecture."""
-    listed = index.get("manifests") if isinstance(index, dict) else None
+    listed = as_object(index).get("manifests")
     if isinstance(listed, list) and len(listed) > 1:
-        mine = [one for one in listed if isinstance(one, dict) and _inner(one, "platform").get("architecture") == machine()]
+        platforms = [as_object(as_object(one).get("platform")) for one in listed]
+        mine = [one for one, platform in zip(listed, platforms, strict=True) if platform.get("architecture") == machine()]
         listed = mine or listed
     entry = _only(path, listed, lambda one: str(one.get("digest"))[:19])
-    blob = _descriptor(path, files, entry, "the manifest")
-    found = _parsed(path, blob.name, _checked(path, files, blob, "the manifest"))
+    _, found, digest = _referenced(path, files, entry, "the manifest")
     if "manifests" in found and "config" not in found and depth:
         return _manifest(path, files, found, depth - 1)
-    return f"sha256:{blob.sha256}", found
+    return f"sha256:{digest}", found
 
 
-def _descriptor(path: Path, files: Files, said: Any, what: str) -> Blob:
+def _descriptor(path: Path, files: Files, value: JsonView, what: str) -> Blob:
     """Return a blob that a document names by digest and size. Checks that it exists with that size, but does not read it."""
-    digest = DIGEST.fullmatch(str(said.get("digest"))) if isinstance(said, dict) else None
+    fields = as_object(value)
+    digest = DIGEST.fullmatch(str(fields.get("digest")))
     if digest is None:
         raise Damaged(f"{path}: {what} is not identified by a SHA-256")
     name = f"blobs/sha256/{digest[1]}"
     size = _size(path, files, name, what)
-    if size != said.get("size"):
-        raise Damaged(f"{path}: {what} has {size} bytes, but should have {said.get('size')}")
+    if size != fields.get("size"):
+        raise Damaged(f"{path}: {what} has {size} bytes, but should have {fields.get('size')}")
     return Blob(name, size, digest[1])
+
+
+def _referenced(path: Path, files: Files, value: JsonView, what: str) -> tuple[bytes, Mapping[str, JsonView], str]:
+    """Return the document that another document names: its bytes, its content and its SHA-256."""
+    blob = _descriptor(path, files, value, what)
+    content = _document(path, files, blob.name)
+    if sha256(content) != blob.sha256:
+        raise Damaged(f"{path}: {what} does not match its digest: its SHA-256 should begin with {blob.sha256[:12]}")
+    return content, _parsed(path, blob.name, content), blob.sha256
 
 
 # ---------------------------------------------------------------- both formats
 
 
-def _archive(
-    path: Path,
-    form: str,
-    manifest: str,
-    content: bytes,
-    config: dict[str, Any],
-    blobs: Sequence[Blob],
-    files: Files,
-    tags: tuple[str, ...],
-) -> Archive:
+def _checked(archive: Archive) -> Archive:
     """Return the archive. Raises Damaged if the configuration is invalid, or does not match the list of layers."""
-    _check_config(path, config)
-    found = diff_ids(config)
-    if len(found) != len(blobs):
-        raise Damaged(f"{path}: the configuration names {len(found)} layers, the manifest {len(blobs)}")
-    if len(blobs) > MOST_LAYERS:
-        raise Damaged(f"{path} has {len(blobs)} layers; at most {MOST_LAYERS} are read")
-    return Archive(path, form, f"sha256:{sha256(content)}", manifest, content, config, tags, found, tuple(blobs), files)
+    path, layers = archive.path, len(archive.blobs)
+    if not _is_valid(archive.config):
+        raise Damaged(f"{path}: the configuration is not a valid OCI image configuration")
+    if len(archive.diff_ids) != layers:
+        raise Damaged(f"{path}: the configuration names {len(archive.diff_ids)} layers, the manifest {layers}")
+    if layers > MOST_LAYERS:
+        raise Damaged(f"{path} has {layers} layers; at most {MOST_LAYERS} are read")
+    return archive
+
+
+def _is_valid(config: Mapping[str, JsonView]) -> bool:
+    """Check the types of all fields of a configuration that are used."""
+    listed = as_object(config.get("rootfs")).get("diff_ids")
+    settings = as_object(config.get("config"))
+    variables = settings.get("Env") or []
+    return (
+        isinstance(listed, list | None)
+        and all(isinstance(one, str) and DIGEST.fullmatch(one) for one in listed or ())
+        and isinstance(config.get("architecture", ""), str)
+        and isinstance(variables, list)
+        and all(isinstance(one, str) and "\0" not in one for one in variables)
+        and isinstance(settings.get("Labels") or {}, dict)
+    )
 
 
 def _header(name: str, size: int) -> tarfile.TarInfo:
@@ -276,33 +295,11 @@ def _header(name: str, size: int) -> tarfile.TarInfo:
     return header
 
 
-def _check_config(path: Path, config: Mapping[str, Any]) -> None:
-    listed = _inner(config, "rootfs").get("diff_ids")
-    sets = _inner(config, "config").get("Env") or []
-    shaped = (
-        isinstance(listed, list | None)
-        and all(isinstance(one, str) and DIGEST.fullmatch(one) for one in listed or ())
-        and isinstance(config.get("architecture", ""), str)
-        and isinstance(sets, list)
-        and all(isinstance(one, str) and "\0" not in one for one in sets)
-        and isinstance(_inner(config, "config").get("Labels") or {}, dict)
-    )
-    if not shaped:
-        raise Damaged(f"{path}: the configuration is not a valid OCI image configuration")
-
-
 def _size(path: Path, files: Files, name: str, what: str) -> int:
     size = files.size(name)
     if size is None:
         raise Damaged(f"{path}: {what} is missing ({name[:80]!r})")
     return size
-
-
-def _checked(path: Path, files: Files, blob: Blob, what: str) -> bytes:
-    content = _document(path, files, blob.name)
-    if sha256(content) != blob.sha256:
-        raise Damaged(f"{path}: {what} does not match its digest: its SHA-256 should begin with {blob.sha256[:12]}")
-    return content
 
 
 def _document(path: Path, files: Files, name: str) -> bytes:
@@ -313,65 +310,38 @@ def _document(path: Path, files: Files, name: str) -> bytes:
         return file.read(DOCUMENT)
 
 
-def _json(path: Path, files: Files, name: str) -> Any:
+def _json(path: Path, files: Files, name: str) -> Json:
     if files.size(name) is None:
         raise Damaged(f"{path} is not an image: it contains neither {MANIFEST} nor {LAYOUT}")
     return _parse(path, name, _document(path, files, name))
 
 
-def _parsed(path: Path, name: str, content: bytes) -> dict[str, Any]:
+def _parsed(path: Path, name: str, content: bytes) -> Mapping[str, JsonView]:
     found = _parse(path, name, content)
     if not isinstance(found, dict):
         raise Damaged(f"{path}: {name} is not a JSON object")
     return found
 
 
-def _parse(path: Path, name: str, content: bytes) -> Any:
+def _parse(path: Path, name: str, content: bytes) -> Json:
     try:
-        return json.loads(content)
+        found: Json = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise Damaged(f"{path}: {name} is not JSON: {error}") from error
+    return found
 
 
 # ---------------------------------------------------------------- bytes
 
 
-class _Unzipped:
-    """A gzip stream whose errors are raised as Damaged."""
-
-    def __init__(self, packed: BinaryIO, what: str) -> None:
-        self._stream = gzip.GzipFile(fileobj=packed)
-        self._what = what
-
-    def read(self, size: int = -1) -> bytes:
-        try:
-            return self._stream.read(size)
-        except (zlib.error, EOFError, gzip.BadGzipFile) as error:
-            raise Damaged(f"{self._what} is truncated or damaged: {error}") from error
-
-
-class _Begun:
-    """A stream whose beginning was already read."""
-
-    def __init__(self, beginning: bytes, rest: Hashed) -> None:
-        self._beginning, self._rest = beginning, rest
-
-    def read(self, size: int = -1) -> bytes:
-        if not self._beginning:
-            return self._rest.read(size)
-        end = len(self._beginning) if size < 0 else size
-        part, self._beginning = self._beginning[:end], self._beginning[end:]
-        return part
-
-
-def _unpacked(packed: Hashed, what: str) -> BinaryIO:
+def _unpacked(packed: Hashed, what: str) -> Readable:
     """Return a layer as a tar stream, compressed or not. Raises Damaged for any compression other than gzip."""
-    beginning = packed.read(6)
-    for magic, called in COMPRESSED.items():
+    stored = io.BufferedReader(packed, PIECE)
+    beginning = stored.peek(6)
+    for magic, name in COMPRESSED.items():
         if beginning.startswith(magic):
-            raise Damaged(f"{what} is compressed by {called}, which is not supported; save it with gzip, or uncompressed")
-    begun = cast("BinaryIO", _Begun(beginning, packed))
-    return cast("BinaryIO", _Unzipped(begun, what)) if beginning.startswith(b"\x1f\x8b") else begun
+            raise Damaged(f"{what} is compressed by {name}, which is not supported; save it with gzip, or uncompressed")
+    return gzip.GzipFile(fileobj=stored) if beginning.startswith(b"\x1f\x8b") else stored
 
 
 class _Folder:
@@ -414,16 +384,16 @@ class _Tar:
         return None if place is None else place[1]
 
     @contextlib.contextmanager
-    def open(self, name: str) -> Iterator[BinaryIO]:
+    def open(self, name: str) -> Iterator[Readable]:
         offset, size = self._places[name]
         with self._path.open("rb") as file:
             file.seek(offset)
-            yield cast("BinaryIO", _Part(file, size))
+            yield _Part(file, size)
 
 
 def _headers(file: BinaryIO, path: Path) -> Iterator[tarfile.TarInfo]:
     """Yield all members of a tar, without reading their contents."""
-    for count, (member, _) in enumerate(members(cast("ForwardStream", _Seeking(file, str(path))), str(path))):
+    for count, (member, _) in enumerate(members(_Seeking(file, str(path)), str(path))):
         if count >= MOST_MEMBERS:
             raise Damaged(f"{path} has more than {MOST_MEMBERS} files; an image's archive has a few for each layer")
         if member.issparse():

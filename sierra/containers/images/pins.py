@@ -7,18 +7,29 @@ image. `sierra image pin` changes the pin to the new image.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from sierra.containers.images.image import ID, Image, Kind
+from sierra.containers.images.image import Image, InvalidImage, of_fields
+from sierra.containers.images.image_contents import Contents, examine, examine_again, squashfs_file
 from sierra.containers.images.resolve import named
 from sierra.errors import ConfigError, Missing, SierraError
-from sierra.store.layout import ProjectPaths
+from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.util.fs import write_whole
 
 FORMAT = 1
+
+
+def take(root: Path, store: StorePaths, name: str) -> Contents:
+    """Pin the image that a name stands for now, and return its contents. Raises Missing or Damaged, and pins nothing then.
+
+    An archive may have the right configuration and damaged layers, so it is read completely before it is pinned the first time.
+    """
+    image, before = named(root, name), pins(root).get(name)
+    unread = image.file and not squashfs_file(root / image.file) and (before is None or before.sha256 != image.sha256)
+    found = examine_again(root, store, image) if unread or (image.file and not image.sha256) else examine(root, store, image)
+    pin(root, found.image)
+    return found
 
 
 def pinned(root: Path, name: str) -> Image:
@@ -42,14 +53,14 @@ def pins(root: Path) -> dict[str, Image]:
     """Return all pinned images, by name. Raises ConfigError for a broken `sierra.lock`."""
     path = ProjectPaths(root).lock
     try:
-        said = json.loads(path.read_text("utf-8"))
-        if not isinstance(said, dict) or said.get("format") != FORMAT:
+        lock = json.loads(path.read_text("utf-8"))
+        if not isinstance(lock, dict) or lock.get("format") != FORMAT:
             raise ConfigError(f"{path} does not have format {FORMAT}; another version of SIERRA wrote it, or it was edited")
-        return {name: _image(name, fields) for name, fields in said["images"].items()}
+        return {name: of_fields(name, fields) for name, fields in lock["images"].items()}
     except FileNotFoundError:
         return {}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        reason = str(error) if isinstance(error, _Broken) else "not written by sierra image pin"
+        reason = str(error) if isinstance(error, InvalidImage) else "not written by sierra image pin"
         raise ConfigError(f"{path} is broken ({reason}); restore it, or remove it and run: sierra image pin") from error
     except OSError as error:
         raise Missing(f"{path} cannot be read: {error.strerror}") from error
@@ -65,31 +76,3 @@ def pin(root: Path, image: Image) -> None:
         write_whole(path, text.encode() + b"\n")
     except OSError as error:
         raise Missing(f"{path} cannot be written: {error.strerror}") from error
-
-
-class _Broken(ValueError):
-    """An invalid field of `sierra.lock`."""
-
-
-def _image(name: str, fields: Mapping[str, Any]) -> Image:
-    image = Image(
-        name,
-        _text(name, fields, "id"),
-        Kind(fields["kind"]),
-        _text(name, fields, "architecture"),
-        tuple(fields["layers"]),
-        dict(fields["variables"]),
-        _text(name, fields, "file"),
-        _text(name, fields, "sha256"),
-    )
-    texts = (*image.layers, *image.variables, *image.variables.values())
-    if not ID.fullmatch(image.id) or not all(isinstance(one, str) for one in texts):
-        raise _Broken(f"{name!r} has the id {image.id!r}")
-    return image
-
-
-def _text(name: str, fields: Mapping[str, Any], key: str) -> str:
-    value = fields[key]
-    if not isinstance(value, str):
-        raise _Broken(f"{key} of {name!r} is not a text")
-    return value

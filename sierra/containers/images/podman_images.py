@@ -19,14 +19,15 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import BinaryIO, cast
 
 from sierra.containers.images import oci
-from sierra.containers.images.image import Image, Kind, short
+from sierra.containers.images.image import Image, of_fields, short
 from sierra.containers.images.oci import image_of
 from sierra.errors import Damaged, Missing
 from sierra.store.layout import user_images
 from sierra.util.cache import Cache
+from sierra.util.json_types import Json, JsonView, as_object, as_texts
 from sierra.util.log_messages import Log
 from sierra.util.signals import noted
 from sierra.worker import worker
@@ -78,41 +79,34 @@ def look(name: str) -> Image | None:
 
     Raises Missing without podman.
     """
-    remembered = Cache(user_images(), MOST)
-    state, key = _state(remembered), f"{_where()} {name}"
-    known = remembered.get(key)
-    if state is not None and isinstance(known, dict) and known.get("state") == state:
-        with contextlib.suppress(TypeError, ValueError):
-            image = known["image"]
-            return None if image is None else Image(**(image | {"kind": Kind(image["kind"]), "layers": tuple(image["layers"])}))
-    found = inspect(name)
-    image = None if found is None else _image(name, found)
-    if state is not None and _state(remembered) == state and not _recent(state):
-        remembered.put(key, {"state": state, "image": None if image is None else asdict(image)})
-    remembered.save()
+    cache = Cache(user_images(), MOST)
+    state, key = _state(cache), f"{_where()} {name}"
+    known = as_object(cache.get(key))
+    if state is not None and known.get("state") == state:
+        with contextlib.suppress(TypeError, ValueError, LookupError):
+            recorded = as_object(known["image"])
+            return of_fields(str(recorded["name"]), recorded) if known["image"] is not None else None
+    image = _inspect(name)
+    if state is not None and _state(cache) == state and not _recent(state):
+        cache.put(key, {"state": state, "image": None if image is None else asdict(image)})
+    cache.save()
     return image
 
 
-def inspect(name: str) -> dict[str, Any] | None:
-    """Return podman's description of an image, or None if there is no image of that name."""
+def _inspect(name: str) -> Image | None:
+    """Return the image of that name as podman describes it, or None if there is none."""
     done = _call(["image", "inspect", "--", name])
     if done.returncode == 0:
-        found: dict[str, Any] = json.loads(done.stdout)[0]
-        return found
+        found = json.loads(done.stdout)[0]
+        config: dict[str, Json] = {
+            "architecture": found.get("Architecture"),
+            "rootfs": {"diff_ids": (found.get("RootFS") or {}).get("Layers")},
+            "config": found.get("Config"),
+        }
+        return image_of(name, f"sha256:{_bare(found['Id'])}", config)
     if any(words in done.stderr for words in UNKNOWN):
         return None
     raise Missing(f"podman cannot inspect {name!r}: {complaint(done.stderr)}")
-
-
-def config(found: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the result of `inspect` in the form of an OCI image configuration."""
-    return {
-        "architecture": found.get("Architecture") or "",
-        "created": found.get("Created"),
-        "rootfs": {"diff_ids": list((found.get("RootFS") or {}).get("Layers") or ())},
-        "config": found.get("Config") or {},
-        "history": found.get("History") or [],
-    }
 
 
 def save(name: str, path: Path) -> None:
@@ -192,7 +186,7 @@ def build(context: Path, name: str, *, epoch: int, labels: Mapping[str, str], ne
         *("--iidfile", str(identity), "--tag", name, "--file", str(context / "Containerfile"), str(context)),
     ]
     try:
-        done = run([program(), *words], builds=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        done = run([program(), *words], builds=True)
         if done.returncode:
             raise Missing(f"podman cannot build {name}: {complaint(done.stderr)}")
         return "sha256:" + identity.read_text().strip().removeprefix("sha256:")
@@ -209,7 +203,13 @@ def complaint(said: str) -> str:
 
 
 def run(
-    command: Sequence[str], *, builds: bool = False, env: Mapping[str, str] | None = None, **more: Any
+    command: Sequence[str],
+    *,
+    builds: bool = False,
+    env: Mapping[str, str] | None = None,
+    cwd: Path | None = None,
+    stderr: int = subprocess.PIPE,
+    umask: int = -1,
 ) -> subprocess.CompletedProcess[str]:
     """Run a program in a process group of its own. If this process is interrupted, all processes that it started are ended.
 
@@ -222,11 +222,14 @@ def run(
             process = subprocess.Popen(
                 command,
                 env={**(os.environ if env is None else env), MARK: mark},
+                cwd=cwd,
                 stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=stderr,
                 text=True,
                 errors="replace",
                 start_new_session=True,
-                **more,
+                umask=umask,
             )
         if signals:
             raise KeyboardInterrupt
@@ -297,7 +300,7 @@ def _below(pid: int) -> Iterator[int]:
 
 
 def _call(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    return run([program(), *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return run([program(), *words])
 
 
 def _limits() -> Iterator[str]:
@@ -312,10 +315,6 @@ def _bare(identity: str) -> str:
     return identity.removeprefix("sha256:")
 
 
-def _image(name: str, found: Mapping[str, Any]) -> Image:
-    return image_of(name, f"sha256:{_bare(found['Id'])}", config(found))
-
-
 # ---------------------------------------------------------------- the cache of podman's answers
 
 
@@ -324,41 +323,39 @@ def _where() -> str:
     return json.dumps([os.getuid(), *(os.environ.get(name, "") for name in VARIABLES)])
 
 
-def _state(remembered: Cache) -> list[Any] | None:
+def _state(cache: Cache) -> list[list[int] | None] | None:
     """Return the current state of the lists of images, or None if it is unknown."""
-    states = [_stat(path) for path in _lists(remembered)]
-    return states if states and any(state is not None for state in states) else None
+    states = [_stat(path) for path in _lists(cache)]
+    return states if any(states) else None
 
 
-def _recent(state: list[Any]) -> bool:
+def _recent(state: list[list[int] | None]) -> bool:
     """Return whether a list was changed so recently that a further change might be invisible."""
     return any(one is not None and max(one[-2:]) > time.time_ns() - RACY_NS for one in state)
 
 
-def _lists(remembered: Cache) -> list[str]:
+def _lists(cache: Cache) -> tuple[str, ...]:
     """Return the paths of podman's lists of images: its own, and those of additional stores."""
-    around = [program(), *_configuration()]
-    state = [_stat(path) for path in around]
-    known = remembered.get(_where())
-    if isinstance(known, dict) and known.get("state") == state and isinstance(known.get("lists"), list):
-        return [str(path) for path in known["lists"]]
+    state = [_stat(path) for path in (program(), *_configuration())]
+    known = as_object(cache.get(_where()))
+    if known.get("state") == state and isinstance(known.get("lists"), list):
+        return as_texts(known["lists"])
     done = _call(["info", "--format", "json"])
     if done.returncode:
         raise Missing(f"podman does not work here: {complaint(done.stderr)}")
-    lists = list(_said(json.loads(done.stdout).get("store") or {}))
-    remembered.put(_where(), {"state": state, "lists": lists})
-    remembered.save()
+    lists = tuple(_described_lists(as_object(json.loads(done.stdout).get("store"))))
+    cache.put(_where(), {"state": state, "lists": lists})
+    cache.save()
     return lists
 
 
-def _said(store: Mapping[str, Any]) -> Iterator[str]:
+def _described_lists(store: Mapping[str, JsonView]) -> Iterator[str]:
+    """Yield the paths of the lists of a storage, which `podman info` describes."""
     driver = store.get("graphDriverName", "overlay")
-    others = [other for name, other in (store.get("graphOptions") or {}).items() if name.endswith("imagestore")]
-    for root in (
-        store.get("graphRoot", ""),
-        *(one for other in others for one in ([other] if isinstance(other, str) else other)),
-    ):
-        yield f"{root}/{driver}-images/images.json"
+    others = [other for name, other in as_object(store.get("graphOptions")).items() if name.endswith("imagestore")]
+    for folders in (store.get("graphRoot", ""), *others):
+        for folder in [folders] if isinstance(folders, str) else as_texts(folders):
+            yield f"{folder}/{driver}-images/images.json"
 
 
 def _configuration() -> Iterator[str]:

@@ -12,7 +12,7 @@ from sierra.containers.images import image_contents, oci, podman_images, sif_for
 from sierra.containers.images.containerfile_folder import CONTAINERFILE, is_recipe
 from sierra.containers.images.image import Image, Kind, machine, short
 from sierra.errors import ConfigError, Damaged, Missing
-from sierra.provenance.hash_cache import HashCache
+from sierra.provenance.hash_cache import cached_sha256
 from sierra.store.layout import ProjectPaths, StorePaths
 
 TAG = "localhost/sierra/"
@@ -92,9 +92,7 @@ def _verify_file(root: Path, image: Image) -> None:
     if path.is_dir():
         found, was = oci.read(path).id, image.id
     else:
-        digests = HashCache()
-        found, was = digests.of(str(path)), image.sha256
-        digests.save()
+        found, was = cached_sha256(path), image.sha256
     if found != was:
         raise Missing(
             f"the image {image.name} is not the pinned one: {path} has SHA-256 {found[:19]}…, but the pin is {was[:19]}…; "
@@ -128,10 +126,7 @@ def _file(root: Path, path: Path, name: str) -> Image:
         if not oci.is_archive(path):
             raise Missing(f"{path} is not an image: it contains neither a {CONTAINERFILE} nor an OCI layout")
         return oci.read(path).image(name, file=_file_name(root, path))
-    digests = HashCache()
-    digest = digests.of(str(path))
-    digests.save()
-    file = _file_name(root, path)
+    digest, file = cached_sha256(path), _file_name(root, path)
     if sif_format.is_sif(path):
         read = sif_format.read(path)
         squashfs_tools.size(path, read.offset)

@@ -7,20 +7,26 @@ descriptors, offset and size of the data. A descriptor has 585 bytes: type (32 b
 group, the id that it is linked to (32 each), the data's offset, size and size with padding (64 each), two times, user and group
 (64 each), a name (128 bytes), and data that depends on its type (384): for a partition its file system, its role (32 each) and
 its architecture (3 bytes).
+
+The environment variables and labels may also be in files of its file system. Apptainer writes the variables of an OCI image as
+shell code, one `export NAME="${NAME:-"value"}"` or `export NAME="value"` per line. Only lines of that form are read, and only
+if a shell would expand nothing in the value; other lines are ignored.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from sierra.containers.images.streams import PIECE
 from sierra.errors import Damaged, Missing
+from sierra.util.json_types import as_object
 
 LAUNCH, MAGIC = 32, b"SIF_MAGIC\0"
 HEADER = struct.Struct("<32s10s3s3s16s8q")
@@ -30,21 +36,14 @@ MOST = 4096
 DEFFILE, LABELS, PARTITION, SIGNATURE, JSON = 0x4001, 0x4003, 0x4004, 0x4005, 0x4006
 SQUASHFS, PRIMARY, OVERLAY = 1, 2, 4
 FILE_SYSTEMS = {1: "squashfs", 2: "ext3", 3: "an archive", 4: "raw", 5: "an encrypted squashfs"}
-ARCHITECTURES = {
-    b"01": "386",
-    b"02": "amd64",
-    b"03": "arm",
-    b"04": "arm64",
-    b"05": "ppc64",
-    b"06": "ppc64le",
-    b"07": "mips",
-    b"08": "mipsle",
-    b"09": "mips64",
-    b"10": "mips64le",
-    b"11": "s390x",
-    b"12": "riscv64",
-}
+ARCHITECTURES = (
+    *("386", "amd64", "arm", "arm64", "ppc64", "ppc64le", "mips", "mipsle", "mips64", "mips64le", "s390x", "riscv64"),
+)
+"""The names of architectures 01, 02, and so on."""
 TEXT = 4 << 20
+ENVIRONMENT_FILE, LABELS_FILE = ".singularity.d/env/10-docker2singularity.sh", ".singularity.d/labels.json"
+EXPORT = re.compile(r'export ([A-Za-z_]\w*)="(?:\$\{\1:-"?)?([^"$`\\]*)"?\}?"')
+WANTED = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +112,7 @@ def _read(path: Path, file: BinaryIO, length: int) -> Sif:
     kind = struct.unpack_from("<i", system.extra)[0]
     if kind != SQUASHFS:
         raise Damaged(f"{path}: its file system is {FILE_SYSTEMS.get(kind, 'unknown')}; only squashfs can run")
-    architecture = ARCHITECTURES.get(system.extra[8:10], "")
+    architecture = {b"%02d" % number: name for number, name in enumerate(ARCHITECTURES, 1)}.get(system.extra[8:10], "")
     recipe = next((_text(file, one) for one in objects if one.type == DEFFILE), "")
     signed = any(one.type == SIGNATURE for one in objects)
     return Sif(path, architecture, system.offset, system.size, signed, recipe, _labels(file, objects))
@@ -144,11 +143,25 @@ def _text(file: BinaryIO, one: _Object) -> str:
 
 def _labels(file: BinaryIO, objects: list[_Object]) -> dict[str, str]:
     """Return the labels, if the SIF has an object for them that contains valid JSON."""
-    for one in objects:
-        if one.type == LABELS:
-            try:
-                said = json.loads(_text(file, one))
-            except (ValueError, RecursionError):
-                return {}
-            return {str(name): str(value) for name, value in said.items()} if isinstance(said, dict) else {}
-    return {}
+    return next((_parsed_labels(_text(file, one)) for one in objects if one.type == LABELS), {})
+
+
+def wanted(path: str) -> int:
+    """Return the number of bytes of a file in the file system that `variables` and `labels` need."""
+    return WANTED if path in (ENVIRONMENT_FILE, LABELS_FILE) else 0
+
+
+def variables(kept: Mapping[str, bytes]) -> dict[str, str]:
+    lines = kept.get(ENVIRONMENT_FILE, b"").decode("utf-8", "replace").splitlines()
+    return {match[1]: match[2] for line in lines if (match := EXPORT.fullmatch(line.strip()))}
+
+
+def labels(kept: Mapping[str, bytes]) -> dict[str, str]:
+    return _parsed_labels(kept.get(LABELS_FILE, b"{}"))
+
+
+def _parsed_labels(text: str | bytes) -> dict[str, str]:
+    try:
+        return {name: str(value) for name, value in as_object(json.loads(text)).items()}
+    except (ValueError, RecursionError):
+        return {}

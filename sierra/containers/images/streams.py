@@ -6,10 +6,13 @@ size that a header may have, limits the total to the size that the image may hav
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+import io
 import tarfile
+import zlib
 from collections.abc import Iterator
-from typing import BinaryIO
+from typing import Protocol
 
 from sierra.errors import Damaged
 
@@ -22,10 +25,16 @@ UNREADABLE = (tarfile.TarError, ValueError, OverflowError, RecursionError)
 """The errors that `tarfile` raises for data that is not a tar."""
 
 
+class Readable(Protocol):
+    """A stream of bytes that is only read."""
+
+    def read(self, size: int = -1, /) -> bytes: ...
+
+
 class ForwardStream:
     """A stream that is read once from beginning to end, with only the methods that `tarfile` needs."""
 
-    def __init__(self, stream: BinaryIO, most: int, what: str) -> None:
+    def __init__(self, stream: Readable, most: int, what: str) -> None:
         self._stream, self._most, self._what = stream, most, what
         self._place = 0
         self._hash = hashlib.sha256()
@@ -36,9 +45,12 @@ class ForwardStream:
         if not 0 <= size <= AT_ONCE:
             raise Damaged(f"{self._what} has a header of {size} bytes; at most {AT_ONCE} are allowed")
         parts, missing = [], size
-        while missing and (part := self._stream.read(min(missing, PIECE))):
-            parts.append(part)
-            missing -= len(part)
+        try:
+            while missing and (part := self._stream.read(min(missing, PIECE))):
+                parts.append(part)
+                missing -= len(part)
+        except (zlib.error, EOFError, gzip.BadGzipFile) as error:
+            raise Damaged(f"{self._what} is truncated or damaged: {error}") from error
         data = b"".join(parts)
         self._place += len(data)
         if self._place > self._most:
@@ -87,19 +99,21 @@ def content(tar: tarfile.TarFile, member: tarfile.TarInfo, what: str) -> Iterato
         raise Damaged(f"{what} is truncated or damaged at {member.name!r}: {error}") from error
 
 
-class Hashed:
+class Hashed(io.RawIOBase):
     """A stream that computes the digest of all its bytes."""
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: Readable) -> None:
         self._stream = stream
         self._hash = hashlib.sha256()
-        self.size = 0
 
-    def read(self, size: int = -1) -> bytes:
-        data = self._stream.read(size)
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]  # it is always called with this type
+        data = self._stream.read(len(buffer))
         self._hash.update(data)
-        self.size += len(data)
-        return data
+        buffer[: len(data)] = data
+        return len(data)
 
     def digest(self) -> str:
         while self.read(PIECE):
