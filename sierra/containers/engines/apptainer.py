@@ -17,14 +17,11 @@ from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
 
-from sierra.config.plugin_registry import NoOptions
-from sierra.config.project_file import Table
 from sierra.containers import images
 from sierra.containers.engines import apptainer_ways_to_start, sandboxes
 from sierra.containers.engines.apptainer_ways_to_start import Way
-from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, Process
+from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, Process, WithoutOptions
 from sierra.containers.engines.client_syntax import killed, last_line, mounted, signalled
 from sierra.containers.images.image import Image
 from sierra.errors import Missing
@@ -53,14 +50,10 @@ COMMAND = re.compile(
 IMAGE = re.compile(r"could not open image|image format not recognized|failed to retrieve path|mount.*(rootfs|squashfs)")
 
 
-class Apptainer:
+class Apptainer(WithoutOptions):
     """The engine `apptainer`."""
 
     name = "apptainer"
-    Options: ClassVar[type[Table]] = NoOptions
-
-    def __init__(self, options: Any = None) -> None:
-        """Make the engine; it has no options."""
 
     def probe(self) -> Capabilities:
         return apptainer_ways_to_start.apptainer()

@@ -14,13 +14,13 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 from sierra.containers.engines import capabilities
 from sierra.containers.engines.base import HOSTNAME, Capabilities, Mount
-from sierra.containers.engines.capabilities import CPUS, PIDS, Found, Told
+from sierra.containers.engines.capabilities import CPUS, PIDS, Found
 from sierra.containers.engines.client_syntax import mounted
 from sierra.store.layout import user_apptainer
 from sierra.util.fs import write_whole
@@ -125,17 +125,15 @@ def _ask() -> Found:
 def _first_that_works(program: str, version: str) -> Found:
     complaint = ""
     for one in _ways(program):
-        told, enforced = _start(one, LIMITS), ""
-        if told.trouble:
-            told, enforced = _start(one, ()), told.trouble
-        if not told.trouble:
+        able = _start(one, LIMITS)
+        if able.trouble:
+            able = replace(_start(one, ()), enforced=frozenset())
+        if not able.trouble:
             squashfs = _starts_squashfs(one)
             parts = [version, *_helpers(one, squashfs=squashfs)]
-            flags = [flag for flag, there in ((MAPPED, one.mapped), (SQUASHFS, squashfs)) if there]
-            limits = frozenset() if enforced else told.enforced
-            able = Capabilities(", ".join(parts), told.rootless, limits, told.isolated, told.user)
-            return Found(able, (one.program, one.configuration, *flags))
-        complaint = complaint or told.trouble
+            flags = [flag for flag, is_set in ((MAPPED, one.mapped), (SQUASHFS, squashfs)) if is_set]
+            return Found(replace(able, version=", ".join(parts)), (one.program, one.configuration, *flags))
+        complaint = complaint or able.trouble
     return Found(Capabilities(version, trouble=capabilities.remedy(program, complaint)))
 
 
@@ -159,7 +157,7 @@ def _can_be_changed(configuration: str) -> bool:
         return False
 
 
-def _start(one: Way, limits: Sequence[str], squashfs: Path | None = None) -> Told:
+def _start(one: Way, limits: Sequence[str], squashfs: Path | None = None) -> Capabilities:
     def words(root: Path, mounts: Mapping[str, str]) -> tuple[str, ...]:
         given = (mounted(Mount(source, target)) for target, source in mounts.items())
         groups = mounted(Mount("/sys/fs/cgroup", "/sys/fs/cgroup"))

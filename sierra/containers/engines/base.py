@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 from sierra.config.plugin_registry import ENGINES, NoOptions, Tables
 from sierra.config.project_file import Table
@@ -125,7 +125,7 @@ class Engine(Protocol):
     Options: ClassVar[type[Table]]
     """The model of `[engines.NAME]`. Options must not change the results of runs, because they are not part of identities."""
 
-    def __init__(self, options: Any) -> None:
+    def __init__(self, options: Table) -> None:
         """Make the engine; `options` is an object of `Options`."""
         ...
 
@@ -167,14 +167,19 @@ class Engine(Protocol):
         ...
 
 
-class NoEngine:
+class WithoutOptions:
+    """An engine that has no options."""
+
+    Options: ClassVar[type[Table]] = NoOptions
+
+    def __init__(self, options: Table | None = None) -> None:
+        """Make the engine."""
+
+
+class NoEngine(WithoutOptions):
     """The engine `none`: programs run without a container."""
 
     name = "none"
-    Options: ClassVar[type[Table]] = NoOptions
-
-    def __init__(self, options: Any = None) -> None:
-        """Make the engine; it has no options."""
 
     def probe(self) -> Capabilities:
         return Capabilities("none")

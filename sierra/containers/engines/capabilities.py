@@ -20,14 +20,14 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 from sierra.containers.engines import podman_unavoidable_settings
 from sierra.containers.engines.base import Capabilities
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
+from sierra.util.json_types import JsonView, as_object, as_texts
 from sierra.util.log_messages import Log
 
 log = Log(__name__)
@@ -73,17 +73,6 @@ class Found:
     """The engine's additional options that are needed here."""
 
 
-@dataclass(frozen=True, slots=True)
-class Told:
-    """The report of a test container, or the reason why it could not start."""
-
-    trouble: str = ""
-    rootless: bool = False
-    user: str = ""
-    isolated: bool = True
-    enforced: frozenset[str] = frozenset()
-
-
 def podman() -> Capabilities:
     """Return the abilities of podman on this host."""
     able = known("podman", _podman, _around_podman()).abilities
@@ -115,7 +104,7 @@ def settled(name: str, ask: Callable[[], Found], around: Callable[[], Sequence[s
 
 
 @cache
-def _settled(name: str, ask: Callable[[], Found], around: Callable[[], Sequence[str]], _: tuple[Any, ...]) -> Found:
+def _settled(name: str, ask: Callable[[], Found], around: Callable[[], Sequence[str]], _: tuple[object, ...]) -> Found:
     return known(name, ask, around())
 
 
@@ -124,11 +113,9 @@ _WORKS: dict[str, Found] = {}
 
 
 def _known(name: str, ask: Callable[[], Found], key: str) -> Found:
-    remembered = Cache(user_engines(), MOST)
-    fact = remembered.get(key)
-    if fact is not None:
-        with contextlib.suppress(TypeError, KeyError):
-            return _unpacked(fact)
+    cache = Cache(user_engines(), MOST)
+    with contextlib.suppress(TypeError, LookupError):
+        return _unpacked(as_object(cache.get(key)))
     try:
         found = ask()
     except OSError as error:
@@ -136,19 +123,25 @@ def _known(name: str, ask: Callable[[], Found], key: str) -> Found:
             Capabilities(name, trouble=f"{name} cannot be tested: {error.filename or tempfile.gettempdir()}: {error.strerror}")
         )
     if not found.abilities.trouble:
-        remembered.put(key, _packed(found))
-        remembered.save()
+        able = found.abilities
+        cache.put(key, {"abilities": {**asdict(able), "enforced": sorted(able.enforced)}, "options": found.options})
+        cache.save()
     return found
 
 
-def _packed(found: Found) -> dict[str, Any]:
-    fields = asdict(found.abilities)
-    return {"abilities": {**fields, "enforced": sorted(fields["enforced"])}, "options": list(found.options)}
-
-
-def _unpacked(fact: Mapping[str, Any]) -> Found:
-    fields = fact["abilities"]
-    return Found(Capabilities(**{**fields, "enforced": frozenset(fields["enforced"])}), tuple(fact["options"]))
+def _unpacked(fact: Mapping[str, JsonView]) -> Found:
+    """Return a cached result. Raises LookupError or TypeError for anything else."""
+    match fact["abilities"]:
+        case {
+            "version": str(version),
+            "rootless": bool(rootless),
+            "enforced": list(enforced),
+            "isolated": bool(isolated),
+            "user": str(user),
+        }:
+            limits = frozenset(as_texts(enforced))
+            return Found(Capabilities(version, rootless, limits, isolated, user), as_texts(fact["options"]))
+    raise TypeError("this is not the result of testing an engine")
 
 
 def start(
@@ -156,8 +149,8 @@ def start(
     environment: Mapping[str, str] | None = None,
     *,
     fill: bool = False,
-) -> Told:
-    """Start a container and return its report. `words` makes the command from its root folder and its mounts.
+) -> Capabilities:
+    """Start a container and return what it reports, without a version. `words` makes the command from its root and mounts.
 
     `fill`: use more memory than the limit allows.
     """
@@ -165,8 +158,8 @@ def start(
         root = Path(made)
         mounts = furnish(root)
         command = (*words(root, mounts), "/bin/sh", "-c", TELL + (FILL if fill else "echo on"))
-        said = run(command, environment)
-    return _told(said)
+        done = run(command, environment)
+    return _reported(done)
 
 
 def run(command: Sequence[str], environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
@@ -222,22 +215,23 @@ KNOWN = (
 """Patterns of errors with which engines fail to start containers, each with its remedy."""
 
 
-def _told(said: subprocess.CompletedProcess[str]) -> Told:
-    if "\ntold\n" not in said.stdout:
-        return Told(said.stderr.strip() or f"status {said.returncode}")
-    lines = [line.partition(" ")[::2] for line in said.stdout.splitlines()]
+def _reported(done: subprocess.CompletedProcess[str]) -> Capabilities:
+    if "\ntold\n" not in done.stdout:
+        return Capabilities("", trouble=done.stderr.strip() or f"status {done.returncode}")
+    lines = [line.partition(" ")[::2] for line in done.stdout.splitlines()]
     enforced = {limit for name, value in lines if name in QUOTAS for wanted, limit in [QUOTAS[name]] if value == wanted}
-    if "\non\n" not in said.stdout:
+    if "\non\n" not in done.stdout:
         enforced.add("memory")  # killed as a whole: if only a part is killed, a script may not notice
     user = 0
     for name, value in lines:
         if name == "user":
             inside, first, outside, _ = map(int, value.split())
             user = outside + inside - first
-    return Told("", os.geteuid() != 0, _called(user), not any(name == "card" for name, _ in lines), frozenset(enforced))
+    isolated = not any(name == "card" for name, _ in lines)
+    return Capabilities("", os.geteuid() != 0, frozenset(enforced), isolated, _user_name(user))
 
 
-def _called(user: int) -> str:
+def _user_name(user: int) -> str:
     try:
         return pwd.getpwuid(user).pw_name
     except KeyError:
@@ -276,12 +270,11 @@ def _podman() -> Found:
             continue
         for given in ((*podman_memory(MEMORY), *limits), limits, ()):
             fill = any(option.startswith("--memory") for option in given)
-            told = start(lambda root, mounts, o=options, g=given: _podman_words(o, g, root, mounts), fill=fill)  # type: ignore[misc]
-            if not told.trouble:
-                named = _podman_version(options, version)
-                return Found(Capabilities(named, told.rootless, told.enforced, told.isolated, told.user), options)
-            first = first or told.trouble
-            if not re.search(r"limit|controller|cgroup", told.trouble):
+            able = start(partial(_podman_words, options, given), fill=fill)
+            if not able.trouble:
+                return Found(replace(able, version=_podman_version(options, version)), options)
+            first = first or able.trouble
+            if not re.search(r"limit|controller|cgroup", able.trouble):
                 break
     return Found(Capabilities(f"podman {version}", trouble=remedy("podman", first)))
 
@@ -346,7 +339,7 @@ def _boot() -> str:
         return ""
 
 
-def _state(path: str) -> list[Any]:
+def _state(path: str) -> list[str | int]:
     try:
         status = os.stat(path)  # noqa: PTH116 - as quick as can be
     except OSError:

@@ -16,12 +16,9 @@ from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
 
-from sierra.config.plugin_registry import NoOptions
-from sierra.config.project_file import Table
 from sierra.containers.engines import capabilities
-from sierra.containers.engines.base import HOSTNAME, Capabilities, ContainerSpec, Process
+from sierra.containers.engines.base import HOSTNAME, Capabilities, ContainerSpec, Process, WithoutOptions
 from sierra.containers.engines.client_syntax import killed, last_line, mounted, signalled
 from sierra.containers.images import podman_images
 from sierra.containers.images.image import Image, Kind, short
@@ -45,14 +42,10 @@ INIT = re.compile(r"ERROR \(catatonit:\d+\): failed to exec pid1: (.*)")
 ERROR = re.compile(r"Error: (.*)")
 
 
-class Podman:
+class Podman(WithoutOptions):
     """The engine `podman`."""
 
     name = "podman"
-    Options: ClassVar[type[Table]] = NoOptions
-
-    def __init__(self, options: Any = None) -> None:
-        """Make the engine; it has no options."""
 
     def probe(self) -> Capabilities:
         return capabilities.podman()
