@@ -696,7 +696,7 @@ def _slots(jobs: int | None) -> int:
     Raises UsageError for less than 1.
     """
     from sierra.config import user
-    from sierra.provenance.environment import usable_cores
+    from sierra.provenance.machine import usable_cores
 
     slots = (user.load().jobs or usable_cores()) if jobs is None else jobs
     if slots < 1:

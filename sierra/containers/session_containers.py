@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from sierra.config.project_file import Container
 from sierra.containers import images
@@ -20,9 +20,10 @@ from sierra.errors import ConfigError, Missing
 from sierra.model import Limits, Requirement, RunSpec
 from sierra.provenance.change_guard import ChangeGuard, alone
 from sierra.provenance.dependency_model import Kind, Program, Programs
-from sierra.provenance.hash_cache import HashCache
+from sierra.provenance.hash_cache import HashCache, cached_sha256
 from sierra.store.layout import StorePaths
 from sierra.util.hashing import digest, sha256
+from sierra.util.json_types import Cell, JsonView
 
 NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
 MOUNTS = "{mount}"
@@ -50,12 +51,12 @@ def other_host_access(was: Sequence[str], now: Sequence[str]) -> list[str]:
     return [*(f"{one} is new" for one in now if one not in was), *(f"{one} is gone" for one in was if one not in now)]
 
 
-def limits(row: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+def limits(row: Mapping[str, Cell]) -> dict[str, dict[str, float]]:
     """Return the limits in a row of `isolations`: all requested ones, divided into enforced, watched and ignored ones."""
-    asked, enforced = (json.loads(row[name]) for name in ("limits_asked", "limits_enforced"))
-    left = {name: limit for name, limit in asked.items() if name not in enforced}
+    requested, enforced = (json.loads(str(row[name])) for name in ("limits_asked", "limits_enforced"))
+    left = {name: limit for name, limit in requested.items() if name not in enforced}
     return {
-        "limits_asked": asked,
+        "limits_asked": requested,
         "limits_enforced": enforced,
         "limits_watched": {name: limit for name, limit in left.items() if name in WATCHED},
         "limits_ignored": {name: limit for name, limit in left.items() if name not in WATCHED},
@@ -71,7 +72,7 @@ def data(named: Programs, container: Container, project: Path) -> Programs:
     digests = HashCache()
     mounted = []
     for target, source in container.mounts.items():
-        root = _there(project, target, source)
+        root = _mount_source(project, target, source)
         for path in sorted(root.rglob("*")) if root.is_dir() else [root]:
             if path.is_symlink() and path != root:
                 found, kind = sha256(os.fsencode(path.readlink())), Kind.LINK
@@ -83,6 +84,15 @@ def data(named: Programs, container: Container, project: Path) -> Programs:
     digests.save()
     own = (one for one in named.all if one.name.startswith("{project}/"))
     return Programs((*own, *mounted), named.notes)
+
+
+class Recorded(TypedDict, total=False):
+    """The facts about an isolation that are needed to record executions."""
+
+    engine: str
+    isolation: dict[str, JsonView] | None
+    shared: bool
+    enforced: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,14 +107,13 @@ class Isolation:
     """A guard for the image, if it is a file that its user may replace: its state when it was found to be the pinned one."""
 
     @property
-    def row(self) -> dict[str, Any] | None:
+    def row(self) -> dict[str, JsonView] | None:
         """Return the row of `isolations`, whose id is the hash of its other fields; None without containers."""
         fields = self._fields()
         return {"isolation": digest("isolation", fields), **fields} if fields else None
 
     @property
-    def context(self) -> dict[str, Any]:
-        """Return the facts that are needed to record executions."""
+    def context(self) -> Recorded:
         if self.box is None:
             return {"engine": self.engine.name}
         enforced = tuple(sorted(self.enforced))
@@ -120,12 +129,8 @@ class Isolation:
         reference = self.box.reference
         if not Path(reference).is_absolute() or not Path(reference).is_file():
             return (*devices, *driver)
-        if self.seen:  # whatever the file contains by now
-            return (*devices, *driver, Requirement("the image", reference, self.box.image.sha256))
-        digests = HashCache()
-        found = digests.of(reference)
-        digests.save()
-        return (*devices, *driver, Requirement("the image", reference, found))
+        digest = self.box.image.sha256 if self.seen else cached_sha256(reference)  # whatever the file contains by now
+        return (*devices, *driver, Requirement("the image", reference, digest))
 
     def doubt(self) -> str | None:
         """Return why executions since then cannot be attributed to the image, or None. Its file was replaced or changed."""
@@ -143,13 +148,13 @@ class Isolation:
         """Return the limits that the engine enforces."""
         return frozenset(self.box.limits) & self.abilities.enforced if self.box else frozenset()
 
-    def _fields(self) -> dict[str, Any]:
+    def _fields(self) -> dict[str, JsonView]:
         box, able = self.box, self.abilities
         if box is None:
             return {}
         # the code of a replay is in a folder of its own
         mounts = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
-        said = self.engine.client(replace(box, session="", mounts=mounts, files=""), Process((), {}, (), "/"))
+        client = self.engine.client(replace(box, session="", mounts=mounts, files=""), Process((), {}, (), "/"))
         return {
             "engine": self.engine.name,
             "version": able.version,
@@ -162,7 +167,7 @@ class Isolation:
             "mounts": json.dumps({mount.target: mount.source for mount in mounts}, sort_keys=True),
             "limits_asked": json.dumps(box.limits, sort_keys=True),
             "limits_enforced": json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
-            "argv": [word.replace("\0", "{run}") for word in said.argv],
+            "argv": [word.replace("\0", "{run}") for word in client.argv],
         }
 
 
@@ -228,7 +233,7 @@ def _mounts(spec: RunSpec, given: Container, project: Path) -> Iterator[Mount]:
     for target in (one.removeprefix(MOUNT) for one in spec.host_access if one.startswith(MOUNT)):
         if target not in given.mounts:
             raise ConfigError(f"runs need a mount at {target}; add its source to [container] mounts")
-        yield Mount(str(_there(project, target, given.mounts[target])), target)
+        yield Mount(str(_mount_source(project, target, given.mounts[target])), target)
 
 
 def _with_below(mounts: Iterable[Mount]) -> Iterator[Mount]:
@@ -246,7 +251,7 @@ def _with_below(mounts: Iterable[Mount]) -> Iterator[Mount]:
                 yield replace(mount, source=point, target=mount.target + point.removeprefix(top))
 
 
-def _there(project: Path, target: str, source: str) -> Path:
+def _mount_source(project: Path, target: str, source: str) -> Path:
     """Return the path of a mount's source. Raises Missing if it does not exist."""
     path = project / source
     if not path.exists():

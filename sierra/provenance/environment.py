@@ -15,11 +15,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from sierra.provenance import dependency_model, pythons
-from sierra.provenance.machine import facts, usable_cores
+from sierra.provenance.machine import facts
 from sierra.util.hashing import digest, sha256
+from sierra.util.json_types import Cell, JsonView, as_object, as_texts
 
 VARIABLES = (
     *("LANG", "LANGUAGE", "LC_*", "TZ", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "GLIBC_TUNABLES", "MALLOC_*"),
@@ -38,37 +38,36 @@ RELEVANT = (
 SECRET = ("TOKEN", "SECRET", "PASSWORD", "CREDENTIAL")
 
 
-def capture(version: str, record: Sequence[str] = ()) -> dict[str, Any]:
+def capture(version: str, record: Sequence[str] = ()) -> dict[str, JsonView]:
     """Return the record of this environment; `version` is SIERRA's, `record` adds names (or patterns) of variables."""
-    machine = facts()
-    around = {
-        **machine,
-        "locale": next((os.environ[name] for name in ("LC_ALL", "LC_CTYPE", "LANG") if os.environ.get(name)), "C"),
-        "timezone": os.environ.get("TZ") or machine["timezone"],
-        "limits": json.dumps(machine["limits"], sort_keys=True),
-        "modules": [name for name in os.environ.get(LOADED, "").split(":") if name],
-        "variables": json.dumps(_variables((*VARIABLES, *record)), sort_keys=True),
-        "python": platform.python_version(),
-        "sierra": version,
-        "distributions": _distributions(),
-        "lock": sha256(_distributions().encode()),
-    }
-    return {"environment": digest("environment", around), **around}
+    installed = _distributions()
+    python = {"python": platform.python_version(), "distributions": installed, "lock": sha256(installed.encode())}
+    return _record({"sierra": version, **python}, facts(), os.environ, _variables((*VARIABLES, *record)))
 
 
-def elsewhere(around: Mapping[str, Any], machine: Mapping[str, Any], variables: Mapping[str, str]) -> dict[str, Any]:
+def elsewhere(
+    around: Mapping[str, JsonView], machine: Mapping[str, JsonView], variables: Mapping[str, str]
+) -> dict[str, JsonView]:
     """Return the record of the environment on another host.
 
     `machine` and `variables` are the facts and variables that the host reported; `around` is the record of this host.
     """
+    kept = {name: value for name, value in around.items() if name != "environment"}
+    return _record(kept, machine, variables, {name: value for name, value in variables.items() if name != LOADED})
+
+
+def _record(
+    around: Mapping[str, JsonView], machine: Mapping[str, JsonView], variables: Mapping[str, str], recorded: Mapping[str, str]
+) -> dict[str, JsonView]:
+    """Return a row of `environments`. `variables` decide about locale, time zone and modules; `recorded` are written down."""
     found = {
-        **{name: value for name, value in around.items() if name != "environment"},
+        **around,
         **machine,
-        "timezone": variables.get("TZ") or machine["timezone"],
         "locale": next((variables[name] for name in ("LC_ALL", "LC_CTYPE", "LANG") if variables.get(name)), "C"),
+        "timezone": variables.get("TZ") or machine["timezone"],
         "limits": json.dumps(machine["limits"], sort_keys=True),
         "modules": [name for name in variables.get(LOADED, "").split(":") if name],
-        "variables": json.dumps({name: variables[name] for name in sorted(variables) if name != LOADED}),
+        "variables": json.dumps(recorded, sort_keys=True),
     }
     return {"environment": digest("environment", found), **found}
 
@@ -96,7 +95,7 @@ def _distributions() -> str:
     return "\n".join(one.line for one in pythons.distributions([folder for folder in folders if folder.is_dir()]))
 
 
-def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+def differing(before: Mapping[str, Cell], now: Mapping[str, Cell]) -> Iterator[tuple[str, Cell, Cell]]:
     """Yield the differences between two rows of `environments` as name, old value, new value; the most relevant come first.
 
     For lists, the values are the items that only one row has. Variables, limits and distributions are compared one by one, as
@@ -108,26 +107,16 @@ def differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tup
             continue
         match name:
             case "variables" | "limits" | "distributions":
-                yield from _by_key(name, _table(name, was), _table(name, found))
+                old, new = (_table(name, str(value or "")) for value in (was, found))
+                changed = (key for key in sorted(old.keys() | new.keys()) if old.get(key) != new.get(key))
+                yield from ((f"{name}.{key}", old.get(key), new.get(key)) for key in changed)
             case "cpu_flags" | "gpus" | "modules":
-                old, new = (was or []), (found or [])
-                yield name, [one for one in old if one not in new], [one for one in new if one not in old]
+                here, there = as_texts(was), as_texts(found)
+                yield name, [one for one in here if one not in there], [one for one in there if one not in here]
             case _:
                 yield name, was, found
 
 
-def _table(name: str, text: str | None) -> dict[str, Any]:
+def _table(name: str, text: str) -> Mapping[str, JsonView]:
     """Return the facts that a text contains, by name."""
-    if name == "distributions":
-        return dict(dependency_model.versions(text))
-    table: dict[str, Any] = json.loads(text or "{}")
-    return table
-
-
-def _by_key(name: str, was: Mapping[str, Any], found: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    for key in sorted(was.keys() | found.keys()):
-        if was.get(key) != found.get(key):
-            yield f"{name}.{key}", was.get(key), found.get(key)
-
-
-__all__ = ["capture", "differing", "usable_cores"]
+    return dependency_model.versions(text) if name == "distributions" else as_object(json.loads(text or "{}"))

@@ -17,13 +17,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from sierra.errors import Missing
 from sierra.provenance import libraries, pythons
 from sierra.provenance.dependency_model import INSTALLED, NOTHING, Kind, Program, Programs, by_likelihood, called, versions
 from sierra.provenance.hash_cache import HashCache
 from sierra.util.hashing import sha256, short
+from sierra.util.json_types import Cell
 from sierra.util.text import few
 
 SHOWN = 5
@@ -160,56 +160,51 @@ def _interpreter(script: Path) -> list[str]:
     return os.fsdecode(line[2:]).split() if line.startswith(b"#!") else []
 
 
-def differing(
-    before: Mapping[str, Mapping[str, Any]], now: Mapping[str, Program]
-) -> Iterator[tuple[str, Mapping[str, Any] | None, Program | None]]:
-    """Yield the differences by name: the recorded row, and the program found now; None if there is none."""
-    for name in sorted(before.keys() | now.keys()):
-        was, program = before.get(name), now.get(name)
-        if was is None or program is None or was["sha256"] != program.sha256:
-            yield name, was, program
-
-
-def told(before: Iterable[Mapping[str, Any]], now: Programs, words: frozenset[str] = frozenset()) -> Iterator[str]:
+def told(before: Iterable[Mapping[str, Cell]], now: Programs, words: frozenset[str] = frozenset()) -> Iterator[str]:
     """Yield one line for each difference to the recorded rows of `programs`, and one line for all libraries.
 
     The most likely causes come first: programs, then files, then packages. Packages that `words` name come before others.
     """
-    rows = list(before)
-    several = {name for names in ([row["name"] for row in rows], [one.name for one in now.all]) for name in _ambiguous(names)}
+    recorded = list(map(Program.of_row, before))
+    several = {name for programs in (recorded, now.all) for name in _ambiguous(programs)}
 
-    def key(name: str) -> str:
-        return name if called(name) in several else called(name)
+    def by_name(programs: Iterable[Program]) -> dict[str, Program]:
+        return {one.name if one.called in several else one.called: one for one in programs}
 
-    then, here = {key(row["name"]): row for row in rows}, {key(program.name): program for program in now.all}
+    old, new = by_name(recorded), by_name(now.all)
+    pairs = [(name, old.get(name), new.get(name)) for name in sorted(old.keys() | new.keys())]
     loaded = []
-    for name, was, program in sorted(differing(then, here), key=lambda one: _installed(one[1], one[2])):
-        kind = program.kind if program else was and was["kind"]
-        if kind == Kind.LIBRARY:
+    for name, was, program in sorted(pairs, key=lambda pair: _is_list(pair[2] or pair[1])):
+        one = program or was
+        if one is None or (was and program and was.sha256 == program.sha256):
+            continue
+        if one.kind == Kind.LIBRARY:
             loaded.append(name)
-        elif was and program and kind == Kind.DISTRIBUTIONS and was["version"] != program.version:
-            yield f"{name}: {few(list(_versions(was['version'], program.version, words)), SHOWN)}"
+        elif was and program and one.kind == Kind.DISTRIBUTIONS and was.version != program.version:
+            yield f"{name}: {few(list(_versions(was.version, program.version, words)), SHOWN)}"
         else:
-            yield f"{name}: {_said(was) if was else 'not'} recorded, {_said(program) if program else 'not'} found"
+            yield f"{name}: {_described(was)} recorded, {_described(program)} found"
     if loaded:
         yield f"libraries that differ from the record: {few(loaded, SHOWN)}"
 
 
-def _ambiguous(names: Iterable[str]) -> set[str]:
+def _ambiguous(programs: Iterable[Program]) -> set[str]:
     """Return the location-independent names that several programs share."""
-    counted = Counter(called(name) for name in set(names))
+    counted = Counter(called(name) for name in {one.name for one in programs})
     return {name for name, count in counted.items() if count > 1}
 
 
-def _said(one: Program | Mapping[str, Any]) -> str:
+def _described(one: Program | None) -> str:
     """Return the version that a program reports, and the beginning of its SHA-256."""
-    version, digest = (one.version, one.sha256) if isinstance(one, Program) else (one["version"], one["sha256"])
-    return short(digest) if not version or "\n" in version else f"{version} ({short(digest)})"
+    if one is None:
+        return "not"
+    digest = short(one.sha256)
+    return digest if not one.version or "\n" in one.version else f"{one.version} ({digest})"
 
 
-def _installed(was: Mapping[str, Any] | None, now: Program | None) -> bool:
+def _is_list(one: Program | None) -> bool:
     """Return True for the list of all distributions of a Python, many of which no program may need."""
-    return (now.name if now else was["name"] if was else "").endswith(INSTALLED)
+    return one is not None and one.name.endswith(INSTALLED)
 
 
 def _versions(before: str | None, now: str | None, words: frozenset[str]) -> Iterator[str]:

@@ -18,7 +18,7 @@ import shlex
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Dict, List, Optional, Union
 
 CPUINFO = Path("/proc/cpuinfo")
 OS_RELEASE = (Path("/etc/os-release"), Path("/usr/lib/os-release"))
@@ -29,9 +29,10 @@ ARITHMETIC = re.compile(
 """The x86 processor features by which numeric libraries select their code; for other processors, all features are kept."""
 ENGINES = ("docker", "podman", "kubepods", "lxc", "containerd", "apptainer", "singularity")
 ZONES = "/zoneinfo/"
+Fact = Union[int, str, List[str], Dict[str, List[Optional[int]]], None]
 
 
-def facts() -> dict[str, Any]:
+def facts() -> dict[str, Fact]:
     """Return all facts of this machine, by the column names of `environments`."""
     return {**_fixed(), "cores": usable_cores(), "limits": limits()}
 
@@ -55,7 +56,7 @@ def limits() -> dict[str, list[int | None]]:
 
 
 @lru_cache(maxsize=None)
-def _fixed() -> dict[str, Any]:
+def _fixed() -> dict[str, Fact]:
     uname = os.uname()
     model, flags = processor(_text(CPUINFO))
     return {

@@ -17,12 +17,12 @@ import tempfile
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from sierra.errors import Missing
 from sierra.provenance.hash_cache import HashCache
 from sierra.util.hashing import digest
+from sierra.util.json_types import as_object
 
 NAME = re.compile(r"python(\d(\.\d+)?t?)?")
 ASK = "import sys; print('\\n' + ascii([sys.executable, sys.prefix, sys.base_prefix, sys.path]))"
@@ -64,6 +64,19 @@ class Content:
     origin: str
     digest: str
     version: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """The place from which a distribution was installed, if that was not an index (PEP 610)."""
+
+    url: str
+    editable: bool
+    commit: str | None
+
+    @property
+    def folder(self) -> Path:
+        return Path(unquote(urlsplit(self.url).path))
 
 
 def is_python(path: str) -> bool:
@@ -141,9 +154,9 @@ def imported(interpreter: Interpreter, found: Sequence[Distribution], project: P
     They are on its path, or come from editable installs.
     """
     yield from interpreter.project
-    for direct in (_direct_url(one.info) for one in found):
-        if direct is not None and direct.get("dir_info", {}).get("editable") and _is_in(folder := _folder_of(direct), project):
-            yield from (one for one in (folder, folder / "src") if one.is_dir())
+    for origin in (_origin(one.info) for one in found):
+        if origin is not None and origin.editable and _is_in(origin.folder, project):
+            yield from (one for one in (origin.folder, origin.folder / "src") if one.is_dir())
 
 
 def check(name: str, folders: Iterable[Path], root: Path, project: Path, scripts: Container[Path]) -> None:
@@ -169,38 +182,33 @@ def contents(
 
     The project's own files, in the folders `own`, are left out, because they belong to the source.
     """
-    told = set()
+    editable = set()
     for one in found:
-        direct = _direct_url(one.info)
-        if direct is None:
+        origin = _origin(one.info)
+        if origin is None:
             continue
-        url = re.sub(r"(?<=://)[^/]*@", "", direct["url"])
-        folder = _folder_of(direct)
-        match direct:
-            case {"dir_info": {"editable": True}} if folder.is_dir():
-                told.add(folder.resolve())
-                if one.name != OWN:
-                    yield Content(one.name, str(folder), _folder(folder, own, digests), one.line)
-            case {"vcs_info": {"commit_id": str(commit)}}:
-                yield Content(one.name, url, digest("installed", {"commit": commit}), one.line)
-            case _:
-                yield Content(one.name, url, digest("installed", {"files": _recorded(one.info)}), one.line)
+        if origin.editable and origin.folder.is_dir():
+            editable.add(origin.folder.resolve())
+            if one.name != OWN:
+                yield Content(one.name, str(origin.folder), _folder(origin.folder, own, digests), one.line)
+            continue
+        identity = {"commit": origin.commit} if origin.commit is not None else {"files": _recorded(one.info)}
+        url = re.sub(r"(?<=://)[^/]*@", "", origin.url)
+        yield Content(one.name, url, digest("installed", identity), one.line)
     for folder in interpreter.others:
-        if folder.resolve() not in told:
+        if folder.resolve() not in editable:
             yield Content(folder.name, str(folder), _folder(folder, own, digests))
 
 
-def _folder_of(direct: Mapping[str, Any]) -> Path:
-    return Path(unquote(urlsplit(direct["url"]).path))
-
-
-def _direct_url(info: Path) -> dict[str, Any] | None:
-    """Return the origin of a distribution that was not installed from an index (PEP 610), or None."""
+def _origin(info: Path) -> Origin | None:
+    """Return the origin of a distribution, or None for an index."""
     try:
-        direct = json.loads((info / "direct_url.json").read_bytes())
+        direct = as_object(json.loads((info / "direct_url.json").read_bytes()))
     except (OSError, ValueError, RecursionError):
         return None
-    return direct if isinstance(direct, dict) and isinstance(direct.get("url"), str) else None
+    url, commit = direct.get("url"), as_object(direct.get("vcs_info")).get("commit_id")
+    editable = as_object(direct.get("dir_info")).get("editable") is True
+    return Origin(url, editable, commit if isinstance(commit, str) else None) if isinstance(url, str) else None
 
 
 def _recorded(info: Path) -> list[str]:

@@ -141,7 +141,7 @@ def replay(
             session.id,
             record.of.batch,
             Purpose.REPLAY,
-            around["environment"],
+            str(around["environment"]),
             now.id,
             record.of.outputs,
             record.of.success,

@@ -15,7 +15,7 @@ from typing import Literal
 from sierra.config import plugin_registry, user
 from sierra.containers.engines.base import Capabilities
 from sierra.errors import SierraError
-from sierra.provenance.environment import usable_cores
+from sierra.provenance.machine import usable_cores
 from sierra.store.layout import StorePaths, user_settings
 
 State = Literal["ok", "absent", "missing"]

@@ -17,7 +17,6 @@ import os
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from sierra.errors import ConfigError
 from sierra.provenance.source import ignored as uncounted
@@ -74,7 +73,7 @@ class Source:
     def id(self) -> str:
         return digest("source", {name: getattr(self, name) for name in RECORDED})
 
-    def row(self, files: str) -> dict[str, Any]:
+    def row(self, files: str) -> dict[str, str | bool | None]:
         """Return the record of this source; `files` is the SHA-256 under which the manifest is stored."""
         return {"source": self.id, "files": files, **{name: getattr(self, name) for name in RECORDED}}
 

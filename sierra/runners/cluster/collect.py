@@ -217,7 +217,7 @@ class Collector:
 
     def _begun(self, track: Track, event: Attempt) -> None:
         around = environment.elsewhere(self._made.around, event.facts, event.variables)
-        track.attempt, track.environment, track.ended = event, around["environment"], event.started
+        track.attempt, track.environment, track.ended = event, str(around["environment"]), event.started
         track.ahead = event.clock if abs(event.clock) > CLOCK_S else 0.0
         self.shares[track.element].node = event.node
         self.rows.append(("environments", around))
