@@ -7,15 +7,22 @@
 
 from __future__ import annotations
 
-from sierra.containers.images.image import Image as Image
-from sierra.containers.images.image import machine as machine
-from sierra.containers.images.image import short as short
-from sierra.containers.images.image_contents import contents as contents
-from sierra.containers.images.image_contents import examine as examine
-from sierra.containers.images.image_contents import outdated as outdated
-from sierra.containers.images.image_contents import rootfs as rootfs
-from sierra.containers.images.pins import pinned as pinned
-from sierra.containers.images.pins import pins as pins
-from sierra.containers.images.pins import take as take
-from sierra.containers.images.resolve import named as named
-from sierra.containers.images.resolve import verify as verify
+from sierra.containers.images.image import Image, machine, short
+from sierra.containers.images.image_contents import contents, examine, outdated, rootfs
+from sierra.containers.images.pins import pinned, pins, take
+from sierra.containers.images.resolve import named, verify
+
+__all__ = [
+    "Image",
+    "contents",
+    "examine",
+    "machine",
+    "named",
+    "outdated",
+    "pinned",
+    "pins",
+    "rootfs",
+    "short",
+    "take",
+    "verify",
+]

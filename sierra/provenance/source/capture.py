@@ -19,31 +19,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.errors import ConfigError
-from sierra.provenance.source import ignored as uncounted
 from sierra.provenance.source import origin, plain_tree, worktree_snapshot
 from sierra.provenance.source.git import Git, in_repository
-from sierra.provenance.source.manifest import (
-    LINK,
-    Entry,
-    Files,
-    blobs,
-    changed,
-    listed,
-    paths,
-    repositories,
-    tree_hash,
-    tree_of,
-    written,
-)
+from sierra.provenance.source.manifest import LINK, Files, listed, tree_hash, written
 from sierra.provenance.source.plain_tree import LEFT_OUT
-from sierra.provenance.source.restore import is_there, restore
 from sierra.provenance.source.selection import PathSelection, inside, shown
-from sierra.provenance.source.share_refs import Shared, share
 from sierra.util.hashing import digest
 
 SWHID = "swh:1:dir:"
 LARGE = 50_000_000
 """Size limit in bytes if `[source] large` is not set."""
+CACHES = LEFT_OUT | {".DS_Store", ".eggs", ".idea", ".ipynb_checkpoints", ".nox", ".tox", ".vscode"}
+"""Files and folders of tools; no run needs them."""
+CACHE_SUFFIXES, VENV = (".egg-info", ".pyc"), "pyvenv.cfg"
 RECORDED = ("tree", "vcs", "commit", "branch", "dirty", "remote", "described", "folder", "submodules")
 
 
@@ -117,9 +105,19 @@ def contents(source: Source, root: Path, known: Container[str]) -> Iterator[tupl
 def ignored(root: Path, without: Iterable[str]) -> str:
     """Return one line with the first paths that git ignores in a project, and how many more there are.
 
-    The line is empty if git ignores nothing but caches of tools.
+    They are not part of the source, so a checkout of the source lacks them. A folder that git ignores completely is one path,
+    with a slash at its end. The paths in `without`, caches and virtual environments are left out.
     """
-    return shown(uncounted.ignored(root, without)) if _in_git(root) else ""
+    if not _in_git(root):
+        return ""
+    listing = Git(root)("ls-files", "--others", "--ignored", "--exclude-standard", "--directory", "-z", "--", ".").split(b"\0")
+    never = PathSelection(without=without).never
+    return shown([path for path in listing if path and not never(path) and not _is_cache(root, os.fsdecode(path))])
+
+
+def _is_cache(root: Path, path: str) -> bool:
+    parts = Path(path).parts
+    return not CACHES.isdisjoint(parts) or parts[-1].endswith(CACHE_SUFFIXES) or (root / path / VENV).is_file()
 
 
 def _in_git(root: Path) -> bool:
@@ -183,26 +181,3 @@ def _leading_out(root: Path, links: Sequence[bytes]) -> Iterator[str]:
     out = [path for path in sorted(links) if not (root / os.fsdecode(path)).resolve().is_relative_to(here)]
     if out:
         yield f"{shown(out)}: links out of the project; their targets are recorded only if the command names them"
-
-
-__all__ = [
-    "LARGE",
-    "LEFT_OUT",
-    "SWHID",
-    "Entry",
-    "Shared",
-    "Source",
-    "blobs",
-    "capture",
-    "changed",
-    "contents",
-    "ignored",
-    "inside",
-    "is_there",
-    "paths",
-    "repositories",
-    "restore",
-    "share",
-    "tree_hash",
-    "tree_of",
-]

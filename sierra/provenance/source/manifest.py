@@ -41,6 +41,11 @@ def read(manifest: bytes) -> dict[bytes, bytes]:
     return {path: what for what, _, path in lines}
 
 
+def of_ls_tree(listing: bytes) -> dict[bytes, bytes]:
+    """Return the files in the output of `git ls-tree -z`, whose lines have the kind of each file too."""
+    return {path: b"%s %s" % (what[:6], what.rpartition(b" ")[2]) for path, what in read(listing).items()}
+
+
 def parts(what: bytes) -> tuple[str, str]:
     """Return the mode and the hash."""
     mode, _, blob = what.decode("ascii", "replace").partition(" ")

@@ -17,7 +17,7 @@ from pathlib import Path
 from sierra.errors import Damaged, Missing
 from sierra.provenance.source import lfs
 from sierra.provenance.source.git import Git, in_repository
-from sierra.provenance.source.manifest import LINK, REPOSITORY, Files, is_blob, parts, read, tree_of, written
+from sierra.provenance.source.manifest import LINK, REPOSITORY, Files, is_blob, of_ls_tree, parts, read, tree_of, written
 from sierra.provenance.source.selection import shown
 from sierra.provenance.source.worktree_snapshot import of_tree
 
@@ -155,6 +155,4 @@ def _attributes(git: Git, commit: str) -> bytes:
     names = [b"/".join((*folders[:depth], lfs.ATTRIBUTES.encode())) for depth in range(len(folders))]
     if not names:
         return b""
-    found = git("ls-tree", "-z", commit, "--", *map(os.fsdecode, names), at_top=True, optional=True)
-    lines = (line.partition(b"\t") for line in found.split(b"\0") if line)
-    return b"".join(b"%s %s\t%s\0" % (what[:6], what.rpartition(b" ")[2], path) for what, _, path in lines)
+    return written(of_ls_tree(git("ls-tree", "-z", commit, "--", *map(os.fsdecode, names), at_top=True, optional=True)))

@@ -14,8 +14,8 @@ from typing import Literal
 from sierra.errors import Missing, UsageError
 from sierra.provenance.source import origin
 from sierra.provenance.source.git import Git, in_repository
-from sierra.provenance.source.manifest import repositories
-from sierra.provenance.source.redact_address import without_credentials
+from sierra.provenance.source.manifest import read, repositories
+from sierra.provenance.source.origin import without_credentials
 
 REFS = "refs/sierra/"
 ALL = f"{REFS}*:{REFS}*"
@@ -57,9 +57,7 @@ def share(root: Path, way: Way, remote: str | None = None) -> list[Shared]:
 def _all(git: Git, path: str) -> Iterator[tuple[str, Git]]:
     """Yield a repository and the repositories in it that are checked out."""
     yield path, git
-    lines = (line.partition(b"\t") for line in git("ls-files", "--stage", "-z").split(b"\0") if line)
-    files = {name: what for what, _, name in lines}
-    for name, _ in repositories(files):
+    for name, _ in repositories(read(git("ls-files", "--stage", "-z"))):
         inner = git.root / os.fsdecode(name)
         if (inner / ".git").exists():
             yield from _all(Git(inner), os.path.normpath(f"{path}/{os.fsdecode(name)}"))

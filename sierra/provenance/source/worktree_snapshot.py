@@ -27,7 +27,7 @@ import os
 import shutil
 import stat
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
@@ -35,7 +35,7 @@ from pathlib import Path
 from uuid import uuid4
 
 from sierra.errors import ConfigError, Missing
-from sierra.provenance.source import lfs
+from sierra.provenance.source import lfs, manifest
 from sierra.provenance.source.git import Git
 from sierra.provenance.source.manifest import Files, repositories, written
 from sierra.provenance.source.selection import PathSelection, check_size
@@ -103,9 +103,7 @@ def take(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
         tree = write(git, files) if inner else index.write_tree()
     git("update-ref", f"refs/sierra/{tree}", tree)
     differing = _differing(status, files)
-    absent = _absent(git, status, differing)
-    changed = tuple(sorted(differing - absent))
-    return WorktreeState(tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), submodules)
+    return _state(status, tree, files, differing, _absent(git, status, differing), submodules)
 
 
 def look(git: Git, chosen: PathSelection) -> WorktreeState:
@@ -123,10 +121,14 @@ def look(git: Git, chosen: PathSelection) -> WorktreeState:
     git("update-ref", f"refs/sierra/{tree}", tree)
     differing = status.recorded.keys() | set(status.stale)
     absent = _absent(git, status, differing) | set(_hollow(root, files))
+    return _state(status, tree, files, differing, absent, dict(_submodules(root, files)))
+
+
+def _state(
+    status: Status, tree: str, files: dict[bytes, bytes], differing: Set[bytes], absent: Set[bytes], submodules: dict[str, str]
+) -> WorktreeState:
     changed = tuple(sorted(differing - absent))
-    return WorktreeState(
-        tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), dict(_submodules(root, files))
-    )
+    return WorktreeState(tree, files, status.commit, status.branch, changed, tuple(sorted(absent)), submodules)
 
 
 def write(git: Git, files: dict[bytes, bytes]) -> str:
@@ -138,8 +140,7 @@ def write(git: Git, files: dict[bytes, bytes]) -> str:
 
 def of_tree(git: Git, tree: str) -> dict[bytes, bytes]:
     """Return the files of a tree or a commit that lie below the project."""
-    lines = (line.partition(b"\t") for line in git("ls-tree", "-r", "-z", tree).split(b"\0") if line)
-    return {path: b"%s %s" % (what[:6], what.rpartition(b" ")[2]) for what, _, path in lines}
+    return manifest.of_ls_tree(git("ls-tree", "-r", "-z", tree))
 
 
 class _Index:
@@ -199,8 +200,8 @@ class _Index:
             _write_pack(self._git, [path for path, size in there.items() if size <= SMALL])
         self._tell("--add", list(there), "--remove", "--replace")
         self._add_repositories(inner)
-        listing = self._git("ls-files", "--stage", "-z", index=self.path).split(b"\0")
-        return {path: what[:-2] for what, _, path in [line.partition(b"\t") for line in listing] if path}
+        listing = self._git("ls-files", "--stage", "-z", index=self.path)
+        return {path: what[:-2] for path, what in manifest.read(listing).items()}
 
     def _kinds(self, paths: Iterable[bytes]) -> tuple[dict[bytes, int], list[bytes], list[bytes]]:
         """Return the files with their sizes, the nested repositories, and all paths that are missing or of another kind."""

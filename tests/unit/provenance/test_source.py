@@ -20,8 +20,8 @@ import pytest
 import sierra
 from sierra.errors import ConfigError, Damaged, Missing
 from sierra.provenance import source
-from sierra.provenance.source.capture import SWHID, Source
-from sierra.provenance.source.redact_address import without_credentials
+from sierra.provenance.source.capture import LARGE, SWHID, Source
+from sierra.provenance.source.origin import without_credentials
 from sierra.util.hashing import sealed, unsealed
 from tests import projects
 
@@ -74,7 +74,7 @@ def commit(git: Git, folder: Path) -> str:
     return git("rev-parse", "HEAD", cwd=folder)
 
 
-def capture(root: Path, *paths: str, dirty: str = "record", large: int = source.LARGE) -> Source:
+def capture(root: Path, *paths: str, dirty: str = "record", large: int = LARGE) -> Source:
     return source.capture(root, paths=paths, without=WITHOUT, dirty=dirty, large=large)
 
 
