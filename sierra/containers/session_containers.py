@@ -269,20 +269,14 @@ def _check_devices(spec: RunSpec) -> None:
 
 
 def _check_variables(image: Image, inside: Contents) -> None:
-    """Check that the pinned variables are those of the image: runs get them, but only the image's id is in the identity.
-
-    Raises Missing.
-    """
+    """Check that the pinned variables are the image's, because only its id is in the identity. Raises Missing."""
     if inside.config and dict(image.variables) != oci.variables(inside.config):
         differs = f"the variables of {image.name} in sierra.lock differ from the image's"
         raise Missing(f"{differs}; run: sierra image pin {image.name}")
 
 
 def program(command: Sequence[str], path: str | None, inside: Contents) -> str:
-    """Return the program of a run's command: its path in the image, or the word if it names a file of the project.
-
-    Raises Missing if the image does not have it.
-    """
+    """Return the path of a run's program in the image, or the word if it is a file of the project. Raises Missing."""
     word = PYTHON if command[0] == "{python}" else command[0]
     found = word if "{" in word else inside.program(word, path)
     if found is None:
@@ -291,10 +285,7 @@ def program(command: Sequence[str], path: str | None, inside: Contents) -> str:
 
 
 def _ignored(engine: Engine, able: Capabilities, box: ContainerSpec) -> Iterator[str]:
-    """Yield a note for each requested limit that is not enforced, and for a network that is not isolated.
-
-    Memory is not among them, because the worker checks it.
-    """
+    """Yield a note for each limit that is neither enforced nor watched, and for a network that is not isolated."""
     for name in sorted(box.limits.keys() - able.enforced - WATCHED):
         yield f"LIMIT IGNORED: {engine.name} does not enforce {name} here ({able.version})"
     if not box.network and not able.isolated:

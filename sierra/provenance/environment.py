@@ -73,10 +73,7 @@ def _record(
 
 
 def recorded(record: Sequence[str]) -> tuple[str, ...]:
-    """Return the names (or patterns) of all variables that another host has to report for `elsewhere`.
-
-    `record` adds further names.
-    """
+    """Return the names (or patterns) of all variables that another host has to report for `elsewhere`; `record` adds names."""
     return (*VARIABLES, LOADED, *record)
 
 

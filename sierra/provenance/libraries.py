@@ -29,10 +29,7 @@ PATIENCE_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """The libraries of one program: their paths by name, and the names of missing ones.
-
-    `doubt` is the reason if the libraries are unknown.
-    """
+    """The libraries of one program by name, the names of missing ones, and the reason if the libraries are unknown."""
 
     paths: Mapping[str, str]
     lacking: tuple[str, ...] = ()

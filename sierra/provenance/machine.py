@@ -107,10 +107,7 @@ def processor(cpuinfo: str) -> tuple[str, list[str]]:
 
 
 def _gpus() -> Iterator[str]:
-    """Yield the graphics processors.
-
-    NVIDIA's are described by name and driver; others by the ids of vendor and device, and the driver's name.
-    """
+    """Yield the graphics processors: NVIDIA's by name and driver, others by the ids of vendor and device, and by driver."""
     driver = re.search(r"\b\d{3}\.\d+(\.\d+)*\b", _text(Path("/proc/driver/nvidia/version")))
     for file in Path("/proc/driver/nvidia/gpus").glob("*/information"):
         model = re.search(r"Model:\s*(.+)", _text(file))

@@ -212,10 +212,7 @@ def _origin(info: Path) -> Origin | None:
 
 
 def _recorded(info: Path) -> list[str]:
-    """Return the lines of a distribution's RECORD for its own files.
-
-    Scripts and compiled files are left out, because they contain paths of this machine.
-    """
+    """Return the lines of a RECORD without scripts and compiled files, because these contain paths of this machine."""
     try:
         lines = (info / "RECORD").read_text("utf-8", "replace").splitlines()
     except OSError:

@@ -56,10 +56,7 @@ class Difference:
 
 
 def between(before: State, after: State, root: Path, content: Callable[[str], bytes | None]) -> Difference:
-    """Return the difference between two trees.
-
-    `content` returns a file that git does not have, by git's hash of it, or None.
-    """
+    """Return the difference between two trees. `content` returns a file that git does not have, by git's hash, or None."""
     git = _Git(root)
     old, new = _files(before.manifest), _files(after.manifest)
     files = list(_changed(old, new))

@@ -64,10 +64,7 @@ def _files(path: Path) -> Iterator[Path]:
 
 
 def data(template: Path, texts: Iterable[str], root: Path, source: Container[bytes], without: Iterable[str]) -> Programs:
-    """Return the files that a template names, and those that `texts`, its inserted texts, name.
-
-    The files in `without`, relative to the root, are left out.
-    """
+    """Return the files that a template or its inserted `texts` name, except those in `without`, relative to the root."""
     left = [root / path for path in without]
     digests = HashCache()
     found: dict[Path, Program] = {}
@@ -114,10 +111,7 @@ def again(names: Iterable[str], root: Path) -> Programs:
 
 
 def _all_named(template: Path, texts: str, root: Path, without: Sequence[Path]) -> Iterator[Path]:
-    """Yield all existing files that a template names, directly or through files that it includes.
-
-    Files and folders in `without` are left out.
-    """
+    """Yield all existing files that a template names, or files that it includes name, except those in `without`."""
     pending, read = [(template, _text(template) + "\n" + texts)], {template}
     while pending:
         origin, text = pending.pop()
@@ -159,10 +153,7 @@ def _is(kind: Callable[[Path], bool], path: Path) -> bool:
 
 
 def _words(text: str) -> Iterator[str]:
-    """Yield each text that may be a path once: attributes, texts, and parts of them that contain a letter.
-
-    Tags are skipped: `</x>` does not name the file `/x`.
-    """
+    """Yield each text with a letter that may be a path: attributes, texts and their parts, but no tags (`</x>`)."""
     said = TAG.sub("<", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
     pieces = (html.unescape(piece).strip() for piece in dict.fromkeys(re.split(r"[\"'<>\n]", said)))
     for word in dict.fromkeys(part for piece in pieces for part in (piece, *piece.split())):

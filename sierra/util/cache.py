@@ -12,10 +12,7 @@ from sierra.util.json_types import JsonView
 
 
 class Cache:
-    """A cache of JSON facts by text key, which keeps the `most` recently used ones.
-
-    Errors of reading and writing are ignored.
-    """
+    """A cache of the `most` recently used JSON facts by text key. Errors of reading and writing are ignored."""
 
     def __init__(self, path: Path, most: int) -> None:
         self._path = path
@@ -36,10 +33,7 @@ class Cache:
         self._new = True
 
     def save(self) -> None:
-        """Write the cache if it has new facts.
-
-        If two processes write at the same time, the new facts of one of them are lost.
-        """
+        """Write the cache if it has new facts. Of two processes that write at the same time, the facts of one are lost."""
         if not self._new:
             return
         kept = dict(list(self._known.items())[-self._most :])

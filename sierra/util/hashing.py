@@ -24,10 +24,7 @@ def canonical(value: JsonView) -> bytes:
 
 
 def canonical_plain(value: Mapping[str, JsonView]) -> bytes:
-    """Return the same bytes as `canonical`, but much faster, for a flat object with ASCII keys and without floats.
-
-    For such an object, RFC 8785 only requires sorted keys.
-    """
+    """Return the bytes of `canonical` faster, for a flat object with ASCII keys and no floats: only its keys are sorted."""
     from pydantic_core import to_json  # slow to load, and commands that only read need no hash
 
     return to_json(dict(sorted(value.items())))

@@ -57,10 +57,7 @@ class Way:
     """True if an image can be started from a squashfs; otherwise its files must be in a folder."""
 
     def words(self, *, network: bool = False, files: str = "") -> Iterator[str]:
-        """Yield the words of the command, up to the options that differ between containers.
-
-        `files`: see `ContainerSpec.files`.
-        """
+        """Yield the words of the command up to the options that differ between containers. `files`: see `ContainerSpec`."""
         if self.mapped:
             yield from ("unshare", "--map-root-user", "--")
         yield from (self.program, "--silent")

@@ -36,10 +36,7 @@ WRITABLE = ("/tmp", "/var/tmp", "/run", "/dev", "/dev/shm", "/dev/mqueue")  # no
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """A file or folder of the host that appears in a container at the path `target`.
-
-    NUL in `source` stands for the run's folder.
-    """
+    """A file or folder of the host that is in a container at the path `target`. NUL in `source` stands for the run's folder."""
 
     source: str
     target: str
@@ -59,17 +56,11 @@ class ContainerSpec:
     devices: tuple[str, ...] = ()
     gpu: bool = False
     memory: int | None = None
-    """The limit in bytes, if the engine must enforce it.
-
-    `cpus` limits cores, `pids` limits processes including their threads.
-    """
+    """The limit in bytes, if the engine must enforce it. `cpus` limits cores, `pids` processes including their threads."""
     cpus: float | None = None
     pids: int | None = None
     wall: float | None = None
-    """The seconds after which a container ends in any case, if the engine supports it.
-
-    This covers the case that nothing else ends it.
-    """
+    """The seconds after which a container ends even if nothing else ends it, if the engine supports that."""
     shared: bool = False
     """True if one container executes many runs, one after the other; false if each run has its own."""
     files: str = ""
@@ -130,10 +121,7 @@ class Engine(Protocol):
         ...
 
     def probe(self) -> Capabilities:
-        """Start a container to find out what works. The result is cached until something changes (boot, user, version).
-
-        Never raises.
-        """
+        """Start a container to find out what works, and cache the result until boot, user or version change. Never raises."""
         ...
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:

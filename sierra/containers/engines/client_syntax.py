@@ -31,10 +31,7 @@ def killed(name: str, result: Result) -> Result:
 
 
 def signalled(result: Result, enforced: AbstractSet[str]) -> Result:
-    """Return the result with the signal that ended the process.
-
-    As in a shell, the exit status is then 128 plus the signal's number.
-    """
+    """Return the result with the signal that ended the process: as in a shell, the exit status is then 128 plus its number."""
     number = (result.exit_code or 0) - SIGNALLED
     if result.error is not None or not 0 < number < 65:
         return result

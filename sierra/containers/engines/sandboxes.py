@@ -29,10 +29,7 @@ MOST = 64
 
 
 def ready(squashfs: Path, identity: str, folder: Path) -> Path:
-    """Return `folder` with the files of a squashfs (or of the one in a SIF).
-
-    Unpacks it if necessary. Raises Missing if that fails.
-    """
+    """Return `folder` with the files of a squashfs (or of the one in a SIF), unpacked if necessary. Raises Missing."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
         remembered = Cache(user_engines(), MOST)

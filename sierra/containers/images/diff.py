@@ -24,10 +24,7 @@ class Change:
 def packages(
     was: Mapping[str, Sequence[str]], now: Mapping[str, Sequence[str]], words: frozenset[str] = frozenset()
 ) -> dict[str, list[Change]]:
-    """Return the packages that differ, by package manager. Packages that `words` name come first.
-
-    The lists are those of `sierra.containers.images.packages`.
-    """
+    """Return the packages that differ, by package manager; packages that `words` name come first."""
     found = {manager: list(_packages(was.get(manager, ()), now.get(manager, ()), words)) for manager in sorted({*was, *now})}
     return {manager: changes for manager, changes in found.items() if changes}
 

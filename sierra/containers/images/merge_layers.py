@@ -98,10 +98,7 @@ class Rootfs:
     """The paths of each file, by the location of its bytes."""
 
     def write(self, out: BinaryIO) -> None:
-        """Write all entries as one tar, with times 0 and root as owner.
-
-        The bytes are the same for the same image, whatever form it is stored in.
-        """
+        """Write all entries as one tar, with times 0 and owner root; its bytes do not depend on how the image is stored."""
         with tarfile.open(fileobj=out, mode="w|", format=tarfile.GNU_FORMAT, encoding="utf-8", errors="surrogateescape") as tar:
             for entry in (*_of("folder", self.entries), *_of("link", self.entries), *self._mounted_on()):
                 tar.addfile(_header(entry))

@@ -103,10 +103,7 @@ class Archive:
             raise Damaged(f"{what} does not match the configuration: its files have SHA-256 {found[:12]}…, not {wanted}…")
 
     def check(self) -> list[int]:
-        """Read the whole image, and return the sizes of its layers' tars.
-
-        Raises Damaged if it differs from its configuration.
-        """
+        """Read the whole image, and return the sizes of its layers' tars. Raises Damaged if the configuration differs."""
         sizes = []
         for place in range(len(self.blobs)):
             with self.layer(place) as stream:

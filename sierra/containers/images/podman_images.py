@@ -75,10 +75,7 @@ def identify(name: str) -> str | None:
 
 
 def look(name: str) -> Image | None:
-    """Return the image that a name or an id stands for now, or None if podman has no such image.
-
-    Raises Missing without podman.
-    """
+    """Return the image that a name or an id stands for now; None if podman has none. Raises Missing without podman."""
     cache = Cache(user_images(), MOST)
     state, key = _state(cache), f"{_where()} {name}"
     known = as_object(cache.get(key))

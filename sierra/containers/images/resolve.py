@@ -43,10 +43,7 @@ def spelled(root: Path, name: str, known: str = "") -> str:
 
 
 def tag(root: Path, name: str) -> str | None:
-    """Return the tag in podman's storage that a name means; None for a file.
-
-    Raises ConfigError if a folder's name cannot be a tag.
-    """
+    """Return the tag in podman's storage that a name means; None for a file. Raises ConfigError for a forbidden name."""
     path = place(root, name)
     if path is None:
         return name

@@ -87,10 +87,7 @@ def is_squashfs(path: Path) -> bool:
 
 
 def size(path: Path, offset: int = 0) -> int:
-    """Return the size of a file system in bytes, from its superblock.
-
-    Raises Damaged if it is not a squashfs or is cut short.
-    """
+    """Return the size of a file system in bytes, from its superblock. Raises Damaged if it is no squashfs or cut short."""
     with path.open("rb") as file:
         file.seek(offset)
         block = file.read(48)

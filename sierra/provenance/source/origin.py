@@ -85,10 +85,7 @@ def _place(rest: str) -> str:
 
 
 def _short(address: str) -> str:
-    """Return `user@host:path` without the user, unless the user is `git`.
-
-    If there is a password, everything up to its last @ is removed.
-    """
+    """Return `user@host:path` without a user other than `git`. A password is removed with everything up to its last @."""
     user, at, rest = address.partition("@")
     if not at or "/" in user:
         return address

@@ -43,10 +43,7 @@ def entries(root: Path, chosen: PathSelection, large: int, memory: Path | None =
 
 
 def contents(manifest: bytes, root: Path, known: Container[str]) -> Iterator[tuple[str, bytes]]:
-    """Yield git's hash and the content of each file in a manifest; `known` lists hashes to skip.
-
-    Raises Missing for a file that has changed since it was hashed.
-    """
+    """Yield the git hash and content of each file that is not `known`. Raises Missing for a file that has changed meanwhile."""
     for path, what in read(manifest).items():
         mode, blob = parts(what)
         file = root / os.fsdecode(path)

@@ -116,10 +116,7 @@ def _write(file: Path, mode: str, content: bytes) -> None:
 
 
 def _checkout(git: Git, files: Files, target: Path, commit: str | None) -> None:
-    """Let git write the files, including those of nested repositories.
-
-    If the project is only a part of a repository, the attributes of the whole repository apply.
-    """
+    """Let git write the files, and those of nested repositories, by the attributes of the whole repository."""
     prefix = git.prefix
     with tempfile.TemporaryDirectory(prefix=".sierra-", dir=target.parent) as scratch:
         index, into = Path(scratch, "index"), Path(scratch, "files")

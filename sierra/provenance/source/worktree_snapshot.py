@@ -288,10 +288,7 @@ def _index(git: Git, chosen: PathSelection) -> Iterator[_Index]:
 
 @contextlib.contextmanager
 def _scratch(git: Git) -> Iterator[Path]:
-    """Yield a path for a temporary index beside the kept ones, and remove it afterwards.
-
-    Leftovers of killed processes are removed too.
-    """
+    """Yield a path for a temporary index, and remove it afterwards, and also those of killed processes."""
     folder = git.folder / "sierra"
     try:
         folder.mkdir(exist_ok=True)
