@@ -24,6 +24,8 @@ LACKING = re.compile(
 )
 HEARD = ("LD_LIBRARY_PATH", "LD_PRELOAD")
 """The variables of a run that are passed to the loader."""
+LAYOUTS = {True: ("32xQ14xHH", "I4xQ16xQ"), False: ("28xI10xHH", "II8xI")}
+"""For 64 and for 32 bits: the offset, entry size and number of the program headers, and a header's type, offset and size."""
 PATIENCE_S = 10.0
 
 
@@ -87,29 +89,14 @@ def interpreter(path: str) -> str | None:
             if head[:4] != b"\x7fELF":
                 return None
             order = "<" if head[5] == 1 else ">"
-            wide = head[4] == 2
-            place, size, count = _table(head, order, wide)
+            table, segment = (order + layout for layout in LAYOUTS[head[4] == 2])
+            place, size, count = struct.unpack_from(table, head)
             file.seek(place)
             for _ in range(count):
-                kind, at, length = _segment(file.read(size), order, wide)
+                kind, at, length = struct.unpack_from(segment, file.read(size))
                 if kind == 3:
                     file.seek(at)
                     return os.fsdecode(file.read(min(length, 4096)).split(b"\0")[0])
     except (OSError, ValueError, OverflowError, IndexError, struct.error):
         pass
     return None
-
-
-def _table(head: bytes, order: str, wide: bool) -> tuple[int, int, int]:
-    """Return the offset, the entry size and the number of the program headers."""
-    place = struct.unpack_from(order + ("Q" if wide else "I"), head, 32 if wide else 28)[0]
-    size, count = struct.unpack_from(order + "HH", head, 54 if wide else 42)
-    return place, size, count
-
-
-def _segment(header: bytes, order: str, wide: bool) -> tuple[int, int, int]:
-    """Return a program header's type, and the offset and size of its content."""
-    kind = struct.unpack_from(order + "I", header)[0]
-    if wide:
-        return kind, struct.unpack_from(order + "Q", header, 8)[0], struct.unpack_from(order + "Q", header, 32)[0]
-    return kind, struct.unpack_from(order + "I", header, 4)[0], struct.unpack_from(order + "I", header, 16)[0]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -64,11 +64,7 @@ def between(before: State, after: State, root: Path, content: Callable[[str], by
     if all(git.has(tree, "tree") for tree in trees):
         counts = git.counts(*trees)
         return Difference(tuple(_counted(file, counts.get(file.path)) for file in files), git.patch(*trees))
-    return _by_content(files, old, new, lambda blob: _first(git.blob(blob), lambda: content(blob)))
-
-
-def _first(found: bytes | None, otherwise: Callable[[], bytes | None]) -> bytes | None:
-    return otherwise() if found is None else found
+    return _by_content(files, old, new, lambda blob: content(blob) if (found := git.blob(blob)) is None else found)
 
 
 Files = Mapping[str, tuple[str, str]]
@@ -113,17 +109,15 @@ def _by_content(files: list[File], old: Files, new: Files, content: Callable[[st
     lines: list[str] = []
     unknown: list[str] = []
     for file in files:
+        counted.append(file)
         if file.what in ("renamed", "mode", "submodule"):
-            counted.append(file)
             continue
-        contents = [b"" if file.path not in side else content(side[file.path][1]) for side in (old, new)]
-        before, after = contents
+        before, after = (b"" if file.path not in side else content(side[file.path][1]) for side in (old, new))
         if before is None or after is None:
             unknown.append(file.path)
-            counted.append(file)
             continue
         found = patch(before, after, file.path)
-        counted.append(_counted(file, (found.added, found.removed)))
+        counted[-1] = replace(file, added=found.added, removed=found.removed)
         lines += found.lines or (f"Binary files a/{file.path} and b/{file.path} differ",)
     return Difference(tuple(counted), tuple(lines), tuple(unknown))
 

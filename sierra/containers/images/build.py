@@ -67,13 +67,10 @@ def _run_rootfs(name: str, context: Path, epoch: int) -> None:
         umask=0o022,
     )
     if done.returncode:
-        raise Missing(f"{name}/{ROOTFS} failed ({_how(done.returncode)}): {_why(done.stdout)}")
+        status = f"signal {-done.returncode}" if done.returncode < 0 else f"exit status {done.returncode}"
+        raise Missing(f"{name}/{ROOTFS} failed ({status}): {_why(done.stdout)}")
     if not target.is_file() or not tarfile.is_tarfile(target):
         raise Missing(f"{name}/{ROOTFS} succeeded, but wrote no tar to the path in $1")
-
-
-def _how(status: int) -> str:
-    return f"signal {-status}" if status < 0 else f"exit status {status}"
 
 
 def _why(said: str) -> str:

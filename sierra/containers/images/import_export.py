@@ -10,7 +10,6 @@ from pathlib import Path
 from sierra.containers.images import image_contents, oci, podman_images, sif_format
 from sierra.containers.images.image import Image, Kind, short
 from sierra.containers.images.image_contents import Contents
-from sierra.containers.images.oci import Archive
 from sierra.containers.images.pins import pins
 from sierra.containers.images.resolve import named, tag
 from sierra.errors import Damaged, Missing, UsageError
@@ -26,7 +25,8 @@ def take_in(root: Path, store: StorePaths, file: Path, name: str = "") -> Conten
     if not file.exists():
         raise Missing(f"the image file {file} does not exist")
     if not oci.is_archive(file):
-        what = "a SIF or a squashfs, which needs no import: name it in [container] image" if _runs(file) else "not an archive"
+        runs = file.is_file() and image_contents.squashfs_file(file)
+        what = "a SIF or a squashfs, which needs no import: name it in [container] image" if runs else "not an archive"
         raise UsageError(f"{file} is {what}; only docker-archive and oci-archive can be imported")
     read = oci.read(file)
     image = read.image(name or str(file), file=str(file.resolve()))
@@ -35,14 +35,10 @@ def take_in(root: Path, store: StorePaths, file: Path, name: str = "") -> Conten
         image_contents.rootfs(root, store, image)
         return found
     podman_images.load(file, image.id)
-    called = name or _free(read)
-    if called:
-        podman_images.tag(image.id, called)
-    return replace(found, image=replace(found.image, name=called or image.id, file=""))
-
-
-def _free(read: Archive) -> str:
-    return next((tag for tag in read.tags[:1] if podman_images.identify(tag) in (None, read.id)), "")
+    free = (tag for tag in read.tags[:1] if podman_images.identify(tag) in (None, read.id))
+    if new := name or next(free, ""):
+        podman_images.tag(image.id, new)
+    return replace(found, image=replace(found.image, name=new or image.id, file=""))
 
 
 def export(root: Path, name: str, file: Path) -> Image:
@@ -90,7 +86,3 @@ def _check(image: Image, path: Path) -> None:
         same = read.id == image.id
     if not same:
         raise Damaged(f"the file written for {image.name} is not the image {short(image.id)}; export it again")
-
-
-def _runs(file: Path) -> bool:
-    return file.is_file() and image_contents.squashfs_file(file)

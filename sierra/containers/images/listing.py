@@ -55,7 +55,8 @@ def listing(root: Path, store: StorePaths, names: Iterable[str] = ()) -> list[Kn
     pinned = pins(root)
     found = [_named(root, store, name, pinned.get(name)) for name in sorted({*pinned, *names})]
     ids = {identity for one in found for identity in (one.id, one.now)}
-    return [*found, *(_unnamed(store, one.image) for one in image_contents.known(store) if one.image.id not in ids)]
+    others = (one.image for one in image_contents.known(store) if one.image.id not in ids)
+    return [*found, *(_known(store, "", image, State.UNNAMED) for image in others)]
 
 
 def _named(root: Path, store: StorePaths, name: str, pinned: Image | None) -> Known:
@@ -67,19 +68,17 @@ def _named(root: Path, store: StorePaths, name: str, pinned: Image | None) -> Kn
     image = pinned or now
     if image is None:
         return Known(name, State.GONE, "", "", "", "", podman=False, squashfs=False, size=None, why=why)
-    state = State.UNPINNED if pinned is None else State.GONE if now is None else _state(pinned, now)
+    match pinned, now:
+        case None, _:
+            state = State.UNPINNED
+        case _, None:
+            state = State.GONE
+        case _:
+            state = State.PINNED if (pinned.id, pinned.sha256) == (now.id, now.sha256) else State.MOVED
     return _known(store, name, image, state, now.id if now else "", why)
 
 
-def _state(pinned: Image, now: Image) -> State:
-    return State.PINNED if (pinned.id, pinned.sha256) == (now.id, now.sha256) else State.MOVED
-
-
-def _unnamed(store: StorePaths, image: Image) -> Known:
-    return _known(store, "", image, State.UNNAMED, "", "")
-
-
-def _known(store: StorePaths, name: str, image: Image, state: State, now: str, why: str) -> Known:
+def _known(store: StorePaths, name: str, image: Image, state: State, now: str = "", why: str = "") -> Known:
     contents = image_contents.contents(store, image)
     return Known(
         name,

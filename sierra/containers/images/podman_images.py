@@ -14,16 +14,15 @@ import secrets
 import shutil
 import signal
 import subprocess
-import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import BinaryIO, cast
 
 from sierra.containers.images import oci
 from sierra.containers.images.image import Image, of_fields, short
 from sierra.containers.images.oci import image_of
+from sierra.containers.images.streams import fed
 from sierra.errors import Damaged, Missing
 from sierra.store.layout import user_images
 from sierra.util.cache import Cache
@@ -100,7 +99,7 @@ def _inspect(name: str) -> Image | None:
             "rootfs": {"diff_ids": (found.get("RootFS") or {}).get("Layers")},
             "config": found.get("Config"),
         }
-        return image_of(name, f"sha256:{_bare(found['Id'])}", config)
+        return image_of(name, "sha256:" + found["Id"].removeprefix("sha256:"), config)
     if any(words in done.stderr for words in UNKNOWN):
         return None
     raise Missing(f"podman cannot inspect {name!r}: {complaint(done.stderr)}")
@@ -125,25 +124,15 @@ def load(path: Path, identity: str) -> None:
     read = oci.read(path)
     if read.id != identity:
         raise Damaged(f"{path} is the image {short(read.id)}, not {short(identity)}")
-    with tempfile.TemporaryFile("w+") as said:
-        process = subprocess.Popen([program(), "load", "--quiet"], stdin=subprocess.PIPE, stdout=said, stderr=said)
-        try:
-            assert process.stdin is not None  # noqa: S101 - stdin is a pipe
-            with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
-                read.write(cast("BinaryIO", pipe))
-            status = process.wait()
-        finally:
-            process.kill()
-            process.wait()
-        said.seek(0)
-        if status:
-            raise Missing(f"podman cannot load {path}: {complaint(said.read())}")
+    status, output = fed([program(), "load", "--quiet"], read.write)
+    if status:
+        raise Missing(f"podman cannot load {path}: {complaint(output)}")
     if not present(identity):
         raise Damaged(f"{path} is {short(identity)}, but podman loaded a different image from it")
 
 
 def tag(identity: str, name: str) -> None:
-    done = _call(["tag", "--", _bare(identity), name])
+    done = _call(["tag", "--", identity.removeprefix("sha256:"), name])
     if done.returncode:
         raise Missing(f"podman cannot tag {identity} as {name!r}: {complaint(done.stderr)}")
 
@@ -265,26 +254,18 @@ def _signal(group: int, number: signal.Signals) -> None:
 
 def _end(started: Mapping[int, int | None], group: int) -> bool:
     """Kill the processes that are not in the group, and return whether there were any."""
-    others = [pid for pid, born in started.items() if born is not None and _lives(pid, born) and _group(pid) != group]
-    for pid in others:
+    found = False
+    for pid, born in started.items():
         with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
-    return bool(others)
+            lives = born is not None and worker.birth(pid) == born and worker.stat_of(pid)[:1] not in ([], [b"Z"])
+            if lives and os.getpgid(pid) != group:
+                found = True
+                os.kill(pid, signal.SIGKILL)
+    return found
 
 
 def _births(pids: Iterable[int]) -> dict[int, int | None]:
     return {pid: worker.birth(pid) for pid in pids}
-
-
-def _lives(pid: int, born: int) -> bool:
-    return worker.birth(pid) == born and worker.stat_of(pid)[:1] not in ([], [b"Z"])
-
-
-def _group(pid: int) -> int | None:
-    try:
-        return os.getpgid(pid)
-    except ProcessLookupError:
-        return None
 
 
 def _below(pid: int) -> Iterator[int]:
@@ -306,10 +287,6 @@ def _limits() -> Iterator[str]:
         hard = resource.getrlimit(number)[1]
         limit = most if hard == resource.RLIM_INFINITY else min(hard, most)
         yield f"--ulimit={name}={limit}:{limit}"
-
-
-def _bare(identity: str) -> str:
-    return identity.removeprefix("sha256:")
 
 
 # ---------------------------------------------------------------- the cache of podman's answers

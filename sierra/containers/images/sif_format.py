@@ -115,7 +115,8 @@ def _read(path: Path, file: BinaryIO, length: int) -> Sif:
     architecture = {b"%02d" % number: name for number, name in enumerate(ARCHITECTURES, 1)}.get(system.extra[8:10], "")
     recipe = next((_text(file, one) for one in objects if one.type == DEFFILE), "")
     signed = any(one.type == SIGNATURE for one in objects)
-    return Sif(path, architecture, system.offset, system.size, signed, recipe, _labels(file, objects))
+    labels = next((_parsed_labels(_text(file, one)) for one in objects if one.type == LABELS), {})
+    return Sif(path, architecture, system.offset, system.size, signed, recipe, labels)
 
 
 def _objects(path: Path, file: BinaryIO, length: int) -> Iterator[_Object]:
@@ -139,11 +140,6 @@ def _objects(path: Path, file: BinaryIO, length: int) -> Iterator[_Object]:
 def _text(file: BinaryIO, one: _Object) -> str:
     file.seek(one.offset)
     return file.read(min(one.size, TEXT)).decode("utf-8", "replace")
-
-
-def _labels(file: BinaryIO, objects: list[_Object]) -> dict[str, str]:
-    """Return the labels, if the SIF has an object for them that contains valid JSON."""
-    return next((_parsed_labels(_text(file, one)) for one in objects if one.type == LABELS), {})
 
 
 def wanted(path: str) -> int:

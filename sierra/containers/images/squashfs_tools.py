@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import IO, BinaryIO, cast
 
 from sierra.containers.images.merge_layers import Entry, Type, Wanted
-from sierra.containers.images.streams import PIECE
+from sierra.containers.images.streams import PIECE, fed
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.util.hashing import sha256_file
 
@@ -43,7 +43,10 @@ def make(write: Callable[[BinaryIO], None], target: Path) -> str:
     program = _program("mksquashfs")
     unfinished = target.with_name(f".{target.name}.{os.getpid()}")
     try:
-        _run([program, "-", str(unfinished), *MAKE], write)
+        environment = {name: value for name, value in os.environ.items() if name != "SOURCE_DATE_EPOCH"}
+        status, output = fed([program, "-", str(unfinished), *MAKE], write, environment | {"LC_ALL": "C.UTF-8"})
+        if status:
+            raise Missing(f"{unfinished}: mksquashfs failed: {_reason(output)}")
         with unfinished.open("rb") as file:
             os.fsync(file.fileno())
         digest = sha256_file(unfinished)
@@ -55,28 +58,9 @@ def make(write: Callable[[BinaryIO], None], target: Path) -> str:
         unfinished.unlink(missing_ok=True)
 
 
-def _run(command: list[str], write: Callable[[BinaryIO], None]) -> None:
-    environment = {name: value for name, value in os.environ.items() if name != "SOURCE_DATE_EPOCH"}
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=said, stderr=subprocess.STDOUT, env=environment | {"LC_ALL": "C.UTF-8"}
-        )
-        try:
-            assert process.stdin is not None  # noqa: S101 - stdin is a pipe
-            with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
-                write(cast("BinaryIO", pipe))
-            status = process.wait()
-        finally:
-            process.kill()
-            process.wait()
-        if status:
-            raise Missing(f"{command[2]}: mksquashfs failed: {_last(said)}")
-
-
-def _last(said: IO[bytes]) -> str:
+def _reason(output: str) -> str:
     """Return the line of a program's output that gives the reason of its failure, or else its last line."""
-    said.seek(0)
-    lines = [line.strip() for line in said.read(1 << 16).decode("utf-8", "replace").splitlines() if line.strip()]
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     why = [line for line in lines if "because" in line or "FATAL" in line or "error" in line.lower()]
     return (why or lines[-1:] or ["it printed no error"])[0]
 
@@ -106,30 +90,25 @@ def listing(path: Path, offset: int = 0, wanted: Wanted = lambda path: 0) -> tup
     Nothing is unpacked: `unsquashfs` streams a "pseudo file", which has a line for each path and then the bytes of all files.
     """
     command = [_program("unsquashfs"), "-no-progress", "-quiet", "-offset", str(offset), "-pf", "/dev/stdout", str(path)]
+    found = None
     with tempfile.TemporaryFile() as complaints:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=complaints)
         try:
-            assert process.stdout is not None  # noqa: S101 - stdout is a pipe
-            with process.stdout as stream:
+            with contextlib.suppress(SierraError), cast("IO[bytes]", process.stdout) as stream:
                 found = _listed(path, stream, wanted)
                 while stream.read(PIECE):
                     pass
-            status = process.wait()
-        except SierraError:
-            process.kill()
-            raise Damaged(f"{path} cannot be listed: {_why(process, complaints)}") from None
+                status = process.wait()
         finally:
             process.kill()
             process.wait()
-        if status:
-            raise Damaged(f"{path} cannot be read: {_last(complaints)}")
+        complaints.seek(0)
+        output = complaints.read(1 << 16).decode("utf-8", "replace")
+    if found is None:
+        raise Damaged(f"{path} cannot be listed: {_reason(output) if output.strip() else 'the list of its files is invalid'}")
+    if status:
+        raise Damaged(f"{path} cannot be read: {_reason(output)}")
     return found
-
-
-def _why(process: subprocess.Popen[bytes], complaints: IO[bytes]) -> str:
-    process.wait()
-    said = _last(complaints)
-    return "the list of its files is invalid" if said == "it printed no error" else said
 
 
 def _listed(path: Path, stream: IO[bytes], wanted: Wanted) -> tuple[tuple[Entry, ...], dict[str, bytes]]:

@@ -9,10 +9,13 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
+import subprocess
 import tarfile
+import tempfile
 import zlib
-from collections.abc import Iterator
-from typing import Protocol
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import BinaryIO, Protocol, cast
 
 from sierra.errors import Damaged
 
@@ -97,6 +100,21 @@ def content(tar: tarfile.TarFile, member: tarfile.TarInfo, what: str) -> Iterato
             yield piece
     except UNREADABLE as error:
         raise Damaged(f"{what} is truncated or damaged at {member.name!r}: {error}") from error
+
+
+def fed(command: Sequence[str], write: Callable[[BinaryIO], None], env: Mapping[str, str] | None = None) -> tuple[int, str]:
+    """Run a program whose standard input `write` writes, and return its exit status and the beginning of what it prints."""
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=output, stderr=subprocess.STDOUT, env=env)
+        try:
+            with suppress(BrokenPipeError), cast("BinaryIO", process.stdin) as pipe:
+                write(pipe)
+            status = process.wait()
+        finally:
+            process.kill()
+            process.wait()
+        output.seek(0)
+        return status, output.read(1 << 16).decode("utf-8", "replace")
 
 
 class Hashed(io.RawIOBase):
