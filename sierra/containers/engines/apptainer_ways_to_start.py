@@ -28,7 +28,7 @@ from sierra.util.hashing import sha256
 
 NAMES = ("apptainer", "singularity")
 LEAST = {"apptainer": (1, 1), "singularity-ce": (3, 10)}
-MAPPED, CONFIGURED, SQUASHFS = "mapped", "configured", "squashfs"
+MAPPED, SQUASHFS = "mapped", "squashfs"
 ISOLATED = ("--containall", "--no-home", "--cleanenv", "--no-eval", "--no-privs", "--no-umask", "--no-mount=bind-paths,hostfs")
 ALONE = ("--net", "--network=none")
 LIMITS = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
@@ -105,11 +105,8 @@ def _around() -> Sequence[str]:
 def _ask() -> Found:
     program = next((name for name in NAMES if shutil.which(name)), None)
     if program is None:
-        return Found(
-            Capabilities(
-                "apptainer", trouble="neither apptainer nor singularity-ce is installed; see docs/how-to/containers.md"
-            )
-        )
+        trouble = "neither apptainer nor singularity-ce is installed; see docs/how-to/containers.md"
+        return Found(Capabilities("apptainer", trouble=trouble))
     version = capabilities.run((program, "--version")).stdout.strip().replace(" version ", " ")
     name, _, number = version.partition(" ")
     found = tuple(int(part) for part in re.findall(r"\d+", number)[:2])

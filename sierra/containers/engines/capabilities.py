@@ -79,14 +79,9 @@ def podman() -> Capabilities:
     return able if able.trouble else replace(able, trouble=podman_unavoidable_settings.trouble())
 
 
-def podman_options() -> tuple[str, ...]:
-    """Return podman's global options, which stand before any command, with which it works here."""
-    return settled("podman", _podman, _around_podman).options
-
-
-def podman_enforced() -> frozenset[str]:
-    """Return the limits that podman enforces in its containers."""
-    return settled("podman", _podman, _around_podman).abilities.enforced
+def podman_here() -> Found:
+    """Return the abilities of podman, and the options before any command with which it works, as cached for this process."""
+    return settled("podman", _podman, _around_podman)
 
 
 def known(name: str, ask: Callable[[], Found], around: Sequence[str]) -> Found:
@@ -114,14 +109,13 @@ _WORKS: dict[str, Found] = {}
 
 def _known(name: str, ask: Callable[[], Found], key: str) -> Found:
     cache = Cache(user_engines(), MOST)
-    with contextlib.suppress(TypeError, LookupError):
+    with contextlib.suppress(LookupError):
         return _unpacked(as_object(cache.get(key)))
     try:
         found = ask()
     except OSError as error:
-        return Found(
-            Capabilities(name, trouble=f"{name} cannot be tested: {error.filename or tempfile.gettempdir()}: {error.strerror}")
-        )
+        trouble = f"{name} cannot be tested: {error.filename or tempfile.gettempdir()}: {error.strerror}"
+        return Found(Capabilities(name, trouble=trouble))
     if not found.abilities.trouble:
         able = found.abilities
         cache.put(key, {"abilities": {**asdict(able), "enforced": sorted(able.enforced)}, "options": found.options})
@@ -130,18 +124,13 @@ def _known(name: str, ask: Callable[[], Found], key: str) -> Found:
 
 
 def _unpacked(fact: Mapping[str, JsonView]) -> Found:
-    """Return a cached result. Raises LookupError or TypeError for anything else."""
-    match fact["abilities"]:
-        case {
-            "version": str(version),
-            "rootless": bool(rootless),
-            "enforced": list(enforced),
-            "isolated": bool(isolated),
-            "user": str(user),
-        }:
-            limits = frozenset(as_texts(enforced))
-            return Found(Capabilities(version, rootless, limits, isolated, user), as_texts(fact["options"]))
-    raise TypeError("this is not the result of testing an engine")
+    """Return a cached result. Raises LookupError for anything else."""
+    able = as_object(fact["abilities"])
+    limits = frozenset(as_texts(able["enforced"]))
+    version, user = str(able["version"]), str(able["user"])
+    return Found(
+        Capabilities(version, able["rootless"] is True, limits, able["isolated"] is True, user), as_texts(fact["options"])
+    )
 
 
 def start(
@@ -257,9 +246,8 @@ def furnish(root: Path) -> dict[str, str]:
 def _podman() -> Found:
     """Test podman by starting a container: as it is, and otherwise with runc or with cgroupfs."""
     if shutil.which("podman") is None:
-        return Found(
-            Capabilities("podman", trouble="podman is not installed; install it, for example with apt-get install podman")
-        )
+        trouble = "podman is not installed; install it, for example with apt-get install podman"
+        return Found(Capabilities("podman", trouble=trouble))
     version = run(("podman", "--version")).stdout.strip().removeprefix("podman version ")
     if (number := version.partition(".")[0]).isdigit() and int(number) < 4:
         return Found(Capabilities(f"podman {version}", trouble=f"podman {version} is too old: 4.0 or newer is needed"))

@@ -62,8 +62,9 @@ class Podman(WithoutOptions):
         return image.id
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
-        options = _options(box, process, capabilities.podman_enforced())
-        argv = ("podman", *capabilities.podman_options(), "run", *options, box.reference, *process.argv)
+        here = capabilities.podman_here()
+        options = _options(box, process, here.abilities.enforced)
+        argv = ("podman", *here.options, "run", *options, box.reference, *process.argv)
         return Client(argv, environment(box.session), ("podman", "rm", "--force", "--time=0", "--ignore", f"--cidfile={CID}"))
 
     def sweep(self, sessions: Sequence[str]) -> None:

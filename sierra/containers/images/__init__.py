@@ -12,17 +12,5 @@ from sierra.containers.images.image_contents import contents, examine, outdated,
 from sierra.containers.images.pins import pinned, pins, take
 from sierra.containers.images.resolve import named, verify
 
-__all__ = [
-    "Image",
-    "contents",
-    "examine",
-    "machine",
-    "named",
-    "outdated",
-    "pinned",
-    "pins",
-    "rootfs",
-    "short",
-    "take",
-    "verify",
-]
+__all__ = ["Image", "contents", "examine", "machine", "named", "outdated", "pinned", "pins", "rootfs", "short"]
+__all__ += ["take", "verify"]

@@ -54,7 +54,7 @@ def parts(what: bytes) -> tuple[str, str]:
 
 def repositories(files: Files) -> Iterator[tuple[bytes, str]]:
     """Yield the nested repositories among the files: path, and commit (or tree)."""
-    yield from [(path, parts(what)[1]) for path, what in files.items() if what[:6] == b"160000"]
+    yield from [(path, parts(what)[1]) for path, what in files.items() if what[:6] == REPOSITORY.encode()]
 
 
 def paths(manifest: bytes) -> set[bytes]:

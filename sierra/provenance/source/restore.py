@@ -17,7 +17,18 @@ from pathlib import Path
 from sierra.errors import Damaged, Missing
 from sierra.provenance.source import lfs
 from sierra.provenance.source.git import Git, in_repository
-from sierra.provenance.source.manifest import LINK, REPOSITORY, Files, is_blob, of_ls_tree, parts, read, tree_of, written
+from sierra.provenance.source.manifest import (
+    LINK,
+    REPOSITORY,
+    Files,
+    is_blob,
+    of_ls_tree,
+    parts,
+    read,
+    repositories,
+    tree_of,
+    written,
+)
 from sierra.provenance.source.selection import shown
 from sierra.provenance.source.worktree_snapshot import of_tree
 
@@ -49,8 +60,8 @@ def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Conte
         if found is None and git is not None and blob not in lacking and mode != REPOSITORY:
             found = git("cat-file", "blob", blob)
         if found is None or not is_blob(found, blob):
-            told = f"the source's file {shown([path])!r} is neither in git at {root} nor in the store"
-            raise Missing(f"{told}; {_healing(git, commit)}")
+            missing = f"the source's file {shown([path])!r} is neither in git at {root} nor in the store"
+            raise Missing(f"{missing}; {_remedy(git, commit)}")
         _write(target / os.fsdecode(path), mode, found)
 
 
@@ -63,13 +74,8 @@ def is_there(root: Path, tree: str, manifest: bytes) -> bool:
     _check(files)
     if not in_repository(root) or _lacking(Git(root), tree.rpartition(":")[2], files):
         return False
-    inner = {path: parts(what)[1] for path, what in files.items() if parts(what)[0] == REPOSITORY}
-    return all(_is_inside(root / os.fsdecode(path), thing) for path, thing in inner.items())
-
-
-def _is_inside(folder: Path, thing: str) -> bool:
-    """Return True if a nested repository has a commit or a tree, or is not checked out."""
-    return not (folder / ".git").exists() or Git(folder).has(thing)
+    nested = ((root / os.fsdecode(path), thing) for path, thing in repositories(files))
+    return all(not (folder / ".git").exists() or Git(folder).has(thing) for folder, thing in nested)
 
 
 def _check(files: Files) -> None:
@@ -86,7 +92,7 @@ def _check(files: Files) -> None:
             raise Damaged(f"the recorded source has a file {shown([path])!r} whose hash {blob!r} is not a git hash")
 
 
-def _healing(git: Git | None, commit: str | None) -> str:
+def _remedy(git: Git | None, commit: str | None) -> str:
     """Return advice on how to get a source that git does not have."""
     if git is None:
         return f"clone the repository that contains {f'commit {commit[:12]}' if commit else 'it'}, and replay there"
@@ -128,19 +134,16 @@ def _checkout(git: Git, files: Files, target: Path, commit: str | None) -> None:
         if written_to.is_dir():
             written_to.replace(target)
     lfs.check_restored(git, target, files)
-    for path, what in files.items():
-        mode, thing = parts(what)
-        if mode == REPOSITORY:
-            _checkout_inside(git.root, path, thing, target)
+    for path, thing in repositories(files):
+        _checkout_inside(git.root, path, thing, target)
 
 
 def _checkout_inside(root: Path, path: bytes, thing: str, target: Path) -> None:
-    inside = root / os.fsdecode(path)
-    if not (inside / ".git").exists() or not Git(inside).has(thing):
-        there = (inside / ".git").exists()
-        how = f"if files in it had uncommitted changes, {FETCH}" if there else "run git submodule update --init"
-        also = "run git submodule update --init to get its commits; " if there else ""
-        raise Missing(f"the submodule {shown([path])!r} does not have {thing[:12]}; {also}{how}")
+    inside, remedy = root / os.fsdecode(path), "run git submodule update --init"
+    if is_checked_out := (inside / ".git").exists():
+        remedy += f" to get its commits; if files in it had uncommitted changes, {FETCH}"
+    if not is_checked_out or not Git(inside).has(thing):
+        raise Missing(f"the submodule {shown([path])!r} does not have {thing[:12]}; {remedy}")
     below = of_tree(Git(inside), thing)
     _check(below)
     _checkout(Git(inside), below, target / os.fsdecode(path), None)

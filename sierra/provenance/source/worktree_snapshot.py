@@ -45,6 +45,10 @@ MANY = 500
 SMALL = 1 << 16
 ABANDONED_S = 3600
 IGNORE_IT = "list it in .gitignore"
+STATUS = (
+    *("-c", "core.sparseCheckout=false", "status", "--porcelain=v2", "--branch", "-z"),
+    *("--untracked-files=all", "--ignore-submodules=none", "--no-renames", "--no-ahead-behind", "--"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,40 +160,29 @@ class _Index:
         """Return how commit, index and files differ, based on the most recent index that git can read."""
         if self.path.exists():
             return self._status()
-        for begin in (self._as_kept, self._as_the_users):
+        for copy in (self._copy_kept, self._copy_users):
             with contextlib.suppress(Missing, FileNotFoundError):
-                begin()
+                copy()
                 return self._status()
             self.path.unlink(missing_ok=True)
         if self._git.head() is not None:
             self._git("read-tree", "HEAD", index=self.path, at_top=True)
         return self._status()
 
-    def _as_kept(self) -> None:
+    def _copy_kept(self) -> None:
         shutil.copy2(self._kept, self.path)  # with its time: git uses it to decide which files to read again
 
-    def _as_the_users(self) -> None:
+    def _copy_users(self) -> None:
         shutil.copy2(self._git.index, self.path)
         listing = self._git("ls-files", "-v", "-z", index=self.path, at_top=True).split(b"\0")
         blind = [line[2:] for line in listing if line[:1].islower() or line[:1] == b"S"]
         for mark in ("--no-assume-unchanged", "--no-skip-worktree") if blind else ():
-            self._tell(mark, blind, at_top=True)
+            self._update_index(mark, blind, at_top=True)
         self._git("update-index", "-q", "--refresh", index=self.path, optional=True)
 
     def _status(self) -> Status:
-        said = self._git(
-            *("-c", "core.sparseCheckout=false", "status", "--porcelain=v2", "--branch", "-z"),
-            *(
-                "--untracked-files=all",
-                "--ignore-submodules=none",
-                "--no-renames",
-                "--no-ahead-behind",
-                "--",
-                *self._chosen.pathspecs(),
-            ),
-            index=self.path,
-        )
-        return _read_status(said.split(b"\0"), self._git.prefix, self._chosen)
+        output = self._git(*STATUS, *self._chosen.pathspecs(), index=self.path)
+        return _read_status(output.split(b"\0"), self._git.prefix, self._chosen)
 
     def update(self, status: Status, large: int) -> dict[bytes, bytes]:
         """Read the stale files into the index, and return all files in the index."""
@@ -198,7 +191,7 @@ class _Index:
         self.remove(gone)
         if len(there) >= MANY:
             _write_pack(self._git, [path for path, size in there.items() if size <= SMALL])
-        self._tell("--add", list(there), "--remove", "--replace")
+        self._update_index("--add", list(there), "--remove", "--replace")
         self._add_repositories(inner)
         listing = self._git("ls-files", "--stage", "-z", index=self.path)
         return {path: what[:-2] for path, what in manifest.read(listing).items()}
@@ -254,19 +247,16 @@ class _Index:
             self._git("update-index", "-z", "--index-info", index=self.path, given=b"".join(lines), at_top=True)
 
     def remove(self, paths: Sequence[bytes]) -> None:
-        self._tell("--force-remove", paths)
+        self._update_index("--force-remove", paths)
 
     def write_tree(self) -> str:
         prefix = os.fsdecode(self._git.prefix)
         if prefix and not self._git("ls-files", "-z", index=self.path):
             return write(self._git, {})
-        return (
-            self._git("write-tree", "--missing-ok", *([f"--prefix={prefix}"] if prefix else []), index=self.path)
-            .decode()
-            .strip()
-        )
+        options = [f"--prefix={prefix}"] if prefix else []
+        return self._git("write-tree", "--missing-ok", *options, index=self.path).decode().strip()
 
-    def _tell(self, what: str, paths: Sequence[bytes], *more: str, at_top: bool = False) -> None:
+    def _update_index(self, what: str, paths: Sequence[bytes], *more: str, at_top: bool = False) -> None:
         if paths:
             given = b"".join([path + b"\0" for path in paths])
             self._git(
