@@ -19,11 +19,10 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
-from sierra.containers.engines import podman_unavoidable_settings
 from sierra.containers.engines.base import Capabilities
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
@@ -71,17 +70,6 @@ class Found:
     abilities: Capabilities
     options: tuple[str, ...] = ()
     """The engine's additional options that are needed here."""
-
-
-def podman() -> Capabilities:
-    """Return the abilities of podman on this host."""
-    able = known("podman", _podman, _around_podman()).abilities
-    return able if able.trouble else replace(able, trouble=podman_unavoidable_settings.trouble())
-
-
-def podman_here() -> Found:
-    """Return the abilities of podman, and the options before any command with which it works, as cached for this process."""
-    return settled("podman", _podman, _around_podman)
 
 
 def known(name: str, ask: Callable[[], Found], around: Sequence[str]) -> Found:
@@ -241,71 +229,6 @@ def furnish(root: Path) -> dict[str, str]:
             (root / name).mkdir()
             mounts[f"/{name}"] = f"/{name}"
     return mounts
-
-
-def _podman() -> Found:
-    """Test podman by starting a container: as it is, and otherwise with runc or with cgroupfs."""
-    if shutil.which("podman") is None:
-        trouble = "podman is not installed; install it, for example with apt-get install podman"
-        return Found(Capabilities("podman", trouble=trouble))
-    version = run(("podman", "--version")).stdout.strip().removeprefix("podman version ")
-    if (number := version.partition(".")[0]).isdigit() and int(number) < 4:
-        return Found(Capabilities(f"podman {version}", trouble=f"podman {version} is too old: 4.0 or newer is needed"))
-    limits = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
-    first = ""
-    for options in ((), ("--runtime=runc",), ("--cgroup-manager=cgroupfs",), ("--runtime=runc", "--cgroup-manager=cgroupfs")):
-        if options and "--runtime=runc" in options and shutil.which("runc") is None:
-            continue
-        for given in ((*podman_memory(MEMORY), *limits), limits, ()):
-            fill = any(option.startswith("--memory") for option in given)
-            able = start(partial(_podman_words, options, given), fill=fill)
-            if not able.trouble:
-                return Found(replace(able, version=_podman_version(options, version)), options)
-            first = first or able.trouble
-            if not re.search(r"limit|controller|cgroup", able.trouble):
-                break
-    return Found(Capabilities(f"podman {version}", trouble=remedy("podman", first)))
-
-
-def podman_memory(size: int) -> tuple[str, ...]:
-    """Return podman's options to kill a whole container that uses more memory. Empty without control groups of version 2."""
-    unified = Path("/sys/fs/cgroup/cgroup.controllers").exists()
-    return (f"--memory={size}", f"--memory-swap={size}", "--cgroup-conf=memory.oom.group=1") if unified else ()
-
-
-def _podman_words(options: Sequence[str], limits: Sequence[str], root: Path, mounts: Mapping[str, str]) -> tuple[str, ...]:
-    given = tuple(f"--volume={source}:{target}:ro" for target, source in mounts.items())
-    alone = ("--network=none", "--pid=private", "--ipc=private", "--no-hosts", "--read-only")
-    weak = ("--cap-drop=all", "--security-opt=no-new-privileges")
-    few = ("--ulimit=nofile=1024:1024", "--ulimit=nproc=1024:1024")
-    run = ("run", "--rm", "--init", "--pull=never", "--log-driver=none", "--user=0:0")
-    return ("podman", *options, *run, *alone, *weak, *few, *limits, *given, "--rootfs", str(root))
-
-
-def _podman_version(options: Sequence[str], version: str) -> str:
-    """Return the versions of podman and of the programs with which it starts containers."""
-    asked = (
-        "{{.Host.OCIRuntime.Name}}\n{{.Host.OCIRuntime.Version}}\n\n{{.Host.Conmon.Version}}\ncgroups {{.Host.CgroupsVersion}}"
-    )
-    said = run(("podman", *options, "info", f"--format={asked}")).stdout
-    runtime, _, rest = said.partition("\n\n")
-    words = runtime.split()
-    name = words[0] if words else "an unknown runtime"
-    number = next((word for word in words[1:] if word[:1].isdigit()), "")
-    conmon = re.search(r"conmon version ([^\s,]+)", rest)
-    cgroups = re.search(r"cgroups (\w+)", rest)
-    parts = [f"podman {version}", f"{name} {number}".strip()]
-    parts += [f"conmon {conmon[1]}"] if conmon else []
-    parts += [f"cgroups {cgroups[1]}"] if cgroups else []
-    return ", ".join(parts)
-
-
-def _around_podman() -> tuple[str, ...]:
-    programs = ("podman", "runc", "crun", "conmon", "catatonit", "newuidmap", "fuse-overlayfs")
-    home = Path(os.environ.get("XDG_CONFIG_HOME") or Path(os.environ.get("HOME", "/"), ".config"), "containers")
-    folders = (home, Path("/etc/containers"), Path("/usr/share/containers"))
-    files = [str(folder / name) for folder in folders for name in ("containers.conf", "containers.conf.d", "storage.conf")]
-    return (*map(found_at, programs), *files, os.environ.get("CONTAINERS_CONF", ""), "/etc/subuid", "/etc/subgid")
 
 
 def found_at(program: str) -> str:

@@ -17,7 +17,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
 
-from sierra.containers.engines import capabilities
+from sierra.containers.engines import podman_ways_to_start
 from sierra.containers.engines.base import HOSTNAME, Capabilities, ContainerSpec, Process, WithoutOptions
 from sierra.containers.engines.client_syntax import killed, last_line, mounted, signalled
 from sierra.containers.images import podman_images
@@ -48,7 +48,7 @@ class Podman(WithoutOptions):
     name = "podman"
 
     def probe(self) -> Capabilities:
-        return capabilities.podman()
+        return podman_ways_to_start.podman()
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
         if image.kind != Kind.OCI:
@@ -62,7 +62,7 @@ class Podman(WithoutOptions):
         return image.id
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
-        here = capabilities.podman_here()
+        here = podman_ways_to_start.here()
         options = _options(box, process, here.abilities.enforced)
         argv = ("podman", *here.options, "run", *options, box.reference, *process.argv)
         return Client(argv, environment(box.session), ("podman", "rm", "--force", "--time=0", "--ignore", f"--cidfile={CID}"))
@@ -106,7 +106,7 @@ def _options(box: ContainerSpec, process: Process, enforced: AbstractSet[str]) -
     if box.gpu:
         yield "--device=nvidia.com/gpu=all"
     if box.memory is not None and "memory" in enforced:
-        yield from capabilities.podman_memory(box.memory)
+        yield from podman_ways_to_start.memory_options(box.memory)
     if box.cpus is not None and "cpus" in enforced:
         yield f"--cpus={box.cpus}"
     if box.pids is not None and "pids" in enforced:

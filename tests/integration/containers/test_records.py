@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import sierra
-from sierra.containers.engines import capabilities
+from sierra.containers.engines import podman_ways_to_start
 from sierra.containers.engines.base import Capabilities
 from sierra.maintenance.findings import Kind
 from tests import containers, images, projects, stores
@@ -75,7 +75,7 @@ def make(folder: Path) -> Path:
             ("new", IGNORED, "new", ("cpus = 1.0", "pids = 50")),
             ("reaching", ENFORCED, "new", ("network = true", 'mounts = { "/maps" = "../maps" }')),
         ):
-            patch.setattr(capabilities, "podman", lambda able=able: able)
+            patch.setattr(podman_ways_to_start, "podman", lambda able=able: able)
             configure(root, name, *more)
             succeed(root, "image", "pin")
             batches[called] = ask(root, "population_size=1")

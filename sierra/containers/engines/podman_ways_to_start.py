@@ -1,0 +1,132 @@
+"""The way to start podman here, found by trying and cached by `sierra.containers.engines.capabilities`.
+
+Some settings of podman's configuration affect all containers, and no option of a single container can remove them. The files
+are read as podman reads them (containers.conf(5)): a later file overrides an earlier one. If a variable names a file, only that
+file is used.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from sierra.containers.engines import capabilities
+from sierra.containers.engines.base import Capabilities
+from sierra.containers.engines.capabilities import CPUS, MEMORY, PIDS, Found
+
+KEYS = ("volumes", "mounts", "devices")
+NAME = "containers.conf"
+
+
+def podman() -> Capabilities:
+    """Return the abilities of podman on this host."""
+    able = capabilities.known("podman", _ask, _around()).abilities
+    return able if able.trouble else replace(able, trouble=_settings_trouble())
+
+
+def here() -> Found:
+    """Return the abilities of podman, and the options before any command with which it works, as cached for this process."""
+    return capabilities.settled("podman", _ask, _around)
+
+
+def _ask() -> Found:
+    """Test podman by starting a container: as it is, and otherwise with runc or with cgroupfs."""
+    if shutil.which("podman") is None:
+        trouble = "podman is not installed; install it, for example with apt-get install podman"
+        return Found(Capabilities("podman", trouble=trouble))
+    version = capabilities.run(("podman", "--version")).stdout.strip().removeprefix("podman version ")
+    if (number := version.partition(".")[0]).isdigit() and int(number) < 4:
+        return Found(Capabilities(f"podman {version}", trouble=f"podman {version} is too old: 4.0 or newer is needed"))
+    limits = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
+    first = ""
+    for options in ((), ("--runtime=runc",), ("--cgroup-manager=cgroupfs",), ("--runtime=runc", "--cgroup-manager=cgroupfs")):
+        if options and "--runtime=runc" in options and shutil.which("runc") is None:
+            continue
+        for given in ((*memory_options(MEMORY), *limits), limits, ()):
+            fill = any(option.startswith("--memory") for option in given)
+            able = capabilities.start(partial(_words, options, given), fill=fill)
+            if not able.trouble:
+                return Found(replace(able, version=_version(options, version)), options)
+            first = first or able.trouble
+            if not re.search(r"limit|controller|cgroup", able.trouble):
+                break
+    return Found(Capabilities(f"podman {version}", trouble=capabilities.remedy("podman", first)))
+
+
+def memory_options(size: int) -> tuple[str, ...]:
+    """Return podman's options to kill a whole container that uses more memory. Empty without control groups of version 2."""
+    unified = Path("/sys/fs/cgroup/cgroup.controllers").exists()
+    return (f"--memory={size}", f"--memory-swap={size}", "--cgroup-conf=memory.oom.group=1") if unified else ()
+
+
+def _words(options: Sequence[str], limits: Sequence[str], root: Path, mounts: Mapping[str, str]) -> tuple[str, ...]:
+    given = tuple(f"--volume={source}:{target}:ro" for target, source in mounts.items())
+    alone = ("--network=none", "--pid=private", "--ipc=private", "--no-hosts", "--read-only")
+    weak = ("--cap-drop=all", "--security-opt=no-new-privileges")
+    few = ("--ulimit=nofile=1024:1024", "--ulimit=nproc=1024:1024")
+    run = ("run", "--rm", "--init", "--pull=never", "--log-driver=none", "--user=0:0")
+    return ("podman", *options, *run, *alone, *weak, *few, *limits, *given, "--rootfs", str(root))
+
+
+def _version(options: Sequence[str], version: str) -> str:
+    """Return the versions of podman and of the programs with which it starts containers."""
+    asked = (
+        "{{.Host.OCIRuntime.Name}}\n{{.Host.OCIRuntime.Version}}\n\n{{.Host.Conmon.Version}}\ncgroups {{.Host.CgroupsVersion}}"
+    )
+    said = capabilities.run(("podman", *options, "info", f"--format={asked}")).stdout
+    runtime, _, rest = said.partition("\n\n")
+    words = runtime.split()
+    name = words[0] if words else "an unknown runtime"
+    number = next((word for word in words[1:] if word[:1].isdigit()), "")
+    conmon = re.search(r"conmon version ([^\s,]+)", rest)
+    cgroups = re.search(r"cgroups (\w+)", rest)
+    parts = [f"podman {version}", f"{name} {number}".strip()]
+    parts += [f"conmon {conmon[1]}"] if conmon else []
+    parts += [f"cgroups {cgroups[1]}"] if cgroups else []
+    return ", ".join(parts)
+
+
+def _around() -> tuple[str, ...]:
+    programs = ("podman", "runc", "crun", "conmon", "catatonit", "newuidmap", "fuse-overlayfs")
+    home = Path(os.environ.get("XDG_CONFIG_HOME") or Path(os.environ.get("HOME", "/"), ".config"), "containers")
+    folders = (home, Path("/etc/containers"), Path("/usr/share/containers"))
+    files = [str(folder / name) for folder in folders for name in ("containers.conf", "containers.conf.d", "storage.conf")]
+    return (*map(capabilities.found_at, programs), *files, os.environ.get("CONTAINERS_CONF", ""), "/etc/subuid", "/etc/subgid")
+
+
+def _settings_trouble() -> str:
+    """Return why runs would have access to things that are not recorded, and the remedy; empty if they have no such access."""
+    found: dict[str, Path] = {}
+    for file in _files():
+        try:
+            said = tomllib.loads(file.read_text("utf-8")).get("containers", {})
+        except (OSError, ValueError):  # podman reports this error itself
+            continue
+        for key in KEYS:
+            if key in said:
+                found.pop(key, None)
+                found |= {key: file} if said[key] else {}
+    for key, file in found.items():
+        return (
+            f"{file} gives {key} to all containers, so runs would have unrecorded host access; list them in [container] of "
+            f"sierra.toml instead, and set CONTAINERS_CONF to a file without them"
+        )
+    return ""
+
+
+def _files() -> Iterator[Path]:
+    if only := os.environ.get("CONTAINERS_CONF"):
+        yield Path(only)
+    else:
+        own = Path(os.environ.get("XDG_CONFIG_HOME") or Path(os.environ.get("HOME", "/"), ".config"), "containers")
+        for folder in (Path("/usr/share/containers"), Path("/etc/containers"), *([own] if os.geteuid() else [])):
+            yield folder / NAME
+            yield from sorted((folder / f"{NAME}.d").glob("*.conf"))
+    if last := os.environ.get("CONTAINERS_CONF_OVERRIDE"):
+        yield Path(last)
