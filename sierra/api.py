@@ -457,7 +457,7 @@ class Project:
         """
         from sierra.containers import images
 
-        return images.take(self.root, Store.create(self.paths.store).paths, self._image(name))
+        return images.pin(self.root, Store.create(self.paths.store).paths, self._image(name))
 
     def build_image(self, name: str | None = None, *, network: bool = False) -> Image:
         """Build an image from a Containerfile folder of the project, and return it. This does not pin it."""
@@ -472,7 +472,7 @@ class Project:
         """
         from sierra.containers.images import import_export
 
-        return import_export.take_in(self.root, Store.create(self.paths.store).paths, Path(file), name)
+        return import_export.import_archive(self.root, Store.create(self.paths.store).paths, Path(file), name)
 
     def export_image(self, name: str | None, file: str | os.PathLike[str]) -> Image:
         """Write an image, as it is pinned, to a file. Loading that file elsewhere gives the same image."""

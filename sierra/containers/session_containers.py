@@ -18,7 +18,7 @@ from sierra.containers.images.image import Image
 from sierra.containers.images.image_contents import Contents
 from sierra.errors import ConfigError, Missing
 from sierra.model import Limits, Requirement, RunSpec
-from sierra.provenance.change_guard import ChangeGuard, alone
+from sierra.provenance.change_guard import ChangeGuard, guard_file
 from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache, cached_sha256
 from sierra.store.layout import StorePaths
@@ -103,7 +103,7 @@ class Isolation:
     abilities: Capabilities
     box: ContainerSpec | None = None
     notes: tuple[str, ...] = ()
-    seen: ChangeGuard | None = None
+    guard: ChangeGuard | None = None
     """A guard for the image, if it is a file that its user may replace: its state when it was found to be the pinned one."""
 
     @property
@@ -129,12 +129,12 @@ class Isolation:
         reference = self.box.reference
         if not Path(reference).is_absolute() or not Path(reference).is_file():
             return (*devices, *driver)
-        digest = self.box.image.sha256 if self.seen else cached_sha256(reference)  # whatever the file contains by now
+        digest = self.box.image.sha256 if self.guard else cached_sha256(reference)  # whatever the file contains by now
         return (*devices, *driver, Requirement("the image", reference, digest))
 
     def doubt(self) -> str | None:
         """Return why executions since then cannot be attributed to the image, or None. Its file was replaced or changed."""
-        if self.box is None or self.seen is None or self.seen.doubt() is None:
+        if self.box is None or self.guard is None or self.guard.doubt() is None:
             return None
         return f"the image {self.box.image.name} has changed since the runs began: {self.box.reference} was replaced"
 
@@ -225,7 +225,7 @@ def contain(
         shared=shared,
         files=str(store.session(session).engine) if elsewhere else "",
     )
-    return Isolation(engine, able, box, (*notes, *_ignored(engine, able, box)), alone(Path(reference)) if theirs else None)
+    return Isolation(engine, able, box, (*notes, *_ignored(engine, able, box)), guard_file(Path(reference)) if theirs else None)
 
 
 def _mounts(spec: RunSpec, given: Container, project: Path) -> Iterator[Mount]:

@@ -89,7 +89,7 @@ class Checkout:
         """Return the programs that the command starts in the checkout `root`, and the files that it needed, as they are now."""
         contained = self.spec.image is not None
         kept = (name for name, kind in self.used if kind == Kind.FILE and (not contained or name.startswith(INSIDE)))
-        files = referenced_files.again(kept, root)
+        files = referenced_files.existing(kept, root)
         files = replace(files, all=(*files.all, *self.mounted.all))
         return programs_in(self.spec, self.manifest, root, files, self.project)
 

@@ -26,7 +26,7 @@ from sierra.ingest.base import Used, described
 from sierra.ingest.recording_context import rules_of
 from sierra.model import Axis, Batch, Experiment, Query, Run, RunSpec
 from sierra.provenance import environment
-from sierra.provenance.change_guard import seen
+from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import NOTHING
 from sierra.query import grammar
 from sierra.query.query_input import repeated
@@ -230,7 +230,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
         outputs=recalled.outputs,
         success=recalled.success,
         readers=recalled.readers,
-        seen=seen(project.root, b"", used),
+        seen=guard(project.root, b"", used),
     )
 
 

@@ -26,7 +26,7 @@ from sierra.ingest.base import used as used_readers
 from sierra.ingest.recording_context import Context
 from sierra.model import Batch, Design, Experiment, Limits, Purpose, Query, Run, RunSpec, Set
 from sierra.provenance import environment, referenced_files, reported_versions, source
-from sierra.provenance.change_guard import ChangeGuard, seen
+from sierra.provenance.change_guard import ChangeGuard, guard
 from sierra.provenance.dependency_model import Programs
 from sierra.query import grammar
 from sierra.query.query_input import QueryRequest
@@ -177,7 +177,7 @@ def plan(
     used = programs_in(spec, code.manifest, root, data)
     checkout = _committed(root, spec, code, used) if code.checkout else None
     executed = checkout.programs() if checkout else used
-    uncounted = referenced_files.uncounted(_set_by(designed), root / config.template, root, held, used)
+    uncounted = referenced_files.named_by_values(_set_by(designed), root / config.template, root, held, used)
     return Plan(
         project=project,
         request=request,
@@ -197,7 +197,7 @@ def plan(
         outputs=config.outputs,
         success=config.success,
         readers=readers,
-        seen=seen(root, b"" if checkout else code.manifest, executed),
+        seen=guard(root, b"" if checkout else code.manifest, executed),
         notes=(
             *code.notes,
             *_doubts(designed, command),
@@ -256,7 +256,7 @@ def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
     """
     config, root = plan.project.config, plan.project.root
     template = root / config.template
-    words = referenced_files.beside(template, _written(config), root)
+    words = referenced_files.relative_names(template, _written(config), root)
     made = set(plan.batch.runs[0].names)
     meant = [word for word in words if word not in made and (logs is None or any(Path(word).name in log for log in logs))]
     if meant:
@@ -282,7 +282,8 @@ def versioned(plan: Plan) -> Plan:
     """Return the plan with the versions that its programs report; this executes the programs."""
     variables = commands.declared(plan.batch.spec.environment, plan.project.root)
     return replace(
-        plan, programs=reported_versions.asked(plan.programs, plan.project.config.programs, variables, plan.project.root)
+        plan,
+        programs=reported_versions.with_versions(plan.programs, plan.project.config.programs, variables, plan.project.root),
     )
 
 

@@ -147,7 +147,7 @@ WHERE programs = (
 def other_programs(plan: Plan, store: Store) -> list[str]:
     """Return the programs that differ from those of the batch's last execution, one line each."""
     words = mentioned(plan.batch.spec.command, plan.project.root)
-    return list(fingerprint_programs.told(store.rows(PROGRAMS, batch=plan.batch.id), plan.programs, words))
+    return list(fingerprint_programs.differences(store.rows(PROGRAMS, batch=plan.batch.id), plan.programs, words))
 
 
 def _recipe(plan: Plan, before: dict[str, Any]) -> list[str]:

@@ -474,7 +474,7 @@ def _gone(records: Records, root: Path) -> Iterator[Finding]:
     """Yield the sources that git no longer has."""
     for tree, files in list(records.each("SELECT tree, any_value(files) FROM sources WHERE vcs = 'git' GROUP BY tree")):
         try:
-            there = source.is_there(root, tree, _object(records, files))
+            there = source.is_available(root, tree, _object(records, files))
         except Missing as error:
             yield Finding(Kind.GONE, "sources", str(error))
             return

@@ -56,13 +56,13 @@ class ChangeGuard:
         return None
 
 
-def alone(path: Path) -> ChangeGuard:
+def guard_file(path: Path) -> ChangeGuard:
     """Return a guard for one file in its current state."""
     name = os.fsencode(path)
     return ChangeGuard({name: _state(name)}, b"")
 
 
-def seen(root: Path, manifest: bytes, programs: Programs) -> ChangeGuard:
+def guard(root: Path, manifest: bytes, programs: Programs) -> ChangeGuard:
     """Return a guard for the current states of a source's files in the folder `root`, and of the programs.
 
     An empty manifest means that no file of a source is guarded.

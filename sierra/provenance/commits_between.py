@@ -124,7 +124,7 @@ def _text(root: Path, *arguments: str) -> str:
     # GitPython adds variables to those of this process, and cannot drop any
     without = ("env", *(word for name in dropped for word in ("-u", name))) if dropped else ()
     try:
-        said = git.Git(os.fspath(root)).execute([*without, program, *ALWAYS, *arguments], env=variables, stdout_as_string=False)
+        out = git.Git(os.fspath(root)).execute([*without, program, *ALWAYS, *arguments], env=variables, stdout_as_string=False)
     except git.GitCommandError:
         return ""
-    return said.decode("utf-8", "replace")
+    return out.decode("utf-8", "replace")

@@ -160,7 +160,7 @@ def _interpreter(script: Path) -> list[str]:
     return os.fsdecode(line[2:]).split() if line.startswith(b"#!") else []
 
 
-def told(before: Iterable[Mapping[str, Cell]], now: Programs, words: frozenset[str] = frozenset()) -> Iterator[str]:
+def differences(before: Iterable[Mapping[str, Cell]], now: Programs, words: frozenset[str] = frozenset()) -> Iterator[str]:
     """Yield one line for each difference to the recorded rows of `programs`, and one line for all libraries.
 
     The most likely causes come first: programs, then files, then packages. Packages that `words` name come before others.

@@ -131,9 +131,9 @@ def _container() -> str | None:
     for name in ("APPTAINER", "SINGULARITY"):
         if image := os.environ.get(f"{name}_NAME") or os.environ.get(f"{name}_CONTAINER"):
             return f"{name.lower()} {Path(image).name}"
-    said = Path("/run/.containerenv")
-    if said.exists():
-        fields = dict(re.findall(r'^(\w+)="(.*)"$', _text(said), re.MULTILINE))
+    description = Path("/run/.containerenv")
+    if description.exists():
+        fields = dict(re.findall(r'^(\w+)="(.*)"$', _text(description), re.MULTILINE))
         return " ".join(part for part in ("podman", fields.get("image"), fields.get("imageid")) if part)
     if Path("/.dockerenv").exists():
         return "docker"

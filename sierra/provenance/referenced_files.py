@@ -82,7 +82,7 @@ def data(template: Path, texts: Iterable[str], root: Path, source: Container[byt
     return Programs(tuple(found[path] for path in sorted(found)), tuple(notes.values()))
 
 
-def uncounted(values: Iterable[str], template: Path, root: Path, source: Container[bytes], used: Programs) -> list[Path]:
+def named_by_values(values: Iterable[str], template: Path, root: Path, source: Container[bytes], used: Programs) -> list[Path]:
     """Return the files that values of a query name, and that are neither in the source nor among the used files.
 
     They are not part of the fingerprint. Otherwise a batch with one more value would execute again all runs that it has in
@@ -93,7 +93,7 @@ def uncounted(values: Iterable[str], template: Path, root: Path, source: Contain
     return [path for path in found if str(path) not in known and not _holds(source, path, root)]
 
 
-def beside(template: Path, texts: Iterable[str], root: Path) -> list[str]:
+def relative_names(template: Path, texts: Iterable[str], root: Path) -> list[str]:
     """Return the relative paths by which a template, or a text inserted into it, names files of the project."""
     words = list(_words("\n".join((_text(template), *texts))))
     folders = [folder for word in words if _is(Path.is_dir, folder := template.parent / word)]
@@ -101,7 +101,7 @@ def beside(template: Path, texts: Iterable[str], root: Path) -> list[str]:
     return [word for word in relative if any(_existing([word], (template.parent, root, *folders)))]
 
 
-def again(names: Iterable[str], root: Path) -> Programs:
+def existing(names: Iterable[str], root: Path) -> Programs:
     """Return the recorded files with these names that exist now: below `{project}/…`, or at their old paths."""
     digests = HashCache()
     paths = (Path(name.replace("{project}", str(root), 1)) for name in names)
@@ -154,8 +154,8 @@ def _is(kind: Callable[[Path], bool], path: Path) -> bool:
 
 def _words(text: str) -> Iterator[str]:
     """Yield each text with a letter that may be a path: attributes, texts and their parts, but no tags (`</x>`)."""
-    said = TAG.sub("<", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
-    pieces = (html.unescape(piece).strip() for piece in dict.fromkeys(re.split(r"[\"'<>\n]", said)))
+    tagless = TAG.sub("<", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
+    pieces = (html.unescape(piece).strip() for piece in dict.fromkeys(re.split(r"[\"'<>\n]", tagless)))
     for word in dict.fromkeys(part for piece in pieces for part in (piece, *piece.split())):
         if len(word) <= LONGEST and "\0" not in word and LETTER.search(word):
             yield word.removeprefix("file://")

@@ -41,9 +41,9 @@ COLOUR = re.compile(rb"\x1b\[[0-9;:]*m")
 MARK = "SIERRA_VERSION_ASKED"
 
 
-def asked(programs: Programs, table: ProgramsTable, variables: Mapping[str, str], root: Path) -> Programs:
+def with_versions(programs: Programs, table: ProgramsTable, variables: Mapping[str, str], root: Path) -> Programs:
     """Return the programs with the versions that they report; `variables` are those of the runs, with PATH."""
-    remembered = Cache(user_versions(), MOST)
+    cache = Cache(user_versions(), MOST)
     identity = programs.id
 
     def version(program: Program) -> str | None:
@@ -51,14 +51,14 @@ def asked(programs: Programs, table: ProgramsTable, variables: Mapping[str, str]
         if not words or not Path(program.path).exists():
             return program.version
         key = digest("version", {"colours": False, "programs": identity, "name": program.called, "words": list(words)})
-        known = remembered.get(key)
+        known = cache.get(key)
         if not isinstance(known, str):
-            known = _say((program.path, *words), variables) or ""
-            remembered.put(key, known)
+            known = _version((program.path, *words), variables) or ""
+            cache.put(key, known)
         return known or None
 
     answered = tuple(replace(program, version=version(program)) for program in programs.all)
-    remembered.save()
+    cache.save()
     return replace(programs, all=answered)
 
 
@@ -81,7 +81,7 @@ def _is_script(path: Path) -> bool:
         return True
 
 
-def _say(argv: Sequence[str], variables: Mapping[str, str]) -> str | None:
+def _version(argv: Sequence[str], variables: Mapping[str, str]) -> str | None:
     """Return the first line that a program prints, if it succeeds in time."""
     mark = secrets.token_hex(16)
     with tempfile.TemporaryDirectory(prefix="sierra-", ignore_cleanup_errors=True) as folder:
@@ -99,7 +99,7 @@ def _say(argv: Sequence[str], variables: Mapping[str, str]) -> str | None:
             return None
         try:
             _limit(process.pid)
-            return _first_line(_hear(process))
+            return _first_line(_output(process))
         finally:
             _end(process, mark)
 
@@ -111,23 +111,23 @@ def _limit(pid: int) -> None:
                 resource.prlimit(pid, kind, (most, most))
 
 
-def _hear(process: subprocess.Popen[bytes]) -> bytes:
+def _output(process: subprocess.Popen[bytes]) -> bytes:
     """Return all output of a program, or nothing if it is too long, takes too long, or the program fails."""
     if process.stdout is None:
         return b""
-    said = b""
+    output = b""
     give_up = time.monotonic() + PATIENCE_S
-    while time.monotonic() < give_up and len(said) <= MOST_SAID:
+    while time.monotonic() < give_up and len(output) <= MOST_SAID:
         if select.select([process.stdout], [], [], 0.005)[0]:
             piece = os.read(process.stdout.fileno(), MOST_SAID)
             if not piece:
                 break
-            said += piece
+            output += piece
         elif process.poll() is not None:
             break
     with contextlib.suppress(subprocess.TimeoutExpired):
-        if len(said) <= MOST_SAID and process.wait(max(0, give_up - time.monotonic())) == 0:
-            return said
+        if len(output) <= MOST_SAID and process.wait(max(0, give_up - time.monotonic())) == 0:
+            return output
     return b""
 
 
@@ -146,9 +146,9 @@ def _end(process: subprocess.Popen[bytes], mark: str) -> None:
         process.wait(PATIENCE_S)
 
 
-def _first_line(said: bytes) -> str | None:
+def _first_line(output: bytes) -> str | None:
     """Return the first line that is not empty, if it is text; without colour codes, which some programs write to a pipe too."""
-    for line in COLOUR.sub(b"", said).splitlines():
+    for line in COLOUR.sub(b"", output).splitlines():
         with contextlib.suppress(UnicodeDecodeError):
             text = line.decode().strip()
             if text and text.isprintable():

@@ -28,7 +28,7 @@ from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
 from sierra.model import Purpose, Run, Status
 from sierra.provenance import environment, fingerprint_programs, reported_versions
-from sierra.provenance.change_guard import ChangeGuard, seen
+from sierra.provenance.change_guard import ChangeGuard, guard
 from sierra.provenance.dependency_model import Programs, mentioned
 from sierra.replay import equivalence, host_check
 from sierra.replay.compare_outputs import compare_all
@@ -123,7 +123,7 @@ def replay(
         if image is not None and engine.name == "none":
             record.notes += host_check.unlike(record.of.spec, plan_from_record.image_contents(store, image.id), root)
         variables = commands.declared(record.of.spec.environment, root, project.root)
-        now = reported_versions.asked(checkout.programs_in(root), project.config.programs, variables, root)
+        now = reported_versions.with_versions(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
         limits = commands.limits(project.config)
         setup = Setup(project, record.of.spec, engine, image, limits, root, around)
@@ -160,7 +160,7 @@ def replay(
             now,
             tally,
             times=expected_durations.recorded(store, [one.run for one in record.runs]) if runner.stays else None,
-            doubt=_doubt(seen(root, b"", now), service.isolation),
+            doubt=_doubt(guard(root, b"", now), service.isolation),
             kept=kept,
         )
         failed = {run: tally.statuses[run] for run in tally.failed}
@@ -326,7 +326,7 @@ def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
     """Yield a line for each program that differs from the record; the code is in `root`."""
     if now.id != of.fingerprint:
         words = mentioned(of.spec.command, root)
-        yield from (f"different programs: {line}" for line in fingerprint_programs.told(of.programs, now, words))
+        yield from (f"different programs: {line}" for line in fingerprint_programs.differences(of.programs, now, words))
 
 
 def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> Iterator[str]:

@@ -20,8 +20,8 @@ def page(
     head = "".join(f"<th>{_text(column)}</th>" for column in columns)
     body = "".join(f"<tr>{''.join(f'<td>{_text(value)}</td>' for value in row)}</tr>" for row in shown)
     table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>" if columns else ""
-    said = "".join(f"<div>{_text(note)}</div>" for note in (*more, *notes))
-    return f"<div><strong>{_text(title)}</strong>{table}{said}</div>"
+    lines = "".join(f"<div>{_text(note)}</div>" for note in (*more, *notes))
+    return f"<div><strong>{_text(title)}</strong>{table}{lines}</div>"
 
 
 def _text(value: object) -> str:

@@ -37,10 +37,10 @@ class Log:
         """Log something that went wrong and that SIERRA handles: a retry, a repair."""
         self._log(WARNING, text, values)
 
-    def command(self, argv: Sequence[str], status: object, said: str = "") -> None:
+    def command(self, argv: Sequence[str], status: object, output: str = "") -> None:
         """Log a command with its exit status; if that is not 0, also with the end of its error output."""
         if "logging" in sys.modules:
-            more = f": {said.strip()[-500:]}" if status and said.strip() else ""
+            more = f": {output.strip()[-500:]}" if status and output.strip() else ""
             self._log(DEBUG, "%s: exit %s%s", (shown(argv), status, more))
 
     def _log(self, level: int, text: str, values: tuple[object, ...]) -> None:

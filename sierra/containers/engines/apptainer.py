@@ -63,7 +63,7 @@ class Apptainer(WithoutOptions):
         squashfs = images.rootfs(root, store, image)
         if apptainer_ways_to_start.way().squashfs:
             return str(squashfs)
-        return str(sandboxes.ready(squashfs, image.id, store.image(image.folder).sandbox(os.geteuid())))
+        return str(sandboxes.prepare(squashfs, image.id, store.image(image.folder).sandbox(os.geteuid())))
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
         way = apptainer_ways_to_start.way()
@@ -77,8 +77,8 @@ class Apptainer(WithoutOptions):
                 if sessions and mark.search((folder / "environ").read_bytes()):
                     os.kill(int(folder.name), signal.SIGKILL)
 
-    def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
-        last = last_line(said)
+    def classify(self, result: Result, stderr: str, enforced: AbstractSet[str]) -> Result:
+        last = last_line(stderr)
         if result.exit_code == FAILED and (match := FATAL.fullmatch(last)):
             return replace(result, exit_code=None, error=_explained(match[1]))
         if result.signal is not None and result.stopped is None:
@@ -98,7 +98,7 @@ def _explained(complaint: str) -> str:
 
 @cache
 def _script(files: str) -> str:
-    return apptainer_ways_to_start.kept(Path(files), SCRIPT.read_text(), "sh") if files else str(SCRIPT)
+    return apptainer_ways_to_start.stored(Path(files), SCRIPT.read_text(), "sh") if files else str(SCRIPT)
 
 
 def _options(box: ContainerSpec, process: Process) -> Iterator[str]:

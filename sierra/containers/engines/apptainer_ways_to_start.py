@@ -73,17 +73,17 @@ class Way:
 
 def apptainer() -> Capabilities:
     """Return the abilities of apptainer or singularity-ce on this host."""
-    return capabilities.known("apptainer", _ask, _around()).abilities
+    return capabilities.cached("apptainer", _test, _dependencies()).abilities
 
 
 def enforced() -> frozenset[str]:
     """Return the limits that the engine enforces."""
-    return capabilities.settled("apptainer", _ask, _around).abilities.enforced
+    return capabilities.cached_here("apptainer", _test, _dependencies).abilities.enforced
 
 
 def way() -> Way:
     """Return the way in which containers can be started here. If there is none, return the simplest way."""
-    found = capabilities.settled("apptainer", _ask, _around)
+    found = capabilities.cached_here("apptainer", _test, _dependencies)
     if not found.options:
         return Way(NAMES[0], "", mapped=False, squashfs=True)
     program, configuration, *flags = found.options
@@ -95,14 +95,14 @@ def environment() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if HANDED_ON.fullmatch(name)}
 
 
-def _around() -> Sequence[str]:
+def _dependencies() -> Sequence[str]:
     """Return the paths on which the result depends: it is valid as long as they do not change."""
     programs = [*NAMES, "unshare", "squashfuse", "squashfuse_ll", "fusermount", "fusermount3", "mksquashfs"]
     configuration = [f"{top}/{name}/{name}.conf" for top in ("/etc", "/usr/local/etc") for name in NAMES]
-    return [*map(capabilities.found_at, programs), *configuration, "/dev/fuse", "/etc/subuid"]
+    return [*map(capabilities.path_of, programs), *configuration, "/dev/fuse", "/etc/subuid"]
 
 
-def _ask() -> Found:
+def _test() -> Found:
     program = next((name for name in NAMES if shutil.which(name)), None)
     if program is None:
         trouble = "neither apptainer nor singularity-ce is installed; see docs/how-to/containers.md"
@@ -133,8 +133,8 @@ def _first_that_works(program: str, version: str) -> Found:
 
 def _ways(program: str) -> Iterator[Way]:
     """Yield the possible ways, the one with the best isolation first."""
-    said = capabilities.run((program, "buildcfg")).stdout
-    match = re.search(r"^(?:APPTAINER|SINGULARITY)_CONF_FILE=(.+)$", said, re.MULTILINE)
+    output = capabilities.run((program, "buildcfg")).stdout
+    match = re.search(r"^(?:APPTAINER|SINGULARITY)_CONF_FILE=(.+)$", output, re.MULTILINE)
     configuration = match[1] if match and _can_be_changed(match[1]) else ""
     if os.geteuid() != 0 and shutil.which("unshare"):
         yield Way(program, configuration, mapped=True, squashfs=True)
@@ -167,7 +167,7 @@ def _starts_squashfs(one: Way) -> bool:
     with tempfile.TemporaryDirectory(prefix="sierra-probe-") as made:
         root, file = Path(made, "root"), Path(made, "root.sqfs")
         root.mkdir()
-        capabilities.furnish(root)
+        capabilities.make_root(root)
         capabilities.run(("mksquashfs", str(root), str(file), "-quiet", "-no-progress", "-processors", "1"))
         return not _start(one, (), file).trouble
 
@@ -177,8 +177,8 @@ def _helpers(one: Way, *, squashfs: bool) -> Iterator[str]:
     if not squashfs:
         yield "images in folders"
     elif os.geteuid() != 0:
-        said = capabilities.run(("squashfuse_ll", "--help"))
-        match = re.search(r"squashfuse ([\d.]+)", said.stdout + said.stderr)
+        done = capabilities.run(("squashfuse_ll", "--help"))
+        match = re.search(r"squashfuse ([\d.]+)", done.stdout + done.stderr)
         yield f"squashfuse {match[1]}" if match else "squashfuse"
     if one.mapped:
         yield "root in a namespace"
@@ -196,10 +196,10 @@ def _configured(folder: Path, configuration: str, network: bool) -> str:
     }
     lines = [line for line in theirs if not SETTLED.match(line)]
     text = "\n".join([*lines, *(f"{name} = {'yes' if value else 'no'}" for name, value in ours.items()), ""])
-    return kept(folder, text, "conf")
+    return stored(folder, text, "conf")
 
 
-def kept(folder: Path, text: str, kind: str) -> str:
+def stored(folder: Path, text: str, kind: str) -> str:
     """Return the path of a file with this text, named by the text's hash. Writes it if it does not exist."""
     data = text.encode(errors="surrogateescape")
     file = folder / f"{sha256(data)[:16]}.{kind}"

@@ -69,8 +69,8 @@ class ContainerSpec:
     @property
     def limits(self) -> dict[str, float]:
         """Return the requested limits by name."""
-        asked = {"memory": self.memory, "cpus": self.cpus, "pids": self.pids}
-        return {name: limit for name, limit in asked.items() if limit is not None}
+        requested = {"memory": self.memory, "cpus": self.cpus, "pids": self.pids}
+        return {name: limit for name, limit in requested.items() if limit is not None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +146,8 @@ class Engine(Protocol):
         """End and remove all containers of these sessions, no matter which process started them; there may be none."""
         ...
 
-    def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
-        """Return the result of the process, derived from the client's result and the end of its standard error in `said`.
+    def classify(self, result: Result, stderr: str, enforced: AbstractSet[str]) -> Result:
+        """Return the result of the process, derived from the client's result and the end of its standard error in `stderr`.
 
         A signal that ended the process becomes `signal`. An exceeded limit among `enforced` becomes `stopped`. An error of the
         engine itself (no image, no such command, no permission) becomes `error`. All other fields stay as they are.
@@ -181,7 +181,7 @@ class NoEngine(WithoutOptions):
     def sweep(self, sessions: Sequence[str]) -> None:
         return None
 
-    def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
+    def classify(self, result: Result, stderr: str, enforced: AbstractSet[str]) -> Result:
         return result
 
 

@@ -40,7 +40,7 @@ SHARED = ("usr", "bin", "sbin", "lib", "lib32", "lib64")
 OWN = ("dev", "etc", "proc", "run", "sys", "tmp", "var")
 MEMORY, CPUS, PIDS = 64 << 20, 0.5, 90
 """The limits that are requested to test whether they are enforced."""
-TELL = r"""
+REPORT = r"""
 echo "user $(id -u) $(head -n 1 /proc/self/uid_map)"
 for card in $(cut -s -d : -f 1 /proc/net/dev); do test "$card" = lo || echo "card $card"; done
 while IFS=: read -r _ kinds path; do
@@ -58,7 +58,7 @@ while IFS=: read -r _ kinds path; do
 done < /proc/self/cgroup
 echo told
 """
-FILL = "head -c 192m /dev/zero 2>/dev/null | tail -c 192m >/dev/null 2>&1; echo on"
+USE_MEMORY = "head -c 192m /dev/zero 2>/dev/null | tail -c 192m >/dev/null 2>&1; echo on"
 """A script in which one part needs more memory than is allowed."""
 QUOTAS = {"cpu.max": ("50000 100000", "cpus"), "cpu.cfs_quota_us": ("50000", "cpus"), "pids.max": (f"{PIDS}", "pids")}
 
@@ -72,35 +72,37 @@ class Found:
     """The engine's additional options that are needed here."""
 
 
-def known(name: str, ask: Callable[[], Found], around: Sequence[str]) -> Found:
-    """Return the cached result for an engine if the engine and its surroundings are unchanged; otherwise test it with `ask`."""
-    key = json.dumps([name, _boot(), os.geteuid(), *(_state(path) for path in around), *_variables()])
-    found = _WORKS.get(key) or _known(name, ask, key)
+def cached(name: str, test: Callable[[], Found], dependencies: Sequence[str]) -> Found:
+    """Return the cached result for an engine if the engine and its `dependencies` are unchanged; otherwise test it."""
+    key = json.dumps([name, _boot(), os.geteuid(), *(_state(path) for path in dependencies), *_variables()])
+    found = _WORKS.get(key) or _tested(name, test, key)
     if not found.abilities.trouble:
         _WORKS[key] = found
     return found
 
 
-def settled(name: str, ask: Callable[[], Found], around: Callable[[], Sequence[str]]) -> Found:
-    """Return the result of `known`, cached for this process and its environment, because every run needs it."""
-    return _settled(name, ask, around, (os.geteuid(), *map(os.environ.get, DECIDING)))
+def cached_here(name: str, test: Callable[[], Found], dependencies: Callable[[], Sequence[str]]) -> Found:
+    """Return the result of `cached`, cached for this process and its environment, because every run needs it."""
+    return _cached_here(name, test, dependencies, (os.geteuid(), *map(os.environ.get, DECIDING)))
 
 
 @cache
-def _settled(name: str, ask: Callable[[], Found], around: Callable[[], Sequence[str]], _: tuple[object, ...]) -> Found:
-    return known(name, ask, around())
+def _cached_here(
+    name: str, test: Callable[[], Found], dependencies: Callable[[], Sequence[str]], _: tuple[object, ...]
+) -> Found:
+    return cached(name, test, dependencies())
 
 
 _WORKS: dict[str, Found] = {}
 """The successful results of this process, which are available even if the cache cannot be written."""
 
 
-def _known(name: str, ask: Callable[[], Found], key: str) -> Found:
+def _tested(name: str, test: Callable[[], Found], key: str) -> Found:
     cache = Cache(user_engines(), MOST)
     with contextlib.suppress(LookupError):
         return _unpacked(as_object(cache.get(key)))
     try:
-        found = ask()
+        found = test()
     except OSError as error:
         trouble = f"{name} cannot be tested: {error.filename or tempfile.gettempdir()}: {error.strerror}"
         return Found(Capabilities(name, trouble=trouble))
@@ -133,8 +135,8 @@ def start(
     """
     with tempfile.TemporaryDirectory(prefix="sierra-probe-") as made:
         root = Path(made)
-        mounts = furnish(root)
-        command = (*words(root, mounts), "/bin/sh", "-c", TELL + (FILL if fill else "echo on"))
+        mounts = make_root(root)
+        command = (*words(root, mounts), "/bin/sh", "-c", REPORT + (USE_MEMORY if fill else "echo on"))
         done = run(command, environment)
     return _reported(done)
 
@@ -161,11 +163,11 @@ def run(command: Sequence[str], environment: Mapping[str, str] | None = None) ->
         return subprocess.CompletedProcess(command, 1, "", str(error.strerror))
 
 
-def remedy(name: str, said: str) -> str:
+def remedy(name: str, output: str) -> str:
     """Return an engine's error in one line, with the remedy if it is known."""
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     for pattern, advice in KNOWN:
-        if re.search(pattern, said):
+        if re.search(pattern, output):
             return f"{name} cannot start a container: {advice}"
     return f"{name} cannot start a container: {lines[-1][:300] if lines else 'it printed no error'}"
 
@@ -215,23 +217,23 @@ def _user_name(user: int) -> str:
         return str(user)
 
 
-def furnish(root: Path) -> dict[str, str]:
+def make_root(root: Path) -> dict[str, str]:
     """Turn an empty folder into a container's root, and return the mounts that it needs: host paths by their path inside."""
     root.chmod(0o755)
     for name in OWN:
         (root / name).mkdir()
     mounts = {}
     for name in SHARED:
-        there = Path("/", name)
-        if there.is_symlink():
-            (root / name).symlink_to(there.readlink())
-        elif there.is_dir():
+        folder = Path("/", name)
+        if folder.is_symlink():
+            (root / name).symlink_to(folder.readlink())
+        elif folder.is_dir():
             (root / name).mkdir()
             mounts[f"/{name}"] = f"/{name}"
     return mounts
 
 
-def found_at(program: str) -> str:
+def path_of(program: str) -> str:
     """Return the path of a program, also from folders that only root has on the PATH; its name if it is not found."""
     return shutil.which(program) or shutil.which(program, path="/usr/sbin:/sbin:/usr/local/sbin:/usr/libexec/podman") or program
 

@@ -20,9 +20,9 @@ def mounted(mount: Mount) -> str:
     return f'--mount=type=bind,"source={mount.source}","destination={mount.target}"{"" if mount.writable else ",ro"}'
 
 
-def last_line(said: str) -> str:
+def last_line(output: str) -> str:
     """Return the last line of a text; empty for an empty text."""
-    return (said.strip().splitlines() or [""])[-1]
+    return (output.strip().splitlines() or [""])[-1]
 
 
 def killed(name: str, result: Result) -> Result:

@@ -73,8 +73,8 @@ class Podman(WithoutOptions):
             if found := listed.split():
                 _podman("rm", "--force", "--time=0", "--ignore", *found, session=session)
 
-    def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
-        last = last_line(said)
+    def classify(self, result: Result, stderr: str, enforced: AbstractSet[str]) -> Result:
+        last = last_line(stderr)
         if match := INIT.search(last):
             return replace(result, exit_code=None, error=f"the command cannot be started in the container: {match[1]}")
         if result.exit_code in (FAILED, NOT_EXECUTABLE, NOT_FOUND) and (match := ERROR.match(last)):
@@ -127,8 +127,8 @@ def _allowed(kind: str) -> str:
 def _podman(*words: str, session: str) -> str:
     """Return podman's standard output; empty if podman cannot be started."""
     try:
-        told = subprocess.run(("podman", *words), capture_output=True, text=True, env=environment(session), check=False)
+        done = subprocess.run(("podman", *words), capture_output=True, text=True, env=environment(session), check=False)
     except OSError:
         return ""
-    log.command(("podman", *words), told.returncode, told.stderr)
-    return told.stdout
+    log.command(("podman", *words), done.returncode, done.stderr)
+    return done.stdout

@@ -26,16 +26,16 @@ NAME = "containers.conf"
 
 def podman() -> Capabilities:
     """Return the abilities of podman on this host."""
-    able = capabilities.known("podman", _ask, _around()).abilities
+    able = capabilities.cached("podman", _test, _dependencies()).abilities
     return able if able.trouble else replace(able, trouble=_settings_trouble())
 
 
 def here() -> Found:
     """Return the abilities of podman, and the options before any command with which it works, as cached for this process."""
-    return capabilities.settled("podman", _ask, _around)
+    return capabilities.cached_here("podman", _test, _dependencies)
 
 
-def _ask() -> Found:
+def _test() -> Found:
     """Test podman by starting a container: as it is, and otherwise with runc or with cgroupfs."""
     if shutil.which("podman") is None:
         trouble = "podman is not installed; install it, for example with apt-get install podman"
@@ -76,11 +76,11 @@ def _words(options: Sequence[str], limits: Sequence[str], root: Path, mounts: Ma
 
 def _version(options: Sequence[str], version: str) -> str:
     """Return the versions of podman and of the programs with which it starts containers."""
-    asked = (
+    template = (
         "{{.Host.OCIRuntime.Name}}\n{{.Host.OCIRuntime.Version}}\n\n{{.Host.Conmon.Version}}\ncgroups {{.Host.CgroupsVersion}}"
     )
-    said = capabilities.run(("podman", *options, "info", f"--format={asked}")).stdout
-    runtime, _, rest = said.partition("\n\n")
+    output = capabilities.run(("podman", *options, "info", f"--format={template}")).stdout
+    runtime, _, rest = output.partition("\n\n")
     words = runtime.split()
     name = words[0] if words else "an unknown runtime"
     number = next((word for word in words[1:] if word[:1].isdigit()), "")
@@ -92,12 +92,12 @@ def _version(options: Sequence[str], version: str) -> str:
     return ", ".join(parts)
 
 
-def _around() -> tuple[str, ...]:
+def _dependencies() -> tuple[str, ...]:
     programs = ("podman", "runc", "crun", "conmon", "catatonit", "newuidmap", "fuse-overlayfs")
     home = Path(os.environ.get("XDG_CONFIG_HOME") or Path(os.environ.get("HOME", "/"), ".config"), "containers")
     folders = (home, Path("/etc/containers"), Path("/usr/share/containers"))
     files = [str(folder / name) for folder in folders for name in ("containers.conf", "containers.conf.d", "storage.conf")]
-    return (*map(capabilities.found_at, programs), *files, os.environ.get("CONTAINERS_CONF", ""), "/etc/subuid", "/etc/subgid")
+    return (*map(capabilities.path_of, programs), *files, os.environ.get("CONTAINERS_CONF", ""), "/etc/subuid", "/etc/subgid")
 
 
 def _settings_trouble() -> str:
@@ -105,13 +105,13 @@ def _settings_trouble() -> str:
     found: dict[str, Path] = {}
     for file in _files():
         try:
-            said = tomllib.loads(file.read_text("utf-8")).get("containers", {})
+            settings = tomllib.loads(file.read_text("utf-8")).get("containers", {})
         except (OSError, ValueError):  # podman reports this error itself
             continue
         for key in KEYS:
-            if key in said:
+            if key in settings:
                 found.pop(key, None)
-                found |= {key: file} if said[key] else {}
+                found |= {key: file} if settings[key] else {}
     for key, file in found.items():
         return (
             f"{file} gives {key} to all containers, so runs would have unrecorded host access; list them in [container] of "

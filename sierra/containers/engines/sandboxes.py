@@ -28,17 +28,17 @@ log = Log(__name__)
 MOST = 64
 
 
-def ready(squashfs: Path, identity: str, folder: Path) -> Path:
+def prepare(squashfs: Path, identity: str, folder: Path) -> Path:
     """Return `folder` with the files of a squashfs (or of the one in a SIF), unpacked if necessary. Raises Missing."""
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with _alone(folder):
-        remembered = Cache(user_engines(), MOST)
+    with _locked(folder):
+        cache = Cache(user_engines(), MOST)
         key = f"sandbox {folder.resolve()} {identity}"
-        if remembered.get(key) == (state(folder) or "gone"):
+        if cache.get(key) == (state(folder) or "gone"):
             return folder
         _unpack(squashfs, folder)
-        remembered.put(key, state(folder))
-        remembered.save()
+        cache.put(key, state(folder))
+        cache.save()
     return folder
 
 
@@ -61,8 +61,8 @@ def _lines(top: str) -> Iterator[bytes]:
                 status = entry.stat(follow_symlinks=False)
                 if entry.is_dir(follow_symlinks=False):
                     pending.append(entry.path)
-                said = (status.st_mode, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-                yield os.fsencode(entry.path) + repr(said).encode() + b"\0"
+                state = (status.st_mode, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+                yield os.fsencode(entry.path) + repr(state).encode() + b"\0"
 
 
 def _unpack(squashfs: Path, folder: Path) -> None:
@@ -70,13 +70,13 @@ def _unpack(squashfs: Path, folder: Path) -> None:
     offset = ("-offset", str(read_sif(squashfs).offset)) if is_sif(squashfs) else ()
     command = ("unsquashfs", "-no-progress", "-no-xattrs", "-quiet", *offset, "-dest", str(unfinished), str(squashfs))
     try:
-        said = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", check=False)
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", check=False)
     except OSError as error:
         raise Missing("unsquashfs is not installed; it comes with squashfs-tools (apt-get install squashfs-tools)") from error
-    log.command(command, said.returncode, said.stderr)
+    log.command(command, done.returncode, done.stderr)
     try:
-        if said.returncode:
-            lines = (said.stderr + said.stdout).strip().splitlines() or ["it printed no error"]
+        if done.returncode:
+            lines = (done.stderr + done.stdout).strip().splitlines() or ["it printed no error"]
             raise Missing(f"{squashfs} cannot be unpacked: {lines[0]}")
         _remove(folder)
         unfinished.rename(folder)
@@ -95,7 +95,7 @@ def _remove(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def _locked(folder: Path) -> Iterator[None]:
     """Hold a lock, so that only one process of this user at a time works on the folder."""
     descriptor = os.open(folder.with_name(f".{folder.name}.lock"), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
     try:

@@ -73,12 +73,12 @@ def _run_rootfs(name: str, context: Path, epoch: int) -> None:
         raise Missing(f"{name}/{ROOTFS} succeeded, but wrote no tar to the path in $1")
 
 
-def _why(said: str) -> str:
+def _why(output: str) -> str:
     """Return the line that gives the reason of a failure: one about disk space if there is one, else the first error.
 
     Later lines only report the consequences: mmdebstrap ends with "mmdebstrap failed to run".
     """
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     full = next((line for line in lines if "No space left on device" in line), "")
     first = next((number for number, line in enumerate(lines) if ERROR.match(line)), len(lines) - 1)
     return full or " ".join(lines[first : first + (2 if lines[first].endswith(":") else 1)]) if lines else "it printed no error"
@@ -93,7 +93,7 @@ def _settle(context: Path, epoch: int) -> None:
 
 
 def _epoch() -> int:
-    said = os.environ.get("SOURCE_DATE_EPOCH", "")
-    if said and not said.isdecimal():
-        raise ConfigError(f"SOURCE_DATE_EPOCH is {said!r}; it must be seconds since 1970, for example {EPOCH}")
-    return int(said or EPOCH)
+    seconds = os.environ.get("SOURCE_DATE_EPOCH", "")
+    if seconds and not seconds.isdecimal():
+        raise ConfigError(f"SOURCE_DATE_EPOCH is {seconds!r}; it must be seconds since 1970, for example {EPOCH}")
+    return int(seconds or EPOCH)

@@ -16,7 +16,7 @@ from sierra.errors import Damaged, Missing, UsageError
 from sierra.store.layout import StorePaths
 
 
-def take_in(root: Path, store: StorePaths, file: Path, name: str = "") -> Contents:
+def import_archive(root: Path, store: StorePaths, file: Path, name: str = "") -> Contents:
     """Import an archive: check it, load it into podman's storage, and describe it. Without podman, make its squashfs.
 
     `name` is the tag that it gets. By default, it gets the first of the tags that it had at its origin, unless another image

@@ -20,7 +20,7 @@ from sierra.util.fs import write_whole
 FORMAT = 1
 
 
-def take(root: Path, store: StorePaths, name: str) -> Contents:
+def pin(root: Path, store: StorePaths, name: str) -> Contents:
     """Pin the image that a name stands for now, and return its contents. Raises Missing or Damaged, and pins nothing then.
 
     An archive may have the right configuration and damaged layers, so it is read completely before it is pinned the first time.
@@ -28,7 +28,7 @@ def take(root: Path, store: StorePaths, name: str) -> Contents:
     image, before = named(root, name), pins(root).get(name)
     unread = image.file and not squashfs_file(root / image.file) and (before is None or before.sha256 != image.sha256)
     found = examine_again(root, store, image) if unread or (image.file and not image.sha256) else examine(root, store, image)
-    pin(root, found.image)
+    _write(root, found.image)
     return found
 
 
@@ -66,7 +66,7 @@ def pins(root: Path) -> dict[str, Image]:
         raise Missing(f"{path} cannot be read: {error.strerror}") from error
 
 
-def pin(root: Path, image: Image) -> None:
+def _write(root: Path, image: Image) -> None:
     """Write the image of a name to `sierra.lock`, replacing the previous pin. Raises Missing if the file cannot be written."""
     known = pins(root) | {image.name: image}
     fields = {name: {key: value for key, value in asdict(one).items() if key != "name"} for name, one in known.items()}

@@ -180,9 +180,9 @@ def build(context: Path, name: str, *, epoch: int, labels: Mapping[str, str], ne
         identity.unlink(missing_ok=True)
 
 
-def complaint(said: str) -> str:
+def complaint(output: str) -> str:
     """Return the line in which podman gives the reason of a failure, without its prefixes."""
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     errors = [line for line in lines if line.startswith("Error:")]
     why = (errors or lines or ["it printed no error"])[-1].removeprefix("Error:").strip()
     return f"{why} ({lines[-2]})" if why.endswith(("exit status 1", "exit status 2")) and len(lines) > 1 else why

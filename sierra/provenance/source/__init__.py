@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from sierra.provenance.source.capture import RECORDED, SWHID, Source, capture, contents, ignored
 from sierra.provenance.source.manifest import blobs, changed, paths, tree_of
-from sierra.provenance.source.restore import is_there, restore
+from sierra.provenance.source.restore import is_available, restore
 from sierra.provenance.source.share_refs import share
 
-__all__ = ["RECORDED", "SWHID", "Source", "blobs", "capture", "changed", "contents", "ignored", "is_there", "paths", "restore"]
-__all__ += ["share", "tree_of"]
+__all__ = ["RECORDED", "SWHID", "Source", "blobs", "capture", "changed", "contents", "ignored", "is_available", "paths"]
+__all__ += ["restore", "share", "tree_of"]

@@ -137,7 +137,7 @@ def _outside(root: Path, chosen: PathSelection, dirty: str, large: int, memory: 
 
 def _git(root: Path, chosen: PathSelection, dirty: str, large: int) -> tuple[Source, Files]:
     git = Git(root)
-    now = worktree_snapshot.look(git, chosen) if dirty == "ignore" else worktree_snapshot.take(git, chosen, large)
+    now = worktree_snapshot.describe_commit(git, chosen) if dirty == "ignore" else worktree_snapshot.record(git, chosen, large)
     if dirty == "refuse":
         _refuse(root, now)
     differs = bool(now.changed) and dirty != "ignore"

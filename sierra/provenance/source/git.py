@@ -130,19 +130,19 @@ class Git:
     def _path(self, *arguments: str) -> Path:
         return Path(os.fsdecode(self(*arguments).removesuffix(b"\n")))
 
-    def _complaint(self, command: str, said: str) -> str:
+    def _complaint(self, command: str, output: str) -> str:
         """Return git's error message in one line, with a remedy if git's first line does not name one."""
-        lines = [line.strip() for line in said.splitlines() if line.strip()] or ["git gave no reason"]
-        if "dubious ownership" in said:
+        lines = [line.strip() for line in output.splitlines() if line.strip()] or ["git gave no reason"]
+        if "dubious ownership" in output:
             add = next((line for line in lines if line.startswith("git config")), "git config --global --add safe.directory …")
             return f"git refuses {self.root}: dubious ownership, it belongs to another user; if you trust it: {add}"
-        if "git-lfs" in said:
+        if "git-lfs" in output:
             return f"git in {self.root} needs git-lfs, which does not work ({lines[0]}); install git-lfs, then: git lfs pull"
-        if "insufficient permission" in said or "Read-only file system" in said:
+        if "insufficient permission" in output or "Read-only file system" in output:
             return f"git cannot write to {self.folder}, where SIERRA stores the source: {lines[0]}; make it writable"
-        if "must be run in a work tree" in said:
+        if "must be run in a work tree" in output:
             return f"the repository of {self.root} is bare (core.bare), so git sees no files there; make a worktree of it"
-        if "not a git repository" in said:
+        if "not a git repository" in output:
             return f"{self.root} or a folder above it has a .git that is not a repository; repair it, or remove .git"
         wrong = next((line for line in lines if line.startswith(("fatal: ", "error: "))), lines[0])
         return f"git {command} in {self.root}: {wrong.removeprefix('fatal: ').removeprefix('error: ')}"

@@ -23,8 +23,8 @@ def describe(git: Git, commit: str | None, *, dirty: bool) -> str | None:
     """Return a description like that of `git describe --always --dirty --tags`."""
     if commit is None:
         return None
-    said = git("describe", "--always", "--tags", f"--abbrev={DIGITS}", commit, optional=True)
-    return (said.decode("utf-8", "replace").strip() or commit[:DIGITS]) + ("-dirty" if dirty else "")
+    output = git("describe", "--always", "--tags", f"--abbrev={DIGITS}", commit, optional=True)
+    return (output.decode("utf-8", "replace").strip() or commit[:DIGITS]) + ("-dirty" if dirty else "")
 
 
 def remote(git: Git, branch: str | None) -> str | None:
@@ -50,8 +50,8 @@ def default_remote(git: Git) -> str | None:
 
 
 def _settings(git: Git) -> dict[str, str]:
-    said = git("config", "-z", "--get-regexp", r"^(remote\..*\.url|branch\..*\.remote)$", optional=True)
-    return dict(line.partition("\n")[::2] for line in said.decode("utf-8", "replace").split("\0") if line)
+    output = git("config", "-z", "--get-regexp", r"^(remote\..*\.url|branch\..*\.remote)$", optional=True)
+    return dict(line.partition("\n")[::2] for line in output.decode("utf-8", "replace").split("\0") if line)
 
 
 def _addresses(settings: Mapping[str, str]) -> dict[str, str]:

@@ -65,7 +65,7 @@ def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Conte
         _write(target / os.fsdecode(path), mode, found)
 
 
-def is_there(root: Path, tree: str, manifest: bytes) -> bool:
+def is_available(root: Path, tree: str, manifest: bytes) -> bool:
     """Return True if the git repository around `root` has the files of a recorded source.
 
     A submodule that is not checked out is assumed to have them. Raises Damaged for a path that git does not allow.

@@ -81,7 +81,7 @@ class Status:
     conflicts: set[bytes] = field(default_factory=set)
 
 
-def take(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
+def record(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
     """Write the working tree of the project as a git tree, and protect it from being pruned.
 
     Raises ConfigError for an untracked file of more than `large` bytes, and Missing if git fails.
@@ -99,7 +99,7 @@ def take(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
             lfs.check_inside(Git(root / os.fsdecode(path)))
         submodules = dict(_submodules(root, files))
         inner = {
-            path: take(Git(root / os.fsdecode(path)), PathSelection(), large) for path in sorted(status.inner & files.keys())
+            path: record(Git(root / os.fsdecode(path)), PathSelection(), large) for path in sorted(status.inner & files.keys())
         }
         for path, snapshot in inner.items():
             files[path] = b"160000 " + snapshot.tree.encode()
@@ -110,7 +110,7 @@ def take(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
     return _state(status, tree, files, differing, _absent(git, status, differing), submodules)
 
 
-def look(git: Git, chosen: PathSelection) -> WorktreeState:
+def describe_commit(git: Git, chosen: PathSelection) -> WorktreeState:
     """Return the tree of the commit that is checked out, and the paths that differ from it.
 
     No file of the working tree is written to git. Raises ConfigError if there is no commit.
@@ -186,38 +186,38 @@ class _Index:
 
     def update(self, status: Status, large: int) -> dict[bytes, bytes]:
         """Read the stale files into the index, and return all files in the index."""
-        there, inner, gone = self._kinds(status.stale)
-        self._refuse_large(there, large)
+        sizes, inner, gone = self._kinds(status.stale)
+        self._refuse_large(sizes, large)
         self.remove(gone)
-        if len(there) >= MANY:
-            _write_pack(self._git, [path for path, size in there.items() if size <= SMALL])
-        self._update_index("--add", list(there), "--remove", "--replace")
+        if len(sizes) >= MANY:
+            _write_pack(self._git, [path for path, size in sizes.items() if size <= SMALL])
+        self._update_index("--add", list(sizes), "--remove", "--replace")
         self._add_repositories(inner)
         listing = self._git("ls-files", "--stage", "-z", index=self.path)
         return {path: what[:-2] for path, what in manifest.read(listing).items()}
 
     def _kinds(self, paths: Iterable[bytes]) -> tuple[dict[bytes, int], list[bytes], list[bytes]]:
         """Return the files with their sizes, the nested repositories, and all paths that are missing or of another kind."""
-        there: dict[bytes, int] = {}
+        sizes: dict[bytes, int] = {}
         inner: list[bytes] = []
         gone: list[bytes] = []
         for path in paths:
             status = _lstat(self._git.root, path)
             kind = stat.S_IFMT(status.st_mode) if status else None
             if status and kind in (stat.S_IFREG, stat.S_IFLNK):
-                there[path] = status.st_size
+                sizes[path] = status.st_size
             else:
                 (inner if kind == stat.S_IFDIR else gone).append(path)
-        return there, inner, gone
+        return sizes, inner, gone
 
-    def _refuse_large(self, there: dict[bytes, int], large: int) -> None:
+    def _refuse_large(self, sizes: dict[bytes, int], large: int) -> None:
         """Raise ConfigError for a large file that the user does not track (see `tracked`); drop those that are ignored now."""
-        huge = [path for path, size in there.items() if size > large and path not in self.tracked]
+        huge = [path for path, size in sizes.items() if size > large and path not in self.tracked]
         for path in self.ignored(huge):
-            del there[path]
+            del sizes[path]
         for path in huge:
-            if path in there:
-                check_size(path, there[path], large, IGNORE_IT)
+            if path in sizes:
+                check_size(path, sizes[path], large, IGNORE_IT)
 
     @cached_property
     def tracked(self) -> set[bytes]:
@@ -232,8 +232,8 @@ class _Index:
         untracked = [path for path in files if path not in self.tracked]
         if not untracked:
             return []
-        said = self._git("check-ignore", "--no-index", "--stdin", "-z", given=b"\0".join(untracked) + b"\0", none=1)
-        return said.split(b"\0")[:-1]
+        output = self._git("check-ignore", "--no-index", "--stdin", "-z", given=b"\0".join(untracked) + b"\0", none=1)
+        return output.split(b"\0")[:-1]
 
     def _add_repositories(self, found: Sequence[bytes]) -> None:
         lines = []

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from sierra.provenance.change_guard import seen
+from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import NOTHING
 from sierra.provenance.source.manifest import Entry, listed
 from tests import projects
@@ -64,7 +64,7 @@ def test_the_error_for_notes_that_change_meanwhile_says_how_to_exclude_them(simu
 def test_the_advice_never_excludes_code_that_changed(tmp_path: Path) -> None:
     names = ("sim.py", "README", "src/a.py", "data/b", ".gitignore", "lib x/c")
     manifest = listed(Entry("100644", "0" * 40, os.fsencode(name)) for name in names)
-    taken = seen(tmp_path, manifest, NOTHING)
+    taken = guard(tmp_path, manifest, NOTHING)
     assert taken.advice([b"notes.py"]) == taken.advice([b"history.csv"]) == taken.advice([b"src/README.md"])
     assert taken.advice([b"sim.py", b"README"]) == taken.advice([b"src/README.md"]) == "[source] paths selects the code"
     assert 'paths = ["data", "lib x", "sim.py", "src"]' in taken.advice([b"README"])
@@ -98,7 +98,7 @@ def test_files_changed_and_changed_back_are_detected_and_new_files_are_not(tmp_p
     manifest = listed(Entry("100644", "0" * 40, os.fsencode(name)) for name in files)
 
     def changed(what: Callable[[], object]) -> str | None:
-        before = seen(tmp_path, manifest, NOTHING)
+        before = guard(tmp_path, manifest, NOTHING)
         what()
         return before.doubt()
 

@@ -41,7 +41,7 @@ def said(path: Path, table: ProgramsTable | None = None) -> str | None:
     project = path.parent.parent / "project"
     project.mkdir(exist_ok=True)
     found = fingerprint_programs.find((str(path),), VARIABLES, project)
-    answered = reported_versions.asked(found, table, VARIABLES, project)
+    answered = reported_versions.with_versions(found, table, VARIABLES, project)
     assert answered.id == found.id
     return next(one.version for one in answered.all if one.path == str(path))
 
@@ -73,7 +73,7 @@ def test_scripts_and_programs_of_the_project_do_not_report_versions_by_default(
     own.chmod(0o755)
     for path, version in ((own, None), (Path("/bin/true"), "true (GNU coreutils)")):
         found = fingerprint_programs.find((str(path),), VARIABLES, tmp_path / "project")
-        first = reported_versions.asked(found, ProgramsTable(), VARIABLES, tmp_path / "project").all[0]
+        first = reported_versions.with_versions(found, ProgramsTable(), VARIABLES, tmp_path / "project").all[0]
         assert (first.version or "none").startswith(version or "none")
 
 

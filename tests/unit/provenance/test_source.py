@@ -750,7 +750,7 @@ def test_the_error_for_a_changed_submodule_names_source_fetch(nested: Path, git:
     with pytest.raises(Missing, match="submodule 'one'") as caught:
         restored(code, clone, tmp_path / "out")
     assert "sierra source fetch" in one_line(caught)
-    assert [source.is_there(root, code.tree, code.manifest) for root in (nested, clone)] == [True, False]
+    assert [source.is_available(root, code.tree, code.manifest) for root in (nested, clone)] == [True, False]
 
 
 def test_a_missing_file_outside_submodules_is_named(nested: Path, git: Git, tmp_path: Path) -> None:
