@@ -63,10 +63,7 @@ def guard_file(path: Path) -> ChangeGuard:
 
 
 def guard(root: Path, manifest: bytes, programs: Programs) -> ChangeGuard:
-    """Return a guard for the current states of a source's files in the folder `root`, and of the programs.
-
-    An empty manifest means that no file of a source is guarded.
-    """
+    """Return a guard for the files of a manifest (none if it is empty) in the folder `root`, and for the programs."""
     base = os.fsencode(root)
     paths = (*_files(base, manifest), *(os.fsencode(one.path) for one in programs.all if one.kind != Kind.DISTRIBUTIONS))
     return ChangeGuard({path: _state(path) for path in paths}, base, tuple(read(manifest)))

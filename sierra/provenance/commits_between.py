@@ -100,12 +100,8 @@ def _count(root: Path, span: str) -> int:
 
 def _log(root: Path, span: str, *, most: int = SHOWN) -> tuple[Commit, ...]:
     text = _text(root, "log", "--no-color", "--no-show-signature", ENCODING, f"--max-count={most}", FORMAT, span, "--")
-    return tuple(_commit(line) for line in text.split("\n") if line)
-
-
-def _commit(line: str) -> Commit:
-    name, date, author, subject = line.split("\0", 3)
-    return Commit(name, datetime.fromisoformat(date), author, subject)
+    fields = (line.split("\0", 3) for line in text.split("\n") if line)
+    return tuple(Commit(name, datetime.fromisoformat(date), author, subject) for name, date, author, subject in fields)
 
 
 def _line(root: Path, *arguments: str) -> str:

@@ -48,10 +48,7 @@ def capture(version: str, record: Sequence[str] = ()) -> dict[str, JsonView]:
 def elsewhere(
     around: Mapping[str, JsonView], machine: Mapping[str, JsonView], variables: Mapping[str, str]
 ) -> dict[str, JsonView]:
-    """Return the record of the environment on another host.
-
-    `machine` and `variables` are the facts and variables that the host reported; `around` is the record of this host.
-    """
+    """Return the record of another host, from the facts and variables that it reported, and `around`, this host's record."""
     kept = {name: value for name, value in around.items() if name != "environment"}
     return _record(kept, machine, variables, {name: value for name, value in variables.items() if name != LOADED})
 

@@ -61,10 +61,7 @@ def find(
 
 
 def of_project(found: Programs, roots: Sequence[Path]) -> Programs:
-    """Return the programs, with those in the project named `{project}/…`; the project may be in any of `roots`.
-
-    A program is located by the path that the command uses, a library by its file.
-    """
+    """Return the programs, with those below one of `roots` named `{project}/…`; libraries are located by their files."""
     return replace(found, all=tuple(_of_project(one, roots) for one in found.all))
 
 

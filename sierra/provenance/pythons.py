@@ -149,10 +149,7 @@ def _header(file: Path, name: str) -> str | None:
 
 
 def imported(interpreter: Interpreter, found: Sequence[Distribution], project: Path) -> Iterator[Path]:
-    """Yield the folders in the project that an interpreter imports from, independent of the location of scripts.
-
-    They are on its path, or come from editable installs.
-    """
+    """Yield the folders in the project that an interpreter imports from, by its path or by editable installs."""
     yield from interpreter.project
     for origin in (_origin(one.info) for one in found):
         if origin is not None and origin.editable and _is_in(origin.folder, project):
@@ -178,10 +175,7 @@ def check(name: str, folders: Iterable[Path], root: Path, project: Path, scripts
 def contents(
     interpreter: Interpreter, found: Sequence[Distribution], own: Sequence[Path], digests: HashCache
 ) -> Iterator[Content]:
-    """Yield the distributions and folders that are identified by content.
-
-    The project's own files, in the folders `own`, are left out, because they belong to the source.
-    """
+    """Yield the distributions and folders that are identified by content, without the project's own files (in `own`)."""
     editable = set()
     for one in found:
         origin = _origin(one.info)

@@ -38,8 +38,7 @@ def files(
     `texts` has the files that were already found in the template. The code lies in `root`. Paths outside it
     (`{project}/../data`) are relative to the user's `project`.
     """
-    digests = HashCache()
-    found = {}
+    found, digests = {}, HashCache()
     for word in words:
         for path in _named(word.replace(f"{root}/", "{project}/"), root, (project or root).resolve()):
             if not _holds(source, path, root):

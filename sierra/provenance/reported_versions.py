@@ -98,17 +98,12 @@ def _version(argv: Sequence[str], variables: Mapping[str, str]) -> str | None:
         except (OSError, ValueError):
             return None
         try:
-            _limit(process.pid)
+            for kind, most in LIMITS.items() if hasattr(resource, "prlimit") else ():
+                with contextlib.suppress(OSError, ValueError):
+                    resource.prlimit(process.pid, kind, (most, most))
             return _first_line(_output(process))
         finally:
             _end(process, mark)
-
-
-def _limit(pid: int) -> None:
-    if hasattr(resource, "prlimit"):
-        for kind, most in LIMITS.items():
-            with contextlib.suppress(OSError, ValueError):
-                resource.prlimit(pid, kind, (most, most))
 
 
 def _output(process: subprocess.Popen[bytes]) -> bytes:

@@ -129,10 +129,7 @@ def start(
     *,
     fill: bool = False,
 ) -> Capabilities:
-    """Start a container and return what it reports, without a version. `words` makes the command from its root and mounts.
-
-    `fill`: use more memory than the limit allows.
-    """
+    """Return what a container reports. `words` makes the command from root and mounts; `fill` exceeds the memory limit."""
     with tempfile.TemporaryDirectory(prefix="sierra-probe-") as made:
         root = Path(made)
         mounts = make_root(root)

@@ -74,10 +74,7 @@ def _run_rootfs(name: str, context: Path, epoch: int) -> None:
 
 
 def _why(output: str) -> str:
-    """Return the line that gives the reason of a failure: one about disk space if there is one, else the first error.
-
-    Later lines only report the consequences: mmdebstrap ends with "mmdebstrap failed to run".
-    """
+    """Return the line that gives the reason of a failure: one about disk space if there is one, else the first error."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     full = next((line for line in lines if "No space left on device" in line), "")
     first = next((number for number, line in enumerate(lines) if ERROR.match(line)), len(lines) - 1)

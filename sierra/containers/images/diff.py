@@ -50,10 +50,7 @@ def _versions(lines: Sequence[str]) -> dict[str, str]:
 
 
 def files(was: bytes, now: bytes) -> list[Change]:
-    """Return the files that differ between two listings of images, programs and libraries first.
-
-    A folder is included only if both images have it with different modes.
-    """
+    """Return the files that differ between two listings, programs and libraries first; folders only if their modes differ."""
     before, after = set(was.splitlines()), set(now.splitlines())
     old, new = listed(before - after), listed(after - before)
     pairs = [(path, old.get(path), new.get(path)) for path in old.keys() | new.keys()]

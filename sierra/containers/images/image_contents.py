@@ -210,10 +210,7 @@ def examine(root: Path, store: StorePaths, image: Image) -> Contents:
 
 
 def examine_again(root: Path, store: StorePaths, image: Image, *, foreign: bool = False) -> Contents:
-    """Return the contents of an image after reading and checking all of it, even if they are stored already.
-
-    The squashfs that was made from it is kept. `foreign`: see `sierra.containers.images.merge_layers.merge`.
-    """
+    """Return the contents of an image after reading and checking all of it again. `foreign`: see `merge_layers.merge`."""
     known = contents(store, image)
     with _disk(store.images), opened(root, store, image) as read:
         found = _of_rootfs(merge(read, wanted, foreign=foreign), image)

@@ -242,10 +242,7 @@ def _inside(name: str, what: str) -> str:
 
 
 def _folder(root: _Node, path: str, layer: int, what: str) -> _Node:
-    """Return the folder of a path, and create it if it does not exist.
-
-    Follows links of this layer; replaces other nodes in the way. Raises Damaged beyond `LINKS` links or `DEPTH` folders.
-    """
+    """Return a folder; create it, or replace what is in its way. Follows links of this layer. Raises Damaged."""
     way, links = [root], 0
     parts = path.split("/")[::-1] if path else []
     while parts:

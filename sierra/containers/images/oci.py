@@ -162,10 +162,7 @@ def is_archive(path: Path) -> bool:
 
 
 def read(path: Path) -> Archive:
-    """Return the image in an archive or an OCI layout, without reading its layers.
-
-    Raises Damaged if it is not an image or contains several, Missing if it cannot be read.
-    """
+    """Return the only image in an archive or an OCI layout, without reading its layers. Raises Damaged, Missing."""
     try:
         files: Files = _Folder(path) if path.is_dir() else _Tar(path)
         if files.size(LAYOUT) is not None or (files.size(INDEX) is not None and files.size(MANIFEST) is None):

@@ -21,10 +21,7 @@ SUFFIXES = (".tar", ".sif", ".sqfs", ".squashfs", ".img", ".gz", ".tgz", ".zst")
 
 
 def place(root: Path, name: str) -> Path | None:
-    """Return the file or folder that a name means, which may be missing; None for a tag.
-
-    A name that exists as a file is that file. Any other name is a tag, unless it looks like a path.
-    """
+    """Return the file or folder that a name means: one that exists, or that looks like a path; None for a tag."""
     path = root / name
     if path.exists():
         return path
@@ -56,10 +53,7 @@ def tag(root: Path, name: str) -> str | None:
 
 
 def named(root: Path, name: str) -> Image:
-    """Return the image that a name stands for now. Reads only the parts that the identity needs; `examine` reads all.
-
-    Raises Missing if there is nothing with that name, Damaged for a file that is not an image.
-    """
+    """Return the image that a name stands for now; `examine` reads all of it. Raises Missing, or Damaged for another file."""
     called = tag(root, name)
     if called is not None:
         return _tagged(root, name, called)

@@ -77,10 +77,7 @@ def is_sif(path: Path) -> bool:
 
 
 def read(path: Path) -> Sif:
-    """Return the contents of a SIF's header and descriptors.
-
-    Raises Damaged if the file is not a SIF, is cut short, or cannot be run here; Missing if it cannot be read.
-    """
+    """Return a SIF's header and descriptors. Raises Damaged if it cannot run here, Missing if it is unreadable."""
     try:
         with path.open("rb") as file:
             return _read(path, file, path.stat().st_size)

@@ -36,10 +36,7 @@ DATA = b"# START OF DATA - DO NOT MODIFY\n"
 
 
 def make(write: Callable[[BinaryIO], None], target: Path) -> str:
-    """Make a squashfs from the tar that `write` writes, and return its SHA-256. The file is written whole or not at all.
-
-    Raises Missing without squashfs-tools, or if there is no space on the disk.
-    """
+    """Make a squashfs, whole or not at all, from the tar that `write` writes, and return its SHA-256. Raises Missing."""
     program = _program("mksquashfs")
     unfinished = target.with_name(f".{target.name}.{os.getpid()}")
     try:

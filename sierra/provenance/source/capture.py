@@ -95,10 +95,7 @@ def capture(
 
 
 def contents(source: Source, root: Path, known: Container[str]) -> Iterator[tuple[str, bytes]]:
-    """Yield the hash and the content of each file of a source outside git; `known` lists hashes to skip.
-
-    The hashes are git's blob hashes. Raises Missing for a file that has changed since it was hashed.
-    """
+    """Yield git's hash and the content of each file outside git that is not `known`. Raises Missing for a changed file."""
     return plain_tree.contents(source.manifest, root, known)
 
 
@@ -122,7 +119,7 @@ def _is_cache(root: Path, path: str) -> bool:
 
 def _in_git(root: Path) -> bool:
     """Return True if a repository contains the project and does not ignore the project's folder."""
-    return in_repository(root) and not Git(root).ignores_it()
+    return in_repository(root) and not Git(root)("check-ignore", ".", optional=True).strip()
 
 
 def _outside(root: Path, chosen: PathSelection, dirty: str, large: int, memory: Path | None) -> tuple[Source, Files]:

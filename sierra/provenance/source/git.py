@@ -123,10 +123,6 @@ class Git:
         """Return the commit that is checked out, or None."""
         return self("rev-parse", "--verify", "--quiet", "HEAD^{commit}", optional=True).decode().strip() or None
 
-    def ignores_it(self) -> bool:
-        """Return True if the repository ignores this whole folder."""
-        return bool(self("check-ignore", ".", optional=True).strip())
-
     def _path(self, *arguments: str) -> Path:
         return Path(os.fsdecode(self(*arguments).removesuffix(b"\n")))
 
@@ -164,10 +160,7 @@ def foreign() -> list[str]:
 
 
 def environment() -> dict[str, str]:
-    """Return the environment in which git runs.
-
-    MALLOC_TRIM_THRESHOLD_ is for `git fast-import`: without it, glibc may spend most of the time on returning memory.
-    """
+    """Return the environment in which git runs. Without MALLOC_TRIM_THRESHOLD_, `git fast-import` is slow with glibc."""
     dropped = set(foreign())
     kept = {name: value for name, value in os.environ.items() if name not in dropped}
     return kept | {"GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0", "LC_ALL": "C", "MALLOC_TRIM_THRESHOLD_": "100000000"}

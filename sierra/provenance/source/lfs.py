@@ -55,10 +55,7 @@ def check_restored(git: Git, target: Path, files: Files) -> None:
 
 
 def _used(git: Git, root: Path, files: Files) -> bool:
-    """Return True if an attributes file that applies to these files mentions git-lfs.
-
-    Such a file lies in a folder of the files, in a folder above them, or in the git directory (`info/attributes`).
-    """
+    """Return True if an attributes file in the git directory, above or below these files mentions git-lfs."""
     above = [folder / ATTRIBUTES for folder in (root, *root.parents) if folder.is_relative_to(git.top)]
     below = [root / os.fsdecode(path) for path in files if path.endswith(b".gitattributes")]
     return any(b"filter=lfs" in _head(path, 1 << 20) for path in (*above, *below, git.folder / "info" / "attributes"))

@@ -28,10 +28,7 @@ def describe(git: Git, commit: str | None, *, dirty: bool) -> str | None:
 
 
 def remote(git: Git, branch: str | None) -> str | None:
-    """Return the address of the default remote, without credentials.
-
-    The default remote is the one that the branch follows, else `origin`, else the only one. Returns None if there is none.
-    """
+    """Return the address of the default remote (see `default_remote`), without credentials; None if there is none."""
     settings = _settings(git)
     addresses = _addresses(settings)
     address = addresses.get(_followed(settings, branch) or "")

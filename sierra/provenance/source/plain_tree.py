@@ -32,10 +32,7 @@ Memory = Mapping[bytes, bytes]
 
 
 def entries(root: Path, chosen: PathSelection, large: int, memory: Path | None = None) -> list[Entry]:
-    """Return all files of the source.
-
-    Raises ConfigError for a file of more than `large` bytes, and Missing for a file that cannot be read.
-    """
+    """Return all files of the source. Raises ConfigError for one of more than `large` bytes, Missing if one is unreadable."""
     try:
         return _entries(root, chosen, large, memory)
     except OSError as error:

@@ -66,10 +66,7 @@ def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Conte
 
 
 def is_available(root: Path, tree: str, manifest: bytes) -> bool:
-    """Return True if the git repository around `root` has the files of a recorded source.
-
-    A submodule that is not checked out is assumed to have them. Raises Damaged for a path that git does not allow.
-    """
+    """Return True if git has the files of a recorded source, except submodules that are not checked out. Raises Damaged."""
     files = read(manifest)
     _check(files)
     if not in_repository(root) or _lacking(Git(root), tree.rpartition(":")[2], files):

@@ -106,7 +106,9 @@ def record(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
             submodules |= {f"{os.fsdecode(path)}/{below}": commit for below, commit in snapshot.submodules.items()}
         tree = write(git, files) if inner else index.write_tree()
     git("update-ref", f"refs/sierra/{tree}", tree)
-    differing = _differing(status, files)
+    recorded = {**dict.fromkeys(status.stale), **status.recorded} if status.commit else {}
+    doubtful = status.inner | status.conflicts
+    differing = {path for path, what in recorded.items() if files.get(path) != what or path in doubtful}
     return _state(status, tree, files, differing, _absent(git, status, differing), submodules)
 
 
@@ -328,13 +330,6 @@ def _note(status: Status, kind: bytes, fields: Sequence[bytes], path: bytes) -> 
             status.inner.add(path)
     if kind != b"1 " or fields[1][1:] != b".":
         status.stale.append(path)
-
-
-def _differing(status: Status, files: dict[bytes, bytes]) -> set[bytes]:
-    """Return the paths that differ from the commit."""
-    recorded = {**dict.fromkeys(status.stale), **status.recorded}
-    doubtful = status.inner | status.conflicts
-    return {path for path, what in recorded.items() if files.get(path) != what or path in doubtful} if status.commit else set()
 
 
 def _absent(git: Git, status: Status, differing: set[bytes]) -> set[bytes]:
