@@ -109,8 +109,27 @@ class Isolation:
     @property
     def row(self) -> dict[str, JsonView] | None:
         """Return the row of `isolations`, whose id is the hash of its other fields; None without containers."""
-        fields = self._fields()
-        return {"isolation": digest("isolation", fields), **fields} if fields else None
+        box, able = self.box, self.abilities
+        if box is None:
+            return None
+        # the code of a replay is in a folder of its own
+        mounts = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
+        client = self.engine.client(replace(box, session="", mounts=mounts, files=""), Process((), {}, (), "/"))
+        fields: dict[str, JsonView] = {
+            "engine": self.engine.name,
+            "version": able.version,
+            "rootless": able.rootless,
+            "mode": "worker" if box.shared else "run",
+            "image": box.image.id,
+            "user": able.user,
+            "network": "host" if box.network else "none" if able.isolated else "not isolated",
+            "devices": [*box.devices, *(["gpu"] if box.gpu else [])],
+            "mounts": json.dumps({mount.target: mount.source for mount in mounts}, sort_keys=True),
+            "limits_asked": json.dumps(box.limits, sort_keys=True),
+            "limits_enforced": json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
+            "argv": [word.replace("\0", "{run}") for word in client.argv],
+        }
+        return {"isolation": digest("isolation", fields), **fields}
 
     @property
     def context(self) -> Recorded:
@@ -147,28 +166,6 @@ class Isolation:
     def enforced(self) -> frozenset[str]:
         """Return the limits that the engine enforces."""
         return frozenset(self.box.limits) & self.abilities.enforced if self.box else frozenset()
-
-    def _fields(self) -> dict[str, JsonView]:
-        box, able = self.box, self.abilities
-        if box is None:
-            return {}
-        # the code of a replay is in a folder of its own
-        mounts = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
-        client = self.engine.client(replace(box, session="", mounts=mounts, files=""), Process((), {}, (), "/"))
-        return {
-            "engine": self.engine.name,
-            "version": able.version,
-            "rootless": able.rootless,
-            "mode": "worker" if box.shared else "run",
-            "image": box.image.id,
-            "user": able.user,
-            "network": "host" if box.network else "none" if able.isolated else "not isolated",
-            "devices": [*box.devices, *(["gpu"] if box.gpu else [])],
-            "mounts": json.dumps({mount.target: mount.source for mount in mounts}, sort_keys=True),
-            "limits_asked": json.dumps(box.limits, sort_keys=True),
-            "limits_enforced": json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
-            "argv": [word.replace("\0", "{run}") for word in client.argv],
-        }
 
 
 def contain(

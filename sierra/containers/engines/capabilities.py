@@ -72,12 +72,27 @@ class Found:
     """The engine's additional options that are needed here."""
 
 
+_WORKS: dict[str, Found] = {}
+"""The successful results of this process, which are available even if the cache cannot be written."""
+
+
 def cached(name: str, test: Callable[[], Found], dependencies: Sequence[str]) -> Found:
     """Return the cached result for an engine if the engine and its `dependencies` are unchanged; otherwise test it."""
     key = json.dumps([name, _boot(), os.geteuid(), *(_state(path) for path in dependencies), *_variables()])
-    found = _WORKS.get(key) or _tested(name, test, key)
+    if key in _WORKS:
+        return _WORKS[key]
+    file = Cache(user_engines(), MOST)
+    with contextlib.suppress(LookupError):
+        return _WORKS.setdefault(key, _unpacked(as_object(file.get(key))))
+    try:
+        found = test()
+    except OSError as error:
+        trouble = f"{name} cannot be tested: {error.filename or tempfile.gettempdir()}: {error.strerror}"
+        return Found(Capabilities(name, trouble=trouble))
     if not found.abilities.trouble:
-        _WORKS[key] = found
+        _WORKS[key], able = found, found.abilities
+        file.put(key, {"abilities": {**asdict(able), "enforced": sorted(able.enforced)}, "options": found.options})
+        file.save()
     return found
 
 
@@ -91,26 +106,6 @@ def _cached_here(
     name: str, test: Callable[[], Found], dependencies: Callable[[], Sequence[str]], _: tuple[object, ...]
 ) -> Found:
     return cached(name, test, dependencies())
-
-
-_WORKS: dict[str, Found] = {}
-"""The successful results of this process, which are available even if the cache cannot be written."""
-
-
-def _tested(name: str, test: Callable[[], Found], key: str) -> Found:
-    cache = Cache(user_engines(), MOST)
-    with contextlib.suppress(LookupError):
-        return _unpacked(as_object(cache.get(key)))
-    try:
-        found = test()
-    except OSError as error:
-        trouble = f"{name} cannot be tested: {error.filename or tempfile.gettempdir()}: {error.strerror}"
-        return Found(Capabilities(name, trouble=trouble))
-    if not found.abilities.trouble:
-        able = found.abilities
-        cache.put(key, {"abilities": {**asdict(able), "enforced": sorted(able.enforced)}, "options": found.options})
-        cache.save()
-    return found
 
 
 def _unpacked(fact: Mapping[str, JsonView]) -> Found:

@@ -228,7 +228,10 @@ def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
     paths, known = store.image(image.folder), contents(store, image)
     if known is None or not known.squashfs or not paths.rootfs.is_file() or cached_sha256(paths.rootfs) != known.squashfs:
         with _disk(store.images), opened(root, store, image) as read:
-            _make(store, image, merge(read, wanted))
+            merged = merge(read, wanted)
+            paths.root.mkdir(parents=True, exist_ok=True)
+            digest = squashfs.make(merged.write, paths.rootfs)
+            _keep(store, replace(contents(store, image) or _of_rootfs(merged, image), squashfs=digest))
     return paths.rootfs
 
 
@@ -317,13 +320,6 @@ def _keep(store: StorePaths, found: Contents) -> Contents:
     }
     write_whole(paths.description, json.dumps(described, indent=2, sort_keys=True).encode())
     return found
-
-
-def _make(store: StorePaths, image: Image, merged: Rootfs) -> None:
-    paths = store.image(image.folder)
-    paths.root.mkdir(parents=True, exist_ok=True)
-    digest = squashfs.make(merged.write, paths.rootfs)
-    _keep(store, replace(contents(store, image) or _of_rootfs(merged, image), squashfs=digest))
 
 
 @contextlib.contextmanager

@@ -8,7 +8,6 @@ Pointers are specified in git-lfs's docs/spec.md.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 from sierra.errors import Missing
@@ -23,22 +22,14 @@ ATTRIBUTES = ".gitattributes"
 def check(git: Git, index: Path, files: Files) -> None:
     """Raise Missing if a file of the source is still a pointer."""
     if _used(git, git.root, files):
-        _refuse(git, [path for path in _kept(git, index) if path in files])
+        check_all(git, index, files)
 
 
-def check_inside(git: Git) -> None:
-    """Raise Missing if a file of a nested repository is still a pointer."""
-    _refuse(git, _kept(git, None))
-
-
-def _kept(git: Git, index: Path | None) -> list[bytes]:
-    """Return the paths that the attributes assign to git-lfs."""
-    return git("ls-files", "-z", "--", ":(attr:filter=lfs)", index=index).split(b"\0")[:-1]
-
-
-def _refuse(git: Git, kept: Sequence[bytes]) -> None:
-    pointers = [path for path in kept if _is_pointer(git.root / os.fsdecode(path))]
-    if pointers:
+def check_all(git: Git, index: Path | None = None, files: Files | None = None) -> None:
+    """Raise Missing if one of these files, or of all files in a repository, is still a pointer."""
+    managed = git("ls-files", "-z", "--", ":(attr:filter=lfs)", index=index).split(b"\0")[:-1]
+    selected = [path for path in managed if files is None or path in files]
+    if pointers := [path for path in selected if _is_pointer(git.root / os.fsdecode(path))]:
         raise Missing(
             f"{shown(pointers)}: git-lfs pointers without their data; fetch the data with git lfs pull,"
             " or exclude these files ([source] paths)"

@@ -47,7 +47,10 @@ def share(root: Path, way: Way, remote: str | None = None) -> list[Shared]:
     if not in_repository(root):
         raise UsageError(f"{root} is not in a git repository; the sources of its runs are in the store itself")
     top = Git(Git(root).top)
-    chosen = [(path, git, _chosen(git, remote, inside=path != ".")) for path, git in _all(top, ".")]
+    chosen = []
+    for path, git in _all(top, "."):
+        is_given = remote is not None and (path == "." or remote in origin.remotes(git))
+        chosen.append((path, git, remote if is_given else origin.default_remote(git)))
     for path, git, found in chosen:
         if found is None and (path == "." or (way == "push" and _own(git))):
             raise UsageError(f"{git.root} has no default remote; add one there (git remote add origin ADDRESS)")
@@ -61,13 +64,6 @@ def _all(git: Git, path: str) -> Iterator[tuple[str, Git]]:
         inner = git.root / os.fsdecode(name)
         if (inner / ".git").exists():
             yield from _all(Git(inner), os.path.normpath(f"{path}/{os.fsdecode(name)}"))
-
-
-def _chosen(git: Git, remote: str | None, *, inside: bool) -> str | None:
-    """Return the remote that a repository uses."""
-    if remote is not None and (not inside or remote in origin.remotes(git)):
-        return remote
-    return origin.default_remote(git)
 
 
 def _shared(git: Git, path: str, way: Way, remote: str) -> Shared:

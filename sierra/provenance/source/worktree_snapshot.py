@@ -96,7 +96,7 @@ def record(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
             files = index.update(status, large)
         lfs.check(git, index.path, files)
         for path, _ in repositories(files):
-            lfs.check_inside(Git(root / os.fsdecode(path)))
+            lfs.check_all(Git(root / os.fsdecode(path)))
         submodules = dict(_submodules(root, files))
         inner = {
             path: record(Git(root / os.fsdecode(path)), PathSelection(), large) for path in sorted(status.inner & files.keys())
