@@ -72,16 +72,11 @@ def guard(root: Path, manifest: bytes, programs: Programs) -> ChangeGuard:
 def _files(base: bytes, manifest: bytes) -> Iterator[bytes]:
     for path, what in read(manifest).items():
         if what.startswith(REPOSITORY.encode()):
-            yield from _below(base + b"/" + path)
+            for folder, folders, files in os.walk(base + b"/" + path):  # except git's own files
+                folders[:] = [name for name in folders if name not in (b".git", b"__pycache__")]
+                yield from (folder + b"/" + name for name in files if name != b".git")
         else:
             yield base + b"/" + path
-
-
-def _below(folder: bytes) -> Iterable[bytes]:
-    """Return the files of a nested repository, except git's own files."""
-    for here, folders, files in os.walk(folder):
-        folders[:] = [name for name in folders if name not in (b".git", b"__pycache__")]
-        yield from (here + b"/" + name for name in files if name != b".git")
 
 
 def _state(path: bytes) -> State:

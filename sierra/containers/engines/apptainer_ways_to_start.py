@@ -9,6 +9,7 @@ Only an installation with setuid does not allow another configuration.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
@@ -135,20 +136,15 @@ def _ways(program: str) -> Iterator[Way]:
     """Yield the possible ways, the one with the best isolation first."""
     output = capabilities.run((program, "buildcfg")).stdout
     match = re.search(r"^(?:APPTAINER|SINGULARITY)_CONF_FILE=(.+)$", output, re.MULTILINE)
-    configuration = match[1] if match and _can_be_changed(match[1]) else ""
+    configuration = ""
+    with contextlib.suppress(OSError):  # it cannot be read, or a changed copy cannot be written
+        if match and _configured(user_apptainer(), match[1], False):
+            configuration = match[1]
     if os.geteuid() != 0 and shutil.which("unshare"):
         yield Way(program, configuration, mapped=True, squashfs=True)
     if configuration:
         yield Way(program, configuration, mapped=False, squashfs=True)
     yield Way(program, "", mapped=False, squashfs=True)
-
-
-def _can_be_changed(configuration: str) -> bool:
-    """Return whether the configuration can be read, and a changed copy can be written."""
-    try:
-        return bool(_configured(user_apptainer(), configuration, False))
-    except OSError:
-        return False
 
 
 def _start(one: Way, limits: Sequence[str], squashfs: Path | None = None) -> Capabilities:

@@ -118,11 +118,9 @@ class Engine(Protocol):
 
     def __init__(self, options: Table) -> None:
         """Make the engine; `options` is an object of `Options`."""
-        ...
 
     def probe(self) -> Capabilities:
         """Start a container to find out what works, and cache the result until boot, user or version change. Never raises."""
-        ...
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
         """Prepare the image, and return the reference to it that `client` uses.
@@ -132,7 +130,6 @@ class Engine(Protocol):
 
         Raises Missing if the image is unavailable, damaged or for another architecture, or if there is no space.
         """
-        ...
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
         """Return the client that starts a process in a container of its own, waits for its end, and ends with its exit status.
@@ -140,11 +137,9 @@ class Engine(Protocol):
         Its standard output and error are those of the process. SIGTERM to the client ends the process too. Its `stop` is a
         command that ends the container if it still exists, even if the client is gone (it may be empty if that cannot happen).
         """
-        ...
 
     def sweep(self, sessions: Sequence[str]) -> None:
         """End and remove all containers of these sessions, no matter which process started them; there may be none."""
-        ...
 
     def classify(self, result: Result, stderr: str, enforced: AbstractSet[str]) -> Result:
         """Return the result of the process, derived from the client's result and the end of its standard error in `stderr`.
@@ -152,7 +147,6 @@ class Engine(Protocol):
         A signal that ended the process becomes `signal`. An exceeded limit among `enforced` becomes `stopped`. An error of the
         engine itself (no image, no such command, no permission) becomes `error`. All other fields stay as they are.
         """
-        ...
 
 
 class WithoutOptions:

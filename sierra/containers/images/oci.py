@@ -46,7 +46,6 @@ class Files(Protocol):
 
     def size(self, name: str) -> int | None:
         """Return the size of a file in bytes, or None if there is no such file."""
-        ...
 
     def open(self, name: str) -> contextlib.AbstractContextManager[Readable]: ...
 
