@@ -67,7 +67,7 @@ class Apptainer(WithoutOptions):
 
     def client(self, box: ContainerSpec, process: Process) -> Client:
         way = apptainer_ways_to_start.way()
-        argv = (*way.words(network=box.network, files=box.files), *_options(box, process), box.reference, *process.argv)
+        argv = (*way.words(network=box.network, files=box.files), *_options(way, box, process), box.reference, *process.argv)
         return Client(argv, {**apptainer_ways_to_start.environment(), **dict(_given(way, box, process))})
 
     def sweep(self, sessions: Sequence[str]) -> None:
@@ -101,15 +101,14 @@ def _script(files: str) -> str:
     return apptainer_ways_to_start.stored(Path(files), SCRIPT.read_text(), "sh") if files else str(SCRIPT)
 
 
-def _options(box: ContainerSpec, process: Process) -> Iterator[str]:
+def _options(way: Way, box: ContainerSpec, process: Process) -> Iterator[str]:
     yield from map(mounted, (Mount(_script(box.files), SOURCED), *box.mounts, *process.mounts))
     yield from (mounted(Mount(device, device, writable=True)) for device in box.devices)
     if box.gpu:
         yield "--nv"
-    able = apptainer_ways_to_start.enforced()
-    if box.cpus is not None and "cpus" in able:
+    if box.cpus is not None and "cpus" in way.enforced:
         yield f"--cpus={box.cpus}"
-    if box.pids is not None and "pids" in able:
+    if box.pids is not None and "pids" in way.enforced:
         yield f"--pids-limit={box.pids}"
     yield f"--pwd={process.folder}"
 

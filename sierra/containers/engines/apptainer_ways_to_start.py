@@ -56,6 +56,8 @@ class Way:
     mapped: bool
     squashfs: bool
     """True if an image can be started from a squashfs; otherwise its files must be in a folder."""
+    enforced: frozenset[str] = frozenset()
+    """The limits that the engine enforces."""
 
     def words(self, *, network: bool = False, files: str = "") -> Iterator[str]:
         """Yield the words of the command up to the options that differ between containers. `files`: see `ContainerSpec`."""
@@ -77,18 +79,13 @@ def apptainer() -> Capabilities:
     return capabilities.cached("apptainer", _test, _dependencies()).abilities
 
 
-def enforced() -> frozenset[str]:
-    """Return the limits that the engine enforces."""
-    return capabilities.cached_here("apptainer", _test, _dependencies).abilities.enforced
-
-
 def way() -> Way:
     """Return the way in which containers can be started here. If there is none, return the simplest way."""
     found = capabilities.cached_here("apptainer", _test, _dependencies)
     if not found.options:
         return Way(NAMES[0], "", mapped=False, squashfs=True)
     program, configuration, *flags = found.options
-    return Way(program, configuration, MAPPED in flags, SQUASHFS in flags)
+    return Way(program, configuration, MAPPED in flags, SQUASHFS in flags, found.abilities.enforced)
 
 
 def environment() -> dict[str, str]:

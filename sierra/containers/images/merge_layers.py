@@ -122,7 +122,8 @@ class Rootfs:
                 if not first:
                     continue
                 header = _header(by_path[first])
-                tar.addfile(header, io.BufferedReader(_Pieces(content(layer, member, what)), PIECE))
+                pieces = _Pieces(content(layer, member, what))
+                tar.addfile(header, io.BufferedReader(pieces, max(1, min(PIECE, header.size))))
                 for path in others:
                     tar.addfile(_header(by_path[path], first))
                 tar.members = []  # type: ignore[attr-defined]  # else it keeps all headers

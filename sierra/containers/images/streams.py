@@ -114,7 +114,7 @@ def fed(command: Sequence[str], write: Callable[[BinaryIO], None], env: Mapping[
             process.kill()
             process.wait()
         output.seek(0)
-        return status, output.read(1 << 16).decode("utf-8", "replace")
+        return status, output.read(PIECE).decode("utf-8", "replace")
 
 
 class Hashed(io.RawIOBase):

@@ -48,7 +48,7 @@ class Direct:
     def sweep(self, sessions: Sequence[str]) -> None:
         """End nothing: SIERRA's worker ends the processes of a run itself."""
 
-    def classify(self, result: Result, said: str, enforced: AbstractSet[str]) -> Result:
+    def classify(self, result: Result, stderr: str, enforced: AbstractSet[str]) -> Result:
         return result
 
 
