@@ -103,7 +103,7 @@ TOOLS = frozenset(
 EVERYWHERE = frozenset(("python", "python3", "project", "input", "output", "seed", "run"))
 """Words of commands that do not name a particular package."""
 IMPORT = re.compile(r"^\s*(?:import|from)\s+(\w+)", re.MULTILINE)
-READABLE = 1 << 20
+MAX_SEARCHED = 1 << 20
 """Maximum number of bytes of a script that are searched for imports."""
 
 
@@ -114,7 +114,7 @@ def mentioned(command: Iterable[str], root: Path) -> frozenset[str]:
         words |= set(re.findall(r"[a-z][a-z0-9_]{2,}", word.lower().replace("-", "_")))
         with contextlib.suppress(OSError, ValueError), (root / word.removeprefix("{project}/")).open("rb") as script:
             if word.endswith(".py"):
-                words |= {name.lower() for name in IMPORT.findall(script.read(READABLE).decode("utf-8", "replace"))}
+                words |= {name.lower() for name in IMPORT.findall(script.read(MAX_SEARCHED).decode("utf-8", "replace"))}
     return frozenset(words) - EVERYWHERE
 
 

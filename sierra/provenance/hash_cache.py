@@ -19,14 +19,14 @@ from sierra.util.hashing import sha256_file
 SMALL = 1 << 16
 """Maximum size in bytes of files that are not cached, because hashing them is as fast as a look-up."""
 RACY_NS = 2 * 10**9
-MOST = 4096
+MAX_ENTRIES = 4096
 
 
 class HashCache:
     """A cache of the SHA-256 of files; `save` stores it for the next time."""
 
     def __init__(self) -> None:
-        self._cache = Cache(user_digests(), MOST)
+        self._cache = Cache(user_digests(), MAX_ENTRIES)
 
     def of(self, path: str) -> str:
         """Return the SHA-256 of a file's content. Raises Missing if the file cannot be read."""

@@ -22,11 +22,11 @@ LACKING = re.compile(
     r"|.*: version [`'](.+?)' not found \(required by .*\)"
     r"|Error loading shared library (.+?): No such file.*"  # musl
 )
-HEARD = ("LD_LIBRARY_PATH", "LD_PRELOAD")
+LOADER_VARIABLES = ("LD_LIBRARY_PATH", "LD_PRELOAD")
 """The variables of a run that are passed to the loader."""
 LAYOUTS = {True: ("32xQ14xHH", "I4xQ16xQ"), False: ("28xI10xHH", "II8xI")}
 """For 64 and for 32 bits: the offset, entry size and number of the program headers, and a header's type, offset and size."""
-PATIENCE_S = 10.0
+TIMEOUT_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +49,15 @@ def loaded(program: str, variables: Mapping[str, str]) -> Loaded:
         return NONE
     if not _is_systems(loader):
         return Loaded({}, doubt=f"its loader {loader} does not belong to the system")
-    heard = {name: variables[name] for name in HEARD if name in variables}
+    passed = {name: variables[name] for name in LOADER_VARIABLES if name in variables}
     try:
         done = subprocess.run(
             [loader, "--list", resolved],
-            env={**heard, "LC_ALL": "C"},
+            env={**passed, "LC_ALL": "C"},
             cwd="/",
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            timeout=PATIENCE_S,
+            timeout=TIMEOUT_S,
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:

@@ -26,7 +26,7 @@ from sierra.util.json_types import as_object
 
 NAME = re.compile(r"python(\d(\.\d+)?t?)?")
 ASK = "import sys; print('\\n' + ascii([sys.executable, sys.prefix, sys.base_prefix, sys.path]))"
-PATIENCE_S = 10.0
+TIMEOUT_S = 10.0
 CODE = (".py", ".so")
 OWN = "sierra_experiments"
 """SIERRA's own distribution. Runs do not depend on it, so its code is ignored even if the install is editable."""
@@ -100,7 +100,7 @@ def ask(path: str, variables: Mapping[str, str], root: Path, project: Path) -> I
                 cwd=root,
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
-                timeout=PATIENCE_S,
+                timeout=TIMEOUT_S,
                 check=True,
             )
             executable, prefix, base, folders = ast.literal_eval(done.stdout.decode().splitlines()[-1])

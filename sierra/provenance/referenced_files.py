@@ -19,11 +19,11 @@ from sierra.errors import Missing
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
 
-LONGEST = 4096
-LARGEST = 10**9
+MAX_LENGTH = 4096
+MAX_SIZE = 10**9
 """Maximum size in bytes of a file that a template names; larger files are not hashed."""
-READ = (".xml", ".urdf", ".sdf", ".xacro", ".mjcf", ".argos", ".world", ".launch", ".json", ".yaml", ".yml", ".toml")
-READABLE = 1 << 24
+SEARCHED = (".xml", ".urdf", ".sdf", ".xacro", ".mjcf", ".argos", ".world", ".launch", ".json", ".yaml", ".yml", ".toml")
+MAX_SEARCHED = 1 << 24
 """Maximum number of bytes of the template, or of such a file, that are searched for names."""
 LETTER = re.compile(r"[^\W\d_]")
 TAG = re.compile(r"""<[/?!]?[^\s<>"'/=]+""")
@@ -72,7 +72,7 @@ def data(template: Path, texts: Iterable[str], root: Path, source: Container[byt
         if path in found or path in notes or _holds(source, path, root):
             continue
         try:
-            if path.stat().st_size > LARGEST:
+            if path.stat().st_size > MAX_SIZE:
                 raise Missing(f"{path} is larger than 1 GB")
             found[path] = _file(path, root, digests)
         except (Missing, OSError) as error:
@@ -120,7 +120,7 @@ def _all_named(template: Path, texts: str, root: Path, without: Sequence[Path]) 
             if any(path.is_relative_to(left) for left in without):
                 continue
             yield path
-            if path.suffix.lower() in READ and path not in read:
+            if path.suffix.lower() in SEARCHED and path not in read:
                 read.add(path)
                 pending.append((path, _text(path)))
 
@@ -129,7 +129,7 @@ def _text(path: Path) -> str:
     """Return the beginning of a file's text; its length is bounded, because the file may be hostile."""
     try:
         with path.open("rb") as file:
-            return file.read(READABLE).decode("utf-8", "replace")
+            return file.read(MAX_SEARCHED).decode("utf-8", "replace")
     except OSError:
         return ""
 
@@ -156,7 +156,7 @@ def _words(text: str) -> Iterator[str]:
     tagless = TAG.sub("<", re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL))
     pieces = (html.unescape(piece).strip() for piece in dict.fromkeys(re.split(r"[\"'<>\n]", tagless)))
     for word in dict.fromkeys(part for piece in pieces for part in (piece, *piece.split())):
-        if len(word) <= LONGEST and "\0" not in word and LETTER.search(word):
+        if len(word) <= MAX_LENGTH and "\0" not in word and LETTER.search(word):
             yield word.removeprefix("file://")
 
 

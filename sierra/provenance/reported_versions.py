@@ -30,11 +30,11 @@ from sierra.util.cache import Cache
 from sierra.util.hashing import digest
 from sierra.worker import marked_processes
 
-PATIENCE_S = 10.0
+TIMEOUT_S = 10.0
 """Seconds that a program may take. Simulators may need so long on a busy machine, and a missing answer is cached too."""
-MOST_SAID = 1 << 16
-LONGEST = 200
-MOST = 1024
+MAX_OUTPUT = 1 << 16
+MAX_LENGTH = 200
+MAX_ENTRIES = 1024
 LIMITS = {resource.RLIMIT_FSIZE: 1 << 20, resource.RLIMIT_CPU: 2, resource.RLIMIT_CORE: 0}
 COLOUR = re.compile(rb"\x1b\[[0-9;:]*m")
 """Select Graphic Rendition (ECMA-48, 8.3.117), the only control sequence that does not move the cursor."""
@@ -43,7 +43,7 @@ MARK = "SIERRA_VERSION_ASKED"
 
 def with_versions(programs: Programs, table: ProgramsTable, variables: Mapping[str, str], root: Path) -> Programs:
     """Return the programs with the versions that they report; `variables` are those of the runs, with PATH."""
-    cache = Cache(user_versions(), MOST)
+    cache = Cache(user_versions(), MAX_ENTRIES)
     identity = programs.id
 
     def version(program: Program) -> str | None:
@@ -111,24 +111,24 @@ def _output(process: subprocess.Popen[bytes]) -> bytes:
     if process.stdout is None:
         return b""
     output = b""
-    give_up = time.monotonic() + PATIENCE_S
-    while time.monotonic() < give_up and len(output) <= MOST_SAID:
+    give_up = time.monotonic() + TIMEOUT_S
+    while time.monotonic() < give_up and len(output) <= MAX_OUTPUT:
         if select.select([process.stdout], [], [], 0.005)[0]:
-            piece = os.read(process.stdout.fileno(), MOST_SAID)
+            piece = os.read(process.stdout.fileno(), MAX_OUTPUT)
             if not piece:
                 break
             output += piece
         elif process.poll() is not None:
             break
     with contextlib.suppress(subprocess.TimeoutExpired):
-        if len(output) <= MOST_SAID and process.wait(max(0, give_up - time.monotonic())) == 0:
+        if len(output) <= MAX_OUTPUT and process.wait(max(0, give_up - time.monotonic())) == 0:
             return output
     return b""
 
 
 def _end(process: subprocess.Popen[bytes], mark: str) -> None:
     """Kill a program and all processes that it has started, even those outside its process group (if /proc shows them)."""
-    give_up = time.monotonic() + PATIENCE_S
+    give_up = time.monotonic() + TIMEOUT_S
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
     while (left := marked_processes.marked({f"{MARK}={mark}".encode()})) and time.monotonic() < give_up:
@@ -138,7 +138,7 @@ def _end(process: subprocess.Popen[bytes], mark: str) -> None:
     if process.stdout is not None:
         process.stdout.close()
     with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(PATIENCE_S)
+        process.wait(TIMEOUT_S)
 
 
 def _first_line(output: bytes) -> str | None:
@@ -147,7 +147,7 @@ def _first_line(output: bytes) -> str | None:
         with contextlib.suppress(UnicodeDecodeError):
             text = line.decode().strip()
             if text and text.isprintable():
-                return text[:LONGEST]
+                return text[:MAX_LENGTH]
         if line.strip():
             return None
     return None

@@ -12,11 +12,11 @@ from sierra.util.json_types import JsonView
 
 
 class Cache:
-    """A cache of the `most` recently used JSON facts by text key. Errors of reading and writing are ignored."""
+    """A cache of the most recently used JSON facts by text key. Errors of reading and writing are ignored."""
 
-    def __init__(self, path: Path, most: int) -> None:
+    def __init__(self, path: Path, max_entries: int) -> None:
         self._path = path
-        self._most = most
+        self._max_entries = max_entries
         self._known = _read(path)
         self._new = False
 
@@ -36,7 +36,7 @@ class Cache:
         """Write the cache if it has new facts. Of two processes that write at the same time, the facts of one are lost."""
         if not self._new:
             return
-        kept = dict(list(self._known.items())[-self._most :])
+        kept = dict(list(self._known.items())[-self._max_entries :])
         with contextlib.suppress(OSError):
             self._path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             write_whole(self._path, sealed(json.dumps(kept).encode()))

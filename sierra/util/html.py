@@ -7,7 +7,7 @@ from html import escape
 
 ROWS = 20
 """Maximum number of rows that are shown of a table."""
-LONGEST = 120
+MAX_LENGTH = 120
 """Maximum number of characters of a value."""
 
 
@@ -32,4 +32,4 @@ def _text(value: object) -> str:
             text = f"{value:.6g}"
         case _:
             text = str(value)
-    return escape(text if len(text) <= LONGEST else f"{text[:LONGEST]}…")
+    return escape(text if len(text) <= MAX_LENGTH else f"{text[:MAX_LENGTH]}…")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from dataclasses import dataclass
 
-LONGEST = 4 << 20
+MAX_SIZE = 4 << 20
 """The size in bytes beyond which files are not compared by lines."""
 
 
@@ -21,7 +21,7 @@ class Patch:
 
 def patch(before: bytes, after: bytes, name: str) -> Patch:
     """Return the patch from one content of a file to another. Bytes that are not UTF-8 appear as U+FFFD."""
-    if not (is_text(before) and is_text(after)) or max(len(before), len(after)) > LONGEST:
+    if not (is_text(before) and is_text(after)) or max(len(before), len(after)) > MAX_SIZE:
         return Patch(None, None, ())
     old, new = (content.decode("utf-8", "replace").split("\n") for content in (before, after))
     lines = tuple(difflib.unified_diff(old, new, f"a/{name}", f"b/{name}", lineterm=""))

@@ -28,7 +28,7 @@ from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256
 
 NAMES = ("apptainer", "singularity")
-LEAST = {"apptainer": (1, 1), "singularity-ce": (3, 10)}
+MIN_VERSIONS = {"apptainer": (1, 1), "singularity-ce": (3, 10)}
 MAPPED, SQUASHFS = "mapped", "squashfs"
 ISOLATED = ("--containall", "--no-home", "--cleanenv", "--no-eval", "--no-privs", "--no-umask", "--no-mount=bind-paths,hostfs")
 ALONE = ("--net", "--network=none")
@@ -108,8 +108,8 @@ def _test() -> Found:
     version = capabilities.run((program, "--version")).stdout.strip().replace(" version ", " ")
     name, _, number = version.partition(" ")
     found = tuple(int(part) for part in re.findall(r"\d+", number)[:2])
-    if found < LEAST.get(name, (99,)):
-        least = " or ".join(f"{name} {'.'.join(map(str, number))}" for name, number in LEAST.items())
+    if found < MIN_VERSIONS.get(name, (99,)):
+        least = " or ".join(f"{name} {'.'.join(map(str, number))}" for name, number in MIN_VERSIONS.items())
         return Found(Capabilities(version, trouble=f"{version or program} is too old: {least} or newer is needed"))
     return _first_that_works(program, version)
 

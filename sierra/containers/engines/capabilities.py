@@ -31,10 +31,10 @@ from sierra.util.log_messages import Log
 
 log = Log(__name__)
 
-MOST = 64
+MAX_ENTRIES = 64
 DECIDING = ("PATH", "HOME", "CONTAINERS_CONF", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")
 """The variables whose change within a process requires a new check."""
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 SHARED = ("usr", "bin", "sbin", "lib", "lib32", "lib64")
 """The folders of the host that its shell needs in a container."""
 OWN = ("dev", "etc", "proc", "run", "sys", "tmp", "var")
@@ -81,7 +81,7 @@ def cached(name: str, test: Callable[[], Found], dependencies: Sequence[str]) ->
     key = json.dumps([name, _boot(), os.geteuid(), *(_state(path) for path in dependencies), *_variables()])
     if key in _WORKS:
         return _WORKS[key]
-    file = Cache(user_engines(), MOST)
+    file = Cache(user_engines(), MAX_ENTRIES)
     with contextlib.suppress(LookupError):
         return _WORKS.setdefault(key, _unpacked(as_object(file.get(key))))
     try:
@@ -142,7 +142,7 @@ def run(command: Sequence[str], environment: Mapping[str, str] | None = None) ->
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=PATIENCE_S,
+            timeout=TIMEOUT_S,
             env=environment,
             cwd="/",
             check=False,
@@ -150,7 +150,7 @@ def run(command: Sequence[str], environment: Mapping[str, str] | None = None) ->
         log.command(command, done.returncode, done.stderr)
         return done
     except subprocess.TimeoutExpired:
-        return subprocess.CompletedProcess(command, 1, "", f"it did not answer within {PATIENCE_S:.0f} s")
+        return subprocess.CompletedProcess(command, 1, "", f"it did not answer within {TIMEOUT_S:.0f} s")
     except OSError as error:
         return subprocess.CompletedProcess(command, 1, "", str(error.strerror))
 

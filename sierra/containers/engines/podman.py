@@ -35,7 +35,7 @@ HANDED_ON = re.compile(
     r"PATH|HOME|USER|LOGNAME|LANG|LC_\w+|TMPDIR|XDG_\w+|DBUS_SESSION_BUS_ADDRESS|CONTAINERS_\w+|STORAGE_\w+|BUILDAH_\w+|SSL_CERT_\w+"
 )
 """The variables of the caller's environment that podman itself needs."""
-MOST_FILES = 16384
+MAX_FILES = 16384
 """The greatest number of open files, and of processes, in a container. Some hosts do not allow podman's own, higher default."""
 FAILED, NOT_EXECUTABLE, NOT_FOUND = 125, 126, 127
 INIT = re.compile(r"ERROR \(catatonit:\d+\): failed to exec pid1: (.*)")
@@ -120,7 +120,7 @@ def _options(box: ContainerSpec, process: Process, enforced: AbstractSet[str]) -
 
 def _allowed(kind: str) -> str:
     _, hard = resource.getrlimit(getattr(resource, f"RLIMIT_{kind}"))
-    most = MOST_FILES if hard == resource.RLIM_INFINITY else min(hard, MOST_FILES)
+    most = MAX_FILES if hard == resource.RLIM_INFINITY else min(hard, MAX_FILES)
     return f"{most}:{most}"
 
 

@@ -25,14 +25,14 @@ from sierra.util.log_messages import Log
 
 log = Log(__name__)
 
-MOST = 64
+MAX_ENTRIES = 64
 
 
 def prepare(squashfs: Path, identity: str, folder: Path) -> Path:
     """Return `folder` with the files of a squashfs (or of the one in a SIF), unpacked if necessary. Raises Missing."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
-        cache = Cache(user_engines(), MOST)
+        cache = Cache(user_engines(), MAX_ENTRIES)
         key = f"sandbox {folder.resolve()} {identity}"
         if cache.get(key) == (state(folder) or "gone"):
             return folder

@@ -28,7 +28,7 @@ from sierra.containers.images.oci import Archive
 from sierra.containers.images.streams import PIECE, content, members
 from sierra.errors import Damaged
 
-MOST_FILES = 1_000_000
+MAX_FILES = 1_000_000
 WHITEOUT, OPAQUE, AUFS = ".wh.", ".wh..wh..opq", ".wh..wh."
 DEPTH = 256
 """The greatest depth of nested folders."""
@@ -145,8 +145,8 @@ def merge(archive: Archive, wanted: Wanted = lambda path: 0, *, foreign: bool = 
                     raise Damaged(f"{what}: {member.name!r} is a device, which no image needs; build it again without")
                 _apply(root, member, tar, (place, ordinal), wanted, what)
                 count += 1
-                if count > MOST_FILES:
-                    raise Damaged(f"{archive.path} has more than {MOST_FILES} files")
+                if count > MAX_FILES:
+                    raise Damaged(f"{archive.path} has more than {MAX_FILES} files")
     nodes = {path: node for path, node in sorted(_walk(root, ""), key=itemgetter(0)) if node.type != "device"}
     sources: dict[tuple[int, int], list[str]] = {}
     for path, node in nodes.items():

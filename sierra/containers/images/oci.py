@@ -28,13 +28,13 @@ from sierra.util.hashing import sha256
 from sierra.util.json_types import Json, JsonView, as_object, as_texts
 
 MANIFEST, LAYOUT, INDEX = "manifest.json", "oci-layout", "index.json"
-DOCUMENT = 8 << 20
+MAX_DOCUMENT = 8 << 20
 """The greatest size in bytes of a manifest or a configuration; the specification requires readers to accept 4 MiB."""
-MOST_MEMBERS = 10_000
-MOST_LAYERS = 512
-LEAST_BOUND = 256 << 20
-EXPANSION = 200
-"""The greatest ratio of a layer's unpacked size to its size. LEAST_BOUND bytes are always allowed. Gzip can reach 1032."""
+MAX_MEMBERS = 10_000
+MAX_LAYERS = 512
+MIN_BOUND = 256 << 20
+MAX_EXPANSION = 200
+"""The greatest ratio of a layer's unpacked size to its size. MIN_BOUND bytes are always allowed. Gzip can reach 1032."""
 DIGEST = re.compile(r"sha256:([0-9a-f]{64})")
 HEX = re.compile(r"(?:^|/)([0-9a-f]{64})(?:\.json)?$")
 COMPRESSED = {b"\x28\xb5\x2f\xfd": "zstd", b"BZh": "bzip2", b"\xfd7zXZ": "xz"}
@@ -91,7 +91,7 @@ class Archive:
         blob, what = self.blobs[place], f"{self.path}: layer {place + 1} of {len(self.blobs)}"
         with self.files.open(blob.name) as stored:
             packed = Hashed(stored)
-            most = max(LEAST_BOUND, EXPANSION * blob.size)
+            most = max(MIN_BOUND, MAX_EXPANSION * blob.size)
             stream = ForwardStream(_unpacked(packed, what), most, what)
             yield stream
             found = stream.digest()
@@ -262,8 +262,8 @@ def _checked(archive: Archive) -> Archive:
         raise Damaged(f"{path}: the configuration is not a valid OCI image configuration")
     if len(archive.diff_ids) != layers:
         raise Damaged(f"{path}: the configuration names {len(archive.diff_ids)} layers, the manifest {layers}")
-    if layers > MOST_LAYERS:
-        raise Damaged(f"{path} has {layers} layers; at most {MOST_LAYERS} are read")
+    if layers > MAX_LAYERS:
+        raise Damaged(f"{path} has {layers} layers; at most {MAX_LAYERS} are read")
     return archive
 
 
@@ -297,10 +297,10 @@ def _size(path: Path, files: Files, name: str, what: str) -> int:
 
 def _document(path: Path, files: Files, name: str) -> bytes:
     size = _size(path, files, name, "a document")
-    if size > DOCUMENT:
-        raise Damaged(f"{path}: {name[:80]!r} has {size} bytes; at most {DOCUMENT} are allowed")
+    if size > MAX_DOCUMENT:
+        raise Damaged(f"{path}: {name[:80]!r} has {size} bytes; at most {MAX_DOCUMENT} are allowed")
     with files.open(name) as file:
-        return file.read(DOCUMENT)
+        return file.read(MAX_DOCUMENT)
 
 
 def _json(path: Path, files: Files, name: str) -> Json:
@@ -387,8 +387,8 @@ class _Tar:
 def _headers(file: BinaryIO, path: Path) -> Iterator[tarfile.TarInfo]:
     """Yield all members of a tar, without reading their contents."""
     for count, (member, _) in enumerate(members(_Seeking(file, str(path)), str(path))):
-        if count >= MOST_MEMBERS:
-            raise Damaged(f"{path} has more than {MOST_MEMBERS} files; an image's archive has a few for each layer")
+        if count >= MAX_MEMBERS:
+            raise Damaged(f"{path} has more than {MAX_MEMBERS} files; an image's archive has a few for each layer")
         if member.issparse():
             raise Damaged(f"{path}: {member.name!r} is a sparse file, which image archives do not contain")
         yield member

@@ -34,8 +34,8 @@ from sierra.worker.marked_processes import marked
 
 log = Log(__name__)
 
-MOST = 512
-PATIENCE = 20.0
+MAX_ENTRIES = 512
+TIMEOUT_S = 20.0
 """The seconds that a program has to clean up after it was told to end."""
 MARK = "SIERRA_BUILD"
 """An environment variable that marks the processes that a build has started."""
@@ -63,7 +63,7 @@ def installed() -> bool:
 def driver() -> str:
     """Return the name of podman's storage driver, for example `overlay` or `vfs`; empty if it is unknown."""
     with contextlib.suppress(Missing, OSError, ValueError):
-        return Path(_lists(Cache(user_images(), MOST))[0]).parent.name.removesuffix("-images")
+        return Path(_lists(Cache(user_images(), MAX_ENTRIES))[0]).parent.name.removesuffix("-images")
     return ""
 
 
@@ -75,7 +75,7 @@ def identify(name: str) -> str | None:
 
 def look(name: str) -> Image | None:
     """Return the image that a name or an id stands for now; None if podman has none. Raises Missing without podman."""
-    cache = Cache(user_images(), MOST)
+    cache = Cache(user_images(), MAX_ENTRIES)
     state, key = _state(cache), f"{_where()} {name}"
     known = as_object(cache.get(key))
     if state is not None and known.get("state") == state:
@@ -237,14 +237,14 @@ def _stop(process: subprocess.Popen[str], mark: str, *, builds: bool) -> None:
         _signal(process.pid, signal.SIGTERM)
         _wait(process)
         _signal(process.pid, signal.SIGKILL)
-    give_up = time.monotonic() + PATIENCE
+    give_up = time.monotonic() + TIMEOUT_S
     while _end(started | _births(marked({f"{MARK}={mark}".encode()})), process.pid) and time.monotonic() < give_up:
         time.sleep(0.01)
 
 
 def _wait(process: subprocess.Popen[str]) -> None:
     with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(PATIENCE)
+        process.wait(TIMEOUT_S)
 
 
 def _signal(group: int, number: signal.Signals) -> None:

@@ -31,7 +31,7 @@ from sierra.util.json_types import as_object
 LAUNCH, MAGIC = 32, b"SIF_MAGIC\0"
 HEADER = struct.Struct("<32s10s3s3s16s8q")
 DESCRIPTOR = struct.Struct("<i?IIIqqqqqqq128s384s")
-MOST = 4096
+MAX_DESCRIPTORS = 4096
 """The greatest number of descriptors; apptainer reserves space for 48."""
 DEFFILE, LABELS, PARTITION, SIGNATURE, JSON = 0x4001, 0x4003, 0x4004, 0x4005, 0x4006
 SQUASHFS, PRIMARY, OVERLAY = 1, 2, 4
@@ -40,7 +40,7 @@ ARCHITECTURES = (
     *("386", "amd64", "arm", "arm64", "ppc64", "ppc64le", "mips", "mipsle", "mips64", "mips64le", "s390x", "riscv64"),
 )
 """The names of architectures 01, 02, and so on."""
-TEXT = 4 << 20
+MAX_TEXT = 4 << 20
 ENVIRONMENT_FILE, LABELS_FILE = ".singularity.d/env/10-docker2singularity.sh", ".singularity.d/labels.json"
 EXPORT = re.compile(r'export ([A-Za-z_]\w*)="(?:\$\{\1:-"?)?([^"$`\\]*)"?\}?"')
 WANTED = 1 << 20
@@ -121,7 +121,7 @@ def _objects(path: Path, file: BinaryIO, length: int) -> Iterator[_Object]:
     if len(header) < HEADER.size or header[LAUNCH : LAUNCH + len(MAGIC)] != MAGIC:
         raise Damaged(f"{path} is not a SIF")
     total, offset = HEADER.unpack(header)[8:10]
-    if not 0 <= total <= MOST or not 0 <= offset <= length - total * DESCRIPTOR.size:
+    if not 0 <= total <= MAX_DESCRIPTORS or not 0 <= offset <= length - total * DESCRIPTOR.size:
         raise Damaged(f"{path}: its header has {total} descriptors at byte {offset}, which is impossible")
     file.seek(offset)
     table = file.read(total * DESCRIPTOR.size)
@@ -136,7 +136,7 @@ def _objects(path: Path, file: BinaryIO, length: int) -> Iterator[_Object]:
 
 def _text(file: BinaryIO, one: _Object) -> str:
     file.seek(one.offset)
-    return file.read(min(one.size, TEXT)).decode("utf-8", "replace")
+    return file.read(min(one.size, MAX_TEXT)).decode("utf-8", "replace")
 
 
 def wanted(path: str) -> int:

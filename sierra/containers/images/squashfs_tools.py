@@ -29,7 +29,7 @@ MAKE = (
     *("-tar", "-noappend", "-all-root", "-all-time", "0", "-mkfs-time", "0", "-reproducible", "-no-xattrs"),
     *("-comp", "zstd", "-Xcompression-level", "6", "-quiet", "-no-progress"),
 )
-LONGEST_LINE = 1 << 16
+MAX_LINE = 1 << 16
 LINE = re.compile(rb"((?:[^\\ ]|\\.)+) (\w) (.*)", re.DOTALL)
 TYPES: dict[bytes, Type] = {b"D": "folder", b"S": "link", b"R": "file", b"L": "file"}
 DATA = b"# START OF DATA - DO NOT MODIFY\n"
@@ -135,7 +135,7 @@ def _listed(path: Path, stream: IO[bytes], wanted: Wanted) -> tuple[tuple[Entry,
 
 def _lines(path: Path, stream: IO[bytes]) -> Iterator[tuple[str, bytes, bytes]]:
     """Yield the name, type and rest of each line. Raises Damaged for an invalid line (a line feed in a name causes one)."""
-    while (line := stream.readline(LONGEST_LINE)) and line != DATA:
+    while (line := stream.readline(MAX_LINE)) and line != DATA:
         if line.startswith(b"#"):
             continue
         read = LINE.fullmatch(line.rstrip(b"\n"))

@@ -20,7 +20,7 @@ from typing import BinaryIO, Protocol, cast
 from sierra.errors import Damaged
 
 PIECE = 1 << 20
-AT_ONCE = 16 << 20
+MAX_HEADER = 16 << 20
 """The greatest length in bytes of a header with the data that belongs to it."""
 BLOCK = 512
 
@@ -45,8 +45,8 @@ class ForwardStream:
         """The last data that was read, if it was one block of a tar; else empty."""
 
     def read(self, size: int = -1) -> bytes:
-        if not 0 <= size <= AT_ONCE:
-            raise Damaged(f"{self._what} has a header of {size} bytes; at most {AT_ONCE} are allowed")
+        if not 0 <= size <= MAX_HEADER:
+            raise Damaged(f"{self._what} has a header of {size} bytes; at most {MAX_HEADER} are allowed")
         parts, missing = [], size
         try:
             while missing and (part := self._stream.read(min(missing, PIECE))):

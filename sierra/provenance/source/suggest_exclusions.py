@@ -22,8 +22,8 @@ FILES = re.compile(
 """Files that are unlikely to be code."""
 TOOLS = re.compile(r"\.(git.*|vscode|idea|editorconfig|pre-commit-config\.ya?ml)")
 """Files and folders that tools keep beside the code."""
-READ = re.compile(r"data|datasets?", re.I)
-MOST = 12
+OFTEN_READ = re.compile(r"data|datasets?", re.I)
+MAX_NAMES = 12
 """Maximum number of names in a proposal."""
 ONLY_SAID = "[source] paths selects the code"
 
@@ -40,7 +40,7 @@ def advice(changed: Iterable[bytes], source: Iterable[bytes]) -> str:
         return ONLY_SAID
     every = {_top(path) for path in source} - left_out
     code = sorted(name for name, folder in every if not _is_left_out(name, is_folder=folder))
-    if not 0 < len(code) <= MOST or not all(name.isprintable() and "\ufffd" not in name for name in code):
+    if not 0 < len(code) <= MAX_NAMES or not all(name.isprintable() and "\ufffd" not in name for name in code):
         return "if these are not code, list the code: paths = [...] under [source] in sierra.toml"
     line = f"paths = {json.dumps(code, ensure_ascii=False)}"
     return f"if these are not code, write {line} under [source] in sierra.toml, which makes all runs new once"
@@ -55,4 +55,4 @@ def _top(path: bytes) -> tuple[str, bool]:
 def _is_left_out(name: str, *, is_folder: bool) -> bool:
     if TOOLS.fullmatch(name):
         return True
-    return is_hardly_code(name, is_folder=is_folder) and not READ.fullmatch(name)
+    return is_hardly_code(name, is_folder=is_folder) and not OFTEN_READ.fullmatch(name)

@@ -395,7 +395,7 @@ def test_a_relative_include_is_noted_only_if_failed_runs_mention_it(tmp_path: Pa
 
 
 def test_a_referenced_file_that_is_too_large_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(referenced_files, "LARGEST", 3)
+    monkeypatch.setattr(referenced_files, "MAX_SIZE", 3)
     (tmp_path / "map.pgm").write_text("four")
     project = make(tmp_path / "p", "true", template=f'<e seed="0" n="0"><map>{tmp_path}/map.pgm</map></e>')
     assert any("map.pgm" in note and "larger than 1 GB" in note for note in project.run("n=1", figures=False).notes)

@@ -73,7 +73,7 @@ def test_hashing_works_without_a_cache_folder(tmp_path: Path, cache: Path) -> No
 
 
 def test_the_cache_has_a_limited_size(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hash_cache, "MOST", 3)
+    monkeypatch.setattr(hash_cache, "MAX_ENTRIES", 3)
     monkeypatch.setattr(hash_cache, "RACY_NS", -(10**12))
     for number in range(5):
         (tmp_path / str(number)).write_bytes(LARGE)

@@ -98,7 +98,7 @@ def test_scripts_and_programs_of_the_project_do_not_report_versions_by_default(
 def test_a_program_that_does_something_else_has_no_version(
     script: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch, text: str
 ) -> None:
-    monkeypatch.setattr(reported_versions, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(reported_versions, "TIMEOUT_S", 1.0)
     path = script(text)
     began = time.monotonic()
     assert said(path) is None

@@ -357,7 +357,7 @@ def test_malformed_images_are_refused(project: Project, what: str) -> None:
 
 @pytest.mark.integration
 def test_decompression_bomb_is_refused(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(oci, "LEAST_BOUND", 1 << 20)
+    monkeypatch.setattr(oci, "MIN_BOUND", 1 << 20)
     made.oci_archive(project.root / "sim.tar", [made.layer(("zeros", bytes(64 << 20)))])
     assert_refused(project, "sim.tar", "layer 1", "expands to more than")
 
@@ -370,7 +370,7 @@ def test_oversized_tar_header_is_refused(project: Project) -> None:
 
 
 def test_image_with_too_many_files_is_refused(project: Project, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(merge_layers, "MOST_FILES", 5)
+    monkeypatch.setattr(merge_layers, "MAX_FILES", 5)
     made.docker_archive(project.root / "sim.tar", [BASE])
     assert_refused(project, "sim.tar", "more than 5 files")
 
