@@ -325,6 +325,10 @@ BAD: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
         lambda p: made.docker_archive(p, [BASE], manifest=b'[{"RepoTags": ["a:1"]}, {"RepoTags": ["b:1"]}]'),
         ("2 images (a:1; b:1)",),
     ),
+    "odd tags": (
+        lambda p: made.docker_archive(p, [BASE], manifest=b'[{"RepoTags": 5}, {}]'),
+        ("2 images (untagged; untagged)",),
+    ),
     "no image": (lambda p: made.docker_archive(p, [BASE], manifest=b"[]"), ("contains no image",)),
     "no JSON": (lambda p: made.docker_archive(p, [BASE], manifest=b"[{"), ("manifest.json", "JSON")),
     "deep JSON": (lambda p: made.docker_archive(p, [BASE], manifest=b"[" * 100_000), ("JSON",)),
