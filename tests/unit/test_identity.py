@@ -21,7 +21,7 @@ from sierra.ingest.recording_context import Context
 from sierra.model import Client, OutputFile, RunSpec
 from sierra.provenance.dependency_model import fingerprint
 from sierra.provenance.source.capture import Source
-from sierra.provenance.source.manifest import Entry, tree_hash
+from sierra.provenance.source.manifest import tree_hash
 from sierra.util.hashing import digest, digest_plain, merkle
 from tests import projects
 
@@ -114,7 +114,7 @@ def test_units_and_mismatch_are_not_part_of_the_id_of_ingest_rules() -> None:
 
 def test_tree_hash_is_the_hash_of_git() -> None:
     blob = "ce013625030ba8dba906f756967f9e9ca394464a"  # hello\n
-    assert tree_hash([Entry("100644", blob, b"a")]) == "0976950c1fdbcb52435a433913017bf044b3a58f"
+    assert tree_hash({b"a": b"100644 " + blob.encode()}) == "0976950c1fdbcb52435a433913017bf044b3a58f"
 
 
 def test_digest_depends_on_its_kind_and_format_version() -> None:

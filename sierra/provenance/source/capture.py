@@ -21,7 +21,7 @@ from pathlib import Path
 from sierra.errors import ConfigError
 from sierra.provenance.source import origin, plain_tree, worktree_snapshot
 from sierra.provenance.source.git import Git, in_repository
-from sierra.provenance.source.manifest import LINK, Files, listed, tree_hash, written
+from sierra.provenance.source.manifest import LINK, Files, listed, read, tree_hash, written
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.selection import PathSelection, inside, shown
 from sierra.util.hashing import digest
@@ -128,8 +128,9 @@ def _outside(root: Path, chosen: PathSelection, dirty: str, large: int, memory: 
     entries = plain_tree.entries(root, chosen, large, memory)
     links = [entry.path for entry in entries if entry.mode == LINK]
     files = {entry.path: entry.blob.encode() for entry in entries}
-    tree = SWHID + tree_hash(entries)
-    return Source(tree, "none", None, None, None, None, listed(entries), notes=tuple(_leading_out(root, links))), files
+    manifest = listed(entries)
+    tree = SWHID + tree_hash(read(manifest))
+    return Source(tree, "none", None, None, None, None, manifest, notes=tuple(_leading_out(root, links))), files
 
 
 def _git(root: Path, chosen: PathSelection, dirty: str, large: int) -> tuple[Source, Files]:

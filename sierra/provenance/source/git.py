@@ -24,6 +24,7 @@ ALWAYS = (
     *("-c", "core.hooksPath=/dev/null"),  # updating a ref and writing an index run hooks
     *("-c", "core.fsmonitor=false"),  # which may be a program
     *("-c", "core.splitIndex=false"),
+    *("-c", "index.skipHash=false"),  # git 2.55 loses files of an index that is split and has no hash
     *("-c", "core.ignoreStat=false"),  # would treat files as unchanged without checking them
     *("-c", "core.safecrlf=false"),  # would refuse files whose line endings git converts
     *("-c", "gc.auto=0"),

@@ -7,8 +7,9 @@ Each line is `<mode> <hash>\\t<path>` and ends with NUL, because a path may cont
 from __future__ import annotations
 
 import hashlib
+import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 LINK, REPOSITORY = "120000", "160000"
@@ -69,8 +70,8 @@ def blobs(manifest: bytes) -> set[str]:
 
 def tree_of(manifest: bytes) -> str | None:
     """Return the hash of the tree that a manifest describes, or None if its hashes are not SHA-1."""
-    entries = [Entry(*parts(what), path) for path, what in read(manifest).items()]
-    return tree_hash(entries) if all(re.fullmatch("[0-9a-f]{40}", entry.blob) for entry in entries) else None
+    files = read(manifest)
+    return tree_hash(files) if all(re.fullmatch(rb"\d+ [0-9a-f]{40}", what) for what in files.values()) else None
 
 
 def changed(before: bytes, after: bytes) -> list[str]:
@@ -90,16 +91,27 @@ def is_blob(content: bytes, blob: str) -> bool:
     return git_hash(b"blob", content, "sha1" if len(blob) == 40 else "sha256") == blob
 
 
-def tree_hash(entries: Sequence[Entry]) -> str:
-    """Return the hash that git gives to a tree with these files."""
-    below: dict[bytes, list[Entry]] = {}
-    items: list[tuple[bytes, str, bytes, str]] = []
-    for entry in entries:
-        name, slash, rest = entry.path.partition(b"/")
-        if slash:
-            below.setdefault(name, []).append(Entry(entry.mode, entry.blob, rest))
-        else:
-            items.append((name, entry.mode, name, entry.blob))
-    items += [(name + b"/", "40000", name, tree_hash(inside)) for name, inside in below.items()]
-    content = b"".join(mode.encode() + b" " + name + b"\0" + bytes.fromhex(blob) for _, mode, name, blob in sorted(items))
-    return git_hash(b"tree", content)
+def tree_hash(files: Files) -> str:
+    """Return the hash that git gives to a tree with these files, in a SHA-1 or a SHA-256 repository."""
+    algorithm = "sha256" if any(len(parts(what)[1]) == 64 for what in itertools.islice(files.values(), 1)) else "sha1"
+    folders: dict[bytes, list[tuple[bytes, bytes, bytes, str]]] = {b"": []}
+    for path, what in files.items():
+        folder, _, name = path.rpartition(b"/")
+        mode, blob = parts(what)
+        folders.setdefault(folder, []).append((name, mode.encode(), name, blob))
+    for folder in list(folders):
+        for above in _above(folder):
+            folders.setdefault(above, [])
+    for folder in sorted(folders, key=lambda path: path.count(b"/") + bool(path), reverse=True):
+        entries = sorted(folders[folder])  # git compares a folder's name as if it ended with a slash
+        content = b"".join([b"%s %s\0%s" % (mode, name, bytes.fromhex(blob)) for _, mode, name, blob in entries])
+        hashed = git_hash(b"tree", content, algorithm)
+        above, _, name = folder.rpartition(b"/")
+        folders[above].append((name + b"/", b"40000", name, hashed))
+    return hashed
+
+
+def _above(folder: bytes) -> Iterator[bytes]:
+    while folder:
+        folder = folder.rpartition(b"/")[0]
+        yield folder

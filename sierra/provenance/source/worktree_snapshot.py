@@ -32,6 +32,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
+from typing import NamedTuple
 from uuid import uuid4
 
 from sierra.errors import ConfigError, Missing
@@ -86,30 +87,53 @@ def record(git: Git, chosen: PathSelection, large: int) -> WorktreeState:
 
     Raises ConfigError for an untracked file of more than `large` bytes, and Missing if git fails.
     """
-    root = git.root
     with _index(git, chosen) as index:
-        status = index.status()
-        files = index.update(status, large)
-        while unfit := [*chosen.others(files), *_hollow(root, files), *index.ignored(files)]:
-            index.remove(unfit)
-            status = index.status()
-            files = index.update(status, large)
-        lfs.check(git, index.path, files)
-        for path, _ in repositories(files):
-            lfs.check_all(Git(root / os.fsdecode(path)))
-        submodules = dict(_submodules(root, files))
-        inner = {
-            path: record(Git(root / os.fsdecode(path)), PathSelection(), large) for path in sorted(status.inner & files.keys())
-        }
-        for path, snapshot in inner.items():
-            files[path] = b"160000 " + snapshot.tree.encode()
-            submodules |= {f"{os.fsdecode(path)}/{below}": commit for below, commit in snapshot.submodules.items()}
-        tree = write(git, files) if inner else index.write_tree()
+        found = _write_tree(git, index, chosen, large)
+        if not found.agrees():
+            index.start_from_commit()
+            found = _write_tree(git, index, chosen, large)
+        if not found.agrees():
+            raise Missing(f"git in {git.root} writes another tree than its index lists; try another version of git")
+    status, tree, files, submodules = found
     git("update-ref", f"refs/sierra/{tree}", tree)
     recorded = {**dict.fromkeys(status.stale), **status.recorded} if status.commit else {}
     doubtful = status.inner | status.conflicts
     differing = {path for path, what in recorded.items() if files.get(path) != what or path in doubtful}
     return _state(status, tree, files, differing, _absent(git, status, differing), submodules)
+
+
+class _Written(NamedTuple):
+    """A tree that git wrote from an index, and what the index listed."""
+
+    status: Status
+    tree: str
+    files: dict[bytes, bytes]
+    submodules: dict[str, str]
+
+    def agrees(self) -> bool:
+        """Return True if the tree has exactly the listed files. Git has been seen to write others from a damaged index."""
+        return manifest.tree_hash(self.files) == self.tree
+
+
+def _write_tree(git: Git, index: _Index, chosen: PathSelection, large: int) -> _Written:
+    root = git.root
+    status = index.status()
+    files = index.update(status, large)
+    while unfit := [*chosen.others(files), *_hollow(root, files), *index.ignored(files)]:
+        index.remove(unfit)
+        status = index.status()
+        files = index.update(status, large)
+    lfs.check(git, index.path, files)
+    for path, _ in repositories(files):
+        lfs.check_all(Git(root / os.fsdecode(path)))
+    submodules = dict(_submodules(root, files))
+    inner = {
+        path: record(Git(root / os.fsdecode(path)), PathSelection(), large) for path in sorted(status.inner & files.keys())
+    }
+    for path, snapshot in inner.items():
+        files[path] = b"160000 " + snapshot.tree.encode()
+        submodules |= {f"{os.fsdecode(path)}/{below}": commit for below, commit in snapshot.submodules.items()}
+    return _Written(status, write(git, files) if inner else index.write_tree(), files, submodules)
 
 
 def describe_commit(git: Git, chosen: PathSelection) -> WorktreeState:
@@ -167,9 +191,13 @@ class _Index:
                 copy()
                 return self._status()
             self.path.unlink(missing_ok=True)
-        if self._git.head() is not None:
-            self._git("read-tree", "HEAD", index=self.path, at_top=True)
+        self.start_from_commit()
         return self._status()
+
+    def start_from_commit(self) -> None:
+        """Replace the index by one with the commit's files; an empty one if there is no commit."""
+        self.path.unlink(missing_ok=True)
+        self._git("read-tree", "--empty" if self._git.head() is None else "HEAD", index=self.path, at_top=True)
 
     def _copy_kept(self) -> None:
         shutil.copy2(self._kept, self.path)  # with its time: git uses it to decide which files to read again

@@ -258,6 +258,32 @@ def test_git_settings_of_the_user_do_not_change_the_source(repository: Path, git
     assert source.changed(before.manifest, capture(repository).manifest) == ["a.txt", "sub/new"]
 
 
+LYING_GIT = """#!/bin/sh
+case "$*" in
+*write-tree*) if [ "$(ls "{folder}" | wc -l)" -lt {lies} ]; then mktemp -p "{folder}" >/dev/null; echo {tree}; exit; fi ;;
+esac
+exec {git} "$@"
+"""
+
+
+@pytest.mark.parametrize("lies", [1, 9])
+def test_a_tree_that_differs_from_the_listed_files_is_not_believed(
+    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lies: int
+) -> None:
+    before = capture(repository)
+    folder, program = tmp_path / "lies", tmp_path / "bin" / "git"
+    folder.mkdir()
+    empty_tree = "4b825dc642cb6eb9a060e54bf8d69288fbee4904"
+    fill(program.parent, {"git": LYING_GIT.format(folder=folder, lies=lies, tree=empty_tree, git=shutil.which("git"))})
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}:{os.environ['PATH']}")
+    if lies == 1:
+        assert capture(repository) == before
+    else:
+        with pytest.raises(Missing, match="another tree than its index lists"):
+            capture(repository)
+
+
 def test_files_that_git_assumes_unchanged_are_part_of_the_source(repository: Path, git: Git) -> None:
     before = capture(repository)
     shutil.rmtree(repository / ".git" / "sierra")
