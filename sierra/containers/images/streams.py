@@ -1,7 +1,7 @@
 """Byte streams from outside that are read forwards once, and are counted, limited and hashed while they are read.
 
-`tarfile` trusts the sizes in a header, and reads that many bytes at once. A `ForwardStream` therefore limits each read to the
-size that a header may have, limits the total to the size that the image may have, and computes the digest of all bytes.
+`tarfile` trusts the sizes in a header, and reads that many bytes into memory. A `ForwardStream` therefore limits the bytes of a
+header, limits the total to the size that the image may have, and computes the digest of all bytes.
 """
 
 from __future__ import annotations
@@ -41,12 +41,20 @@ class ForwardStream:
         self._stream, self._most, self._what = stream, most, what
         self._place = 0
         self._hash = hashlib.sha256()
+        self.header: int | None = None
+        """The bytes of the current header that were read; None if no header is being read."""
         self.last = b""
         """The last data that was read, if it was one block of a tar; else empty."""
 
     def read(self, size: int = -1) -> bytes:
-        if not 0 <= size <= MAX_HEADER:
-            raise Damaged(f"{self._what} has a header of {size} bytes; at most {MAX_HEADER} are allowed")
+        whole = (self.header or 0) + size
+        if size < 0 or whole > MAX_HEADER:
+            raise Damaged(f"{self._what} has a header of {whole} bytes; at most {MAX_HEADER} are allowed")
+        if self.header is not None:
+            self.header = whole
+        return self._read(size)
+
+    def _read(self, size: int) -> bytes:
         parts, missing = [], size
         try:
             while missing and (part := self._stream.read(min(missing, PIECE))):
@@ -68,7 +76,7 @@ class ForwardStream:
     def seek(self, place: int) -> int:
         if place < self._place:
             raise Damaged(f"{self._what} has a header that points back")
-        while self._place < place and self.read(min(PIECE, place - self._place)):
+        while self._place < place and self._read(min(PIECE, place - self._place)):
             pass
         return self._place
 
@@ -82,10 +90,13 @@ class ForwardStream:
 def members(stream: ForwardStream, what: str) -> Iterator[tuple[tarfile.TarInfo, tarfile.TarFile]]:
     """Yield the members of a tar, in order. Raises Damaged for an invalid tar, also for errors that `tarfile` would ignore."""
     try:
+        stream.header = 0
         with tarfile.TarFile(fileobj=stream, encoding="utf-8", errors="surrogateescape") as tar:  # type: ignore[arg-type]
             while (member := tar.next()) is not None:
+                stream.header = None
                 yield member, tar
                 tar.members = []  # type: ignore[attr-defined]  # else it keeps all headers
+                stream.header = 0
     except UNREADABLE as error:
         raise Damaged(f"{what} is not a valid tar archive: {error}") from error
     if stream.last.strip(b"\0"):
