@@ -82,7 +82,7 @@ class ForwardStream:
 
     def digest(self) -> str:
         """Return the SHA-256 of the whole stream. Reads the rest first."""
-        while self.read(PIECE):
+        while self._read(PIECE):
             pass
         return self._hash.hexdigest()
 
@@ -99,6 +99,8 @@ def members(stream: ForwardStream, what: str) -> Iterator[tuple[tarfile.TarInfo,
                 stream.header = 0
     except UNREADABLE as error:
         raise Damaged(f"{what} is not a valid tar archive: {error}") from error
+    finally:
+        stream.header = None
     if stream.last.strip(b"\0"):
         raise Damaged(f"{what} has a broken header near byte {stream.tell()}")
 
