@@ -22,6 +22,7 @@ from sierra.config.project_file import RawTable
 from sierra.ingest.base import Columns, described
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
+from sierra.model import OutputFile
 from sierra.testing.claims import holds, is_one_line, says_what_its_options_are
 from sierra.worker import worker
 
@@ -136,9 +137,9 @@ def _are(rows: Sequence[Row], columns: Columns) -> None:
 
 def _written(path: Path, number: int) -> Written:
     """Return a file as a worker describes it."""
-    seen = worker.describe(str(path), path.name)
-    facts = [seen[name] for name in ("path", "head", "lines", "ended", "bytes")]
-    return Written(str(path), f"r{number}", f"e{number}", *facts, *(seen.get(name) for name in ("quotes", "blank", "alike")))
+    seen = OutputFile(**worker.describe(str(path), path.name))
+    facts = (seen.path, seen.head, seen.lines, seen.ended, seen.bytes, seen.quotes, seen.blank, seen.alike)
+    return Written(str(path), f"r{number}", f"e{number}", *facts)
 
 
 CLAIMS: tuple[Callable[[Trial], None], ...] = (

@@ -63,6 +63,7 @@ read. If the worker in a container is late in ending a run, the whole container 
 from __future__ import annotations
 
 import base64
+import contextlib
 import errno
 import hashlib
 import heapq
@@ -80,7 +81,11 @@ import subprocess
 import sys
 import threading
 import time
-from typing import Any, Callable, Iterable, Iterator, TextIO
+from typing import TYPE_CHECKING, Callable, Iterable, Iterator, Mapping, Sequence, TextIO, TypedDict, Union
+
+if TYPE_CHECKING:
+    from resource import struct_rusage
+    from typing import Literal, NotRequired
 
 FOLDERS = ("home", "tmp", "output")
 LOGS = ("stdout", "stderr")
@@ -105,6 +110,115 @@ LINE_BYTES = 1 << 16
 MOST_NAMED = 10  # entries that a run leaves and that are neither files nor folders
 
 
+class Limits(TypedDict, total=False):
+    """The limits of a run that are set: see `sierra.model.Limits`."""
+
+    wall_s: float
+    cpu_s: float
+    memory_bytes: int
+    output_bytes: int
+    grace_s: float
+
+
+class Program(TypedDict):
+    """A program; `stop` is the command that ends the container of one that starts a container."""
+
+    argv: Sequence[str]
+    environment: Mapping[str, str]
+    stop: NotRequired[Sequence[str]]
+
+
+class Job(Program):
+    """A run to execute: one line of the input."""
+
+    run: str
+    execution: str
+    files: dict[str, str]
+    """The content of each input file, in base64."""
+    limits: Limits
+    client: NotRequired[Program]
+    shared: NotRequired[bool]
+    used: NotRequired[int | None]
+    seal: NotRequired[str]
+
+
+class Counted(TypedDict):
+    """The counts of a file; the last three are those of a text."""
+
+    bytes: int
+    lines: int
+    ended: bool
+    quotes: NotRequired[int]
+    blank: NotRequired[int]
+    alike: NotRequired[bool]
+
+
+class OutputFile(Counted):
+    """A file that a run has left: see `sierra.model.OutputFile`."""
+
+    path: str
+    sha256: str
+    head: str
+
+
+class Usage(TypedDict):
+    """The resources that a run has used; None if this is unknown."""
+
+    user_s: float | None
+    system_s: float | None
+    max_rss_bytes: int | None
+
+
+UNUSED: Usage = {"user_s": 0.0, "system_s": 0.0, "max_rss_bytes": 0}
+
+
+class Remains(TypedDict):
+    """The outputs of a run that has ended, and why they are incomplete."""
+
+    stopped: str | None
+    outputs: list[OutputFile]
+    error: str | None
+    left_out: NotRequired[list[str]]
+    spare: NotRequired[bool]
+
+
+class Start(TypedDict):
+    """The event that a run has begun."""
+
+    event: Literal["start"]
+    execution: str
+    pid: int
+    born: int | None
+
+
+class Stalled(TypedDict):
+    """The event that all processes of a run are stopped."""
+
+    event: Literal["stalled"]
+    run: str
+    execution: str
+    pid: int
+    since: float
+
+
+class End(Usage, Remains):
+    """The event that a run has ended: see `sierra.model.Result`."""
+
+    event: Literal["end"]
+    run: str
+    execution: str
+    directory: str
+    started: float
+    ended: float
+    exit_code: int | None
+    signal: int | None
+    host: str
+    slot: int
+
+
+Event = Union[Start, Stalled, End]
+
+
 class GivenUp(Exception):
     """The worker stops, and no longer reads the outputs of a run."""
 
@@ -119,8 +233,8 @@ class Journal:
         self._piped = path is None
         self._lock = threading.Lock()
 
-    def write(self, event: dict[str, Any]) -> None:
-        line = json.dumps(event, separators=(",", ":")).encode() + b"\n"
+    def write(self, event: Event, seal: str | None = None) -> None:
+        line = json.dumps({**event, "seal": seal} if seal else event, separators=(",", ":")).encode() + b"\n"
         with self._lock:
             if self._piped:
                 write_all(self._file, b"\n" + line)  # another process may have begun a line
@@ -151,10 +265,8 @@ class Bell:
         self._poll.register(pipe, 0)
 
     def ring(self) -> None:
-        try:
+        with contextlib.suppress(BlockingIOError):
             os.write(self._hand, b"!")
-        except BlockingIOError:
-            pass
 
     def wait(self, seconds: float) -> bool:
         """Wait for so many seconds or until rung. Return False if the pipe was closed."""
@@ -170,12 +282,12 @@ class Bell:
 class Running:
     """A running program. Its lock guards the moment from which its process id may belong to another process."""
 
-    def __init__(self, job: dict[str, Any], folder: str, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, job: Job, folder: str, process: subprocess.Popen[bytes]) -> None:
         self.run, self.execution = job["run"], job["execution"]
         self.seal = job.get("seal")
         self.folder = folder
         self.pid = process.pid
-        self.limits = job.get("limits", {})
+        self.limits = job["limits"]
         self.client = client_in(job["client"], folder) if "client" in job else None
         self.meter = Meter(self) if self.client else None
         self.measured = any(self.limits.get(name) is not None for name in ("cpu_s", "memory_bytes", "output_bytes"))
@@ -189,7 +301,7 @@ class Running:
         self.lock = threading.Lock()
 
     def deadline(self) -> float | None:
-        wall: float | None = self.limits.get("wall_s")
+        wall = self.limits.get("wall_s")
         if wall is None or self.meter is None:
             return None if wall is None else self.started + wall
         # the time in which an engine starts a container does not count for the run
@@ -279,7 +391,7 @@ class Meter:
             self._roots = [(pid, birth(pid)) for pid in marked[:1]]
         return [pid for root, _ in self._roots for pid in descendants(root)]
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> Usage:
         if self.since is None:
             return {"user_s": None, "system_s": None, "max_rss_bytes": None}
         return {"user_s": self.user_s, "system_s": self.system_s, "max_rss_bytes": self.max_rss}
@@ -288,7 +400,7 @@ class Meter:
 class Container:
     """The container that the runs of a slot share: a client here, and this worker inside, connected by pipes."""
 
-    def __init__(self, client: dict[str, Any], folder: str) -> None:
+    def __init__(self, client: Program, folder: str) -> None:
         self.runs = os.path.join(folder, RUNS)
         os.makedirs(self.runs)
         self.client = client_in(client, folder)
@@ -308,7 +420,7 @@ class Container:
         self.late = False
         self.lock = threading.Lock()
 
-    def execute(self, job: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    def execute(self, job: Job) -> Iterator[Event]:
         """Yield the events of the worker in the container about a run, until the run has ended.
 
         Stops early if the container ends.
@@ -327,12 +439,13 @@ class Container:
                 self.deadline = None
                 return
 
-    def allow(self, limits: dict[str, Any], spare: float) -> None:
+    def allow(self, limits: Limits, spare: float) -> None:
         """Set the deadline for a run's end: its time limit and grace time, plus `spare` seconds."""
-        if limits.get("wall_s") is not None:
-            self.deadline = time.monotonic() + limits["wall_s"] + limits.get("grace_s", 5.0) + spare
+        wall = limits.get("wall_s")
+        if wall is not None:
+            self.deadline = time.monotonic() + wall + limits.get("grace_s", 5.0) + spare
 
-    def events(self, seal: str) -> Iterator[dict[str, Any]]:
+    def events(self, seal: str) -> Iterator[Event]:
         """Yield the events of the worker in the container. Lines without the seal are ignored; a run cannot know it."""
         said = self.process.stdout
         for line in iter(lambda: said.readline(LINE_BYTES) if said else b"", b""):
@@ -344,7 +457,7 @@ class Container:
             if sealed:
                 yield event
 
-    def send(self, record: dict[str, Any]) -> None:
+    def send(self, record: Mapping[str, object]) -> None:
         with self.lock:
             if self.process.stdin is None or self.process.stdin.closed:
                 raise BrokenPipeError
@@ -362,11 +475,9 @@ class Container:
                 self.lock.release()
 
     def shut(self) -> None:
-        try:
+        with contextlib.suppress(OSError):
             if self.process.stdin is not None:
                 self.process.stdin.close()
-        except OSError:
-            pass
 
     def hurry(self) -> None:
         if self.kill_at is not None:
@@ -422,7 +533,7 @@ class Worker:
         self.slots = slots
         self.journal = Journal(os.path.join(folder, "journal.jsonl") if journal == "" else journal)
         self.host = socket.gethostname()
-        self.jobs: queue.Queue[dict[str, Any] | None] = queue.Queue(maxsize=2 * slots)
+        self.jobs: queue.Queue[Job | None] = queue.Queue(maxsize=2 * slots)
         self.running: dict[int, Running] = {}
         self.containers: dict[int, Container] = {}
         self.contains = False
@@ -512,7 +623,7 @@ class Worker:
             container.close()
         self.bell.ring()
 
-    def execute_inside(self, job: dict[str, Any], slot: int) -> None:
+    def execute_inside(self, job: Job, slot: int) -> None:
         """Execute one run in the slot's container. Starts the container if there is none."""
         container = self.containers.get(slot)
         began, started = time.time(), time.monotonic()
@@ -521,43 +632,42 @@ class Worker:
                 container = self.containers[slot] = Container(job["client"], self.next_folder("slot-"))
             except OSError as error:
                 reason = "its container could not be started: " + explain(error)
-                self.journal.write(self.report(job, slot, self.folder, began, 0.0, error=reason))
+                self.report(job, slot, self.folder, began, 0.0, nothing(reason))
                 return
         for event in container.execute(job):
-            if event["event"] != "end":
-                event["pid"] = container.pid
-                event.update({"born": birth(container.pid)} if event["event"] == "start" else {})
-            else:
+            if event["event"] == "end":
                 if event["stopped"] != "interrupted":
                     check_room(self.folder)
-                event.update(self.taken_out(job, container, event), slot=slot, host=self.host)
-            self.journal.write(event)
-            if event["event"] == "end":
+                self.journal.write(self.taken_out(job, container, event, slot))
                 return
+            event["pid"] = container.pid
+            if event["event"] == "start":
+                event["born"] = birth(container.pid)
+            self.journal.write(event)
         del self.containers[slot]
         said = container.close()
         wall = time.monotonic() - started
         folder = os.path.join(container.runs, "lost")
         stopped = "interrupted" if self.stopping else "timeout" if container.late else None
         trouble = None if stopped else "its container ended: " + said
-        self.journal.write(self.report(job, slot, folder, began, wall, stopped=stopped, error=trouble))
+        self.report(job, slot, folder, began, wall, nothing(trouble, stopped))
 
-    def taken_out(self, job: dict[str, Any], container: Container, event: dict[str, Any]) -> dict[str, Any]:
-        """Move a run's folder out of the container's reach, and return the fields of its report that describe its outputs."""
+    def taken_out(self, job: Job, container: Container, event: End, slot: int) -> End:
+        """Move a run's folder out of the container's reach, and return its event with its outputs."""
         folder = self.next_folder()
         inside = os.path.join(container.runs, os.path.basename(event["directory"]))
+        left = nothing("its folder is gone", event["stopped"])
         if is_folder(inside):
             os.rename(inside, folder)
             left = left_behind(folder, job["limits"], event["stopped"], self.go_on)
-        else:
-            left = {"error": "its folder is gone"}
-        return {"directory": folder, **left, "error": event["error"] or left["error"]}
+        left["error"] = event["error"] or left["error"]
+        return {**event, "directory": folder, "slot": slot, "host": self.host, **left}
 
     def next_folder(self, prefix: str = "") -> str:
         with self.lock:
             return os.path.join(self.folder, prefix + str(next(self.numbers)))
 
-    def execute(self, job: dict[str, Any], slot: int) -> None:
+    def execute(self, job: Job, slot: int) -> None:
         """Execute one run, from making its folder to writing its line in the journal."""
         folder = self.next_folder()
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
@@ -566,16 +676,12 @@ class Worker:
             process = start(job, folder)
         except (OSError, ValueError) as error:
             wall = time.monotonic() - started
-            self.journal.write(self.report(job, slot, folder, began, wall, error="could not be started: " + explain(error)))
+            self.report(job, slot, folder, began, wall, nothing("could not be started: " + explain(error)))
             return
         running = Running(job, folder, process)
         with self.lock:
             self.running[running.pid] = running
-        try:
-            event = {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)}
-            self.journal.write({**event, "seal": running.seal} if running.seal else event)
-        except OSError as error:
-            self.fail(error)
+        self.tell(running, {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)})
         if running.limited or self.stopping:
             self.bell.ring()
         status, usage = await_end(running)
@@ -593,26 +699,14 @@ class Worker:
         if running.stopped != "interrupted" and not running.seal:
             check_room(self.folder)
         spare = alone and self.adopts and place is not None and place.is_spare()
-        # the folder of a run with a seal is read by the worker that takes it out of the container
-        left: dict[str, Any] = {"stopped": running.stopped, "error": self.tidied(folder) if running.seal else None}
-        if not running.seal:
+        if running.seal:  # the worker that takes the folder out of the container reads it
+            left = nothing(self.tidied(folder), running.stopped)
+        else:
             left = left_behind(folder, running.limits, running.stopped, self.go_on, spare)
         if spare and place is not None and not left["error"] and sum(file["bytes"] for file in left["outputs"]) <= CHUNK:
             self.spare[int(os.path.basename(folder))] = place
             left["spare"] = True
-        self.journal.write(
-            self.report(
-                job,
-                slot,
-                folder,
-                began,
-                wall,
-                exit_code=os.WEXITSTATUS(status) if os.WIFEXITED(status) else None,
-                signal=os.WTERMSIG(status) if os.WIFSIGNALED(status) else None,
-                **(running.meter.report() if running.meter else used(usage)),
-                **left,
-            )
-        )
+        self.report(job, slot, folder, began, wall, left, status, running.meter.report() if running.meter else used(usage))
 
     def await_signal(self) -> None:
         """Give a SIGTERM that has ended a run time to reach this process too: a scheduler sends it to one after the other."""
@@ -620,12 +714,10 @@ class Worker:
         while not self.stopping and time.monotonic() < deadline:
             time.sleep(SAMPLE_S)
 
-    def tell_stalled(self, running: Running) -> None:
-        """Report that all processes of a run are stopped."""
-        named = {"run": running.run, "execution": running.execution, "pid": running.pid}
-        event = {"event": "stalled", **named, "since": time.time() - STALLED_S}
+    def tell(self, running: Running, event: Event) -> None:
+        """Write an event of a run. If this fails, the worker cannot continue."""
         try:
-            self.journal.write({**event, "seal": running.seal} if running.seal else event)
+            self.journal.write(event, running.seal)
         except OSError as error:
             self.fail(error)
 
@@ -643,30 +735,33 @@ class Worker:
                         return "files that it left in shared folders cannot be removed: " + path
         return "no space was left in its container: " + full[0] if full else None
 
-    def report(self, job: dict[str, Any], slot: int, folder: str, began: float, wall: float, **fields: Any) -> dict[str, Any]:
-        """Return the line for the journal; `began` is in seconds since the epoch, `wall` in seconds."""
-        report = {
+    def report(
+        self,
+        job: Job,
+        slot: int,
+        folder: str,
+        began: float,
+        wall: float,
+        left: Remains,
+        status: int | None = None,
+        usage: Usage = UNUSED,
+    ) -> None:
+        """Write that a run has ended; `began` is in seconds since the epoch, `wall` in seconds. `status`: None if not begun."""
+        event: End = {
             "event": "end",
             "run": job["run"],
             "execution": job["execution"],
             "directory": folder,
             "started": began,
             "ended": began + wall,
-            "exit_code": None,
-            "signal": None,
-            "stopped": None,
-            "user_s": 0.0,
-            "system_s": 0.0,
-            "max_rss_bytes": 0,
+            "exit_code": os.WEXITSTATUS(status) if status is not None and os.WIFEXITED(status) else None,
+            "signal": os.WTERMSIG(status) if status is not None and os.WIFSIGNALED(status) else None,
+            **usage,
             "host": self.host,
             "slot": slot,
-            "outputs": [],
-            "error": None,
+            **left,
         }
-        report.update(fields)
-        if "seal" in job:
-            report["seal"] = job["seal"]
-        return report
+        self.journal.write(event, job.get("seal"))
 
     def watch(self) -> float:
         """Enforce the limits that are due, and return the seconds until the next check."""
@@ -696,7 +791,8 @@ class Worker:
             if deadline is not None and now >= deadline:
                 one.stop("timeout")
             if one.stalled(now):
-                self.tell_stalled(one)
+                since = time.time() - STALLED_S
+                self.tell(one, {"event": "stalled", "run": one.run, "execution": one.execution, "pid": one.pid, "since": since})
             if one.stopped is None and now - one.started > POLL_S / 2:
                 reason = exceeded(one)
                 if reason:
@@ -720,7 +816,7 @@ class Place:
     def __init__(self, folder: str, files: list[str]) -> None:
         self.folder = folder
         self.files = files
-        self.seen: dict[str, tuple[Any, ...]] = {}
+        self.seen: dict[str, tuple[object, ...]] = {}
         self.see("", *FOLDERS, *LOGS, *files)
 
     def see(self, *names: str) -> None:
@@ -753,7 +849,7 @@ class Place:
             return False
         return True
 
-    def serve(self, job: dict[str, Any], folder: str) -> None:
+    def serve(self, job: Job, folder: str) -> None:
         """Turn the folder into that of another run."""
         os.rename(self.folder, folder)
         self.folder = folder
@@ -763,7 +859,7 @@ class Place:
         self.see("", *self.files)
 
 
-def seen(path: str) -> tuple[Any, ...]:
+def seen(path: str) -> tuple[object, ...]:
     """Return values of a folder or a file that differ after it was changed (ctime may not, within one tick of the clock)."""
     found = os.lstat(path)
     inside = sorted(os.listdir(path)) if stat.S_ISDIR(found.st_mode) else found.st_size
@@ -779,7 +875,7 @@ def attributes_of(path: str) -> list[str]:
         return []
 
 
-def prepare(job: dict[str, Any], folder: str, used: Place | None = None) -> Place | None:
+def prepare(job: Job, folder: str, used: Place | None = None) -> Place | None:
     """Make the run's folder with its input files, or reuse a spare one. If that fails, the worker cannot continue."""
     if used is not None:
         if used.files == list(job["files"]) and used.clear():
@@ -801,12 +897,12 @@ def make_log(path: str) -> None:
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
 
 
-def allotted(job: dict[str, Any], slot: int, slots: int) -> dict[str, Any]:
+def allotted(job: Job, slot: int, slots: int) -> Job:
     """Return the job with the devices of its slot, if it requests any."""
     if not any(job["environment"].get(name) == ALLOTTED + name for name in DEVICES):
         return job
     given = devices(slot, slots)
-    filled = {**job, "environment": with_devices(job["environment"], given)}
+    filled: Job = {**job, "environment": with_devices(job["environment"], given)}
     if "client" in job:
         client = job["client"]
         argv = [word for word in (with_device(word, given) for word in client["argv"]) if word is not None]
@@ -814,7 +910,7 @@ def allotted(job: dict[str, Any], slot: int, slots: int) -> dict[str, Any]:
     return filled
 
 
-def with_devices(variables: dict[str, str], given: dict[str, str]) -> dict[str, str]:
+def with_devices(variables: Mapping[str, str], given: dict[str, str]) -> dict[str, str]:
     filled = {name: with_device(value, given) for name, value in variables.items()}
     return {name: value for name, value in filled.items() if value is not None}
 
@@ -846,7 +942,7 @@ def part_of(found: list[str], slot: int, slots: int) -> str:
     return ",".join(found)
 
 
-def start(job: dict[str, Any], folder: str) -> subprocess.Popen[bytes]:
+def start(job: Job, folder: str) -> subprocess.Popen[bytes]:
     """Start a run's program in its folder."""
     started = client_in(job.get("client", job), folder)
     out, err = (os.open(os.path.join(folder, name), os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC) for name in LOGS)
@@ -865,7 +961,7 @@ def start(job: dict[str, Any], folder: str) -> subprocess.Popen[bytes]:
         os.close(err)
 
 
-def client_in(client: dict[str, Any], folder: str) -> dict[str, Any]:
+def client_in(client: Program, folder: str) -> Program:
     """Return the program's words and environment with the path of the given folder."""
     return {
         "argv": [word.replace("\0", folder) for word in client["argv"]],
@@ -874,10 +970,10 @@ def client_in(client: dict[str, Any], folder: str) -> dict[str, Any]:
     }
 
 
-def end_container(client: dict[str, Any]) -> None:
+def end_container(client: Program) -> None:
     """End the container of a client that is gone or does not react."""
     if client.get("stop"):
-        try:
+        with contextlib.suppress(OSError, subprocess.TimeoutExpired):  # a later check looks for the container again
             subprocess.run(
                 client["stop"],
                 stdin=subprocess.DEVNULL,
@@ -887,11 +983,9 @@ def end_container(client: dict[str, Any]) -> None:
                 timeout=3 * CLEAN_S,
                 start_new_session=True,
             )
-        except (OSError, subprocess.TimeoutExpired):
-            pass  # a later check looks for the container again
 
 
-def await_end(running: Running) -> tuple[int, Any]:
+def await_end(running: Running) -> tuple[int, struct_rusage]:
     """Wait for the program's end, kill the rest of its group, and only then release its process id.
 
     If the program was told to end, the processes that it had started keep the rest of the grace time.
@@ -908,7 +1002,7 @@ def await_end(running: Running) -> tuple[int, Any]:
     return status, usage
 
 
-def used(usage: Any) -> dict[str, Any]:
+def used(usage: struct_rusage) -> Usage:
     """Return the resources that a program and its awaited children have used, as the kernel reports them."""
     unit = 1 if sys.platform == "darwin" else 1024
     return {"user_s": usage.ru_utime, "system_s": usage.ru_stime, "max_rss_bytes": usage.ru_maxrss * unit}
@@ -930,16 +1024,14 @@ def check_room(folder: str) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), folder)
 
 
-def left_behind(
-    folder: str, limits: dict[str, Any], stopped: str | None, go_on: Callable[[], None], spare: bool = False
-) -> dict[str, Any]:
+def left_behind(folder: str, limits: Limits, stopped: str | None, go_on: Callable[[], None], spare: bool = False) -> Remains:
     """Return why a run was stopped (as far as its files show it), and its outputs or why they cannot be read.
 
     Folders that are no longer needed are removed, unless the run's folder is spare. The outputs of an interrupted run are not
     read, and neither are outputs beyond the limit. `go_on` is called for each chunk that is read; it may raise GivenUp.
     """
     allowed = limits.get("output_bytes")
-    outputs: list[dict[str, Any]] = []
+    outputs: list[OutputFile] = []
     others: list[str] = []
     error = None
     try:
@@ -957,8 +1049,12 @@ def left_behind(
         stopped = "interrupted"
     except (OSError, RecursionError) as trouble:
         error = "its outputs cannot be read: " + explain(trouble)
-    left = {"stopped": stopped, "outputs": outputs, "error": error}
+    left: Remains = {"stopped": stopped, "outputs": outputs, "error": error}
     return {**left, "left_out": others[:MOST_NAMED]} if others else left
+
+
+def nothing(error: str | None, stopped: str | None = None) -> Remains:
+    return {"stopped": stopped, "outputs": [], "error": error}
 
 
 def found(root: str) -> tuple[list[tuple[str, str]], list[str]]:
@@ -991,7 +1087,7 @@ def within(files: Iterable[tuple[str, str]], most: int) -> Iterator[tuple[str, s
             yield path, name
 
 
-def described(files: Iterable[tuple[str, str]], go_on: Callable[[], None]) -> Iterator[dict[str, Any]]:
+def described(files: Iterable[tuple[str, str]], go_on: Callable[[], None]) -> Iterator[OutputFile]:
     """Yield the description of each file, with its hash. Makes a file readable if necessary."""
     for path, name in files:
         try:
@@ -1009,10 +1105,8 @@ def names_in(folder: str) -> set[str]:
 
 
 def unlink(path: str) -> None:
-    try:
+    with contextlib.suppress(OSError):  # the caller checks whether it still exists
         os.unlink(path)
-    except OSError:  # the caller checks whether it still exists
-        pass
 
 
 def is_folder(path: str) -> bool:
@@ -1044,7 +1138,7 @@ def remove(folder: str) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def describe(path: str, name: str, go_on: Callable[[], None] = lambda: None) -> dict[str, Any]:
+def describe(path: str, name: str, go_on: Callable[[], None] = lambda: None) -> OutputFile:
     digest, counts, head = hashlib.sha256(), Counts(), None
     with open(path, "rb", buffering=0) as file:
         while True:
@@ -1093,13 +1187,13 @@ class Counts:
         if b"\n\n" in seen or b"\n\r\n" in seen:
             self._blank += sum(found.end() > len(self._before) for found in EMPTY_LINE.finditer(seen))
 
-    def report(self) -> dict[str, Any]:
-        """Return the counts as fields of `sierra.model.OutputFile`."""
-        counts = {"bytes": self._size, "lines": self._lines, "ended": self._before.endswith(b"\n")}
-        if self.text:
-            alike = self._returns == 0 or self._returns == self._pairs == self._lines
-            counts.update(quotes=self._quotes, blank=self._blank, alike=alike)
-        return counts
+    def report(self) -> Counted:
+        """Return the counts."""
+        counts: Counted = {"bytes": self._size, "lines": self._lines, "ended": self._before.endswith(b"\n")}
+        if not self.text:
+            return counts
+        alike = self._returns == 0 or self._returns == self._pairs == self._lines
+        return {**counts, "quotes": self._quotes, "blank": self._blank, "alike": alike}
 
 
 def exceeded(running: Running) -> str | None:
@@ -1143,16 +1237,21 @@ def descendants(pid: int) -> list[int]:
         except OSError:
             continue
         for task in tasks:
-            found += children("/proc/%d/task/%s/children" % (parent, task))
+            found += children(parent, task)
     return found
 
 
-def children(path: str) -> list[int]:
+def read_proc(path: str) -> bytes:
+    """Return the content of a file in /proc; empty if it cannot be read."""
     try:
-        with open(path) as file:
-            return [int(word) for word in file.read().split()]
+        with open("/proc/" + path, "rb") as file:
+            return file.read()
     except OSError:
-        return []
+        return b""
+
+
+def children(process: int | str, task: int | str) -> list[int]:
+    return [int(word) for word in read_proc("%s/task/%s/children" % (process, task)).split()]
 
 
 def usage_of(pids: list[int]) -> tuple[int, float]:
@@ -1171,21 +1270,13 @@ def cpu_of(pids: list[int]) -> tuple[float, float]:
 
 def peak_of(pid: int) -> int:
     """Return the greatest resident size in bytes that a process has had; 0 if there is no such process."""
-    try:
-        with open("/proc/%d/status" % pid, "rb") as file:
-            lines = [line.split() for line in file if line.startswith(b"VmHWM:")]
-    except OSError:
-        return 0
+    lines = [line.split() for line in read_proc("%d/status" % pid).splitlines() if line.startswith(b"VmHWM:")]
     return int(lines[0][1]) * 1024 if lines else 0
 
 
 def environment_of(pid: int) -> list[bytes]:
-    """Return the environment with which a process was started, as NAME=value; empty if it cannot be read."""
-    try:
-        with open("/proc/%d/environ" % pid, "rb") as file:
-            return file.read().split(b"\0")
-    except OSError:
-        return []
+    """Return the environment with which a process was started, as NAME=value; nothing else if it cannot be read."""
+    return read_proc("%d/environ" % pid).split(b"\0")
 
 
 def write_all(descriptor: int, data: bytes) -> None:
@@ -1196,11 +1287,7 @@ def write_all(descriptor: int, data: bytes) -> None:
 
 def stat_of(pid: int) -> list[bytes]:
     """Return the fields of /proc/PID/stat after the program's name; empty if there is no such process."""
-    try:
-        with open("/proc/%d/stat" % pid, "rb") as file:
-            return file.read().rpartition(b")")[2].split()
-    except OSError:
-        return []
+    return read_proc("%d/stat" % pid).rpartition(b")")[2].split()
 
 
 def birth(pid: int) -> int | None:
@@ -1254,7 +1341,7 @@ def await_orphans() -> None:
 
 def orphans() -> list[int]:
     """Return the children of the main thread, which starts none itself."""
-    return children("/proc/self/task/%d/children" % os.getpid())
+    return children("self", os.getpid())
 
 
 def is_stopped(first: int | None, pids: Callable[[], list[int]]) -> bool:
@@ -1288,17 +1375,13 @@ def has_ended(pid: int) -> bool:
 
 
 def signal_group(pid: int, number: int) -> None:
-    try:
+    with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(pid, number)
-    except (ProcessLookupError, PermissionError):
-        pass
 
 
 def signal_process(pid: int, number: int) -> None:
-    try:
+    with contextlib.suppress(ProcessLookupError, PermissionError):
         os.kill(pid, number)
-    except (ProcessLookupError, PermissionError):
-        pass
 
 
 def explain(error: BaseException) -> str:
@@ -1345,10 +1428,8 @@ def main(arguments: list[str]) -> int:
     signal.signal(signal.SIGINT, lambda number, frame: None)  # a signal that is ignored here would be ignored by all runs
     finished = worker.work(sys.stdin)
     if worker.failure:
-        try:
+        with contextlib.suppress(OSError):
             os.write(2, ("worker: %s\n" % worker.failure).encode("utf-8", "backslashreplace"))
-        except OSError:
-            pass
         return 4 if worker.full else 3
     return 0 if finished else 1
 
