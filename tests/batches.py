@@ -9,8 +9,9 @@ from typing import Any
 
 import sierra
 from sierra.api import Project
-from sierra.runners.cluster.result_log_reader import Pack, Started
+from sierra.runners.cluster.result_log_reader import Pack
 from sierra.worker import marked_processes
+from sierra.worker.array_task import Started
 from tests import projects
 from tests.clusters import Slurm
 from tests.waiting import until

@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from sierra.model import OutputFile, Result
 from sierra.util.hashing import short
+from sierra.worker import worker
 
 AT_ONCE = 1 << 20
 
@@ -43,6 +44,7 @@ class Stalled:
 
 
 Event = Started | Stalled | Result
+Made = TypeVar("Made")
 
 
 class Journal:
@@ -87,14 +89,27 @@ class Journal:
 
 def _event(line: bytes) -> Event | None:
     try:
-        event: dict[str, Any] = json.loads(line)
-        kind = event.pop("event")
-        if kind == "start":
-            return Started(**event)
-        if kind == "stalled":
-            return Stalled(**event)
-        event["outputs"] = tuple(OutputFile(**file) for file in event["outputs"])
-        event["left_out"] = tuple(event.get("left_out", ()))
-        return Result(**event)
+        event: worker.Event = json.loads(line)
+        match event["event"]:
+            case "start":
+                return made(Started, event)
+            case "stalled":
+                return made(Stalled, event)
+            case _:
+                return result_of(event)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
+
+
+def made(kind: Callable[..., Made], record: Mapping[str, object], **more: object) -> Made:
+    """Return an object from the fields of a record, with the fields `more`. Raises TypeError if these are not its fields.
+
+    The record's event, and what describes its payload, are not among them.
+    """
+    return kind(**{name: value for name, value in {**record, **more}.items() if name not in ("event", "files", "size")})
+
+
+def result_of(record: worker.Outcome, **more: object) -> Result:
+    """Return the result that a record of the event `end` contains. Raises TypeError and KeyError for another record."""
+    outputs = tuple(OutputFile(**file) for file in record["outputs"])
+    return made(Result, record, outputs=outputs, left_out=tuple(record.get("left_out", ())), **more)

@@ -23,19 +23,8 @@ written to the shared file system, and no locks are needed there.
 A pack is only ever appended to. It is a sequence of records: a line of JSON and, if that has a `size`, as many bytes followed
 by a line feed. The last key of a line is `check`, the beginning of the SHA-256 of the line without it. A record that is not
 complete, up to its last line feed, counts as not written (on a network file system, bytes may arrive in any order); nothing is
-written after it. If a record cannot be written completely, it is removed (by truncation), and the attempt ends. Events:
-
-    attempt     first, once: attempt, session, element, job, node, started, slots, cpus, memory (bytes), gpus, allocation (the
-                scheduler's variables), facts (`machine.facts`), variables (those that `record` names), python, clock (seconds
-                that the node's clock is ahead of the shared file system's)
-    start       a run has begun: execution, time; and alone, if no other run executes on the element meanwhile
-    stalled     all processes of a run are stopped by a signal: run, execution, pid, since
-    end         a run has ended, by itself or by a limit: all fields of sierra.model.Result except `directory`, `attempt`
-                and `environment`; `files`: a list of [path, bytes, sha256], in the order of the payload: `stdout`, `stderr`
-                (omitted if empty), and `output/…` for each of the outputs; `size`: the total size in bytes
-    requeue     the scheduler is requested to start the task again: time; and refused: the reason if it refuses
-    trouble     the attempt could not continue: reason, in a line; and full: whether a disk without space is the reason
-    finished    all missing runs have been executed: time
+written after it. If a record cannot be written completely, it is removed (by truncation), and the attempt ends. The events
+are those in EVENTS, `stalled` (as the worker writes it) and `end`: see `Packed`.
 
 An interrupted run (the task was told to end, by a time limit or by a user) has a start and no end. A scheduler sends its
 SIGTERM to all processes of a task, and a run that reacts to it may look as if it had ended by itself. Therefore no run is
@@ -66,6 +55,7 @@ import fnmatch
 import gzip
 import hashlib
 import importlib.util
+import itertools
 import json
 import os
 import platform
@@ -80,7 +70,54 @@ import threading
 import time
 from collections import deque
 from functools import partial
-from typing import Any, BinaryIO, Callable, Deque, Dict, Iterable, Iterator, List, NamedTuple, Optional, Set, Tuple
+from types import FrameType, ModuleType
+from typing import TYPE_CHECKING, Callable, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
+
+if TYPE_CHECKING:
+    from typing import IO, BinaryIO, Deque, Literal, NotRequired, TypedDict, final
+
+    from sierra.worker.worker import End, Event, Job, Limits, Outcome, Program
+
+    class Need(TypedDict):
+        """A file that must be the same as on the submitting host."""
+
+        name: str
+        path: str
+        sha256: NotRequired[str]
+        """Empty: the file only has to exist. For a link, it is the hash of its own target path, not of the target's content."""
+        search: NotRequired[str]
+        """The PATH on which runs find the program `name`; empty: they use `path`."""
+        link: NotRequired[bool]
+        holds: NotRequired[Optional[List[str]]]
+        """If given, the folders in `path` (as in a PATH) must have exactly these distributions: see `installed`."""
+
+    class Difference(TypedDict, total=False):
+        """A job without the keys that equal those of the common job, also within `environment`."""
+
+        run: str
+        execution: str
+        argv: List[str]
+        environment: Dict[str, str]
+        files: Dict[str, "Union[str, Between]"]
+        limits: Limits
+        client: Program
+        shared: bool
+        end: int
+        """The number of jobs; only in the last line."""
+
+    class Packed(Outcome):
+        """The record that a run has ended, by itself or by a limit; `size` is the total size of its files."""
+
+        event: Literal["end"]
+        files: List["File"]
+        """In the order of the payload: `stdout`, `stderr` (omitted if empty), and `output/…` for each of the outputs."""
+        size: int
+
+    @final
+    class Other(TypedDict):
+        """A record without a payload."""
+
+        event: Literal["attempt", "start", "stalled", "requeue", "trouble", "finished"]
 
 # No `from __future__ import annotations`: a Python before 3.7 would fail on it without a line that names the needed version.
 
@@ -116,11 +153,78 @@ ALLOCATION = (
 )
 """The variables of a scheduler that describe the allocated resources."""
 
-Event = Dict[str, Any]
 File = Tuple[str, int, str]
+"""Path, size and SHA-256 of a file."""
+Between = Tuple[int, str, int]
+"""A file that begins and ends like the common job's: bytes of the common beginning, the rest in base64, bytes of the end."""
 
 
-class Trouble(Exception):
+class Attempt(NamedTuple):
+    """The first record of a pack: where and with what an attempt began."""
+
+    attempt: str
+    session: str
+    element: int
+    job: str
+    """The task's id in its scheduler, for example `12_3` or `12[3].server`; empty without a scheduler."""
+    node: str
+    started: float
+    """By the node's clock, in seconds since the epoch, like all times in records."""
+    slots: int
+    """Number of runs that execute at a time: the requested number, but at most the number of usable cores."""
+    cpus: int
+    """Number of allocated cores."""
+    memory: Optional[int]
+    """Bytes."""
+    gpus: Optional[str]
+    allocation: Dict[str, str]
+    """The scheduler's variables."""
+    facts: Dict[str, object]
+    """See `machine.facts`."""
+    variables: Dict[str, str]
+    """Those that `record` names."""
+    python: str
+    clock: float
+    """Seconds that the node's clock is ahead of the shared file system's."""
+
+
+class Started(NamedTuple):
+    """A run has begun."""
+
+    execution: str
+    time: float
+    alone: bool = False
+    """True if no other run executes on the element meanwhile."""
+
+
+class Requeued(NamedTuple):
+    """The attempt requests its scheduler to start the task again, because its time is nearly over."""
+
+    time: float
+    refused: Optional[str]
+    """The reason why the scheduler refuses; None if it does not."""
+
+
+class Trouble(NamedTuple):
+    """The attempt could not continue."""
+
+    reason: str
+    """One line."""
+    full: bool
+    """True if a disk was full, so that no run is the cause."""
+
+
+class Finished(NamedTuple):
+    """All missing runs of the element have been executed."""
+
+    time: float
+
+
+Record = Union[Attempt, Started, Requeued, Trouble, Finished]
+EVENTS = {Attempt: "attempt", Started: "start", Requeued: "requeue", Trouble: "trouble", Finished: "finished"}
+
+
+class CannotContinue(Exception):
     """The reason, in one line, why an attempt cannot continue."""
 
 
@@ -143,14 +247,7 @@ class Settings(NamedTuple):
 
     `$NAME` and `${NAME}` are replaced by the node's variables. None: $SLURM_TMPDIR, $TMPDIR or /tmp.
     """
-    needs: List[Dict[str, Any]]
-    """The files that must be the same as on the submitting host.
-
-    Keys: `name`, `path`, `sha256` (empty: the file only has to exist), and `search`: the PATH on which runs find the program
-    `name` (empty: they use `path`). For a `link`, the hash is that of the link's own target path, not of the target's content.
-    An entry with a list `holds` is different: its folders (`path`, as in a PATH) must have exactly these distributions: see
-    `installed`.
-    """
+    needs: "List[Need]"
     record: List[str]
     """The names, or patterns of names, of variables to record."""
     requeue: Tuple[str, ...] = ()
@@ -160,7 +257,14 @@ class Settings(NamedTuple):
 # ---------------------------------------------------------------- packs
 
 
-def line_of(record: Event) -> bytes:
+def event_of(record: Record) -> Dict[str, object]:
+    """Return a record with its event, and without a field that has its default value."""
+    defaults = record._field_defaults
+    fields = {name: value for name, value in record._asdict().items() if name not in defaults or value != defaults[name]}
+    return {"event": EVENTS[type(record)], **fields}
+
+
+def line_of(record: Mapping[str, object]) -> bytes:
     """Return the line for a record."""
     text = json.dumps(record, separators=(",", ":")).encode()
     return text[:-1] + CHECK + check_of(text) + b'"}\n'
@@ -170,17 +274,17 @@ def check_of(text: bytes) -> bytes:
     return hashlib.sha256(text).hexdigest()[:CHECK_DIGITS].encode()
 
 
-def record_in(line: bytes) -> Optional[Event]:
+def record_in(line: bytes) -> "Union[Packed, Other, None]":
     """Return the record in a line; None if the line is incomplete or damaged."""
     text, check, rest = line.rpartition(CHECK)
     text += b"}"
     if not check or rest != check_of(text) + b'"}\n':
         return None
-    record: Event = json.loads(text)
+    record: Union[Packed, Other] = json.loads(text)
     return record
 
 
-def records(file: BinaryIO, offset: int) -> Iterator[Tuple[Event, int, int]]:
+def records(file: "BinaryIO", offset: int) -> "Iterator[Tuple[Union[Packed, Other], int, int]]":
     """Yield the complete records from `offset` on, each with the offsets of its payload and of the next record."""
     while True:
         file.seek(offset)
@@ -212,16 +316,19 @@ class Pack:
         """Return the seconds that this node's clock is ahead of the file system's, by the time of the new file."""
         return time.time() - os.fstat(self._file).st_mtime
 
-    def add(self, record: Event, chunks: Iterable[bytes] = ()) -> None:
-        """Append a record; its payload, if it has a `size`, comes in chunks. If `chunks` raises, the pack stays as it was."""
-        line = line_of(record)
-        if "size" not in record:
-            self._pending += line
-        elif record["size"] <= CHUNK:
-            self._pending += b"".join((line, *chunks, b"\n"))
-        else:
+    def note(self, record: Record, *, sync: bool = False) -> None:
+        """Append a record; with `sync`, write it to the disk."""
+        self.add(line_of(event_of(record)))
+        if sync:
+            self.sync(float("inf"))
+
+    def add(self, line: bytes, size: int = 0, payload: Iterable[bytes] = ()) -> None:
+        """Append the line of a record, and its payload of `size` bytes. If `payload` raises, the pack stays as it was."""
+        if size > CHUNK:
             self.flush()
-            self._append(line, chunks, b"\n")
+            self._append(line, payload)
+        else:
+            self._pending += b"".join((line, *payload))
         if len(self._pending) > CHUNK:
             self.flush()
 
@@ -230,12 +337,11 @@ class Pack:
             self._append(bytes(self._pending))
             self._pending.clear()
 
-    def _append(self, first: bytes, chunks: Iterable[bytes] = (), last: bytes = b"") -> None:
+    def _append(self, line: bytes, payload: Iterable[bytes] = ()) -> None:
         at = self._whole
         try:
-            for parts in ((first,), chunks, (last,)):
-                for part in parts:
-                    at = self._write(part, at)
+            for part in itertools.chain((line,), payload):
+                at = self._write(part, at)
         except BaseException:
             self._take_back(self._whole)
             raise
@@ -270,8 +376,7 @@ class Pack:
     def say(self, reason: str, *, full: bool) -> None:
         """Record the trouble, if there is space for it."""
         with contextlib.suppress(OSError):
-            self.add({"event": "trouble", "reason": reason, "full": full})
-            self.sync(float("inf"))
+            self.note(Trouble(reason, full), sync=True)
 
     def is_gone(self) -> bool:
         """Return whether the pack, or its folder, has been removed."""
@@ -281,11 +386,11 @@ class Pack:
             return error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ESTALE)
 
 
-def executed(folder: str, index: str, own: str, asked: "Asked") -> Set[bytes]:
+def executed(folder: str, index: str, own: str, stop: "StopSignals") -> Set[bytes]:
     """Return the executions whose end other attempts have recorded with all files intact. Raises Unwanted."""
 
     def go_on() -> None:
-        if asked.times:
+        if stop.times:
             raise Unwanted
 
     found = set()
@@ -299,7 +404,7 @@ def executed(folder: str, index: str, own: str, asked: "Asked") -> Set[bytes]:
     return found
 
 
-def listed(path: str) -> List[str]:
+def read_lines(path: str) -> List[str]:
     """Return the executions in a list, in order; none if there is no such file."""
     try:
         with open(path) as file:
@@ -308,7 +413,7 @@ def listed(path: str) -> List[str]:
         return []
 
 
-def is_sound(file: BinaryIO, at: int, files: List[File], go_on: Callable[[], None] = lambda: None) -> bool:
+def is_sound(file: "BinaryIO", at: int, files: List[File], go_on: Callable[[], None] = lambda: None) -> bool:
     """Return whether a payload matches its hashes. Calls `go_on` for each chunk."""
     file.seek(at)
     for _, size, sha256 in files:
@@ -333,41 +438,41 @@ def short(execution: str) -> bytes:
 # ---------------------------------------------------------------- jobs
 
 
-def jobs(path: str) -> Iterator[Event]:
-    """Yield the jobs of an element, in the form that the worker reads. Raises Trouble if their number is wrong.
+def jobs(path: str) -> "Iterator[Job]":
+    """Yield the jobs of an element, in the form that the worker reads. Raises CannotContinue if their number is wrong.
 
-    The first line is `{"common": JOB}`, the last line is `{"end": COUNT}`. Each line between is a job without the keys that
-    equal those of the common job, also within `environment`. A file that begins and ends like the common job's file of that
-    name is [bytes of the common beginning, the content between, bytes of the common end]. Contents are base64.
+    The first line is `{"common": JOB}`, the last line is `{"end": COUNT}`. Each line between is a `Difference`.
     """
     count = 0
     with gzip.open(path, "rb") as lines:
-        common = json.loads(next(lines))["common"]
+        common: Job = json.loads(next(lines))["common"]
         for line in lines:
-            job = json.loads(line)
+            job: Difference = json.loads(line)
             if "end" in job:
                 if job["end"] != count:
                     break
                 return
             count += 1
-            yield whole(job, common)
-    raise Trouble("%s contains %d jobs, which is not the expected number" % (path, count))
+            yield complete(job, common)
+    raise CannotContinue("%s contains %d jobs, which is not the expected number" % (path, count))
 
 
-def whole(job: Event, common: Event) -> Event:
+def complete(job: "Difference", common: "Job") -> "Job":
+    """Return the job that differs in this from the common job."""
+    files = common["files"]
+    if job.get("files"):
+        files = {name: content_of(file, common["files"].get(name, "")) for name, file in job["files"].items()}
     environment = {**common["environment"], **job.get("environment", {})}
-    given: Dict[str, Any] = job.get("files") or common["files"]
-    files = {name: content_of(file, common["files"].get(name)) for name, file in given.items()}
-    return {**common, **job, "environment": environment, "files": files}
+    return {**common, **job, "environment": environment, "files": files}  # type: ignore[typeddict-unknown-key]  # `end` is not there
 
 
-def content_of(file: Any, common: Optional[str]) -> str:
+def content_of(file: Union[str, Between], common: str) -> str:
     """Return a file's content in base64."""
     if isinstance(file, str):
         return file
     head, between, tail = file
-    around = binascii.a2b_base64(common or "")
-    content = around[:head] + binascii.a2b_base64(between) + around[len(around) - tail :]
+    outer = binascii.a2b_base64(common)
+    content = outer[:head] + binascii.a2b_base64(between) + outer[len(outer) - tail :]
     return binascii.b2a_base64(content, newline=False).decode()
 
 
@@ -377,7 +482,9 @@ class Feeder(threading.Thread):
     Few are sent in advance, so that large outputs do not fill up the node.
     """
 
-    def __init__(self, path: str, wanted: Callable[[str], bool], ahead: int, pipe: Any, write: Any) -> None:
+    def __init__(
+        self, path: str, wanted: Callable[[str], bool], ahead: int, pipe: "IO[bytes]", write: Callable[[int, bytes], None]
+    ) -> None:
         super().__init__(daemon=True)
         self._path = path
         self._wanted = wanted
@@ -387,7 +494,7 @@ class Feeder(threading.Thread):
         self.spare: Deque[int] = deque()
         """The numbers of folders of packed runs, which other runs can reuse; see the worker."""
         self.sent = 0
-        self.error: Optional[Trouble] = None
+        self.error: Optional[CannotContinue] = None
 
     def run(self) -> None:
         try:
@@ -402,10 +509,11 @@ class Feeder(threading.Thread):
         except BrokenPipeError:
             pass  # the worker has ended, and reports the reason itself
         except Exception as error:
-            self.error = error if isinstance(error, Trouble) else Trouble("%s cannot be read: %s" % (self._path, error))
+            own = error if isinstance(error, CannotContinue) else None
+            self.error = own or CannotContinue("%s cannot be read: %s" % (self._path, error))
             self._pipe.close()  # closing the pipe ends the worker
 
-    def _send(self, record: Event) -> None:
+    def _send(self, record: Mapping[str, object]) -> None:
         self._write(self._pipe.fileno(), json.dumps(record, separators=(",", ":")).encode() + b"\n")
 
 
@@ -473,42 +581,42 @@ def contents(root: int, files: Iterable[File], go_on: Callable[[], None]) -> Ite
 # ---------------------------------------------------------------- the node
 
 
-def said_of(settings: Settings, index: int, facts: Event, slots: int) -> Event:
-    """Return the first record, without the attempt's own name."""
+def first_record(settings: Settings, index: int, facts: Dict[str, object], slots: int, cores: int) -> Attempt:
+    """Return the first record, without the attempt's own name and clock."""
     variables = os.environ
-    return {
-        "event": "attempt",
-        "attempt": "",
-        "session": settings.session,
-        "element": index,
-        "job": task_of(variables),
-        "node": variables.get("SLURMD_NODENAME") or os.uname().nodename,
-        "started": time.time(),
-        "slots": slots,
-        "cpus": number(variables, "SLURM_CPUS_PER_TASK", "SLURM_CPUS_ON_NODE", "NCPUS", "PBS_NP", "PBS_NUM_PPN")
-        or usable_cores(),
-        "memory": memory_of(variables),
-        "gpus": variables.get("SLURM_JOB_GPUS") or variables.get("CUDA_VISIBLE_DEVICES"),
-        "allocation": {name: variables[name] for name in ALLOCATION if name in variables},
-        "facts": facts,
-        "variables": {name: value for name, value in sorted(variables.items()) if is_recorded(name, settings.record)},
-        "python": platform.python_version(),
-    }
+    cpus = number(variables, "SLURM_CPUS_PER_TASK", "SLURM_CPUS_ON_NODE", "NCPUS", "PBS_NP", "PBS_NUM_PPN")
+    return Attempt(
+        attempt="",
+        session=settings.session,
+        element=index,
+        job=task_of(variables),
+        node=variables.get("SLURMD_NODENAME") or os.uname().nodename,
+        started=time.time(),
+        slots=slots,
+        cpus=cpus or cores,
+        memory=memory_of(variables),
+        gpus=variables.get("SLURM_JOB_GPUS") or variables.get("CUDA_VISIBLE_DEVICES"),
+        allocation={name: variables[name] for name in ALLOCATION if name in variables},
+        facts=facts,
+        variables={name: value for name, value in sorted(variables.items()) if is_recorded(name, settings.record)},
+        python=platform.python_version(),
+        clock=0.0,
+    )
 
 
-def task_of(variables: Any) -> str:
+def task_of(variables: Mapping[str, str]) -> str:
     """Return the task's id in its scheduler."""
     if "SLURM_ARRAY_JOB_ID" in variables:
         return "%s_%s" % (variables["SLURM_ARRAY_JOB_ID"], variables.get("SLURM_ARRAY_TASK_ID", ""))
     return str(variables.get("SLURM_JOB_ID") or variables.get("PBS_JOBID") or "")
 
 
-def number(variables: Any, *names: str) -> Optional[int]:
+def number(variables: Mapping[str, str], *names: str) -> Optional[int]:
     """Return the first of these variables that is a number."""
     return next((int(variables[name]) for name in names if variables.get(name, "").isdigit()), None)
 
 
-def memory_of(variables: Any) -> Optional[int]:
+def memory_of(variables: Mapping[str, str]) -> Optional[int]:
     """Return the bytes of memory that SLURM has allocated; None for PBS, which does not report them."""
     megabytes, each = number(variables, "SLURM_MEM_PER_NODE"), number(variables, "SLURM_MEM_PER_CPU")
     if megabytes is None and each is not None:
@@ -520,10 +628,6 @@ def is_recorded(name: str, patterns: List[str]) -> bool:
     return any(fnmatch.fnmatchcase(name, one) for one in patterns) and not any(word in name.upper() for word in SECRET)
 
 
-def usable_cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def name_of_attempt(suffix: int) -> str:
     """Return the name `job.restart.host.process`, with a suffix if another attempt has taken it."""
     job = os.environ.get("SLURM_JOB_ID") or os.environ.get("PBS_JOBID") or "none"
@@ -532,46 +636,43 @@ def name_of_attempt(suffix: int) -> str:
     return ".".join(re.sub(r"[^A-Za-z0-9_-]", "_", part) for part in parts)
 
 
-def new_pack(folder: str, index: str, told: Event) -> Pack:
+def new_pack(folder: str, index: str, first: Attempt) -> Pack:
     """Create the pack of this attempt, with its first record."""
-    suffix = 0
-    while True:
-        told["attempt"] = name_of_attempt(suffix)
-        try:
-            pack = Pack(folder, index, told["attempt"])
-        except FileExistsError:
-            suffix += 1
-            continue
-        told["clock"] = pack.ahead()
-        pack.add(told)
-        pack.sync(float("inf"))
-        return pack
+    for name in map(name_of_attempt, itertools.count()):
+        with contextlib.suppress(FileExistsError):
+            pack = Pack(folder, index, name)
+            break
+    pack.note(first._replace(attempt=name, clock=pack.ahead()), sync=True)
+    return pack
 
 
 class Needs:
     """The files that must be, and stay, the same as on the submitting host."""
 
-    def __init__(self, needs: List[Dict[str, Any]]) -> None:
-        """Find the files. Raises Trouble if the distributions of a Python differ from those on the submitting host."""
-        self._needs = [{**need, "path": found_by_name(need)} for need in needs if need.get("holds") is None]
+    def __init__(self, needs: "List[Need]") -> None:
+        """Find the files. Raises CannotContinue if the distributions of a Python differ from those on the submitting host."""
+        self._files: List[Need] = []
         for need in needs:
-            if need.get("holds") is not None:
-                check_installed(need["name"], set(need["holds"]), set(installed(need["path"])))
+            holds = need.get("holds")
+            if holds is None:
+                self._files.append({**need, "path": path_of(need)})
+            else:
+                check_installed(need["name"], set(holds), set(installed(need["path"])))
         self._seen: Dict[str, Tuple[int, ...]] = {}
 
     def check(self) -> None:
         """Check all files.
 
-        Raises Trouble if one differs. A file that seems unchanged since the last check is not read again.
+        Raises CannotContinue if one differs. A file that seems unchanged since the last check is not read again.
         """
-        for need in self._needs:
+        for need in self._files:
             try:
-                found = os.stat(need["path"], follow_symlinks=not need.get("link"))
-                seen = (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
+                status = os.stat(need["path"], follow_symlinks=not need.get("link"))
+                seen = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
                 if self._seen.get(need["path"]) != seen and need["sha256"] not in ("", hash_of(need)):
-                    raise Trouble("%s: %s differs from the one on the submitting host" % (need["name"], need["path"]))
+                    raise CannotContinue("%s: %s differs from the one on the submitting host" % (need["name"], need["path"]))
             except OSError as error:
-                raise Trouble("%s: %s: %s" % (need["name"], need["path"], error.strerror)) from error
+                raise CannotContinue("%s: %s: %s" % (need["name"], need["path"], error.strerror)) from error
             self._seen[need["path"]] = seen
 
 
@@ -585,22 +686,23 @@ def installed(folders: str) -> Tuple[str, ...]:
     return tuple(sorted(found))
 
 
-def check_installed(name: str, there: Set[str], here: Set[str]) -> None:
-    """Raise Trouble if the distributions here differ from those on the submitting host."""
-    other = ["%s is missing here" % path for path in sorted(there - here)]
-    other += ["%s is only here" % path for path in sorted(here - there)]
-    if other:
-        more = " and %d more" % (len(other) - 3) if len(other) > 3 else ""
-        raise Trouble("%s differ from those on the submitting host: %s%s" % (name, ", ".join(other[:3]), more))
+def check_installed(name: str, expected: Set[str], actual: Set[str]) -> None:
+    """Raise CannotContinue if the distributions here differ from those on the submitting host."""
+    differences = ["%s is missing here" % path for path in sorted(expected - actual)]
+    differences += ["%s is only here" % path for path in sorted(actual - expected)]
+    if differences:
+        more = " and %d more" % (len(differences) - 3) if len(differences) > 3 else ""
+        shown = ", ".join(differences[:3])
+        raise CannotContinue("%s differ from those on the submitting host: %s%s" % (name, shown, more))
 
 
-def found_by_name(need: Dict[str, Any]) -> str:
+def path_of(need: "Need") -> str:
     """Return the path of a file; for a program that runs call by name, the path found here."""
     found = shutil.which(need["name"], path=need["search"]) if need.get("search") else None
-    return found or str(need["path"])
+    return found or need["path"]
 
 
-def hash_of(need: Dict[str, Any]) -> str:
+def hash_of(need: "Need") -> str:
     """Return the SHA-256 of a file's content, or of a link's target path."""
     return hashlib.sha256(os.fsencode(os.readlink(need["path"]))).hexdigest() if need.get("link") else digest_of(need["path"])
 
@@ -614,7 +716,7 @@ def digest_of(path: str) -> str:
 
 
 @contextlib.contextmanager
-def scratch(settings: Settings, remove: Any) -> Iterator[Tuple[str, int]]:
+def scratch(settings: Settings, remove: Callable[[str], None]) -> Iterator[Tuple[str, int]]:
     """Yield a folder on the node for this attempt, and a lock that shows to other attempts that this one is alive.
 
     The worker holds the lock too, because it may outlive this process by the grace time of its runs.
@@ -640,24 +742,24 @@ def scratch(settings: Settings, remove: Any) -> Iterator[Tuple[str, int]]:
 def scratch_root(wanted: Optional[str]) -> str:
     if wanted is None:
         named = [os.environ.get("SLURM_TMPDIR"), os.environ.get("TMPDIR"), "/tmp"]  # noqa: S108 - the last resort
-        there = [path for path in named if path and os.path.isdir(path) and os.access(path, os.W_OK | os.X_OK)]
-        if not there:
-            raise Trouble("no folder for runs: none of $SLURM_TMPDIR, $TMPDIR and /tmp is writable")
-        return os.path.abspath(there[0])
+        writable = [path for path in named if path and os.path.isdir(path) and os.access(path, os.W_OK | os.X_OK)]
+        if not writable:
+            raise CannotContinue("no folder for runs: none of $SLURM_TMPDIR, $TMPDIR and /tmp is writable")
+        return os.path.abspath(writable[0])
     filled = re.sub(r"\$(?:\{(\w+)\}|(\w+))", lambda match: value_of(match[1] or match[2], wanted), wanted)
     folder = os.path.abspath(filled)
     if not os.path.isdir(os.path.dirname(folder) if os.path.dirname(folder) != "/" else folder):
-        raise Trouble("scratch = %s: its parent folder does not exist; use one that exists" % wanted)
+        raise CannotContinue("scratch = %s: its parent folder does not exist; use one that exists" % wanted)
     try:
         os.makedirs(folder, exist_ok=True)
     except OSError as error:
-        raise Trouble("scratch = %s: %s: %s" % (wanted, folder, error.strerror)) from error
+        raise CannotContinue("scratch = %s: %s: %s" % (wanted, folder, error.strerror)) from error
     return folder
 
 
 def value_of(name: str, wanted: str) -> str:
     if not os.environ.get(name):
-        raise Trouble("scratch = %s: the variable $%s is not set" % (wanted, name))
+        raise CannotContinue("scratch = %s: the variable $%s is not set" % (wanted, name))
     return os.environ[name]
 
 
@@ -666,7 +768,7 @@ def owner() -> bytes:
     return os.uname().nodename.encode()
 
 
-def remove_dead(folder: str, remove: Any) -> None:
+def remove_dead(folder: str, remove: Callable[[str], None]) -> None:
     """Remove the folder of an attempt that died on this host."""
     found = os.lstat(folder)
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid():
@@ -680,7 +782,7 @@ def remove_dead(folder: str, remove: Any) -> None:
         os.close(lock)
 
 
-def remove_own(folder: str, remove: Any) -> None:
+def remove_own(folder: str, remove: Callable[[str], None]) -> None:
     """Remove an attempt's folder, the file `owner` last. If this process is killed meanwhile, the next attempt continues."""
     with contextlib.suppress(OSError):
         for name in os.listdir(folder):
@@ -691,7 +793,7 @@ def remove_own(folder: str, remove: Any) -> None:
 # ---------------------------------------------------------------- execution
 
 
-class Asked:
+class StopSignals:
     """A counter of the signals that told this process to end."""
 
     def __init__(self) -> None:
@@ -700,7 +802,7 @@ class Asked:
         for signalled in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(signalled, self._note)
 
-    def _note(self, signalled: int, frame: Any) -> None:
+    def _note(self, signalled: int, frame: Optional[FrameType]) -> None:
         self.when = self.when or time.clock_gettime(time.CLOCK_BOOTTIME)
         self.times += 1
 
@@ -712,7 +814,7 @@ def born() -> float:
     return ticks / os.sysconf("SC_CLK_TCK")
 
 
-class Again:
+class Requeue:
     """The request to the scheduler to start this task again before its time is over: once, and only after progress."""
 
     def __init__(self, folder: str, pack: Pack, command: Iterable[str], wall: Optional[float]) -> None:
@@ -720,25 +822,24 @@ class Again:
         self._pack = pack
         self._command = [*command, task_of(os.environ)]
         self._at = born() + wall - min(BEFORE_S, wall / 6) if wall and len(self._command) > 1 else float("inf")
-        self.got_on = False
+        self.progressed = False
 
-    def ask(self) -> None:
+    def send_if_due(self) -> None:
         """Send the request if it is time to. If the scheduler agrees, it soon tells this task to end."""
-        if not self.got_on or time.clock_gettime(time.CLOCK_BOOTTIME) < self._at or os.path.exists(self._cancelled):
+        if not self.progressed or time.clock_gettime(time.CLOCK_BOOTTIME) < self._at or os.path.exists(self._cancelled):
             return
         self._at = float("inf")
         self._record(None)
         try:
             subprocess.run(self._command, stdin=subprocess.DEVNULL, capture_output=True, check=True, timeout=REQUEUE_S)
         except subprocess.CalledProcessError as error:
-            said = (error.stderr or error.stdout).decode("utf-8", "replace").split()
-            self._record(" ".join(said) or "status %d" % error.returncode)
+            words = (error.stderr or error.stdout).decode("utf-8", "replace").split()
+            self._record(" ".join(words) or "status %d" % error.returncode)
         except (OSError, subprocess.TimeoutExpired) as error:
             self._record(" ".join(str(error).split()))
 
     def _record(self, refused: Optional[str]) -> None:
-        self._pack.add({"event": "requeue", "time": time.time(), "refused": refused})
-        self._pack.sync(float("inf"))
+        self._pack.note(Requeued(time.time(), refused), sync=True)
 
 
 class Journal:
@@ -749,7 +850,7 @@ class Journal:
         self._file: Optional[int] = None
         self._offset = 0
 
-    def read(self) -> List[Event]:
+    def read(self) -> "List[Event]":
         """Return the next events. An incomplete line counts as not written, and may be removed."""
         if self._file is None:
             try:
@@ -774,9 +875,9 @@ class Execution:
         session: str,
         lock: int,
         pack: Pack,
-        asked: Asked,
-        again: Again,
-        worker: Any,
+        stop: StopSignals,
+        requeue: Requeue,
+        worker: ModuleType,
         needs: Needs,
         scratch: str,
     ) -> None:
@@ -788,19 +889,19 @@ class Execution:
         self._program = os.path.join(folder, "worker.py")
         self._scratch = scratch
         self._pack = pack
-        self._asked = asked
-        self._again = again
+        self._stop = stop
+        self._requeue = requeue
         self._worker = worker
         self._needs = needs
         self._journal = Journal(os.path.join(scratch, "journal.jsonl"))
-        self._held: Deque[Tuple[float, Event]] = deque()
+        self._held: Deque[Tuple[float, End]] = deque()
         self._begun = ""
         self._ended = 0
         self._stopping = False
-        self._look_at = 0.0
+        self._check_at = 0.0
 
     def run(self, slots: int, path: str, wanted: Callable[[str], bool]) -> bool:
-        """Execute the wanted jobs of a file, and return whether all were executed. Raises Trouble, OSError."""
+        """Execute the wanted jobs of a file, and return whether all were executed. Raises CannotContinue, OSError."""
         self._process = subprocess.Popen(
             [sys.executable, "-I", "-S", "-X", "utf8", self._program, self._scratch, str(slots)],
             stdin=subprocess.PIPE,
@@ -811,7 +912,8 @@ class Execution:
             pass_fds=(self._lock,),
             start_new_session=True,
         )
-        self._feeder = Feeder(path, wanted, AHEAD + slots * AHEAD_EACH, self._process.stdin, self._worker.write_all)
+        pipe = self._worker.stdin_of(self._process)
+        self._feeder = Feeder(path, wanted, AHEAD + slots * AHEAD_EACH, pipe, self._worker.write_all)
         self._feeder.start()
         try:
             self._follow()
@@ -825,73 +927,70 @@ class Execution:
             over = self._process.poll() is not None
             events = self._journal.read()
             now = time.monotonic()
-            self._heed(now)
+            self._check_stop(now)
             for event in events:
-                self._hear(now, event)
-            self._take(now)
+                self._handle(now, event)
+            self._pack_due(now)
             self._pack.sync(now)
             if not (over or self._stopping):
-                self._again.ask()
+                self._requeue.send_if_due()
             if over and not events and not self._held:
                 return
             pause = BUSY_S if events or self._held else min(IDLE_S, 1.2 * pause)
             time.sleep(pause)
 
-    def _hear(self, now: float, event: Event) -> None:
+    def _handle(self, now: float, event: "Event") -> None:
         """Record at once that a run has begun; hold a run's end back."""
         if event["event"] == "end":
             self._held.append((now, event))
             if is_small(event):
                 self._feeder.permits.release()
         elif event["event"] == "stalled":
-            self._pack.add(event)
-        elif not (self._stopping or self._asked.times):
+            self._pack.add(line_of(event))
+        elif not (self._stopping or self._stop.times):
             self.begin(event["execution"])
 
     def begin(self, execution: str, *, alone: bool = False) -> None:
         """Record once that a run begins. With `alone`, write that to the disk first."""
         if execution != self._begun:
-            event = {"event": "start", "execution": execution, "time": time.time()}
-            self._pack.add({**event, "alone": True} if alone else event)
+            self._pack.note(Started(execution, time.time(), alone), sync=alone)
         self._begun = execution
-        if alone:
-            self._pack.sync(float("inf"))
 
-    def _heed(self, now: float) -> None:
+    def _check_stop(self, now: float) -> None:
         """End the worker if that was requested, or if nobody waits for the results any more."""
-        if not self._stopping and (self._asked.times or self._is_unwanted(now)):
+        if not self._stopping and (self._stop.times or self._is_unwanted(now)):
             self._stopping = True
             self._signal(signal.SIGHUP)  # not SIGTERM: the scheduler may have sent one, and a second skips the grace time
-        if self._asked.times > 1:
+        if self._stop.times > 1:
             self._signal(signal.SIGTERM)
 
     def _is_unwanted(self, now: float) -> bool:
-        if now < self._look_at:
+        if now < self._check_at:
             return False
-        self._look_at = now + SYNC_S
+        self._check_at = now + SYNC_S
         return os.path.exists(self._cancelled) or self._pack.is_gone()
 
     def _signal(self, number: int) -> None:
         if self._process.poll() is None:
             self._process.send_signal(number)
 
-    def _take(self, now: float) -> None:
+    def _pack_due(self, now: float) -> None:
         """Pack the ends that were held back long enough; none after this process was told to end."""
         if self._stopping or self._process.returncode == 1:
             self._held.clear()
         if self._held and now - self._held[0][0] >= HOLD_S:
             self._needs.check()
-        while self._held and now - self._held[0][0] >= HOLD_S and not self._asked.times:
+        while self._held and now - self._held[0][0] >= HOLD_S and not self._stop.times:
             self._take_end(self._held.popleft()[1])
 
-    def _take_end(self, event: Event) -> None:
-        directory, spare = event.pop("directory"), event.pop("spare", False)
+    def _take_end(self, event: "End") -> None:
+        directory = event["directory"]
         if event["stopped"] != "interrupted":
             with contextlib.suppress(Unwanted):
                 self._pack_run(event, directory)
                 self._ended += 1
-                self._again.got_on = True
-        if spare:
+                self._requeue.progressed = True
+        if event.get("spare"):
             self._feeder.spare.append(int(os.path.basename(directory)))
         elif self._is_own(directory):
             self._remove(directory)
@@ -907,14 +1006,14 @@ class Execution:
         with contextlib.suppress(OSError):
             os.unlink(directory)  # a link in place of the folder
 
-    def _pack_run(self, event: Event, directory: str) -> None:
+    def _pack_run(self, event: "End", directory: str) -> None:
         root = None
         if self._is_own(directory):
             with contextlib.suppress(OSError):
                 root = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
         if root is None:
-            without = "its folder is gone" if event["outputs"] else None
-            self._pack.add({**event, "outputs": [], "error": event["error"] or without, "files": [], "size": 0})
+            error = event["error"] or ("its folder is gone" if event["outputs"] else None)
+            self._add({**event, "outputs": [], "error": error}, -1, [])
             return
         try:
             logs = list(logs_in(root))
@@ -927,45 +1026,48 @@ class Execution:
         finally:
             os.close(root)
 
-    def _add(self, event: Event, root: int, files: List[File]) -> None:
+    def _add(self, event: "End", root: int, files: List[File]) -> None:
         size = sum(size for _, size, _ in files)
-        self._pack.add({**event, "files": files, "size": size}, contents(root, files, self._go_on))
+        fields = {name: value for name, value in event.items() if name not in ("directory", "spare")}
+        payload = itertools.chain(contents(root, files, self._go_on), (b"\n",))
+        self._pack.add(line_of({**fields, "files": files, "size": size}), size, payload)
 
     def _go_on(self) -> None:
         """Raise Unwanted if nobody waits for the results any more, or if there is no time left for packing."""
-        self._heed(time.monotonic())
-        asked = self._asked
-        if self._stopping and (asked.times != 1 or time.clock_gettime(time.CLOCK_BOOTTIME) - asked.when > GIVE_UP_S):
+        self._check_stop(time.monotonic())
+        stop = self._stop
+        if self._stopping and (stop.times != 1 or time.clock_gettime(time.CLOCK_BOOTTIME) - stop.when > GIVE_UP_S):
             raise Unwanted
 
     def _end(self) -> None:
         """Wait for the worker's end in any case, and end the processes that it has left."""
         while self._process.poll() is None:
             self._stopping = True
-            self._signal(signal.SIGTERM if self._asked.times > 1 else signal.SIGHUP)
+            self._signal(signal.SIGTERM if self._stop.times > 1 else signal.SIGHUP)
             time.sleep(IDLE_S)
         self._worker.end_orphans(None)
-        self._said = self._process.stderr.read() if self._process.stderr else b""
+        self._stderr = self._process.stderr.read() if self._process.stderr else b""
 
     def _is_finished(self) -> bool:
         code, error = self._process.returncode, self._feeder.error
-        if self._stopping or self._asked.times:
+        if self._stopping or self._stop.times:
             return False
         if error is not None:
             raise error
         if code == 0 and self._ended != self._feeder.sent:
-            raise Trouble("the worker reported %d of %d runs" % (self._ended, self._feeder.sent))
+            raise CannotContinue("the worker reported %d of %d runs" % (self._ended, self._feeder.sent))
         if code == 4:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), self._scratch)
         if code not in (0, 1):
-            lines = self._said.decode("utf-8", "replace").strip().splitlines()
-            raise Trouble(": ".join(["the worker ended with %s" % (code if code > 0 else "signal %d" % -code), *lines[-1:]]))
+            lines = self._stderr.decode("utf-8", "replace").strip().splitlines()
+            reason = "the worker ended with %s" % (code if code > 0 else "signal %d" % -code)
+            raise CannotContinue(": ".join([reason, *lines[-1:]]))
         return code == 0
 
 
-def is_small(event: Event) -> bool:
-    """Return whether it is the end of a run with small outputs."""
-    return event["event"] == "end" and sum(int(file["bytes"]) for file in event["outputs"]) <= CHUNK
+def is_small(event: "End") -> bool:
+    """Return whether a run has left small outputs."""
+    return sum(file["bytes"] for file in event["outputs"]) <= CHUNK
 
 
 def adopt_orphans() -> None:
@@ -981,41 +1083,42 @@ def adopt_orphans() -> None:
         ctypes.CDLL(None).prctl(set_child_subreaper, 1, 0, 0, 0)
 
 
-def module(folder: str, name: str) -> Any:
+def module(folder: str, name: str) -> ModuleType:
     """Return a file of the session as an imported module, without writing bytecode beside it."""
     sys.dont_write_bytecode = True
     spec = importlib.util.spec_from_file_location(name, os.path.join(folder, name + ".py"))
     if spec is None or spec.loader is None:
-        raise Trouble("%s.py is missing in %s" % (name, folder))
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    return made
+        raise CannotContinue("%s.py is missing in %s" % (name, folder))
+    loaded = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loaded)
+    return loaded
 
 
-def attempt(folder: str, index: int, asked: Asked, *, wall: Optional[float] = None, probing: bool) -> bool:
-    """Execute the missing runs of an element, and return whether it is finished. Raises Trouble and OSError."""
+def attempt(folder: str, index: int, stop: StopSignals, *, wall: Optional[float] = None, probing: bool) -> bool:
+    """Execute the missing runs of an element, and return whether it is finished. Raises CannotContinue and OSError."""
     with open(os.path.join(folder, "element.json"), "rb") as file:
         settings = Settings(**json.load(file))
     worker, machine = module(folder, "worker"), module(folder, "machine")
     adopt_orphans()
     if os.path.exists(os.path.join(folder, "cancelled")):
         return False
-    slots = min(settings.slots, usable_cores())
+    cores = machine.usable_cores()
+    slots = min(settings.slots, cores)
     results = os.path.join(folder, "results")
-    pack = new_pack(results, "probe" if probing else str(index), said_of(settings, index, machine.facts(), slots))
+    first = first_record(settings, index, machine.facts(), slots, cores)
+    pack = new_pack(results, "probe" if probing else str(index), first)
     try:
         needs = Needs(settings.needs)
         needs.check()
         with scratch(settings, worker.remove) as (own, lock):
             named = os.path.join(folder, "elements", str(index))
-            done = executed(results, str(index), pack.path, asked) | {short(one) for one in listed(named + ".failed")}
-            again = Again(folder, pack, settings.requeue, wall)
-            execution = partial(Execution, folder, settings.session, lock, pack, asked, again, worker, needs)
+            done = executed(results, str(index), pack.path, stop) | {short(one) for one in read_lines(named + ".failed")}
+            requeue = Requeue(folder, pack, settings.requeue, wall)
+            execution = partial(Execution, folder, settings.session, lock, pack, stop, requeue, worker, needs)
             if not probing and not execute(named, done, slots, own, execution):
                 pack.sync(float("inf"))
                 return False
-        pack.add({"event": "finished", "time": time.time()})
-        pack.sync(float("inf"))
+        pack.note(Finished(time.time()), sync=True)
         return True
     except Unwanted:
         return False
@@ -1026,7 +1129,7 @@ def attempt(folder: str, index: int, asked: Asked, *, wall: Optional[float] = No
 
 def execute(named: str, done: Set[bytes], slots: int, scratch: str, execution: Callable[[str], Execution]) -> bool:
     """Execute an element's runs that are not done, first those that must be alone. Return whether all were executed."""
-    for number, one in enumerate(listed(named + ".alone")):
+    for number, one in enumerate(read_lines(named + ".alone")):
         if short(one) not in done:
             done.add(short(one))
             alone = execution(os.path.join(scratch, "alone%d" % number))
@@ -1038,7 +1141,7 @@ def execute(named: str, done: Set[bytes], slots: int, scratch: str, execution: C
 
 def reason_of(error: BaseException) -> str:
     """Return the reason of an error in one line, with the node's name."""
-    if isinstance(error, Trouble):
+    if isinstance(error, CannotContinue):
         reason = str(error)
     else:
         name, why = getattr(error, "filename", None), getattr(error, "strerror", None)
@@ -1056,15 +1159,15 @@ def main(arguments: List[str]) -> int:
     if sys.version_info < (3, 8):  # noqa: UP036 - this check reports it
         say("Python %s on %s is too old; 3.8 or newer is needed" % (platform.python_version(), os.uname().nodename))
         return 3
-    asked = Asked()
+    stop = StopSignals()
     try:
         folder, index = os.path.abspath(arguments[0]), int(arguments[-1])
         probing = "--probe" in arguments
         wall = next((float(one.partition("=")[2]) for one in arguments if one.startswith("--wall=")), None)
-        if attempt(folder, index, asked, wall=wall, probing=probing):
+        if attempt(folder, index, stop, wall=wall, probing=probing):
             return 0
-        if asked.times and not probing:
-            say("asked to end after %.0f s" % (asked.when - born()))
+        if stop.times and not probing:
+            say("asked to end after %.0f s" % (stop.when - born()))
         return 1
     except Exception as error:
         say(reason_of(error))

@@ -81,7 +81,7 @@ import subprocess
 import sys
 import threading
 import time
-from typing import TYPE_CHECKING, Callable, Iterable, Iterator, Mapping, Sequence, TextIO, TypedDict, Union
+from typing import IO, TYPE_CHECKING, Callable, Iterable, Iterator, Mapping, Sequence, TextIO, TypedDict, Union
 
 if TYPE_CHECKING:
     from resource import struct_rusage
@@ -201,19 +201,24 @@ class Stalled(TypedDict):
     since: float
 
 
-class End(Usage, Remains):
-    """The event that a run has ended: see `sierra.model.Result`."""
+class Outcome(Usage, Remains):
+    """The end of a run: see `sierra.model.Result`."""
 
-    event: Literal["end"]
     run: str
     execution: str
-    directory: str
     started: float
     ended: float
     exit_code: int | None
     signal: int | None
     host: str
     slot: int
+
+
+class End(Outcome):
+    """The event that a run has ended."""
+
+    event: Literal["end"]
+    directory: str
 
 
 Event = Union[Start, Stalled, End]
@@ -459,10 +464,9 @@ class Container:
 
     def send(self, record: Mapping[str, object]) -> None:
         with self.lock:
-            if self.process.stdin is None or self.process.stdin.closed:
-                raise BrokenPipeError
-            self.process.stdin.write(json.dumps(record, separators=(",", ":")).encode() + b"\n")
-            self.process.stdin.flush()
+            pipe = stdin_of(self.process)
+            pipe.write(json.dumps(record, separators=(",", ":")).encode() + b"\n")
+            pipe.flush()
 
     def stop(self, grace: float) -> None:
         """Close the pipe, so that the worker inside ends the running run and itself."""
@@ -476,8 +480,7 @@ class Container:
 
     def shut(self) -> None:
         with contextlib.suppress(OSError):
-            if self.process.stdin is not None:
-                self.process.stdin.close()
+            stdin_of(self.process).close()
 
     def hurry(self) -> None:
         if self.kill_at is not None:
@@ -1277,6 +1280,13 @@ def peak_of(pid: int) -> int:
 def environment_of(pid: int) -> list[bytes]:
     """Return the environment with which a process was started, as NAME=value; nothing else if it cannot be read."""
     return read_proc("%d/environ" % pid).split(b"\0")
+
+
+def stdin_of(process: subprocess.Popen[bytes]) -> IO[bytes]:
+    """Return the pipe to a process. Raises BrokenPipeError if it is closed."""
+    if process.stdin is None or process.stdin.closed:
+        raise BrokenPipeError
+    return process.stdin
 
 
 def write_all(descriptor: int, data: bytes) -> None:

@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from sierra.runners.cluster.result_log_reader import Finished, Requeued
 from sierra.worker import marked_processes
+from sierra.worker.array_task import Finished, Requeued
 from tests import clusters, projects
 from tests.batches import WAITING, Gated, at_rest, ended, is_whole, packed, rows
 from tests.clusters import Slurm

@@ -22,9 +22,10 @@ from pathlib import Path
 
 from sierra.model import Result
 from sierra.runners.cluster import submission_record
-from sierra.runners.cluster.result_log_reader import Ended, Event, Pack, Started
+from sierra.runners.cluster.result_log_reader import Ended, Event, Pack
 from sierra.runners.cluster.sizing import ELEMENT_S
 from sierra.store.layout import SessionPaths
+from sierra.worker.array_task import Started
 
 PATIENCE_S = 120.0
 """Seconds to wait for a node."""

@@ -21,7 +21,7 @@ from typing import Any
 from sierra.errors import Damaged
 from sierra.model import Result
 from sierra.provenance import environment
-from sierra.runners.cluster.result_log_reader import Attempt, Ended, Event, Finished, Pack, Requeued, Started, Trouble
+from sierra.runners.cluster.result_log_reader import Ended, Event, Pack
 from sierra.runners.cluster.submission_record import Submission
 from sierra.runners.journal_reader import Stalled
 from sierra.store.layout import SessionPaths
@@ -29,6 +29,7 @@ from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
 from sierra.util.text import counted
 from sierra.worker import worker
+from sierra.worker.array_task import Attempt, Finished, Requeued, Started, Trouble
 
 AT_ONCE = 256
 """Largest number of runs that one look reports."""

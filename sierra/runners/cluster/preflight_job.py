@@ -14,12 +14,13 @@ from pathlib import Path
 from sierra.config.project_file import ClusterTable
 from sierra.errors import Missing
 from sierra.runners.cluster import submission_record
-from sierra.runners.cluster.result_log_reader import Finished, Pack, Trouble
+from sierra.runners.cluster.result_log_reader import Pack
 from sierra.runners.schedulers.base import Request
 from sierra.store.layout import SessionPaths, user_clusters
 from sierra.util.cache import Cache
 from sierra.util.hashing import digest
 from sierra.util.json_types import Json
+from sierra.worker.array_task import Finished, Trouble
 
 VALID_S = 86_400.0
 MOST = 64

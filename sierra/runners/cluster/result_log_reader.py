@@ -8,55 +8,22 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from sierra.errors import Damaged
-from sierra.model import OutputFile, Result
-from sierra.runners.journal_reader import Stalled
+from sierra.model import Result
+from sierra.runners.journal_reader import Stalled, made, result_of
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
 from sierra.store.segments import disk_errors
 from sierra.worker import array_task
 
+if TYPE_CHECKING:
+    from sierra.worker.array_task import Other, Packed
+
 CHUNK = 1 << 20
-
-
-@dataclass(frozen=True, slots=True)
-class Attempt:
-    """The first record: where and with what an attempt began. The fields are those of the event `attempt`."""
-
-    attempt: str
-    session: str
-    element: int
-    job: str
-    """The task's id in its scheduler, for example `12_3` or `12[3].server`; empty without a scheduler."""
-    node: str
-    started: float
-    """By the node's clock, in seconds since the epoch, like all times in this module."""
-    slots: int
-    """Number of runs that execute at a time: the requested number, but at most the number of usable cores."""
-    cpus: int
-    """Number of allocated cores."""
-    memory: int | None
-    gpus: str | None
-    allocation: Mapping[str, str]
-    facts: Mapping[str, Any]
-    variables: Mapping[str, str]
-    python: str
-    clock: float
-    """Seconds that the node's clock is ahead of the shared file system's."""
-
-
-@dataclass(frozen=True, slots=True)
-class Started:
-    """The start of a run."""
-
-    execution: str
-    time: float
-    alone: bool = False
-    """True if the run has the element for itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,32 +38,11 @@ class Ended:
     """Offset of the payload in the file."""
 
 
-@dataclass(frozen=True, slots=True)
-class Trouble:
-    """The reason why the attempt could not go on."""
-
-    reason: str
-    full: bool = False
-    """True if a disk was full, so that no run is the cause."""
-
-
-@dataclass(frozen=True, slots=True)
-class Finished:
-    """The end of an attempt that has executed all missing runs of its element."""
-
-    time: float
-
-
-@dataclass(frozen=True, slots=True)
-class Requeued:
-    """The attempt's request to its scheduler to start the task again, because its time is nearly over."""
-
-    time: float
-    refused: str | None = None
-    """The reason why the scheduler refuses; None if it does not."""
-
-
-Event = Attempt | Requeued | Started | Stalled | Ended | Trouble | Finished
+Event = array_task.Record | Stalled | Ended
+KINDS: dict[str, Callable[..., Event]] = {
+    **{event: kind for kind, event in array_task.EVENTS.items()},
+    "stalled": Stalled,
+}
 
 
 class Pack:
@@ -126,34 +72,18 @@ class Pack:
                 if event is not None:
                     yield event
 
-    def _event(self, record: Mapping[str, Any], at: int) -> Event | None:
-        fields = dict(record)
-        match fields.pop("event"):
-            case "attempt":
-                return Attempt(**fields)
-            case "start":
-                return Started(**fields)
-            case "requeue":
-                return Requeued(**fields)
-            case "stalled":
-                return Stalled(**fields)
-            case "end":
-                return self._ended(fields, at)
-            case "trouble":
-                return Trouble(**fields)
-            case "finished":
-                return Finished(**fields)
-            case _:
-                return None
+    def _event(self, record: Packed | Other, at: int) -> Event | None:
+        if record["event"] == "end":
+            return self._ended(record, at)
+        kind = KINDS.get(record["event"])
+        return made(kind, record) if kind else None
 
-    def _ended(self, fields: dict[str, Any], at: int) -> Ended:
-        files = tuple((path, size, sha256) for path, size, sha256 in fields.pop("files"))
-        fields["outputs"] = tuple(OutputFile(**file) for file in fields["outputs"])
-        fields["left_out"] = tuple(fields.get("left_out", ()))
-        if not {(f"{RUN_OUTPUT}/{file.path}", file.bytes, file.sha256) for file in fields["outputs"]} <= set(files):
+    def _ended(self, record: Packed, at: int) -> Ended:
+        files = tuple((path, size, sha256) for path, size, sha256 in record["files"])
+        result = result_of(record, directory="", attempt=self.attempt)
+        if not {(f"{RUN_OUTPUT}/{file.path}", file.bytes, file.sha256) for file in result.outputs} <= set(files):
             raise ValueError("the record lists outputs that it does not contain")
-        del fields["size"]
-        return Ended(Result(directory="", attempt=self.attempt, **fields), files, at)
+        return Ended(result, files, at)
 
     def extract(self, ended: Ended, folder: Path) -> Result:
         """Write a run's files to a folder, and return the result with that directory.

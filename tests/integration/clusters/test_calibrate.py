@@ -17,7 +17,7 @@ import pytest
 import sierra
 from sierra.execution.summary import Summary
 from sierra.runners.cluster import calibrate, sizing
-from sierra.runners.cluster.result_log_reader import Started
+from sierra.worker.array_task import Started
 from tests.batches import packed
 from tests.clusters import Slurm
 from tests.conftest import Simulated

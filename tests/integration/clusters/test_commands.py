@@ -15,8 +15,9 @@ from typing import Any
 
 import pytest
 
-from sierra.runners.cluster.result_log_reader import Ended, Started
+from sierra.runners.cluster.result_log_reader import Ended
 from sierra.worker import array_task
+from sierra.worker.array_task import Started
 from tests import projects
 from tests.batches import packed
 from tests.clusters import Slurm

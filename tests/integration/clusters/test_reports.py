@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from sierra.runners.cluster import submission_record
-from sierra.runners.cluster.result_log_reader import Started
 from sierra.runners.schedulers.base import State, Task
+from sierra.worker.array_task import Started
 from tests.batches import packed
 from tests.clusters import Slurm
 from tests.conftest import Simulated

@@ -32,11 +32,12 @@ from sierra.execution.observer import Progress
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary
 from sierra.runners.cluster import collect, runner
-from sierra.runners.cluster.result_log_reader import Attempt, Pack
+from sierra.runners.cluster.result_log_reader import Pack
 from sierra.runners.schedulers.base import Bounds, Request, State, Task
 from sierra.store.layout import user_apptainer
 from sierra.store.store import Store
 from sierra.worker import worker
+from sierra.worker.array_task import Attempt
 from tests import containers, projects
 from tests.clusters import Slurm
 from tests.conftest import Simulated
