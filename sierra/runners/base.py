@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 from sierra.config.plugin_registry import RUNNERS, SCHEDULERS, Tables
 from sierra.config.project_file import ClusterTable, Table
@@ -22,6 +22,7 @@ from sierra.model import Job, Requirement, Result, Times
 from sierra.provenance.dependency_model import INSTALLED, Kind, Program, Programs
 from sierra.runners import schedulers
 from sierra.store.layout import SessionPaths
+from sierra.util.json_types import Cell, JsonView
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class Work:
     """True if a process follows the session from now on."""
     record: tuple[str, ...] = ()
     """Names or patterns of the environment variables that are recorded."""
-    around: Mapping[str, Any] = field(default_factory=dict)
+    around: Mapping[str, JsonView] = field(default_factory=dict)
     """The row of `environments` of this process. It supplies what a node does not report about itself."""
 
 
@@ -52,7 +53,7 @@ class Look:
     """Number of runs in flight now."""
     alive: bool
     """True if more results may come."""
-    rows: tuple[tuple[str, dict[str, Any]], ...] = ()
+    rows: tuple[tuple[str, Mapping[str, Cell]], ...] = ()
     """Further rows to record: pairs of a table's name and a row."""
     notes: tuple[str, ...] = ()
     """Messages for the user."""
@@ -75,7 +76,7 @@ class Runner(Protocol):
     Options: ClassVar[type[Table]]
     """The model of `[runners.NAME]`. Options must not change the results of runs, because they are not part of identities."""
 
-    def __init__(self, slots: int, options: Any) -> None:
+    def __init__(self, slots: int, options: Table) -> None:
         """Make a runner. `slots` is the number of runs that this machine executes at a time; `options` is of `Options`."""
         ...
 
@@ -153,11 +154,11 @@ def find(name: str, tables: Tables | None = None) -> Callable[[int], Runner]:
 
     Raises ConfigError if there is no such runner, or if its table is invalid.
     """
-    found = scheduler_of(name, tables)
-    if found is None:
+    cluster = scheduler_of(name, tables)
+    if cluster is None:
         check({name: (tables or {}).get(name, {})})
         return partial(RUNNERS.make, name, tables or {})
-    return on_cluster(name, *found)
+    return on_cluster(name, *cluster)
 
 
 def check(tables: Tables) -> None:
@@ -171,8 +172,7 @@ def on_cluster(name: str, scheduler: str, table: ClusterTable) -> Callable[[int]
     """Return a factory that makes the runner of a cluster from a number of slots, which has no effect there."""
     from sierra.runners.cluster.runner import Cluster
 
-    made: Callable[[int], Runner] = partial(Cluster, table=table, name=name, scheduler=scheduler)
-    return made
+    return partial(Cluster, table=table, name=name, scheduler=scheduler)
 
 
 def scheduler_of(name: str, tables: Tables | None = None) -> tuple[str, ClusterTable] | None:
@@ -181,13 +181,13 @@ def scheduler_of(name: str, tables: Tables | None = None) -> tuple[str, ClusterT
     Raises ConfigError if there is no runner of that name, or if the cluster's table is invalid.
     """
     table = (tables or {}).get(name)
-    asked = table.get("scheduler") if table is not None else None
-    if asked is None and name in RUNNERS.names():
+    requested = table.get("scheduler") if table is not None else None
+    if requested is None and name in RUNNERS.names():
         return None
-    scheduler = asked or name
+    scheduler = str(requested or name)
     if scheduler in SCHEDULERS.names():
         return scheduler, schedulers.table(scheduler, table or {}, name)
     if table is not None:
         raise ConfigError(f"[runners.{name}] needs a scheduler: {', '.join(SCHEDULERS.names())}")
-    named = dict.fromkeys((*RUNNERS.names(), *SCHEDULERS.names(), *(tables or {})))
-    raise ConfigError(f"unknown runner {name!r}; known are {', '.join(named)}")
+    known = dict.fromkeys((*RUNNERS.names(), *SCHEDULERS.names(), *(tables or {})))
+    raise ConfigError(f"unknown runner {name!r}; known are {', '.join(known)}")

@@ -36,7 +36,7 @@ class Stalled:
     since: float
     """Time in seconds since the epoch."""
 
-    def told(self, where: str = "") -> str:
+    def message(self, where: str = "") -> str:
         """Return the message for the user; `where` is the node, for example ` on n1`."""
         when = time.strftime("%H:%M:%S", time.localtime(self.since))
         cure = f"continue it with kill -CONT {self.pid}{where}, or set wall in [limits] to end such runs"

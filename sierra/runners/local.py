@@ -12,12 +12,12 @@ import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from functools import lru_cache
-from typing import Any, ClassVar
+from typing import ClassVar, cast
 
 from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Table
 from sierra.errors import Missing
-from sierra.model import Client, Job, Limits, Result
+from sierra.model import Job, Limits, Result
 from sierra.runners import orphans
 from sierra.runners.base import Look, Work
 from sierra.runners.journal_reader import Journal, Stalled, Started
@@ -35,7 +35,7 @@ class Local:
     stays = False
     Options: ClassVar[type[Table]] = NoOptions
 
-    def __init__(self, slots: int, options: Any = None) -> None:
+    def __init__(self, slots: int, options: Table | None = None) -> None:
         self._slots = slots
         self._process: subprocess.Popen[bytes] | None = None
         self._trouble: BaseException | None = None
@@ -62,7 +62,7 @@ class Local:
 
     def _feed(self, jobs: Iterable[Job], process: subprocess.Popen[bytes]) -> None:
         """Send all jobs, and hold the pipe open until the worker has ended."""
-        pipe: Any = process.stdin
+        pipe = worker.stdin_of(process)
         try:
             for number, job in enumerate(jobs):
                 if number == 0:
@@ -88,7 +88,7 @@ class Local:
                 case Started():
                     self._running.add(event.execution)
                 case Stalled():
-                    notes.append(event.told())
+                    notes.append(event.message())
                 case Result():
                     self._running.discard(event.execution)
                     results.append(event)
@@ -122,34 +122,33 @@ def line(job: Job) -> bytes:
     return json.dumps(record(job), separators=(",", ":")).encode() + b"\n"
 
 
-def record(job: Job) -> dict[str, Any]:
+def record(job: Job) -> worker.Job:
     """Return a job as the record that the worker expects."""
-    return {
+    record: worker.Job = {
         "run": job.run,
         "execution": job.execution,
         "argv": job.argv,
         "environment": dict(job.environment),
         "files": {name: base64.b64encode(content).decode() for name, content in job.files},
         "limits": _limits(job.limits),
-        **({"client": _client(job.client), "shared": job.shared} if job.client else {}),
     }
+    if client := job.client:
+        record["client"] = {"argv": client.argv, "environment": dict(client.environment), "stop": client.stop}
+        record["shared"] = job.shared
+    return record
 
 
 @lru_cache(maxsize=8)
-def _limits(limits: Limits) -> dict[str, Any]:
+def _limits(limits: Limits) -> worker.Limits:
     """Return the limits that are set."""
-    return {name: value for name, value in asdict(limits).items() if value is not None}
-
-
-def _client(client: Client) -> dict[str, Any]:
-    return {"argv": client.argv, "environment": dict(client.environment), "stop": client.stop}
+    return cast("worker.Limits", {name: value for name, value in asdict(limits).items() if value is not None})
 
 
 def _ending(process: subprocess.Popen[bytes]) -> str:
     """Return a worker's exit status or signal, and the last line that it printed."""
-    said: list[str] = []
+    lines: list[str] = []
     if process.stderr is not None and not process.stderr.closed:
         with process.stderr as stream:
-            said = stream.read().decode("utf-8", "replace").strip().splitlines()
+            lines = stream.read().decode("utf-8", "replace").strip().splitlines()
     code = process.returncode
-    return ": ".join([f"signal {-code}" if code < 0 else f"status {code}", *said[-1:]])
+    return ": ".join([f"signal {-code}" if code < 0 else f"status {code}", *lines[-1:]])

@@ -74,7 +74,7 @@ from types import FrameType, ModuleType
 from typing import TYPE_CHECKING, Callable, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
 if TYPE_CHECKING:
-    from typing import IO, BinaryIO, Deque, Literal, NotRequired, TypedDict, final
+    from typing import IO, BinaryIO, Deque, Literal, NotRequired, Sequence, TypedDict, final
 
     from sierra.worker.worker import End, Event, Job, Limits, Outcome, Program
 
@@ -96,7 +96,7 @@ if TYPE_CHECKING:
 
         run: str
         execution: str
-        argv: List[str]
+        argv: Sequence[str]
         environment: Dict[str, str]
         files: Dict[str, "Union[str, Between]"]
         limits: Limits

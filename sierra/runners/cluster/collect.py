@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from sierra.errors import Damaged
 from sierra.model import Result
@@ -27,6 +26,7 @@ from sierra.runners.journal_reader import Stalled
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
+from sierra.util.json_types import Cell
 from sierra.util.text import counted
 from sierra.worker import worker
 from sierra.worker.array_task import Attempt, Finished, Requeued, Started, Trouble
@@ -123,7 +123,7 @@ class Collector:
     ) -> None:
         """Start reading. `recorded` maps the store's executions to their attempts; `note` receives messages for the user."""
         self.shares = [Share(count, tries=1) for count in made.counts]
-        self.rows: list[tuple[str, dict[str, Any]]] = []
+        self.rows: list[tuple[str, Mapping[str, Cell]]] = []
         """Rows for the store's tables, in addition to results."""
         self.failed: list[Result] = []
         """Results of runs that were given up."""
@@ -203,7 +203,7 @@ class Collector:
                 if len(results) >= AT_ONCE:
                     return results, copies
             for stalled in track.stalled.values():
-                self._note(stalled.told(f" on {self.shares[track.element].node}"))
+                self._note(stalled.message(f" on {self.shares[track.element].node}"))
             self._take_late(track, results, copies)
         if not results:
             self._due = time.monotonic() + READ_S
@@ -297,7 +297,7 @@ class Collector:
 
     # Attempts
 
-    def attempts(self, word: str | None) -> list[tuple[str, dict[str, Any]]]:
+    def attempts(self, word: str | None) -> list[tuple[str, Mapping[str, Cell]]]:
         """Return all attempts as rows. `word` is the reason of those that have neither their own reason nor the scheduler's."""
         for index in range(len(self.shares)):
             self.note_end(index)
@@ -312,7 +312,7 @@ class Collector:
     def _last(self, index: int) -> Track | None:
         return last_of(self._tracks.values(), index)
 
-    def _row(self, track: Track, begun: Attempt, word: str | None) -> dict[str, Any]:
+    def _row(self, track: Track, begun: Attempt, word: str | None) -> dict[str, Cell]:
         return {
             "attempt": begun.attempt,
             "session": self._session.root.name,

@@ -29,7 +29,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from sierra.config.project_file import ClusterTable, Table
 from sierra.errors import Full, Missing, SierraError
@@ -110,7 +110,7 @@ class Cluster:
         table = self._table.model_dump(mode="json")
         dealt = (work.batch, counts, dict(work.around), probed, rest)
         means = _means(work.times, sized.first)
-        made = Submission(self.name, self._kind, version, table, *dealt, asdict(bounds), estimated, *means, past)
+        made = Submission(self.name, self._kind, version, table, *dealt, bounds, estimated, *means, past)
         made.save(session)
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._begin(made, session, {})
@@ -138,7 +138,7 @@ class Cluster:
             self._cancel()
             raise
 
-    def _settings(self, work: Work, session: SessionPaths) -> dict[str, Any]:
+    def _settings(self, work: Work, session: SessionPaths) -> dict[str, object]:
         return {
             "session": session.root.name,
             "slots": self._table.cpus,
@@ -204,8 +204,8 @@ class Cluster:
             self._note(submission_record.UNFOLLOWED)
         if self._pilot is None:
             return
-        if self._table.wall is None and self._made.bounds.wall_s is not None:
-            self._allow(self._made.bounds.wall_s)  # nobody will submit again a run that takes longer than usual
+        if self._table.wall is None and self._made.allowed.wall_s is not None:
+            self._allow(self._made.allowed.wall_s)  # nobody will submit again a run that takes longer than usual
         try:
             self._deal_rest(self._told or Told(None, "no process waits for the first runs"))
         except SierraError as error:
@@ -537,7 +537,7 @@ class Cluster:
         before = self._table.wall
         if not self._made.estimated or before is None:
             return
-        wall = min(2 * before, self._made.bounds.wall_s or math.inf)
+        wall = min(2 * before, self._made.allowed.wall_s or math.inf)
         self._allow(wall)
         if wall > before:
             self._note(f"the time limit of array tasks is now {wall / 60:g} minutes; {before / 60:g} minutes were too short")
@@ -557,13 +557,13 @@ class Cluster:
             return made.rest_s if told.seconds is None else told.seconds
         slower = max(1.0, told.seconds / made.first_s)
         if made.estimated and wall is not None and slower > 1:
-            self._allow(min(wall * slower, made.bounds.wall_s or math.inf))
+            self._allow(min(wall * slower, made.allowed.wall_s or math.inf))
         return made.rest_s * slower
 
     def _deal_rest(self, told: Told) -> None:
         """Shard the other runs according to the calibration, and submit them. Raises the scheduler's refusals."""
         self._pilot = self._told = None
-        count, why = elements_of(self._made.rest, self._learn(told), self._table, self._made.bounds, before=True)
+        count, why = elements_of(self._made.rest, self._learn(told), self._table, self._made.allowed, before=True)
         begin = len(self._shares)
         counts = deal_rest(count, begin, self._session)
         self._made = replace(self._made, counts=(*self._made.counts, *counts), rest=0)

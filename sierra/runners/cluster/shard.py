@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from pydantic_core import to_json
 
@@ -26,6 +26,10 @@ from sierra.model import Job
 from sierra.runners import local
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
+
+if TYPE_CHECKING:
+    from sierra.worker import array_task
+    from sierra.worker.array_task import Difference
 
 LEVEL = 1
 ENCODER = json.JSONEncoder(separators=(",", ":"))
@@ -159,14 +163,14 @@ class _Template:
         self._content = content
         self._head = self._tail = len(content)
 
-    def difference(self, content: bytes) -> list[Any]:
+    def difference(self, content: bytes) -> array_task.Between:
         """Return the number of bytes shared at the start, the base64 of the bytes between, and the number shared at the end."""
         if not self._fits(content):
             most = min(len(content), len(self._content))
             self._head = _alike(content, self._content, min(most, self._head))
             self._tail = _alike(content[::-1], self._content[::-1], min(most - self._head, self._tail))
         between = content[self._head : len(content) - self._tail]
-        return [self._head, b2a_base64(between, newline=False).decode(), self._tail]
+        return self._head, b2a_base64(between, newline=False).decode(), self._tail
 
     def _fits(self, content: bytes) -> bool:
         return (
@@ -176,14 +180,14 @@ class _Template:
         )
 
 
-def _line(record: Mapping[str, Any]) -> bytes:
+def _line(record: Mapping[str, object]) -> bytes:
     try:
         return to_json(record) + b"\n"
     except ValueError:  # a path whose bytes are not valid text
         return ENCODER.encode(record).encode() + b"\n"
 
 
-def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> dict[str, Any]:
+def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> Difference:
     """Return the parts of a job that differ from the common job, whose files are `templates`.
 
     Raises ValueError if they differ in the names of their variables or in the use of an engine.
@@ -192,14 +196,16 @@ def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> di
         raise ValueError(f"runs {job.run} and {common.run} have different variables or engines")
     shared = common.environment
     own = {name: value for name, value in job.environment.items() if shared[name] != value}
-    record: dict[str, Any] = {"run": job.run, "execution": job.execution, "environment": own}
+    record: Difference = {"run": job.run, "execution": job.execution, "environment": own}
     if job.argv != common.argv:
         record["argv"] = job.argv
     if job.files != common.files:
         record["files"] = {name: templates[name].difference(content) for name, content in job.files}
     if job.limits is not common.limits or job.client is not common.client or job.shared != common.shared:
-        whole = local.record(replace(job, files=()))
-        record.update((name, whole[name]) for name in ("limits", "client", "shared") if name in whole)
+        complete = local.record(replace(job, files=()))
+        record["limits"] = complete["limits"]
+        if "client" in complete:
+            record["client"], record["shared"] = complete["client"], complete["shared"]
     return record
 
 

@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Damaged
@@ -23,6 +22,7 @@ from sierra.runners.schedulers.base import Bounds, Request, State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import read_record, write_whole
+from sierra.util.json_types import Json, JsonView
 from sierra.util.text import few
 
 NAMED = 8
@@ -55,18 +55,18 @@ class Submission:
     scheduler: str
     version: str
     """Name and version of the scheduler."""
-    table: Mapping[str, Any]
+    table: Mapping[str, Json]
     batch: str
     counts: tuple[int, ...]
     """Number of runs of each element."""
-    around: Mapping[str, Any]
+    around: Mapping[str, JsonView]
     """The row of `environments` of the submitting process."""
     probed: bool = False
     """True if a preflight job (probe) goes before all elements."""
     rest: int = 0
     """Number of runs that are not sharded yet."""
-    allowed: Mapping[str, Any] = field(default_factory=dict)
-    """Limits of the site at that time: the fields of `Bounds`."""
+    allowed: Bounds = field(default_factory=Bounds)
+    """Limits of the site at that time."""
     estimated: bool = False
     """True if the time limit of an element is SIERRA's own estimate, and not the project's setting."""
     first_s: float | None = None
@@ -74,10 +74,6 @@ class Submission:
     rest_s: float | None = None
     past: tuple[str, ...] = ()
     """Jobs of earlier submissions of the session. They have the same name, but do not belong to this one."""
-
-    @property
-    def bounds(self) -> Bounds:
-        return Bounds(**self.allowed)
 
     @property
     def runs(self) -> int:
@@ -98,13 +94,14 @@ class Submission:
         """Read a session's submission. Raises FileNotFoundError, and Damaged if another version of SIERRA wrote it."""
         fields = read_record(session.submission)
         try:
-            made = cls(**{**fields, "counts": tuple(fields["counts"]), "past": tuple(fields.get("past", ()))})
-            made.bounds  # noqa: B018 - it is validated
+            fields |= {name: tuple(fields[name]) for name in ("counts", "past") if name in fields}
+            fields["allowed"] = Bounds(**fields.get("allowed", {}))
+            submission = cls(**fields)
             with contextlib.suppress(ConfigError):  # the scheduler is not installed any more: its jobs are kept
-                made.cluster  # noqa: B018
+                submission.cluster  # noqa: B018 - it is validated
         except (TypeError, ValueError, LookupError) as error:
             raise Damaged(f"{session.submission}: was written by another version of SIERRA; use that version") from error
-        return made
+        return submission
 
 
 def name_of(session: SessionPaths, what: str = "sierra") -> str:
@@ -126,14 +123,18 @@ def request(session: SessionPaths, name: str, elements: tuple[int, ...], python:
 def last_line(session: SessionPaths, index: str) -> str:
     """Return the last line of an element's newest log; an empty text if there is none."""
     newest = max(session.logs.glob(f"*[._]{index}.out"), key=lambda file: file.stat().st_mtime, default=None)
-    said = newest.read_bytes()[-4096:].decode("utf-8", "replace").strip().splitlines() if newest else []
-    return said[-1] if said else ""
+    lines = newest.read_bytes()[-4096:].decode("utf-8", "replace").strip().splitlines() if newest else []
+    return lines[-1] if lines else ""
 
 
 def sent(session: SessionPaths) -> list[Sent]:
     """Return all jobs that were submitted, or were about to be, in order."""
-    files = sorted(session.sent.glob("*.json"), key=lambda file: int(file.stem))
-    return [Sent(**{**found, "elements": tuple(found["elements"])}) for found in map(_read, files) if found]
+    jobs = []
+    for file in sorted(session.sent.glob("*.json"), key=lambda file: int(file.stem)):
+        with contextlib.suppress(FileNotFoundError):  # removed since: the site took no more jobs
+            record = read_record(file)
+            jobs.append(Sent(**{**record, "elements": tuple(record["elements"])}))
+    return jobs
 
 
 def note(session: SessionPaths, number: int, one: Sent) -> None:
@@ -162,13 +163,6 @@ def waits(tasks: Iterable[Task]) -> str:
     words = Counter(task.reason for task in tasks if task.state is State.QUEUED and task.reason)
     told = [word if len(word) <= LONGEST else f"{word[: LONGEST - 1]}…" for word, _ in words.most_common()]
     return few(told, SHOWN_REASONS)
-
-
-def _read(file: Any) -> dict[str, Any]:
-    try:
-        return read_record(file)
-    except FileNotFoundError:  # removed since: the site took no more jobs
-        return {}
 
 
 def jobs(session: SessionPaths) -> Iterator[str]:

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 from sierra.config.plugin_registry import SCHEDULERS
 from sierra.config.project_file import ClusterTable, check_directives, options
@@ -114,7 +114,7 @@ class Scheduler(Protocol):
     Options: ClassVar[type[ClusterTable]]
     """The model of `[runners.…]` for clusters with this scheduler: `ClusterTable`, or a subclass with keys of its own."""
 
-    def __init__(self, table: Any) -> None:
+    def __init__(self, table: ClusterTable) -> None:
         """Make a scheduler from the project's `table` for the cluster, an object of `Options`."""
         ...
 
@@ -182,18 +182,18 @@ class Scheduler(Protocol):
 
 def find(name: str) -> type[Scheduler]:
     """Return the scheduler of that name. Raises ConfigError if there is none."""
-    found: type[Scheduler] = SCHEDULERS.load(name)
-    return found
+    kind: type[Scheduler] = SCHEDULERS.load(name)
+    return kind
 
 
-def table(scheduler: str, settings: Mapping[str, Any], name: str) -> ClusterTable:
+def table(scheduler: str, settings: Mapping[str, object], name: str) -> ClusterTable:
     """Return the table of a cluster, validated by its scheduler. `name` is the cluster's, for messages. Raises ConfigError."""
-    found = find(scheduler)
-    made = options(found.Options, settings, f"[runners.{name}]")
-    check_directives(made, found.refuses, f"[runners.{name}]", name)
-    return made
+    kind, where = find(scheduler), f"[runners.{name}]"
+    validated = options(kind.Options, settings, where)
+    check_directives(validated, kind.refuses, where, name)
+    return validated
 
 
-def recorded_table(scheduler: str, settings: Mapping[str, Any]) -> ClusterTable:
+def recorded_table(scheduler: str, settings: Mapping[str, object]) -> ClusterTable:
     """Return the table of a cluster from its JSON form. Raises ConfigError for an unknown scheduler, ValueError otherwise."""
     return find(scheduler).Options.model_validate({**settings, "scheduler": scheduler})

@@ -18,9 +18,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 from sierra.runners.schedulers.base import State, Task
+from sierra.util.json_types import Json
 
 Record = Mapping[str, str]
 """Attributes of a job, a queue or a server by their names in the text, for example `resources_max.walltime`; and its `id`."""
@@ -96,15 +96,17 @@ def text_records(text: str) -> Iterator[Record]:
 
 def json_records(text: str) -> Iterator[Record]:
     """Yield the records in the answer to `qstat -f -F json`. Raises ValueError for invalid or unexpected JSON."""
-    answer = json.loads(text, strict=False) if text.strip() else {}
+    answer: Json = json.loads(text, strict=False) if text.strip() else {}
     jobs = answer.get("Jobs", {}) if isinstance(answer, dict) else None
-    if not isinstance(jobs, dict) or not all(isinstance(job, dict) for job in jobs.values()):
+    if not isinstance(jobs, dict):
         raise ValueError("the output of qstat contains no jobs")
     for job, attributes in jobs.items():
+        if not isinstance(attributes, dict):
+            raise ValueError(f"the output of qstat describes no job {job}")
         yield {"id": job, **{key: _plain(value) for key, value in attributes.items()}}
 
 
-def _plain(value: Any) -> str:
+def _plain(value: Json) -> str:
     """Return a JSON value as the text form has it. Numbers in the JSON may have been texts of digits."""
     if isinstance(value, dict):
         return ",".join(f"{key}={_plain(inner)}" for key, inner in value.items())

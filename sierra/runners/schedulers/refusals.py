@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from sierra.config.project_file import ClusterTable
 
@@ -112,7 +111,7 @@ def _asked(table: ClusterTable, settings: Sequence[str]) -> Iterator[str]:
             yield f"{name} = {_shown(name, value)}"
 
 
-def _shown(name: str, value: Any) -> str:
+def _shown(name: str, value: float | str | tuple[str, ...]) -> str:
     match value:
         case int() if name == "memory":
             return f"{value / 1e9:.5g} GB"

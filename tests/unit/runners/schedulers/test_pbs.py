@@ -720,7 +720,7 @@ def test_an_array_task_reports_its_expired_time_limit_if_pbs_does_not(server: pb
     gate.touch()
     _, err = asked.communicate(timeout=60)
     assert asked.returncode == 0, err
-    assert re.search(r"submitted again: element: asked to end after \d s \(walltime of 3 s exceeded\)", err)
+    assert re.search(r"submitted again: array task: asked to end after \d s \(walltime of 3 s exceeded\)", err)
 
 
 @pytest.mark.nightly
