@@ -83,7 +83,7 @@ if TYPE_CHECKING:
 
         name: str
         path: str
-        sha256: NotRequired[str]
+        sha256: str
         """Empty: the file only has to exist. For a link, it is the hash of its own target path, not of the target's content."""
         search: NotRequired[str]
         """The PATH on which runs find the program `name`; empty: they use `path`."""
@@ -254,9 +254,6 @@ class Settings(NamedTuple):
     """The command that starts a task again, to which the task's id is added; empty: there is none."""
 
 
-# ---------------------------------------------------------------- packs
-
-
 def event_of(record: Record) -> Dict[str, object]:
     """Return a record with its event, and without a field that has its default value."""
     defaults = record._field_defaults
@@ -386,13 +383,8 @@ class Pack:
             return error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ESTALE)
 
 
-def executed(folder: str, index: str, own: str, stop: "StopSignals") -> Set[bytes]:
-    """Return the executions whose end other attempts have recorded with all files intact. Raises Unwanted."""
-
-    def go_on() -> None:
-        if stop.times:
-            raise Unwanted
-
+def executed(folder: str, index: str, own: str, go_on: Callable[[], None]) -> Set[bytes]:
+    """Return the executions whose end other attempts have recorded with all files intact. Calls `go_on` for each chunk."""
     found = set()
     for name in os.listdir(folder):
         path = os.path.join(folder, name)
@@ -413,7 +405,7 @@ def read_lines(path: str) -> List[str]:
         return []
 
 
-def is_sound(file: "BinaryIO", at: int, files: List[File], go_on: Callable[[], None] = lambda: None) -> bool:
+def is_sound(file: "BinaryIO", at: int, files: List[File], go_on: Callable[[], None]) -> bool:
     """Return whether a payload matches its hashes. Calls `go_on` for each chunk."""
     file.seek(at)
     for _, size, sha256 in files:
@@ -433,9 +425,6 @@ def is_sound(file: "BinaryIO", at: int, files: List[File], go_on: Callable[[], N
 def short(execution: str) -> bytes:
     """Return a short hash of an execution's id, to save memory."""
     return hashlib.sha256(execution.encode()).digest()[:16]
-
-
-# ---------------------------------------------------------------- jobs
 
 
 def jobs(path: str) -> "Iterator[Job]":
@@ -517,9 +506,6 @@ class Feeder(threading.Thread):
         self._write(self._pipe.fileno(), json.dumps(record, separators=(",", ":")).encode() + b"\n")
 
 
-# ---------------------------------------------------------------- files of runs
-
-
 def opened(root: int, path: str) -> int:
     """Open a regular file below an open folder, and return its descriptor. Does not follow links on the way.
 
@@ -546,13 +532,9 @@ def logs_in(root: int) -> Iterator[File]:
             descriptor = opened(root, name)
         except OSError:
             continue
-        with open(descriptor, "rb", buffering=0) as file:
-            size, digest = 0, hashlib.sha256()
-            for chunk in iter(lambda: file.read(CHUNK), b""):
-                digest.update(chunk)
-                size += len(chunk)
-            if size:
-                yield name, size, digest.hexdigest()
+        size, sha256 = hashed(descriptor)
+        if size:
+            yield name, size, sha256
 
 
 def contents(root: int, files: Iterable[File], go_on: Callable[[], None]) -> Iterator[bytes]:
@@ -576,9 +558,6 @@ def contents(root: int, files: Iterable[File], go_on: Callable[[], None]) -> Ite
             raise Changed("%s: %s" % (path, error.strerror)) from error
         if size or digest.hexdigest() != sha256:
             raise Changed("%s has changed since the run ended" % path)
-
-
-# ---------------------------------------------------------------- the node
 
 
 def first_record(settings: Settings, index: int, facts: Dict[str, object], slots: int, cores: int) -> Attempt:
@@ -704,15 +683,19 @@ def path_of(need: "Need") -> str:
 
 def hash_of(need: "Need") -> str:
     """Return the SHA-256 of a file's content, or of a link's target path."""
-    return hashlib.sha256(os.fsencode(os.readlink(need["path"]))).hexdigest() if need.get("link") else digest_of(need["path"])
+    if need.get("link"):
+        return hashlib.sha256(os.fsencode(os.readlink(need["path"]))).hexdigest()
+    return hashed(need["path"])[1]
 
 
-def digest_of(path: str) -> str:
-    digest = hashlib.sha256()
+def hashed(path: Union[str, int]) -> Tuple[int, str]:
+    """Return the size and the SHA-256 of a file."""
+    size, digest = 0, hashlib.sha256()
     with open(path, "rb", buffering=0) as file:
         for chunk in iter(lambda: file.read(CHUNK), b""):
             digest.update(chunk)
-    return digest.hexdigest()
+            size += len(chunk)
+    return size, digest.hexdigest()
 
 
 @contextlib.contextmanager
@@ -790,9 +773,6 @@ def remove_own(folder: str, remove: Callable[[str], None]) -> None:
     remove(folder)
 
 
-# ---------------------------------------------------------------- execution
-
-
 class StopSignals:
     """A counter of the signals that told this process to end."""
 
@@ -801,6 +781,11 @@ class StopSignals:
         self.when = 0.0
         for signalled in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(signalled, self._note)
+
+    def check(self) -> None:
+        """Raise Unwanted if there was a signal."""
+        if self.times:
+            raise Unwanted
 
     def _note(self, signalled: int, frame: Optional[FrameType]) -> None:
         self.when = self.when or time.clock_gettime(time.CLOCK_BOOTTIME)
@@ -1112,7 +1097,8 @@ def attempt(folder: str, index: int, stop: StopSignals, *, wall: Optional[float]
         needs.check()
         with scratch(settings, worker.remove) as (own, lock):
             named = os.path.join(folder, "elements", str(index))
-            done = executed(results, str(index), pack.path, stop) | {short(one) for one in read_lines(named + ".failed")}
+            done = executed(results, str(index), pack.path, stop.check)
+            done |= {short(one) for one in read_lines(named + ".failed")}
             requeue = Requeue(folder, pack, settings.requeue, wall)
             execution = partial(Execution, folder, settings.session, lock, pack, stop, requeue, worker, needs)
             if not probing and not execute(named, done, slots, own, execution):

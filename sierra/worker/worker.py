@@ -142,23 +142,18 @@ class Job(Program):
     seal: NotRequired[str]
 
 
-class Counted(TypedDict):
-    """The counts of a file; the last three are those of a text."""
-
-    bytes: int
-    lines: int
-    ended: bool
-    quotes: NotRequired[int]
-    blank: NotRequired[int]
-    alike: NotRequired[bool]
-
-
-class OutputFile(Counted):
+class OutputFile(TypedDict):
     """A file that a run has left: see `sierra.model.OutputFile`."""
 
     path: str
     sha256: str
+    bytes: int
+    lines: int
+    ended: bool
     head: str
+    quotes: NotRequired[int]
+    blank: NotRequired[int]
+    alike: NotRequired[bool]
 
 
 class Usage(TypedDict):
@@ -357,11 +352,6 @@ class Running:
                     signal_process(pid, signal.SIGKILL)
                 signal_group(self.pid, signal.SIGKILL)
 
-    def clean(self, status: int) -> None:
-        """End the container that a client has left."""
-        if self.client and (self.stopped is not None or os.WIFSIGNALED(status)):
-            end_container(self.client)
-
 
 class Meter:
     """The resources that the processes of a contained run have used, measured from outside."""
@@ -518,13 +508,7 @@ class Worker:
     """Slots, each a thread, which take jobs from a queue; and the main thread, which watches over them."""
 
     def __init__(
-        self,
-        folder: str,
-        slots: int,
-        *,
-        journal: str | None = "",
-        adopts: bool = False,
-        places: tuple[str, ...] = (),
+        self, folder: str, slots: int, *, journal: str | None = "", adopts: bool = False, places: tuple[str, ...] = ()
     ) -> None:
         """Prepare a worker in `folder` with `slots` slots.
 
@@ -694,7 +678,8 @@ class Worker:
             self.await_signal()
         with self.lock:
             del self.running[running.pid]
-        running.clean(status)
+        if running.client and (running.stopped is not None or os.WIFSIGNALED(status)):
+            end_container(running.client)
         # a run with a seal is alone in its container
         alone = end_orphans(None if running.seal else running.execution, running.pid)
         if running.stopped is None and self.stopping and os.WIFSIGNALED(status):
@@ -1142,41 +1127,37 @@ def remove(folder: str) -> None:
 
 
 def describe(path: str, name: str, go_on: Callable[[], None] = lambda: None) -> OutputFile:
-    digest, counts, head = hashlib.sha256(), Counts(), None
+    """Return the description of a file. Calls `go_on` for each chunk."""
+    counts = Counts()
+    go_on()
     with open(path, "rb", buffering=0) as file:
-        while True:
+        for chunk in iter(lambda: file.read(CHUNK), b""):
             go_on()
-            chunk = file.read(CHUNK)
-            if not chunk:
-                break
-            if head is None:
-                head = chunk[:HEAD_BYTES].split(b"\n", 1)[0]
-                counts.text = b"\0" not in chunk
-            digest.update(chunk)
             counts.add(chunk)
-    return {
-        "path": name,
-        "sha256": digest.hexdigest(),
-        **counts.report(),
-        "head": (head or b"").decode("utf-8", "replace"),
-    }
+    return counts.report(name)
 
 
 class Counts:
-    """Counters for the bytes, lines and quotes of a file, fed in pieces, from which the number of a table's rows follows.
+    """The hash of a file, fed in pieces, and its bytes, lines and quotes, from which the number of a table's rows follows.
 
     A file with a NUL in its first piece is not text: only its bytes and line feeds are counted, which is faster.
     """
 
     def __init__(self) -> None:
-        self.text = True
+        self._digest = hashlib.sha256()
+        self._text = True
+        self._head = b""
         self._size = self._lines = self._returns = self._pairs = self._quotes = self._blank = 0
         self._before = b"\n"  # the last two bytes; the beginning of a file is the beginning of a line
 
     def add(self, chunk: bytes) -> None:
+        self._digest.update(chunk)
+        if not self._size:
+            self._head = chunk[:HEAD_BYTES].split(b"\n", 1)[0]
+            self._text = b"\0" not in chunk
         self._size += len(chunk)
         self._lines += chunk.count(b"\n")
-        if self.text:
+        if self._text:
             self._add_text(chunk)
         self._before = (self._before + chunk[-2:])[-2:]
 
@@ -1190,27 +1171,34 @@ class Counts:
         if b"\n\n" in seen or b"\n\r\n" in seen:
             self._blank += sum(found.end() > len(self._before) for found in EMPTY_LINE.finditer(seen))
 
-    def report(self) -> Counted:
-        """Return the counts."""
-        counts: Counted = {"bytes": self._size, "lines": self._lines, "ended": self._before.endswith(b"\n")}
-        if not self.text:
-            return counts
-        alike = self._returns == 0 or self._returns == self._pairs == self._lines
-        return {**counts, "quotes": self._quotes, "blank": self._blank, "alike": alike}
+    def report(self, name: str) -> OutputFile:
+        file: OutputFile = {
+            "path": name,
+            "sha256": self._digest.hexdigest(),
+            "bytes": self._size,
+            "lines": self._lines,
+            "ended": self._before.endswith(b"\n"),
+            "head": self._head.decode("utf-8", "replace"),
+        }
+        if self._text:
+            file["quotes"], file["blank"] = self._quotes, self._blank
+            file["alike"] = self._returns == 0 or self._returns == self._pairs == self._lines
+        return file
 
 
 def exceeded(running: Running) -> str | None:
     """Return the name of the limit that a program exceeds, or None."""
     limits = running.limits
-    if limits.get("memory_bytes") is not None or limits.get("cpu_s") is not None:
+    memory_limit, cpu_limit, output_limit = limits.get("memory_bytes"), limits.get("cpu_s"), limits.get("output_bytes")
+    if memory_limit is not None or cpu_limit is not None:
         memory, cpu = usage_of(running.pids())
-        if limits.get("memory_bytes") is not None and memory > limits["memory_bytes"]:
+        if memory_limit is not None and memory > memory_limit:
             return "memory"
-        if limits.get("cpu_s") is not None and cpu > limits["cpu_s"]:
+        if cpu_limit is not None and cpu > cpu_limit:
             return "cpu"
-    if limits.get("output_bytes") is not None and size_of(running.folder) > limits["output_bytes"]:
+    if output_limit is not None and size_of(running.folder) > output_limit:
         return "output"
-    if any(size_of_file(os.path.join(running.folder, name)) > LOG_BYTES for name in ("stdout", "stderr")):
+    if any(size_of_file(os.path.join(running.folder, name)) > LOG_BYTES for name in LOGS):
         return "output"
     return None
 
@@ -1224,24 +1212,16 @@ def size_of_file(path: str) -> int:
 
 def size_of(folder: str) -> int:
     """Return the total size in bytes of all files below a folder, as far as they can be read."""
-    total = 0
-    for root, _, names in os.walk(folder):
-        for name in names:
-            total += size_of_file(os.path.join(root, name))
-    return total
+    return sum(size_of_file(os.path.join(root, name)) for root, _, names in os.walk(folder) for name in names)
 
 
 def descendants(pid: int) -> list[int]:
     """Return the ids of a process and all its descendants, as far as /proc lists them."""
-    found = [pid]
-    for parent in found:
-        try:
-            tasks = os.listdir("/proc/%d/task" % parent)
-        except OSError:
-            continue
-        for task in tasks:
-            found += children(parent, task)
-    return found
+    pids = [pid]
+    for parent in pids:
+        for task in names_in("/proc/%d/task" % parent):
+            pids += children(parent, task)
+    return pids
 
 
 def read_proc(path: str) -> bytes:
@@ -1320,10 +1300,8 @@ def end_orphans(execution: str | None, group: int | None = None) -> bool:
             return not found
         for pid in mine:
             signal_process(pid, signal.SIGKILL)
-            try:
+            with contextlib.suppress(ChildProcessError):
                 os.waitpid(pid, 0)
-            except ChildProcessError:
-                continue
     return False
 
 
@@ -1333,10 +1311,8 @@ def reap() -> list[int]:
     for pid in orphans():
         fields = stat_of(pid)
         if fields and fields[0] == b"Z":
-            try:
+            with contextlib.suppress(ChildProcessError):
                 os.waitpid(pid, os.WNOHANG)
-            except ChildProcessError:
-                continue
         elif fields:
             living.append(pid)
     return living

@@ -32,7 +32,7 @@ PATIENCE_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Timing:
     """The result of a calibration."""
 
     seconds: float | None
@@ -47,42 +47,42 @@ class Calibration:
     def __init__(self, session: SessionPaths) -> None:
         self._session = session
         self._packs: dict[Path, Pack] = {}
-        self._took: dict[str, float | None] = {}
+        self._durations: dict[str, float | None] = {}
         """Durations of the runs that have ended; None for a run that failed."""
         self._since: float | None = None
         """The time when the first of them was seen to have begun."""
 
-    def told(self, *, over: bool) -> Told | None:
+    def result(self, *, over: bool) -> Timing | None:
         """Return the result of the calibration; None as long as more may be learned.
 
         `over`: all first runs have ended, or were given up.
         """
         self._read()
-        good = [seconds for seconds in self._took.values() if seconds is not None]
+        good = [seconds for seconds in self._durations.values() if seconds is not None]
         if over:
-            took = _mean(good)
-            how = "the first runs have failed" if took is None else f"the first runs took {took:.3g} s"
-            return Told(took, how)
+            seconds = _mean(good)
+            how = "the first runs have failed" if seconds is None else f"the first runs took {seconds:.3g} s"
+            return Timing(seconds, how)
         if self._since is None:
             late = self._waited() > PATIENCE_S
-            return Told(None, f"no node was available for the first runs within {PATIENCE_S:g} s") if late else None
+            return Timing(None, f"no node was available for the first runs within {PATIENCE_S:g} s") if late else None
         lasted = time.monotonic() - self._since
         late = lasted > ELEMENT_S
-        return Told(_mean([*good, lasted]), f"one of the first runs has not ended within {ELEMENT_S:g} s") if late else None
+        return Timing(_mean([*good, lasted]), f"one of the first runs has not ended within {ELEMENT_S:g} s") if late else None
 
     def _read(self) -> None:
         """Read what their element has recorded since the last call."""
         for path in self._session.results.glob("0.*.pack"):
             with contextlib.suppress(OSError):  # a later call may be able to read it
-                self._take(self._packs.setdefault(path, Pack(path)).read())
+                self._add(self._packs.setdefault(path, Pack(path)).read())
 
-    def _take(self, events: Iterator[Event]) -> None:
+    def _add(self, events: Iterator[Event]) -> None:
         for event in events:
             match event:
                 case Started() if self._since is None:
                     self._since = time.monotonic()
                 case Ended():
-                    self._took[event.result.execution] = _seconds(event.result)
+                    self._durations[event.result.execution] = _seconds(event.result)
 
     def _waited(self) -> float:
         """Return the seconds since the first runs were submitted."""

@@ -24,7 +24,7 @@ FILES = 14
 """Number of files of a submission that does not depend on the number of elements; see `sierra.store.layout`."""
 FILES_OF_ELEMENT = 3
 """Number of files of each element: its jobs, its result log and its output."""
-SAID = (
+SHOWN = (
     *("cpus", "memory", "gpus", "partition", "account", "qos", "constraint", "modules", "directives"),
     *("python", "scratch", "attempts", "cancelled"),
 )
@@ -36,16 +36,16 @@ DEFAULTS = {
     "attempts": "default",
 }
 
-PROBE = (
+PREFLIGHT = (
     "nodes were not checked within a day: the array tasks will wait (a dependency in the script) for a small job that does it"
 )
 
 
-TELL = (
+CALIBRATES = (
     "{}: {} are executed first, and then decide the number of array tasks for the others; the number given here is used if no "
     "process waits for the first runs, or if no node starts them within {:g} s"
 )
-NOBODY, NEVER = "the duration of runs is not known yet", "runs with these values were never timed"
+NO_DURATION, NEVER_TIMED = "the duration of runs is not known yet", "runs with these values were never timed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +106,12 @@ def propose(
     files and bytes that do not depend on the number of elements. If the scheduler cannot be reached, the estimate lacks the
     limits of the site. Raises ConfigError for a refused request.
     """
-    notes = [PROBE] if Preflight(name, table, SessionPaths(work / "SESSION")).is_needed() else []
+    notes = [PREFLIGHT] if Preflight(name, table, SessionPaths(work / "SESSION")).is_needed() else []
     version, bounds = _site(scheduler, table, notes)
     sized = size(count, times, table, bounds, waits=waits)
-    asked = table.model_copy(update={"wall": sized.wall_s})
-    unknown = NEVER if times else NOBODY
-    notes += [TELL.format(unknown, counted(len(sized.first), "run"), PATIENCE_S)] if sized.first else []
+    requested = table.model_copy(update={"wall": sized.wall_s})
+    unknown = NEVER_TIMED if times else NO_DURATION
+    notes += [CALIBRATES.format(unknown, counted(len(sized.first), "run"), PATIENCE_S)] if sized.first else []
     notes += [] if waits else [UNFOLLOWED]
     files, carried = beside
     return Estimate(
@@ -128,16 +128,16 @@ def propose(
         files=files + FILES + FILES_OF_ELEMENT * (sized.elements + bool(sized.first)),
         bytes=None if each is None else carried + round(count * each),
         settings=tuple(_settings(sized, times, table, bounds)),
-        script=_script(scheduler, asked, sized, SessionPaths(work / "SESSION"), notes),
+        script=_script(scheduler, requested, sized, SessionPaths(work / "SESSION"), notes),
         notes=tuple(dict.fromkeys(notes)),
     )
 
 
 def _site(scheduler: str, table: ClusterTable, notes: list[str]) -> tuple[str | None, Bounds]:
     """Return the scheduler's version and the site's limits; None and empty limits if it does not answer."""
-    asked = schedulers.find(scheduler)(table)
+    requested = schedulers.find(scheduler)(table)
     try:
-        return asked.version(), asked.bounds()
+        return requested.version(), requested.bounds()
     except Missing as error:
         notes.append(f"{error}; the site's limits are unknown")
         return None, Bounds()
@@ -151,8 +151,9 @@ def _settings(sized: Size, times: Times | None, table: ClusterTable, bounds: Bou
         took = f"{min(times.each):.3g} to {max(times.each):.3g} s, mean {times.mean:.3g} s"
         found.append(Setting("time of a run", took, times.how))
     if sized.first:
-        found.append(Setting("first runs", len(sized.first), f"{NEVER if times else NOBODY}: measured by these runs"))
-    for name in SAID:
+        unknown = NEVER_TIMED if times else NO_DURATION
+        found.append(Setting("first runs", len(sized.first), f"{unknown}: measured by these runs"))
+    for name in SHOWN:
         value = getattr(table, name)
         shown = ", ".join(value) or None if isinstance(value, tuple) else value
         if name in table.model_fields_set:

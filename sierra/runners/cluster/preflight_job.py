@@ -33,7 +33,7 @@ class Preflight:
         self._session = session
         self._runner = runner
         self._table = table
-        self._key = digest("cluster", {"runner": runner, "table": _told(table), "device": _device(session.root)})
+        self._key = digest("cluster", {"runner": runner, "table": _node_settings(table), "device": _device(session.root)})
         self.name = submission_record.name_of(session, "probe")
 
     def is_needed(self) -> bool:
@@ -59,9 +59,8 @@ class Preflight:
 
     def gone(self, word: str) -> Missing:
         """Return the error for a preflight job that has ended without recording anything."""
-        said = submission_record.last_line(self._session, "0")
-        if said:
-            return Missing(f"the nodes cannot execute these runs: {said}; see python and modules in [runners.{self._runner}]")
+        if line := submission_record.last_line(self._session, "0"):
+            return Missing(f"the nodes cannot execute these runs: {line}; see python and modules in [runners.{self._runner}]")
         where = f"check that {self._session.root} is on a file system that the nodes share"
         return Missing(f"the preflight job ended on the nodes without any output{f' ({word})' if word else ''}: {where}")
 
@@ -76,7 +75,7 @@ def _device(folder: Path) -> int:
     return next(one.stat().st_dev for one in (folder, *folder.parents) if one.exists())
 
 
-def _told(table: ClusterTable) -> Json:
+def _node_settings(table: ClusterTable) -> Json:
     """Return the settings of a cluster's table that affect which nodes are used and what they offer."""
     settings: Json = json.loads(table.model_dump_json(exclude={"array_tasks", "attempts", "wall", "cancelled"}))
     return settings

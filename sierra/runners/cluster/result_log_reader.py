@@ -39,10 +39,7 @@ class Ended:
 
 
 Event = array_task.Record | Stalled | Ended
-KINDS: dict[str, Callable[..., Event]] = {
-    **{event: kind for kind, event in array_task.EVENTS.items()},
-    "stalled": Stalled,
-}
+KINDS: dict[str, Callable[..., Event]] = {**{event: kind for kind, event in array_task.EVENTS.items()}, "stalled": Stalled}
 
 
 class Pack:

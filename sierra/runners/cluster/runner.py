@@ -26,7 +26,7 @@ import re
 import shutil
 import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import ClassVar
@@ -38,12 +38,12 @@ from sierra.provenance import machine
 from sierra.runners import schedulers
 from sierra.runners.base import Look, Work
 from sierra.runners.cluster import submission_record
-from sierra.runners.cluster.calibrate import Calibration, Told
+from sierra.runners.cluster.calibrate import Calibration, Timing
 from sierra.runners.cluster.collect import AT_ONCE, Collector, Share, refresh
 from sierra.runners.cluster.preflight_job import Preflight
 from sierra.runners.cluster.shard import deal, deal_first, deal_rest
 from sierra.runners.cluster.sizing import Size, elements_of, size
-from sierra.runners.cluster.submission_record import Submission
+from sierra.runners.cluster.submission_record import Sent, Submission
 from sierra.runners.schedulers.base import State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
@@ -57,14 +57,14 @@ FIRST_POLL_S, LAST_POLL_S = 1.0, 15.0
 """Shortest and longest time between two queries to the scheduler. The time grows while nothing happens."""
 QUIET_S = 3.0
 """Seconds without new records after which an element that the scheduler does not know is treated as gone."""
-UNHEARD = 3
+PROBE_UNKNOWN = 3
 """Number of consecutive times that the scheduler may not know a preflight job without records, before the job has failed."""
 FULL_S = 30.0
 """Seconds after which a scheduler that takes no more jobs is tried again."""
 LAST_WORD_S = 20.0
 """Seconds that elements may take to end by themselves after they have executed everything."""
 STOPPING_S = 60.0
-UNREACHED_S = 20.0
+UNREACHABLE_S = 20.0
 """Seconds that the scheduler may be unreachable while jobs are to be cancelled. After that, the next command cancels them."""
 TIMED = re.compile(r"time ?limit|timeout|walltime", re.IGNORECASE)
 """Matches an end reason that means that the element's time was over."""
@@ -88,7 +88,7 @@ class Cluster:
         self._table = table
         self._scheduler = schedulers.find(scheduler)(table)
         self._opened = contextlib.ExitStack()
-        self._pilot: Calibration | None = None
+        self._calibration: Calibration | None = None
 
     # Submission
 
@@ -110,15 +110,15 @@ class Cluster:
         table = self._table.model_dump(mode="json")
         dealt = (work.batch, counts, dict(work.around), probed, rest)
         means = _means(work.times, sized.first)
-        made = Submission(self.name, self._kind, version, table, *dealt, bounds, estimated, *means, past)
-        made.save(session)
+        submission = Submission(self.name, self._kind, version, table, *dealt, bounds, estimated, *means, past)
+        submission.save(session)
         self._scheduler = schedulers.find(self._kind)(self._table)
-        self._begin(made, session, {})
+        self._begin(submission, session, {})
         self._is_own = True
         if rest:
             unknown = "runs with these values were never timed" if work.times else "the duration of runs is not known yet"
             self._note(f"{unknown}: {counted(counts[0], 'run')} of {work.count} are executed first")
-        self._hand_all_over()
+        self._submit_all()
 
     def _deal(self, work: Work, sized: Size, session: SessionPaths) -> tuple[tuple[int, ...], int]:
         """Write the job files; return the number of runs of each element, and the number of runs that are sharded later."""
@@ -127,13 +127,13 @@ class Cluster:
         first, rest = deal_first(work.jobs, frozenset(sized.first), session)
         return (first,), rest
 
-    def _hand_all_over(self) -> None:
+    def _submit_all(self) -> None:
         """Submit the preflight job, if one is needed, and all elements."""
-        if self._made.probed:
-            self._goes_before = self._scheduler.submit(self._probe.request())
-            self._note(f"{self._kind} job {self._goes_before} ({self._probe.name}) runs first: it checks the nodes")
+        if self._submission.probed:
+            self._probe_job = self._scheduler.submit(self._probe.request())
+            self._note(f"{self._kind} job {self._probe_job} ({self._probe.name}) runs first: it checks the nodes")
         try:
-            self._hand_over(tuple(range(len(self._shares))), "", after=self._goes_before)
+            self._submit_tasks(tuple(range(len(self._shares))), "", after=self._probe_job)
         except SierraError:
             self._cancel()
             raise
@@ -149,37 +149,35 @@ class Cluster:
         }
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
-        made = Submission.load(session)
-        self._table = made.cluster
+        submission = Submission.load(session)
+        self._table = submission.cluster
         self._scheduler = schedulers.find(self._kind)(self._table)
-        self._begin(made, session, recorded)
-        try:
+        self._begin(submission, session, recorded)
+        with self._ending_on_error():
             if session.cancelled.exists():
                 self.stop()
             elif not any(session.sent.iterdir()):  # the submitting process died before it submitted
-                self._hand_all_over()
+                self._submit_all()
             elif never := self._never_sent():  # or it died after it had sharded the runs that follow the calibration
-                self._hand_over(never, "")
-        except SierraError as error:
-            self._end(error)
+                self._submit_tasks(never, "")
 
     def _never_sent(self) -> tuple[int, ...]:
         """Return the elements that no process has tried to submit."""
         sent = {index for one in submission_record.sent(self._session) for index in one.elements}
         return tuple(index for index in range(len(self._shares)) if index not in sent)
 
-    def _begin(self, made: Submission, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
-        self._made, self._session = made, session
+    def _begin(self, submission: Submission, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
+        self._submission, self._session = submission, session
         self._name = submission_record.name_of(session)
         self._probe = Preflight(self.name, self._table, session)
-        self._probing = made.probed
-        self._unheard = self._probes = 0
-        self._harvest = Collector(made, session, recorded, self._note)
-        self._opened.callback(self._harvest.close)
-        self._shares = self._harvest.shares
-        self._pilot = Calibration(session) if made.rest else None
-        self._told: Told | None = None
-        self._goes_before = ""
+        self._probing = submission.probed
+        self._probe_unknown = self._probe_attempts = 0
+        self._collector = Collector(submission, session, recorded, self._note)
+        self._opened.callback(self._collector.close)
+        self._shares = self._collector.shares
+        self._calibration = Calibration(session) if submission.rest else None
+        self._timing: Timing | None = None
+        self._probe_job = ""
         self._is_own = False
         self._poll = Poll(self._scheduler)
         self._due = time.monotonic() + FIRST_POLL_S
@@ -188,13 +186,13 @@ class Cluster:
         self._waits = ""
         self._alive: set[int] | None = None
         self._notes: list[str] = []
-        self._said: set[str] = set()
-        self._again: dict[int, str] = {}
+        self._noted: set[str] = set()
+        self._resubmit: dict[int, str] = {}
         self._read_at = 0.0
-        self._again_at = 0.0
+        self._resubmit_at = 0.0
         self._stopping: float | None = None
-        self._whole: float | None = None
-        self._over = self._deaf = self._silent = False
+        self._complete_since: float | None = None
+        self._over = self._uncancelled = self._unreachable = False
         self._wrong: SierraError | None = None
 
     def leave(self) -> None:
@@ -202,12 +200,12 @@ class Cluster:
             return
         if self._is_own:
             self._note(submission_record.UNFOLLOWED)
-        if self._pilot is None:
+        if self._calibration is None:
             return
-        if self._table.wall is None and self._made.allowed.wall_s is not None:
-            self._allow(self._made.allowed.wall_s)  # nobody will submit again a run that takes longer than usual
+        if self._table.wall is None and self._submission.allowed.wall_s is not None:
+            self._set_wall(self._submission.allowed.wall_s)  # nobody will submit again a run that takes longer than usual
         try:
-            self._deal_rest(self._told or Told(None, "no process waits for the first runs"))
+            self._deal_rest(self._timing or Timing(None, "no process waits for the first runs"))
         except SierraError as error:
             self._note(f"{error}; the next sierra process that follows the session tries again")
 
@@ -217,13 +215,13 @@ class Cluster:
     # Progress
 
     def look(self) -> Look:
-        harvest = self._harvest
+        harvest = self._collector
         results, copies = self._read() if harvest.is_due() else ([], [])
         if len(results) < AT_ONCE:
             results += harvest.failed
             harvest.failed = []
             was_over = self._over
-            self._go_on(bool(results))
+            self._poll_scheduler(bool(results))
             if self._over and not was_over:  # read what was recorded before the last job ended
                 refresh(self._session.results)
                 for known, more in zip((results, copies), self._read(), strict=True):
@@ -241,45 +239,44 @@ class Cluster:
         """Read new results and copies. Also notice a cancellation by another process and the preflight job's outcome."""
         if self._stopping is None and self._session.cancelled.exists():
             self.stop()
-        if self._told is not None and self._stopping is None:  # the caller could have stopped after the first results
-            try:
-                self._deal_rest(self._told)
-            except SierraError as error:
-                self._end(error)
+        if self._timing is not None and self._stopping is None:  # the caller could have stopped after the first results
+            with self._ending_on_error():
+                self._deal_rest(self._timing)
         self._read_at = time.monotonic()
-        found = self._harvest.read()
+        results = self._collector.read()
         if self._probing and self._stopping is None:
-            self._probing = not self._is_fine()
-        self._told = self._pilot.told(over=self._harvest.is_whole()) if self._pilot is not None else None
-        return found
+            self._probing = not self._nodes_work()
+        self._timing = self._calibration.result(over=self._collector.is_whole()) if self._calibration is not None else None
+        return results
 
-    def _go_on(self, came: bool) -> None:
+    def _poll_scheduler(self, new_results: bool) -> None:
         """If it is time, ask the scheduler what is alive, and act on its answer."""
         now = time.monotonic()
         if self._over:
             return
-        if self._harvest.is_whole() and not self._made.rest:
-            self._settle(now)
+        if self._collector.is_whole() and not self._submission.rest:
+            self._finish(now)
             return
-        if came:
+        if new_results:
             self._pause = FIRST_POLL_S
         if now >= self._due and self._poll.ask(self._probe.name if self._probing and self._stopping is None else self._name):
             self._due = float("inf")
         if (answer := self._poll.answer()) is not None:
             self._pause = min(self._pause * 1.5, LAST_POLL_S)
             self._due = now + self._pause
-            if answer.name == self._name:
-                self._hear(self._of_now(answer.tasks))
-            else:
-                self._hear_of_probe(answer.tasks)
+            name, tasks = answer
+            if name != self._name:
+                self._handle_probe_answer(tasks)
+            else:  # the results of the session's earlier submissions are recorded
+                self._handle_answer(tasks and tuple(task for task in tasks if task.job not in self._submission.past))
         if self._stopping is not None:
             self._await_end(now - self._stopping)
-        if self._again and now >= self._again_at and self._stopping is None:
+        if self._resubmit and now >= self._resubmit_at and self._stopping is None:
             self._submit_again()
 
     def _await_end(self, waited: float) -> None:
         """Wait for cancelled jobs to end. Raises Missing if the scheduler cannot be reached to cancel them."""
-        if waited > UNREACHED_S and (self._deaf or self._silent):
+        if waited > UNREACHABLE_S and (self._uncancelled or self._unreachable):
             why = f"{self._wrong}; " if self._wrong else ""
             session = self._session.root.name
             again = f"run sierra cancel {session} or sierra status, or submit the query again"
@@ -288,13 +285,9 @@ class Cluster:
             self._note(f"{self._name}: {self._kind} does not report the end of jobs that SIERRA has cancelled")
             self._over = True
 
-    def _of_now(self, tasks: tuple[Task, ...] | None) -> tuple[Task, ...] | None:
-        """Return the tasks without those of the session's earlier submissions, whose results are recorded."""
-        return None if tasks is None else tuple(task for task in tasks if task.job not in self._made.past)
-
-    def _hear(self, tasks: tuple[Task, ...] | None) -> None:
+    def _handle_answer(self, tasks: tuple[Task, ...] | None) -> None:
         """Process the scheduler's answer about the elements."""
-        self._silent = tasks is None
+        self._unreachable = tasks is None
         if tasks is None:
             self._note(f"{self._kind} cannot be reached; SIERRA tries again, and still collects the recorded results")
             return
@@ -305,12 +298,12 @@ class Cluster:
         self._note_ends(tasks)
         if self._stopping is not None:
             self._over = not living
-            if self._deaf:
+            if self._uncancelled:
                 self._cancel()
             return
-        self._unstick([task for task in tasks if task.state is State.STUCK])
+        self._handle_stuck([task for task in tasks if task.state is State.STUCK])
         for index, share in enumerate(self._shares):
-            share.gone = share.gone + 1 if share.missing and index not in self._alive and index not in self._again else 0
+            share.gone = share.gone + 1 if share.missing and index not in self._alive and index not in self._resubmit else 0
             if share.gone == 1:
                 share.gone_at = time.monotonic()
             share.queued = index in self._queued or (share.queued and index not in self._alive)
@@ -321,7 +314,7 @@ class Cluster:
             refresh(self._session.results)
             # what was recorded before the end must have been read since: it tells which runs had begun
             read = [index for index in gone if self._read_at > self._shares[index].gone_at]
-            self._lost([index for index in read if self._is_quiet(self._shares[index])])
+            self._handle_lost([index for index in read if self._is_quiet(self._shares[index])])
 
     def _note_ends(self, tasks: Iterable[Task]) -> None:
         """Keep the end reasons of the elements that were submitted last."""
@@ -332,64 +325,60 @@ class Cluster:
                 share.word = task.reason or share.word
                 share.cancelled = task.cancelled
 
-    def _is_fine(self) -> bool:
+    def _nodes_work(self) -> bool:
         """Return True if the preflight job, or an element that has begun since, shows that nodes can execute elements."""
         try:
-            return self._harvest.has_begun() or self._probe.is_fine()
+            return self._collector.has_begun() or self._probe.is_fine()
         except Missing as error:
             self._end(error)
             return True
 
-    def _hear_of_probe(self, tasks: tuple[Task, ...] | None) -> None:
+    def _handle_probe_answer(self, tasks: tuple[Task, ...] | None) -> None:
         """Process the scheduler's answer about the preflight job, as long as the job has recorded nothing itself."""
         if tasks is None:
-            self._hear(None)
+            self._handle_answer(None)
         if tasks is None or self._stopping is not None or not self._probing:
             return
         stuck = [task for task in tasks if task.state is State.STUCK]
-        if any(is_mishap(task) for task in stuck) and self._probes + 1 < self._table.attempts:
-            self._begin_anew()
+        if any(is_mishap(task) for task in stuck) and self._probe_attempts + 1 < self._table.attempts:
+            self._restart()
             return
-        self._unstick(stuck)
+        self._handle_stuck(stuck)
         living = [task for task in tasks if task.state in (State.QUEUED, State.RUNNING)]
         self._queued = {0} if any(task.state is State.QUEUED for task in living) else set()
         self._waits = submission_record.waits(tasks)
-        self._unheard = 0 if living else self._unheard + 1
-        if not living and any(task.cancelled for task in tasks) and self._is_heeded():
-            self._heed([task.job for task in tasks if task.cancelled], "before any node was checked", sure=True)
+        self._probe_unknown = 0 if living else self._probe_unknown + 1
+        if not living and any(task.cancelled for task in tasks) and self._table.cancelled == "stop":
+            self._end_as_cancelled([task.job for task in tasks if task.cancelled], "before any node was checked", sure=True)
             return
         self._due = min(self._due, time.monotonic() + FIRST_POLL_S)
-        if self._unheard > 1:
+        if self._probe_unknown > 1:
             refresh(self._session.results)
-            self._probing = not self._is_fine()
-            if self._probing and self._unheard > UNHEARD:
-                self._lost_probe(tasks)
+            self._probing = not self._nodes_work()
+            if self._probing and self._probe_unknown > PROBE_UNKNOWN:
+                self._handle_lost_probe(tasks)
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         """Submit everything again: the preflight job could not be started, by mishap, and the elements depend on it."""
-        self._unheard, self._probes = 0, self._probes + 1
+        self._probe_unknown, self._probe_attempts = 0, self._probe_attempts + 1
         self._cancel()
-        try:
-            self._hand_all_over()
-        except SierraError as error:
-            self._end(error)
+        with self._ending_on_error():
+            self._submit_all()
 
-    def _lost_probe(self, tasks: tuple[Task, ...]) -> None:
+    def _handle_lost_probe(self, tasks: tuple[Task, ...]) -> None:
         """Handle a preflight job that is gone without a record. If the scheduler no longer knows it, it is submitted again."""
         wrong = self._probe.gone(next((task.reason for task in tasks if task.reason), ""))
-        self._unheard, self._probes = 0, self._probes + 1
-        if tasks or self._probes >= self._table.attempts or submission_record.last_line(self._session, "0"):
+        self._probe_unknown, self._probe_attempts = 0, self._probe_attempts + 1
+        if tasks or self._probe_attempts >= self._table.attempts or submission_record.last_line(self._session, "0"):
             self._end(wrong)
             return
-        try:
-            self._goes_before = self._scheduler.submit(self._probe.request())
-        except SierraError as error:
-            self._end(error)
+        with self._ending_on_error():
+            self._probe_job = self._scheduler.submit(self._probe.request())
 
     def _is_quiet(self, share: Share) -> bool:
         return share.gone > 1 and time.monotonic() - share.grew > QUIET_S
 
-    def _unstick(self, stuck: Sequence[Task]) -> None:
+    def _handle_stuck(self, stuck: Sequence[Task]) -> None:
         """Cancel tasks that will never begin, to submit them again. If the reason is not a mishap, end the session."""
         mishaps = [task for task in stuck if is_mishap(task)]
         if mishaps:
@@ -405,22 +394,22 @@ class Cluster:
     def _elements(self, tasks: Iterable[Task]) -> set[int]:
         return submission_record.elements(self._session, tasks) & set(range(len(self._shares)))
 
-    def _settle(self, now: float) -> None:
+    def _finish(self, now: float) -> None:
         """Everything is recorded: let elements end that have executed all of their runs, and cancel the other living jobs.
 
         An element without missing runs is not cancelled: the scheduler would list it as cancelled, though it did all of its
         work.
         """
-        self._whole = self._whole or now
-        closing = self._harvest.closing() if self._alive is None else self._harvest.closing() & self._alive
-        if closing and now - self._whole < LAST_WORD_S:
+        self._complete_since = self._complete_since or now
+        closing = self._collector.closing() if self._alive is None else self._collector.closing() & self._alive
+        if closing and now - self._complete_since < LAST_WORD_S:
             return
         self._over = True
-        if self._made.probed:  # it may have been requeued, and wait
+        if self._submission.probed:  # it may have been requeued, and wait
             with contextlib.suppress(Missing):
                 self._scheduler.cancel(self._probe.name)
         tasks = self._scheduler.look(self._name) or ()
-        ending = self._harvest.ending() | closing
+        ending = self._collector.ending() | closing
         living = [task for task in tasks if task.state is not State.ENDED]
         needless = [task for task in living if not (task.state is State.RUNNING and task.element in ending)]
         if needless:
@@ -428,25 +417,25 @@ class Cluster:
 
     # Resubmission
 
-    def _lost(self, indices: Sequence[int]) -> None:
+    def _handle_lost(self, indices: Sequence[int]) -> None:
         """Handle elements that are gone while runs of theirs are missing."""
-        foreign = [index for index in indices if self._is_foreign(index)]
-        if foreign and self._is_heeded():
+        foreign = [index for index in indices if self._is_cancelled_by_others(index)]
+        if foreign and self._table.cancelled == "stop":
             sent = submission_record.sent(self._session)
             jobs = [one.job for one in sent if one.job and set(one.elements) & set(foreign)][-1:]
-            what = f"{counted(len(foreign), 'array task')}: {few([self._why(index) for index in foreign], 2)}"
-            self._heed(jobs, what, sure=any(self._shares[index].cancelled for index in foreign))
+            what = f"{counted(len(foreign), 'array task')}: {few([self._end_reason(index) for index in foreign], 2)}"
+            self._end_as_cancelled(jobs, what, sure=any(self._shares[index].cancelled for index in foreign))
             return
         for index in indices:
             share = self._shares[index]
-            self._harvest.given_up_before(index)
-            word = self._why(index)
+            self._collector.given_up_before(index)
+            word = self._end_reason(index)
             if share.done > share.progress:
                 share.tries = 0
             timed = bool(TIMED.search(word))
-            cut = self._harvest.cut_late(index) if timed else self._harvest.cut_alone(index)
+            cut = self._collector.cut_late(index) if timed else self._collector.cut_alone(index)
             guilty = [one for one in self._suspects(share, self._table.attempts) if one in cut]
-            self._harvest.give_up_on(index, guilty, word)
+            self._collector.give_up_on(index, guilty, word)
             if not share.missing:
                 continue
             if share.done > share.progress:
@@ -456,10 +445,10 @@ class Cluster:
                 times = f"{share.tries} times" if share.tries > 1 else "once"
                 self._end(Missing(f"array task {index} was executed {times} and ended before any of its runs ended: {word}"))
                 return
-            self._harvest.isolate(index, suspects)
-            self._again[index] = word
+            self._collector.isolate(index, suspects)
+            self._resubmit[index] = word
 
-    def _is_foreign(self, index: int) -> bool:
+    def _is_cancelled_by_others(self, index: int) -> bool:
         """Return True if somebody other than SIERRA has ended an element, as far as this can be known.
 
         The scheduler may not report what has ended an element. Then an element was cancelled if it was asked to end before its
@@ -468,15 +457,12 @@ class Cluster:
         share = self._shares[index]
         if share.ours or share.cancelled is not None:
             return bool(share.cancelled) and not share.ours
-        told = share.trouble or submission_record.last_line(self._session, str(index))
-        if told:
-            return bool(ASKED.search(told)) and not (self._overdue(index, told) or MISHAP.search(share.word))
+        message = share.trouble or submission_record.last_line(self._session, str(index))
+        if message:
+            return bool(ASKED.search(message)) and not (self._overdue(index, message) or MISHAP.search(share.word))
         return share.queued and not share.word and self._scheduler.forgets
 
-    def _is_heeded(self) -> bool:
-        return self._table.cancelled == "stop"
-
-    def _heed(self, jobs: Sequence[str], what: str, *, sure: bool) -> None:
+    def _end_as_cancelled(self, jobs: Sequence[str], what: str, *, sure: bool) -> None:
         """End the session because somebody else has cancelled a part of it; if not `sure`, because it looks like that."""
         job = f"{self._kind} job {jobs[0]}" if jobs else f"a {self._kind} job"
         table = f"[runners.{self.name}]"
@@ -496,102 +482,102 @@ class Cluster:
         stuck = share.tries >= times and not share.trouble
         return [one for one, begun in share.begun.items() if stuck or begun >= times]
 
-    def _why(self, index: int) -> str:
+    def _end_reason(self, index: int) -> str:
         """Return the reason why an element is gone, in its own words and the scheduler's."""
         share = self._shares[index]
-        told = share.trouble or submission_record.last_line(self._session, str(index))
-        word = share.word or self._overdue(index, told)
-        if not told or (word and word in told):
+        message = share.trouble or submission_record.last_line(self._session, str(index))
+        word = share.word or self._overdue(index, message)
+        if not message or (word and word in message):
             return share.trouble or word or "unknown reason"
-        return f"{told} ({word})" if word else told
+        return f"{message} ({word})" if word else message
 
-    def _overdue(self, index: int, told: str) -> str:
+    def _overdue(self, index: int, message: str) -> str:
         """Return the words for an exceeded time limit if an element's time was over; else an empty text.
 
         This is for a scheduler that reports nothing about ended jobs, for example PBS without a history.
         """
-        asked, wall = ASKED.search(told), self._table.wall or self._harvest.allowed(index)
+        asked, wall = ASKED.search(message), self._table.wall or self._collector.allowed(index)
         return f"walltime of {wall:g} s exceeded" if asked and wall and int(asked[1]) >= wall - 1 else ""
 
     def _submit_again(self) -> None:
-        words = list(dict.fromkeys(self._again.values()))
-        count = len(self._again)
-        indices, why = tuple(sorted(self._again)), few(words, 2)
-        self._again = {}
+        words = list(dict.fromkeys(self._resubmit.values()))
+        count = len(self._resubmit)
+        indices, why = tuple(sorted(self._resubmit)), few(words, 2)
+        self._resubmit = {}
         self._note(f"{count} {'array task is' if count == 1 else 'array tasks are'} submitted again: {why}")
         if any(TIMED.search(word) for word in words):
             self._give_more_time()
         for index in indices:
-            self._harvest.note_end(index)
+            self._collector.note_end(index)
             share = self._shares[index]
             share.tries, share.progress, share.gone = share.tries + 1, share.done, 0
             share.trouble = share.word = ""
             share.cancelled, share.ours, share.queued = None, False, False
-        try:
-            self._hand_over(indices, why)
-        except SierraError as error:
-            self._end(error)
+        with self._ending_on_error():
+            self._submit_tasks(indices, why)
 
     def _give_more_time(self) -> None:
         """Double the time limit of later elements if it was an estimate. It stays within the site's limit."""
         before = self._table.wall
-        if not self._made.estimated or before is None:
+        if not self._submission.estimated or before is None:
             return
-        wall = min(2 * before, self._made.allowed.wall_s or math.inf)
-        self._allow(wall)
+        wall = min(2 * before, self._submission.allowed.wall_s or math.inf)
+        self._set_wall(wall)
         if wall > before:
             self._note(f"the time limit of array tasks is now {wall / 60:g} minutes; {before / 60:g} minutes were too short")
 
-    def _allow(self, wall: float) -> None:
+    def _set_wall(self, wall: float) -> None:
         """Set the time limit that elements request from now on."""
         self._table = self._table.model_copy(update={"wall": wall})
-        self._made = replace(self._made, table=self._table.model_dump(mode="json"), estimated=True)
-        self._made.save(self._session)
+        self._submission = replace(self._submission, table=self._table.model_dump(mode="json"), estimated=True)
+        self._submission.save(self._session)
         self._scheduler = schedulers.find(self._kind)(self._table)
         self._poll = Poll(self._scheduler)  # the old scheduler object does not know what the new one submits
 
-    def _learn(self, told: Told) -> float | None:
+    def _expected_mean(self, result: Timing) -> float | None:
         """Return the expected mean time of the other runs. If calibration shows that it is longer, raise the time limit."""
-        made, wall = self._made, self._table.wall
-        if told.seconds is None or made.first_s is None or made.rest_s is None:
-            return made.rest_s if told.seconds is None else told.seconds
-        slower = max(1.0, told.seconds / made.first_s)
-        if made.estimated and wall is not None and slower > 1:
-            self._allow(min(wall * slower, made.allowed.wall_s or math.inf))
-        return made.rest_s * slower
+        submission, wall = self._submission, self._table.wall
+        if result.seconds is None or submission.first_s is None or submission.rest_s is None:
+            return submission.rest_s if result.seconds is None else result.seconds
+        slower = max(1.0, result.seconds / submission.first_s)
+        if submission.estimated and wall is not None and slower > 1:
+            self._set_wall(min(wall * slower, submission.allowed.wall_s or math.inf))
+        return submission.rest_s * slower
 
-    def _deal_rest(self, told: Told) -> None:
+    def _deal_rest(self, result: Timing) -> None:
         """Shard the other runs according to the calibration, and submit them. Raises the scheduler's refusals."""
-        self._pilot = self._told = None
-        count, why = elements_of(self._made.rest, self._learn(told), self._table, self._made.allowed, before=True)
+        self._calibration = self._timing = None
+        count, why = elements_of(
+            self._submission.rest, self._expected_mean(result), self._table, self._submission.allowed, before=True
+        )
         begin = len(self._shares)
         counts = deal_rest(count, begin, self._session)
-        self._made = replace(self._made, counts=(*self._made.counts, *counts), rest=0)
-        self._made.save(self._session)
+        self._submission = replace(self._submission, counts=(*self._submission.counts, *counts), rest=0)
+        self._submission.save(self._session)
         self._shares += [Share(each, tries=1) for each in counts]
-        self._note(f"{told.how}: the other {sum(counts)} runs are split into {counted(count, 'array task')} ({why})")
-        self._hand_over(tuple(range(begin, begin + count)), "", after=self._goes_before if self._probing else "")
+        self._note(f"{result.how}: the other {sum(counts)} runs are split into {counted(count, 'array task')} ({why})")
+        self._submit_tasks(tuple(range(begin, begin + count)), "", after=self._probe_job if self._probing else "")
         with disk_errors(self._session.root):
             self._session.rest.unlink()
 
-    def _hand_over(self, indices: tuple[int, ...], why: str, after: str = "") -> None:
+    def _submit_tasks(self, indices: tuple[int, ...], why: str, after: str = "") -> None:
         """Submit elements. If they are too many now, some are submitted later. Raises the scheduler's refusals."""
         number = len(list(self._session.sent.iterdir()))
-        intent = submission_record.intent(indices, why)
+        intent = Sent(indices, time.time(), why)
         submission_record.note(self._session, number, intent)
         request = replace(submission_record.elements_request(self._session, self._name, indices, self._table), after=after)
         self._due = time.monotonic() + FIRST_POLL_S
         try:
             job = self._scheduler.submit(request)
         except Full as error:
-            self._put_off(number, indices, why, error, after)
+            self._postpone(number, indices, why, error, after)
         except Missing as error:
             self._note(f"{error}; SIERRA will check whether the job was accepted")
         else:
             submission_record.note(self._session, number, replace(intent, job=job))
             self._note(f"submitted as {self._kind} job {job} ({self._name}): {counted(len(indices), 'array task')}")
 
-    def _put_off(self, number: int, indices: tuple[int, ...], why: str, error: Full, after: str) -> None:
+    def _postpone(self, number: int, indices: tuple[int, ...], why: str, error: Full, after: str) -> None:
         """Submit half of the elements now and the others later, or all later.
 
         Raises `error` if the site takes not even one element and has no other job of the session.
@@ -599,35 +585,35 @@ class Cluster:
         (self._session.sent / f"{number}.json").unlink()
         half = len(indices) // 2
         if half:
-            self._hand_over(indices[:half], why, after)
-        elif not self._made.probed and not any(submission_record.jobs(self._session)):
+            self._submit_tasks(indices[:half], why, after)
+        elif not self._submission.probed and not any(submission_record.jobs(self._session)):
             raise error
         else:
             self._note(f"{error}; SIERRA tries again every {FULL_S:g} s")
         for index in indices[half:]:
             self._shares[index].tries -= 1
-            self._again[index] = why or "the site accepted no more jobs at first"
-        self._again_at = time.monotonic() + FULL_S
+            self._resubmit[index] = why or "the site accepted no more jobs at first"
+        self._resubmit_at = time.monotonic() + FULL_S
 
     def stop(self) -> None:
         if self._stopping is None:
             self._stopping = time.monotonic()
             self._session.cancelled.touch()
-        if not self._deaf:
+        if not self._uncancelled:
             self._cancel()
         self._due, self._pause = time.monotonic(), FIRST_POLL_S / 2
 
     def _cancel(self, elements: Sequence[int] | None = None) -> None:
         """Cancel jobs, or some elements. If the scheduler cannot be reached, this is tried again at its next answer."""
-        self._deaf = False
+        self._uncancelled = False
         for index in elements or ():
             self._shares[index].ours = True
         try:
-            if self._made.probed and elements is None:
+            if self._submission.probed and elements is None:
                 self._scheduler.cancel(self._probe.name)
             self._scheduler.cancel(self._name, elements)
         except Missing as error:
-            self._deaf = True
+            self._uncancelled = True
             self._note(f"{error}; the jobs are cancelled as soon as {self._kind} can be reached")
 
     def _end(self, error: SierraError) -> None:
@@ -635,9 +621,16 @@ class Cluster:
         self._wrong = self._wrong or error
         self.stop()
 
+    @contextlib.contextmanager
+    def _ending_on_error(self) -> Iterator[None]:
+        try:
+            yield
+        except SierraError as error:
+            self._end(error)
+
     def _note(self, text: str) -> None:
-        if text not in self._said:
-            self._said.add(text)
+        if text not in self._noted:
+            self._noted.add(text)
             self._notes.append(text)
             log.info("%s", text)
 
@@ -651,21 +644,13 @@ def _means(times: Times | None, first: Sequence[int]) -> tuple[float | None, flo
     return sum(chosen) / len(chosen), (sum(times.each) - sum(chosen)) / max(rest, 1)
 
 
-class Answer:
-    """The answer of a scheduler."""
-
-    def __init__(self, name: str, tasks: tuple[Task, ...] | None) -> None:
-        self.name = name
-        self.tasks = tasks
-
-
 class Poll:
     """Queries to a scheduler, one at a time, in another thread, because an unreachable scheduler takes long to fail."""
 
     def __init__(self, scheduler: schedulers.Scheduler) -> None:
         self._scheduler = scheduler
         self._thread: threading.Thread | None = None
-        self._answers: list[Answer] = []
+        self._answers: list[tuple[str, tuple[Task, ...] | None]] = []
 
     def ask(self, name: str) -> bool:
         """Ask for the jobs of a name; return False if a query is still open."""
@@ -675,7 +660,8 @@ class Poll:
         self._thread.start()
         return True
 
-    def answer(self) -> Answer | None:
+    def answer(self) -> tuple[str, tuple[Task, ...] | None] | None:
+        """Return the name and the tasks (None: unknown) of a query that has ended since the last call; None without one."""
         return self._answers.pop() if self._answers else None
 
     def _look(self, name: str) -> None:
@@ -683,7 +669,7 @@ class Poll:
             tasks = self._scheduler.look(name)
         except (SierraError, OSError):
             tasks = None
-        self._answers.append(Answer(name, tasks))
+        self._answers.append((name, tasks))
 
 
 def is_mishap(task: Task) -> bool:

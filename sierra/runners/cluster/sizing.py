@@ -55,8 +55,8 @@ def size(count: int, times: Times | None, table: ClusterTable, bounds: Bounds, *
     elements, why = elements_of(count - len(first), seconds, table, bounds, before=bool(first), how=how)
     expected = longest(times.each, elements, table.cpus) if times else None
     spare = SPARE_OF_ESTIMATE if times and times.new else SPARE
-    wall, told = _wall(expected, spare, table, bounds, waits=waits)
-    return Size(elements, wall, expected, (("array_tasks", why), ("wall", told)), first)
+    wall, wall_why = _wall(expected, spare, table, bounds, waits=waits)
+    return Size(elements, wall, expected, (("array_tasks", why), ("wall", wall_why)), first)
 
 
 def longest(each: Sequence[float], elements: int, cpus: int) -> float:

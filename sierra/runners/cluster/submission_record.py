@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
@@ -154,15 +153,11 @@ def last(session: SessionPaths, tasks: Iterable[Task]) -> Iterator[tuple[int, Ta
                 yield index, task
 
 
-def intent(elements: tuple[int, ...], why: str) -> Sent:
-    return Sent(elements, time.time(), why)
-
-
 def waits(tasks: Iterable[Task]) -> str:
     """Return the most frequent reasons why tasks are queued, in the scheduler's words, shortened; empty if it gives none."""
     words = Counter(task.reason for task in tasks if task.state is State.QUEUED and task.reason)
-    told = [word if len(word) <= LONGEST else f"{word[: LONGEST - 1]}…" for word, _ in words.most_common()]
-    return few(told, SHOWN_REASONS)
+    shown = [word if len(word) <= LONGEST else f"{word[: LONGEST - 1]}…" for word, _ in words.most_common()]
+    return few(shown, SHOWN_REASONS)
 
 
 def jobs(session: SessionPaths) -> Iterator[str]:

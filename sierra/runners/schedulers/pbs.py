@@ -58,7 +58,7 @@ PASSED = frozenset(
         *("PBS_CONF_FILE", "PBS_EXEC", "PBS_HOME", "PBS_SERVER", "PBS_PRIMARY", "PBS_SECONDARY", "PBS_DEFAULT"),
     )
 )
-HANDED_ON = frozenset(("HOME", "USER", "LOGNAME", "LD_LIBRARY_PATH", "PERL5LIB", "SLURM_CONF"))
+FORWARDED = frozenset(("HOME", "USER", "LOGNAME", "LD_LIBRARY_PATH", "PERL5LIB", "SLURM_CONF"))
 SYSTEM = {"PATH": "/usr/local/bin:/usr/bin:/bin", "SBATCH_EXPORT": "ALL"}
 """Environment of the SLURM wrapper, in addition to HANDED_ON. SLURM's sbatch passes its whole environment to the job, so the
 wrapper sees almost nothing. If sbatch were told to pass on nothing, it would start a login shell on the node for each task and
@@ -107,13 +107,13 @@ class Pbs:
         return self._dialect is not Dialect.SLURM
 
     def version(self) -> str:
-        dialect, version = self._speaks
+        dialect, version = self._dialect_and_version
         return f"{dialect} {version}" if dialect is not Dialect.SLURM else f"{self._slurm.version()} (its qsub)"
 
     def bounds(self) -> Bounds:
         if self._dialect is Dialect.SLURM:
             return self._slurm.bounds()
-        server = _first(_said("qstat", "-B", "-f"))
+        server = _first(_output_of("qstat", "-B", "-f"))
         queue = self._table.partition or server.get("default_queue", "")
         return _bounds(server, _queue(queue), self._dialect)
 
@@ -124,11 +124,11 @@ class Pbs:
         script = write_whole(request.folder / f"{request.name}.pbs", self.script(request).encode())
         self._forget(request.name)
         try:
-            done = self._handed_over(script)
+            done = self._call_qsub(script)
         finally:
             self._forget(request.name)
         try:
-            return _taken(done, waits=bool(request.after))
+            return _job_id(done, waits=bool(request.after))
         except ConfigError as error:
             raise ConfigError(self.explain(str(error))) from None
 
@@ -140,11 +140,11 @@ class Pbs:
     def _site(self) -> list[str]:
         """Return the requested or default queue with its limits; if it is unknown, the names of all queues."""
         try:
-            name = self._table.partition or _first(_said("qstat", "-B", "-f")).get("default_queue", "")
+            name = self._table.partition or _first(_output_of("qstat", "-B", "-f")).get("default_queue", "")
             if queue := _queue(name):
                 most = [f"{key.partition('.')[2]} {value}" for key, value in queue.items() if key.startswith("resources_max.")]
                 return [f"queue {name} (up to {', '.join(most)})" if most else f"queue {name}"]
-            names = [one["id"] for one in qstat.text_records(_said("qstat", "-Q", "-f"))]
+            names = [one["id"] for one in qstat.text_records(_output_of("qstat", "-Q", "-f"))]
             return [f"queues {', '.join(names)}"]
         except Missing:
             return []
@@ -174,12 +174,12 @@ class Pbs:
         for start in range(0, len(ids), AT_ONCE):
             done = _call("qdel", *ids[start : start + AT_ONCE])
             if done.returncode and any(not GONE.search(line) for line in done.stderr.splitlines()):
-                raise Missing(f"qdel: {_words(done)}")
+                raise Missing(f"qdel: {_message(done)}")
 
-    def _handed_over(self, script: Path) -> subprocess.CompletedProcess[str]:
+    def _call_qsub(self, script: Path) -> subprocess.CompletedProcess[str]:
         if self._dialect is not Dialect.SLURM:
             return _call("qsub", script.name, folder=script.parent, patience=SUBMITTING_S)
-        environment = {name: value for name, value in os.environ.items() if name in HANDED_ON} | SYSTEM
+        environment = {name: value for name, value in os.environ.items() if name in FORWARDED} | SYSTEM
         # without these options, the wrapper chooses files for the jobs' output
         words = (shutil.which("qsub") or "qsub", "-j", "oe", "-o", "/dev/null", script.name)
         return _call(*words, folder=script.parent, patience=SUBMITTING_S, environment=environment)
@@ -189,7 +189,7 @@ class Pbs:
         self._alive.pop(name, None)
 
     @cached_property
-    def _speaks(self) -> tuple[Dialect, str]:
+    def _dialect_and_version(self) -> tuple[Dialect, str]:
         done = _call("qsub", "--version")
         said = done.stdout + done.stderr
         if match := OPENPBS.search(said):
@@ -198,14 +198,14 @@ class Pbs:
             return Dialect.TORQUE, match[1]
         if "Unknown option: version" in said:
             return Dialect.SLURM, ""
-        words = _words(done)
+        words = _message(done)
         if UNREACHABLE.search(words):
             raise Missing(f"qsub cannot reach its cluster: {words}")
         raise Missing(f"qsub --version names neither OpenPBS nor Torque: {words}")
 
     @property
     def _dialect(self) -> Dialect:
-        return self._speaks[0]
+        return self._dialect_and_version[0]
 
     @cached_property
     def _slurm(self) -> Scheduler:
@@ -261,14 +261,14 @@ def _call(
         raise Missing(f"{argv[0]} has not answered within {patience:g} s") from error
 
 
-def _said(*argv: str) -> str:
+def _output_of(*argv: str) -> str:
     done = _call(*argv)
     if done.returncode:
-        raise Missing(f"{argv[0]}: {_words(done)}")
+        raise Missing(f"{argv[0]}: {_message(done)}")
     return done.stdout
 
 
-def _words(done: subprocess.CompletedProcess[str]) -> str:
+def _message(done: subprocess.CompletedProcess[str]) -> str:
     """Return a command's error message in one line."""
     said = (done.stderr + "\n" + done.stdout).partition("and the output was:")
     lines = (
@@ -277,9 +277,9 @@ def _words(done: subprocess.CompletedProcess[str]) -> str:
     return "; ".join(filter(None, lines))[:500] or f"exit status {done.returncode}"
 
 
-def _taken(done: subprocess.CompletedProcess[str], *, waits: bool) -> str:
+def _job_id(done: subprocess.CompletedProcess[str], *, waits: bool) -> str:
     """Return the job's id from the answer of `qsub`. Raises the same errors as `submit`."""
-    words = _words(done)
+    words = _message(done)
     if not done.returncode:
         ids = [line.strip() for line in done.stdout.splitlines() if JOB.fullmatch(line.strip())]
         if not ids:
@@ -317,18 +317,18 @@ def _bounds(server: qstat.Record, queue: qstat.Record, dialect: Dialect) -> Boun
     jobs = [*_numbers(server, queue, names=("max_queuable", "max_user_queuable")), *_of_user(server, queue, name="max_queued")]
     running = [*_numbers(server, queue, names=("max_running", "max_user_run")), *_of_user(server, queue, name="max_run")]
     name = "resources_max.walltime"
-    walls = [Limit(_seconds(one[name]), _whose(one, name)) for one in (server, queue) if name in one]
+    walls = [Limit(_seconds(one[name]), _source(one, name)) for one in (server, queue) if name in one]
     return Bounds.of(array=least(*arrays), jobs=least(*jobs), wall_s=least(*walls), running=least(*running))
 
 
-def _whose(record: qstat.Record, name: str) -> str:
+def _source(record: qstat.Record, name: str) -> str:
     return f"{name} of {record.get('id', 'PBS')}"
 
 
 def _numbers(*records: qstat.Record, names: Sequence[str]) -> Iterator[Limit]:
     for record, name in itertools.product(records, names):
         if (text := record.get(name, "").strip()).isdigit():
-            yield Limit(int(text), _whose(record, name))
+            yield Limit(int(text), _source(record, name))
 
 
 def _of_user(*records: qstat.Record, name: str) -> Iterator[Limit]:
@@ -337,7 +337,7 @@ def _of_user(*records: qstat.Record, name: str) -> Iterator[Limit]:
         said = {who: int(limit) for who, limit in re.findall(r"([uo]:[^=\]]+)=(\d+)", record.get(name, ""))}
         for limit in (said.get("o:PBS_ALL"), said.get(f"u:{_user()}", said.get("u:PBS_GENERIC"))):
             if limit is not None:
-                yield Limit(limit, _whose(record, name))
+                yield Limit(limit, _source(record, name))
 
 
 def _seconds(text: str) -> float:

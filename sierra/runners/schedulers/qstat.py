@@ -31,7 +31,7 @@ HEAD = re.compile(r"(?:Job Id|Queue|Server):\s*(\S+)\s*")
 ATTRIBUTE = re.compile(r"(?: {4}|\t)([A-Za-z_][\w.]*) = (.*)")
 ID = re.compile(r"(\d+)(?:\[(\d*)\]|-(\d+))?(\..+)?")
 """`12.pbs1`, the array `12[].pbs1`, its element `12[3].pbs1` or, in old versions of Torque, `12-3.pbs1`."""
-SPELLED = re.compile(r"\d{1,9}(-\d{1,9})?(\+\d{1,9}(-\d{1,9})?)*")
+ELEMENT_LIST = re.compile(r"\d{1,9}(-\d{1,9})?(\+\d{1,9}(-\d{1,9})?)*")
 ENDED = frozenset("FXC")
 WAITING = frozenset("QWT")
 NEVER = re.compile(r"can never run|too many failed attempts", re.IGNORECASE)
@@ -103,13 +103,13 @@ def json_records(text: str) -> Iterator[Record]:
     for job, attributes in jobs.items():
         if not isinstance(attributes, dict):
             raise ValueError(f"the output of qstat describes no job {job}")
-        yield {"id": job, **{key: _plain(value) for key, value in attributes.items()}}
+        yield {"id": job, **{key: _text(value) for key, value in attributes.items()}}
 
 
-def _plain(value: Json) -> str:
+def _text(value: Json) -> str:
     """Return a JSON value as the text form has it. Numbers in the JSON may have been texts of digits."""
     if isinstance(value, dict):
-        return ",".join(f"{key}={_plain(inner)}" for key, inner in value.items())
+        return ",".join(f"{key}={_text(inner)}" for key, inner in value.items())
     return str(value)
 
 
@@ -145,15 +145,15 @@ def element(record: Record) -> int | None:
     said = re.search(rf"(?:^|,){ELEMENTS}=([^,]*)", record.get("Variable_List", ""))
     if not said:
         return known.place
-    elements = _spelled(said[1].strip())
+    elements = _parse_elements(said[1].strip())
     place = known.place or 0
     return elements[place] if place < len(elements) else None
 
 
 @lru_cache(maxsize=4)
-def _spelled(text: str) -> tuple[int, ...]:
+def _parse_elements(text: str) -> tuple[int, ...]:
     """Return the elements in such a text; empty if it is damaged. All parts of an array have the same text."""
-    if not SPELLED.fullmatch(text):
+    if not ELEMENT_LIST.fullmatch(text):
         return ()
     ends = [part.partition("-") for part in text.split("+") if part]
     return tuple(index for first, _, last in ends for index in range(int(first), int(last or first) + 1))

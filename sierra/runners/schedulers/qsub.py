@@ -47,11 +47,7 @@ class Dialect(StrEnum):
     """The wrapper over SLURM. Here sbatch reads the script: its `#SBATCH` lines and most of its `#PBS` lines."""
 
 
-INDEX = {
-    Dialect.OPENPBS: "$PBS_ARRAY_INDEX",
-    Dialect.TORQUE: "$PBS_ARRAYID",
-    Dialect.SLURM: "$SLURM_ARRAY_TASK_ID",
-}
+INDEX = {Dialect.OPENPBS: "$PBS_ARRAY_INDEX", Dialect.TORQUE: "$PBS_ARRAYID", Dialect.SLURM: "$SLURM_ARRAY_TASK_ID"}
 NUMBER = {
     Dialect.OPENPBS: "${PBS_JOBID%%[!0-9]*}",
     Dialect.TORQUE: "${PBS_JOBID%%[!0-9]*}",

@@ -98,13 +98,13 @@ def about(words: str, meanings: Sequence[Meaning], table: ClusterTable, site: Ca
         return words
     if not known.settings:
         return f"{words}: {known.means}"
-    asked = ", ".join(_asked(table, known.settings)) or "nothing, so the site's defaults apply"
-    has = () if known.settings == DIRECTIVES else site()
-    there = f"; the site has {'; '.join(has)}" if has else ""
-    return f"{words}: {known.means}; requested: {asked}{there}"
+    requested = ", ".join(_requested(table, known.settings)) or "nothing, so the site's defaults apply"
+    offered = () if known.settings == DIRECTIVES else site()
+    offer = f"; the site has {'; '.join(offered)}" if offered else ""
+    return f"{words}: {known.means}; requested: {requested}{offer}"
 
 
-def _asked(table: ClusterTable, settings: Sequence[str]) -> Iterator[str]:
+def _requested(table: ClusterTable, settings: Sequence[str]) -> Iterator[str]:
     for name in settings:
         value = getattr(table, name)
         if value not in (None, ()):

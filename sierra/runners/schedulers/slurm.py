@@ -44,11 +44,11 @@ PATH = "/usr/local/bin:/usr/bin:/bin"
 KEPT = ("SLURM_CONF",)
 """Variables of the caller's environment that are kept, because they locate the cluster."""
 
-LOOK = "%F|%K|%T|%N|%r"
+TASK_FORMAT = "%F|%K|%T|%N|%r"
 """The array's job id, the index, the state, the node and the reason. The reason is free text, and so comes last."""
 KINDS, SHOWN_KINDS = "%P|%a|%l|%c|%m|%G|%f", 4
 """The partition (`*`: the default), whether it is up, its time limit, and its nodes' cores, MB, resources and features."""
-SEEN = re.compile(r"^(\d+)\|([^|]*)\|([A-Z_]+)\|([^|]*)\|(.*)$", re.MULTILINE)
+TASK_LINE = re.compile(r"^(\d+)\|([^|]*)\|([A-Z_]+)\|([^|]*)\|(.*)$", re.MULTILINE)
 
 ENDED = frozenset({"BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", "LAUNCH_FAILED", "NODE_FAIL"}) | frozenset(
     {"OUT_OF_MEMORY", "PREEMPTED", "RECONFIG_FAIL", "REVOKED", "TIMEOUT"}
@@ -99,15 +99,15 @@ class Slurm:
         return shutil.which("scontrol") or "scontrol", "requeue"
 
     def version(self) -> str:
-        return f"slurm {_answer('sbatch', '--version').split()[-1]}"
+        return f"slurm {_output_of('sbatch', '--version').split()[-1]}"
 
     def bounds(self) -> Bounds:
-        told = _answer("scontrol", "show", "config")
-        config = dict(re.findall(r"^(\w+) *= (.*)$", told, re.MULTILINE))
+        output = _output_of("scontrol", "show", "config")
+        config = dict(re.findall(r"^(\w+) *= (.*)$", output, re.MULTILINE))
         parameters = config.get("SchedulerParameters", "")
-        chosen = self._partitions(_answer("scontrol", "--all", "--oneliner", "show", "partition"))
+        chosen = self._partitions(_output_of("scontrol", "--all", "--oneliner", "show", "partition"))
         user = pwd.getpwuid(os.geteuid()).pw_name
-        granted = slurm_accounting_limits.allowed(_answer, config, user, self._table, _asked_for(chosen))
+        granted = slurm_accounting_limits.allowed(_output_of, config, user, self._table, _requested_partitions(chosen))
         walls = [_limit(seconds(line.get("MaxTime", "")), f"MaxTime of partition {name}") for name, line in chosen.items()]
         return Bounds.of(
             array=least(
@@ -136,7 +136,7 @@ class Slurm:
         if status == 0:
             if answer := SUBMITTED.search(out):
                 return answer[1]
-            raise Missing(f"sbatch did not print a job id, but {_line(out + err)!r}; it is unknown whether the job exists")
+            raise Missing(f"sbatch did not print a job id, but {_one_line(out + err)!r}; it is unknown whether the job exists")
         if not err.strip():
             raise Missing(f"sbatch ended with status {status} and without a message")
         raise self._explained(refusal(err))
@@ -150,43 +150,37 @@ class Slurm:
     def _site(self) -> list[str]:
         """Return the requested (or default) partitions by kinds of nodes; if they do not exist, the names of all partitions."""
         try:
-            told = _answer("sinfo", "--noheader", "--all", f"--format={KINDS}")
+            output = _output_of("sinfo", "--noheader", "--all", f"--format={KINDS}")
         except Missing:
             return []
-        kinds = [line.split("|", 6) for line in told.splitlines() if line.count("|") >= 6]
-        asked = self._table.partition.split(",") if self._table.partition else []
-        chosen = [kind for kind in kinds if (kind[0].rstrip("*") in asked if asked else kind[0].endswith("*"))]
+        kinds = [line.split("|", 6) for line in output.splitlines() if line.count("|") >= 6]
+        requested = self._table.partition.split(",") if self._table.partition else []
+        chosen = [kind for kind in kinds if (kind[0].rstrip("*") in requested if requested else kind[0].endswith("*"))]
         names = dict.fromkeys(kind[0].rstrip("*") for kind in kinds)
         return [_kind(*kind) for kind in chosen[:SHOWN_KINDS]] or [f"partitions {', '.join(names)}"]
 
     def look(self, name: str) -> tuple[Task, ...] | None:
-        asked = (
-            "--noheader",
-            "--all",
-            "--array",
-            "--states=all",
-            f"--user={os.geteuid()}",
-            f"--name={name}",
-            f"--format={LOOK}",
-        )
+        own = (f"--user={os.geteuid()}", f"--name={name}")
         try:
-            return tasks(_answer("squeue", *asked))
+            return tasks(
+                _output_of("squeue", "--noheader", "--all", "--array", "--states=all", *own, f"--format={TASK_FORMAT}")
+            )
         except Missing:
             return None
 
     def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
         if elements is None:
-            _answer("scancel", f"--user={os.geteuid()}", f"--name={name}")
+            _output_of("scancel", f"--user={os.geteuid()}", f"--name={name}")
             return
         found = self.look(name)
         if found is None:
             raise Missing("SLURM cannot be reached to cancel array tasks; run the command again later")
-        if jobs := _named(task for task in found if task.element in set(elements) and task.state != State.ENDED):
-            _answer("scancel", *jobs)
+        if jobs := _array_tasks(task for task in found if task.element in set(elements) and task.state != State.ENDED):
+            _output_of("scancel", *jobs)
 
     def _directives(self, request: Request) -> Iterator[str]:
         """Yield the table's settings, then the user's directives, then what must hold. The last of two equal options wins."""
-        yield from ("--requeue", "--nodes=1", "--ntasks=1", *self._asked())
+        yield from ("--requeue", "--nodes=1", "--ntasks=1", *self._requested())
         yield from self._table.directives
         yield f"--job-name={request.name}"
         yield f"--comment={_quoted(' '.join(request.comment.split()))}"
@@ -198,7 +192,7 @@ class Slurm:
             yield f"--dependency=afterok:{request.after}"
             yield "--kill-on-invalid-dep=yes"
 
-    def _asked(self) -> Iterator[str]:
+    def _requested(self) -> Iterator[str]:
         table = self._table
         yield f"--cpus-per-task={table.cpus}"
         for name in ("partition", "account", "qos", "constraint"):
@@ -211,18 +205,20 @@ class Slurm:
         if table.wall is not None:
             yield f"--time={math.ceil(table.wall / 60)}"
 
-    def _partitions(self, told: str) -> dict[str, dict[str, str]]:
+    def _partitions(self, output: str) -> dict[str, dict[str, str]]:
         """Return the requested partitions, or the site's default. Raises ConfigError for an unknown partition."""
-        known = {line["PartitionName"]: line for line in map(_fields, told.splitlines()) if "PartitionName" in line}
-        asked = (self._table.partition or "").split(",") if self._table.partition else []
-        if unknown := [name for name in asked if name not in known]:
+        known = {line["PartitionName"]: line for line in map(_fields, output.splitlines()) if "PartitionName" in line}
+        requested = (self._table.partition or "").split(",") if self._table.partition else []
+        if unknown := [name for name in requested if name not in known]:
             raise ConfigError(f"SLURM has no partition {unknown[0]!r}; it has {', '.join(known)}")
-        return {name: line for name, line in known.items() if (name in asked if asked else line.get("Default") == "YES")}
+        if not requested:
+            return {name: line for name, line in known.items() if line.get("Default") == "YES"}
+        return {name: line for name, line in known.items() if name in requested}
 
 
-def tasks(told: str) -> tuple[Task, ...]:
+def tasks(output: str) -> tuple[Task, ...]:
     """Return the tasks in squeue's answer in the format LOOK."""
-    return tuple(_task(*match.groups()) for match in SEEN.finditer(told))
+    return tuple(_task(*match.groups()) for match in TASK_LINE.finditer(output))
 
 
 def _task(job: str, element: str, word: str, node: str, reason: str) -> Task:
@@ -241,10 +237,10 @@ def _state(word: str, reason: str) -> State:
     return State.QUEUED if word in WAITING else State.RUNNING
 
 
-def refusal(said: str) -> SierraError:
+def refusal(message: str) -> SierraError:
     """Return the error for sbatch's message when it does not accept a job."""
-    kind = Full if LIMIT.search(said) or BUSY.search(said) else Missing if UNREACHABLE.search(said) else ConfigError
-    return kind(f"SLURM: {_line(said)}")
+    kind = Full if LIMIT.search(message) or BUSY.search(message) else Missing if UNREACHABLE.search(message) else ConfigError
+    return kind(f"SLURM: {_one_line(message)}")
 
 
 def _kind(partition: str, state: str, limit: str, cores: str, megabytes: str, resources: str, features: str) -> str:
@@ -254,7 +250,7 @@ def _kind(partition: str, state: str, limit: str, cores: str, megabytes: str, re
     return f"partition {partition.rstrip('*')} ({'' if state == 'up' else f'{state}, '}up to {limit}): {nodes}"
 
 
-def _named(found: Iterable[Task]) -> list[str]:
+def _array_tasks(found: Iterable[Task]) -> list[str]:
     """Return the elements as scancel takes them, grouped by job: `12_[0-5,7]`."""
     jobs: dict[str, list[int]] = {}
     for task in found:
@@ -286,7 +282,7 @@ def _fields(line: str) -> dict[str, str]:
     return dict(word.split("=", 1) for word in line.split() if "=" in word)
 
 
-def _asked_for(chosen: Mapping[str, Mapping[str, str]]) -> Partitions:
+def _requested_partitions(chosen: Mapping[str, Mapping[str, str]]) -> Partitions:
     qualities = (line.get("QoS", "N/A") for line in chosen.values())
     return Partitions(tuple(chosen), tuple(name for name in qualities if name != "N/A"))
 
@@ -315,16 +311,16 @@ def _submit(script: str, folder: Path) -> tuple[int, str, str]:
                 return process.returncode, out.decode(errors="replace"), err.decode(errors="replace")
             except subprocess.TimeoutExpired as waiting:
                 given = None
-                said = (waiting.stderr or b"").decode(errors="replace")
-                if BUSY.search(said):
+                message = (waiting.stderr or b"").decode(errors="replace")
+                if BUSY.search(message):
                     process.kill()
-                    raise refusal(said) from None
+                    raise refusal(message) from None
                 if time.monotonic() > give_up:
                     process.kill()
-                    raise Missing(f"SLURM does not answer sbatch within {PATIENCE_S:.0f} s: {_line(said)}") from None
+                    raise Missing(f"SLURM does not answer sbatch within {PATIENCE_S:.0f} s: {_one_line(message)}") from None
 
 
-def _answer(program: str, *words: str) -> str:
+def _output_of(program: str, *words: str) -> str:
     """Return the output of one of SLURM's commands. Raises Missing, with the command's message, if it fails."""
     try:
         done = subprocess.run(
@@ -341,7 +337,7 @@ def _answer(program: str, *words: str) -> str:
         raise Missing(f"SLURM does not answer {program} within {PATIENCE_S:.0f} s") from None
     log.command((program, *words), done.returncode, done.stderr)
     if done.returncode != 0:
-        raise Missing(f"SLURM: {_line(done.stderr or done.stdout)}")
+        raise Missing(f"SLURM: {_one_line(done.stderr or done.stdout)}")
     return done.stdout
 
 
@@ -359,7 +355,7 @@ def _environment() -> dict[str, str]:
     return {**kept, "PATH": PATH, "HOME": user.pw_dir, "USER": user.pw_name, "LOGNAME": user.pw_name}
 
 
-def _line(said: str) -> str:
+def _one_line(message: str) -> str:
     """Return a command's error message in one line."""
-    lines = [re.sub(r"^\w+: (error: |fatal: )?", "", line.strip()) for line in said.splitlines()]
+    lines = [re.sub(r"^\w+: (error: |fatal: )?", "", line.strip()) for line in message.splitlines()]
     return "; ".join(dict.fromkeys(line for line in lines if line and not line.startswith("Try ")))

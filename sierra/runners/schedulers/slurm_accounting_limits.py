@@ -20,10 +20,7 @@ Ask = Callable[..., str]
 """A function that returns the output of a command with these words; it raises Missing."""
 Row = Mapping[str, str]
 
-ASSOCIATION = (
-    *("Account", "Partition", "DefaultQOS", "QOS"),
-    *("MaxSubmitJobs", "GrpSubmitJobs", "MaxJobs", "MaxWall"),
-)
+ASSOCIATION = (*("Account", "Partition", "DefaultQOS", "QOS"), *("MaxSubmitJobs", "GrpSubmitJobs", "MaxJobs", "MaxWall"))
 QOS = ("Name", "MaxSubmitJobsPerUser", "MaxSubmitJobsPerAccount", "GrpSubmitJobs", "MaxJobsPerUser", "MaxWall")
 USUAL = "normal"
 """The QOS of users who have none."""
@@ -72,9 +69,9 @@ def seconds(text: str) -> float | None:
 
 
 def _rows(ask: Ask, what: str, columns: Sequence[str], *where: str) -> list[Row]:
-    told = ask("sacctmgr", "--noheader", "--parsable2", "show", what, "where", *where, f"format={','.join(columns)}")
+    output = ask("sacctmgr", "--noheader", "--parsable2", "show", what, "where", *where, f"format={','.join(columns)}")
     return [
-        dict(zip(columns, line.split("|"), strict=True)) for line in told.splitlines() if line.count("|") == len(columns) - 1
+        dict(zip(columns, line.split("|"), strict=True)) for line in output.splitlines() if line.count("|") == len(columns) - 1
     ]
 
 
@@ -83,13 +80,13 @@ def _association(ask: Ask, cluster: str, user: str, table: ClusterTable, partiti
 
     Raises ConfigError if the user does not have the requested account.
     """
-    found = _rows(ask, "associations", ASSOCIATION, f"user={user}", f"cluster={cluster}")
-    accounts = dict.fromkeys(row["Account"].lower() for row in found)
-    if table.account is not None and found and table.account.lower() not in accounts:
+    limits = _rows(ask, "associations", ASSOCIATION, f"user={user}", f"cluster={cluster}")
+    accounts = dict.fromkeys(row["Account"].lower() for row in limits)
+    if table.account is not None and limits and table.account.lower() not in accounts:
         raise ConfigError(f"account {table.account!r} is not yours on this cluster; you have {', '.join(accounts)}")
     usual = (row["DefaultAccount"] for row in _rows(ask, "user", ("DefaultAccount",), f"name={user}"))
     account = table.account or next(filter(None, usual), next(iter(accounts), ""))
-    mine = {row["Partition"]: row for row in found if row["Account"].lower() == account.lower()}
+    mine = {row["Partition"]: row for row in limits if row["Account"].lower() == account.lower()}
     return next((mine[name] for name in (*partitions.names, "") if name in mine), {})
 
 
@@ -106,16 +103,16 @@ def _qos(association: Row, table: ClusterTable, *, strict: bool) -> str:
 
 def _qualities(ask: Ask, names: Mapping[str, object]) -> list[Row]:
     """Return the rows of these qualities of service, in this order."""
-    said = {row["Name"]: row for row in _rows(ask, "qos", QOS, f"name={','.join(names)}")}
-    return [said[name.lower()] for name in names if name.lower() in said]
+    rows = {row["Name"]: row for row in _rows(ask, "qos", QOS, f"name={','.join(names)}")}
+    return [rows[name.lower()] for name in names if name.lower() in rows]
 
 
 def _allowed(association: Row, qualities: Sequence[Row]) -> Allowed:
     def first(of_qos: str, of_association: str = "", read: Callable[[str], float | None] = _number) -> Limit | None:
-        asked = [(f"QOS {row['Name']}", row, of_qos) for row in qualities]
-        asked.append((f"your association with account {association.get('Account')}", association, of_association))
-        found = ((whose, name, read(row.get(name, ""))) for whose, row, name in asked)
-        return next((Limit(most, f"{name} of {whose}") for whose, name, most in found if most is not None), None)
+        sources = [(f"QOS {row['Name']}", row, of_qos) for row in qualities]
+        sources.append((f"your association with account {association.get('Account')}", association, of_association))
+        limits = ((whose, name, read(row.get(name, ""))) for whose, row, name in sources)
+        return next((Limit(most, f"{name} of {whose}") for whose, name, most in limits if most is not None), None)
 
     return Allowed(
         jobs=least(
