@@ -370,11 +370,6 @@ class Pack:
         with contextlib.suppress(OSError):
             os.ftruncate(self._file, size)
 
-    def say(self, reason: str, *, full: bool) -> None:
-        """Record the trouble, if there is space for it."""
-        with contextlib.suppress(OSError):
-            self.note(Trouble(reason, full), sync=True)
-
     def is_gone(self) -> bool:
         """Return whether the pack, or its folder, has been removed."""
         try:
@@ -383,15 +378,15 @@ class Pack:
             return error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ESTALE)
 
 
-def executed(folder: str, index: str, own: str, go_on: Callable[[], None]) -> Set[bytes]:
-    """Return the executions whose end other attempts have recorded with all files intact. Calls `go_on` for each chunk."""
+def executed(folder: str, index: str, own: str, check_stop: Callable[[], None]) -> Set[bytes]:
+    """Return the executions whose end other attempts have recorded with all files intact. Calls `check_stop` for each chunk."""
     found = set()
     for name in os.listdir(folder):
         path = os.path.join(folder, name)
         if name.startswith(index + ".") and name.endswith(".pack") and path != own:
             with contextlib.suppress(FileNotFoundError), open(path, "rb") as file:
                 for record, at, _ in records(file, 0):
-                    if record["event"] == "end" and is_sound(file, at, record["files"], go_on):
+                    if record["event"] == "end" and is_sound(file, at, record["files"], check_stop):
                         found.add(short(record["execution"]))
     return found
 
@@ -405,13 +400,13 @@ def read_lines(path: str) -> List[str]:
         return []
 
 
-def is_sound(file: "BinaryIO", at: int, files: List[File], go_on: Callable[[], None]) -> bool:
-    """Return whether a payload matches its hashes. Calls `go_on` for each chunk."""
+def is_sound(file: "BinaryIO", at: int, files: List[File], check_stop: Callable[[], None]) -> bool:
+    """Return whether a payload matches its hashes. Calls `check_stop` for each chunk."""
     file.seek(at)
     for _, size, sha256 in files:
         digest = hashlib.sha256()
         while size:
-            go_on()
+            check_stop()
             chunk = file.read(min(size, CHUNK))
             if not chunk:
                 return False
@@ -537,8 +532,8 @@ def logs_in(root: int) -> Iterator[File]:
             yield name, size, sha256
 
 
-def contents(root: int, files: Iterable[File], go_on: Callable[[], None]) -> Iterator[bytes]:
-    """Yield the contents of files, one after the other. Calls `go_on` for each chunk.
+def contents(root: int, files: Iterable[File], check_stop: Callable[[], None]) -> Iterator[bytes]:
+    """Yield the contents of files, one after the other. Calls `check_stop` for each chunk.
 
     Raises Changed if a file does not have the expected size and hash.
     """
@@ -547,7 +542,7 @@ def contents(root: int, files: Iterable[File], go_on: Callable[[], None]) -> Ite
         try:
             with open(opened(root, path), "rb", buffering=0) as file:
                 while size >= 0:
-                    go_on()
+                    check_stop()
                     chunk = file.read(CHUNK)
                     if not chunk:
                         break
@@ -637,7 +632,7 @@ class Needs:
                 self._files.append({**need, "path": path_of(need)})
             else:
                 check_installed(need["name"], set(holds), set(installed(need["path"])))
-        self._seen: Dict[str, Tuple[int, ...]] = {}
+        self._identities: Dict[str, Tuple[int, ...]] = {}
 
     def check(self) -> None:
         """Check all files.
@@ -647,12 +642,12 @@ class Needs:
         for need in self._files:
             try:
                 status = os.stat(need["path"], follow_symlinks=not need.get("link"))
-                seen = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-                if self._seen.get(need["path"]) != seen and need["sha256"] not in ("", hash_of(need)):
+                identity = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+                if self._identities.get(need["path"]) != identity and need["sha256"] not in ("", hash_of(need)):
                     raise CannotContinue("%s: %s differs from the one on the submitting host" % (need["name"], need["path"]))
             except OSError as error:
                 raise CannotContinue("%s: %s: %s" % (need["name"], need["path"], error.strerror)) from error
-            self._seen[need["path"]] = seen
+            self._identities[need["path"]] = identity
 
 
 def installed(folders: str) -> Tuple[str, ...]:
@@ -792,7 +787,7 @@ class StopSignals:
         self.times += 1
 
 
-def born() -> float:
+def start_of_task() -> float:
     """Return the start of the task in seconds since boot: the job script has become this process, by `exec`."""
     with open("/proc/self/stat", "rb") as file:
         ticks = int(file.read().rpartition(b")")[2].split()[19])
@@ -806,7 +801,7 @@ class Requeue:
         self._cancelled = os.path.join(folder, "cancelled")
         self._pack = pack
         self._command = [*command, task_of(os.environ)]
-        self._at = born() + wall - min(BEFORE_S, wall / 6) if wall and len(self._command) > 1 else float("inf")
+        self._at = start_of_task() + wall - min(BEFORE_S, wall / 6) if wall and len(self._command) > 1 else float("inf")
         self.progressed = False
 
     def send_if_due(self) -> None:
@@ -1014,10 +1009,10 @@ class Execution:
     def _add(self, event: "End", root: int, files: List[File]) -> None:
         size = sum(size for _, size, _ in files)
         fields = {name: value for name, value in event.items() if name not in ("directory", "spare")}
-        payload = itertools.chain(contents(root, files, self._go_on), (b"\n",))
+        payload = itertools.chain(contents(root, files, self._check_time), (b"\n",))
         self._pack.add(line_of({**fields, "files": files, "size": size}), size, payload)
 
-    def _go_on(self) -> None:
+    def _check_time(self) -> None:
         """Raise Unwanted if nobody waits for the results any more, or if there is no time left for packing."""
         self._check_stop(time.monotonic())
         stop = self._stop
@@ -1109,7 +1104,8 @@ def attempt(folder: str, index: int, stop: StopSignals, *, wall: Optional[float]
     except Unwanted:
         return False
     except Exception as error:
-        pack.say(reason_of(error), full=getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT))
+        with contextlib.suppress(OSError):  # if there is space for it
+            pack.note(Trouble(reason_of(error), getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)), sync=True)
         raise
 
 
@@ -1136,14 +1132,14 @@ def reason_of(error: BaseException) -> str:
     return "%s: %s" % (os.uname().nodename, " ".join(reason.split()))
 
 
-def say(text: str) -> None:
+def print_error(text: str) -> None:
     with contextlib.suppress(OSError):
         os.write(2, ("array task: %s\n" % text).encode("utf-8", "backslashreplace"))
 
 
 def main(arguments: List[str]) -> int:
     if sys.version_info < (3, 8):  # noqa: UP036 - this check reports it
-        say("Python %s on %s is too old; 3.8 or newer is needed" % (platform.python_version(), os.uname().nodename))
+        print_error("Python %s on %s is too old; 3.8 or newer is needed" % (platform.python_version(), os.uname().nodename))
         return 3
     stop = StopSignals()
     try:
@@ -1153,10 +1149,10 @@ def main(arguments: List[str]) -> int:
         if attempt(folder, index, stop, wall=wall, probing=probing):
             return 0
         if stop.times and not probing:
-            say("asked to end after %.0f s" % (stop.when - born()))
+            print_error("asked to end after %.0f s" % (stop.when - start_of_task()))
         return 1
     except Exception as error:
-        say(reason_of(error))
+        print_error(reason_of(error))
         return 3
 
 

@@ -245,35 +245,35 @@ class Journal:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "journal.jsonl")
 
 
-class Bell:
+class Waker:
     """A means to wake the main thread from any thread, from a signal handler, or when a pipe is closed.
 
     (Python's own events and queues hold locks, so a signal handler must not use them.)
     """
 
     def __init__(self) -> None:
-        self._ear, self._hand = os.pipe()
-        os.set_blocking(self._ear, False)
-        os.set_blocking(self._hand, False)
+        self._read_end, self._write_end = os.pipe()
+        os.set_blocking(self._read_end, False)
+        os.set_blocking(self._write_end, False)
         self._poll = select.poll()
-        self._poll.register(self._ear, select.POLLIN)
+        self._poll.register(self._read_end, select.POLLIN)
         self._pipe: int | None = None
 
-    def mind(self, pipe: int) -> None:
-        """Ring also when the other end of `pipe` is closed, even if data in it is still unread."""
+    def watch_pipe(self, pipe: int) -> None:
+        """Wake also when the other end of `pipe` is closed, even if data in it is still unread."""
         self._pipe = pipe
         self._poll.register(pipe, 0)
 
-    def ring(self) -> None:
+    def wake(self) -> None:
         with contextlib.suppress(BlockingIOError):
-            os.write(self._hand, b"!")
+            os.write(self._write_end, b"!")
 
     def wait(self, seconds: float) -> bool:
-        """Wait for so many seconds or until rung. Return False if the pipe was closed."""
-        rung = [descriptor for descriptor, _ in self._poll.poll(seconds * 1000)]
-        if self._ear in rung:
-            os.read(self._ear, 4096)
-        if self._pipe not in rung:
+        """Wait for so many seconds, or until woken. Return False if the pipe was closed."""
+        ready = [descriptor for descriptor, _ in self._poll.poll(seconds * 1000)]
+        if self._read_end in ready:
+            os.read(self._read_end, 4096)
+        if self._pipe not in ready:
             return True
         self._poll.unregister(self._pipe)
         return False
@@ -288,7 +288,7 @@ class Running:
         self.folder = folder
         self.pid = process.pid
         self.limits = job["limits"]
-        self.client = client_in(job["client"], folder) if "client" in job else None
+        self.client = with_folder(job["client"], folder) if "client" in job else None
         self.meter = Meter(self) if self.client else None
         self.measured = any(self.limits.get(name) is not None for name in ("cpu_s", "memory_bytes", "output_bytes"))
         self.limited = self.measured or self.limits.get("wall_s") is not None
@@ -322,7 +322,7 @@ class Running:
         """Return the ids of the run's processes, as far as /proc lists them."""
         if self.meter:
             return self.meter.pids()
-        roots = [self.pid, *(pid for pid in orphans() if belongs(pid, self.execution, self.pid))]
+        roots = [self.pid, *(pid for pid in orphans() if belongs_to(pid, self.execution, self.pid))]
         return [pid for root in roots for pid in descendants(root)]
 
     def stalled(self, now: float) -> bool:
@@ -339,7 +339,7 @@ class Running:
         self.stalled_since = float("inf")
         return True
 
-    def hurry(self) -> None:
+    def skip_grace(self) -> None:
         """Skip the rest of the grace time."""
         if self.kill_at is not None:
             self.kill_at = 0.0
@@ -398,7 +398,7 @@ class Container:
     def __init__(self, client: Program, folder: str) -> None:
         self.runs = os.path.join(folder, RUNS)
         os.makedirs(self.runs)
-        self.client = client_in(client, folder)
+        self.client = with_folder(client, folder)
         self.log = os.path.join(folder, "log")
         with open(self.log, "wb") as log:
             self.process = subprocess.Popen(
@@ -464,15 +464,15 @@ class Container:
             self.kill_at = time.monotonic() + grace + CLEAN_S
         if self.lock.acquire(blocking=False):  # else a job is being sent that is not read yet; tried again later
             try:
-                self.shut()
+                self.close_pipe()
             finally:
                 self.lock.release()
 
-    def shut(self) -> None:
+    def close_pipe(self) -> None:
         with contextlib.suppress(OSError):
             stdin_of(self.process).close()
 
-    def hurry(self) -> None:
+    def skip_grace(self) -> None:
         if self.kill_at is not None:
             self.kill_at = min(self.kill_at, time.monotonic() + SETTLE_S)
 
@@ -495,7 +495,7 @@ class Container:
             signal_group(self.pid, signal.SIGKILL)
         if self.process.wait() != 0:
             end_container(self.client)
-        self.shut()
+        self.close_pipe()
         if self.process.stdout is not None:
             self.process.stdout.close()
         with open(self.log, "rb") as log:
@@ -524,27 +524,27 @@ class Worker:
         self.running: dict[int, Running] = {}
         self.containers: dict[int, Container] = {}
         self.contains = False
-        self.stopping = self.terminated = self.hurried = False
-        self.give_up_at = 0.0
-        self.bell = Bell()
+        self.stopping = self.terminated = self.without_grace = False
+        self.stop_reading_at = 0.0
+        self.waker = Waker()
         self.failure: str | None = None
         self.full = False
         self.numbers = itertools.count(1 + max([int(name) for name in os.listdir(folder) if name.isdigit()], default=0))
         self.lock = threading.Lock()
-        self.spare: dict[int, Place] = {}
-        self.shared = {place: names_in(place) for place in places}
+        self.spare: dict[int, RunFolder] = {}
+        self.shared = {place: entries_of(place) for place in places}
 
     def work(self, stream: TextIO) -> bool:
         """Execute all jobs in `stream`. Return True if it was read to its end and no run was cut off."""
         kind = os.fstat(stream.fileno()).st_mode
         if stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind):
-            self.bell.mind(stream.fileno())
+            self.waker.watch_pipe(stream.fileno())
         threading.Thread(target=self.read, args=(stream,), daemon=True).start()
         threads = [threading.Thread(target=self.slot, args=(number,)) for number in range(self.slots)]
         for thread in threads:
             thread.start()
         while any(thread.is_alive() for thread in threads):
-            if not self.bell.wait(self.watch()):
+            if not self.waker.wait(self.watch()):
                 self.stop()
         if self.contains:
             await_orphans()
@@ -567,18 +567,18 @@ class Worker:
 
     def stop(self) -> None:
         """Start no further runs, and end the running ones. Can be called by a signal handler."""
-        self.give_up_at = self.give_up_at or time.monotonic() + GIVE_UP_S
+        self.stop_reading_at = self.stop_reading_at or time.monotonic() + GIVE_UP_S
         self.stopping = True
-        self.bell.ring()
+        self.waker.wake()
 
-    def go_on(self) -> None:
+    def check_stop(self) -> None:
         """Raise GivenUp if the worker was told to stop so long ago that outputs are no longer read."""
-        if self.stopping and (self.hurried or time.monotonic() >= self.give_up_at):
+        if self.stopping and (self.without_grace or time.monotonic() >= self.stop_reading_at):
             raise GivenUp
 
     def terminate(self) -> None:
         """Stop the worker; at the second call, without grace time. For a signal handler."""
-        self.hurried, self.terminated = self.terminated, True
+        self.without_grace, self.terminated = self.terminated, True
         self.stop()
 
     def fail(self, error: BaseException) -> None:
@@ -598,7 +598,7 @@ class Worker:
                 break
             self.contains = self.contains or "client" in job
             try:
-                job = allotted(job, number, self.slots)
+                job = with_own_devices(job, number, self.slots)
                 if job.get("shared"):
                     self.execute_inside(job, number)
                 else:
@@ -608,7 +608,7 @@ class Worker:
         container = self.containers.pop(number, None)
         if container is not None:
             container.close()
-        self.bell.ring()
+        self.waker.wake()
 
     def execute_inside(self, job: Job, slot: int) -> None:
         """Execute one run in the slot's container. Starts the container if there is none."""
@@ -619,13 +619,13 @@ class Worker:
                 container = self.containers[slot] = Container(job["client"], self.next_folder("slot-"))
             except OSError as error:
                 reason = "its container could not be started: " + explain(error)
-                self.report(job, slot, self.folder, began, 0.0, nothing(reason))
+                self.report(job, slot, self.folder, began, 0.0, no_outputs(reason))
                 return
         for event in container.execute(job):
             if event["event"] == "end":
                 if event["stopped"] != "interrupted":
                     check_room(self.folder)
-                self.journal.write(self.taken_out(job, container, event, slot))
+                self.journal.write(self.take_out(job, container, event, slot))
                 return
             event["pid"] = container.pid
             if event["event"] == "start":
@@ -637,18 +637,18 @@ class Worker:
         folder = os.path.join(container.runs, "lost")
         stopped = "interrupted" if self.stopping else "timeout" if container.late else None
         trouble = None if stopped else "its container ended: " + said
-        self.report(job, slot, folder, began, wall, nothing(trouble, stopped))
+        self.report(job, slot, folder, began, wall, no_outputs(trouble, stopped))
 
-    def taken_out(self, job: Job, container: Container, event: End, slot: int) -> End:
+    def take_out(self, job: Job, container: Container, event: End, slot: int) -> End:
         """Move a run's folder out of the container's reach, and return its event with its outputs."""
         folder = self.next_folder()
         inside = os.path.join(container.runs, os.path.basename(event["directory"]))
-        left = nothing("its folder is gone", event["stopped"])
+        remains = no_outputs("its folder is gone", event["stopped"])
         if is_folder(inside):
             os.rename(inside, folder)
-            left = left_behind(folder, job["limits"], event["stopped"], self.go_on)
-        left["error"] = event["error"] or left["error"]
-        return {**event, "directory": folder, "slot": slot, "host": self.host, **left}
+            remains = collect_outputs(folder, job["limits"], event["stopped"], self.check_stop)
+        remains["error"] = event["error"] or remains["error"]
+        return {**event, "directory": folder, "slot": slot, "host": self.host, **remains}
 
     def next_folder(self, prefix: str = "") -> str:
         with self.lock:
@@ -663,14 +663,14 @@ class Worker:
             process = start(job, folder)
         except (OSError, ValueError) as error:
             wall = time.monotonic() - started
-            self.report(job, slot, folder, began, wall, nothing("could not be started: " + explain(error)))
+            self.report(job, slot, folder, began, wall, no_outputs("could not be started: " + explain(error)))
             return
         running = Running(job, folder, process)
         with self.lock:
             self.running[running.pid] = running
-        self.tell(running, {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)})
+        self.note(running, {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)})
         if running.limited or self.stopping:
-            self.bell.ring()
+            self.waker.wake()
         status, usage = await_end(running)
         wall = time.monotonic() - started
         process.returncode = status
@@ -686,15 +686,15 @@ class Worker:
             running.stopped = "interrupted"
         if running.stopped != "interrupted" and not running.seal:
             check_room(self.folder)
-        spare = alone and self.adopts and place is not None and place.is_spare()
+        spare = alone and self.adopts and place is not None and place.is_reusable()
         if running.seal:  # the worker that takes the folder out of the container reads it
-            left = nothing(self.tidied(folder), running.stopped)
+            remains = no_outputs(self.clear_shared(folder), running.stopped)
         else:
-            left = left_behind(folder, running.limits, running.stopped, self.go_on, spare)
-        if spare and place is not None and not left["error"] and sum(file["bytes"] for file in left["outputs"]) <= CHUNK:
+            remains = collect_outputs(folder, running.limits, running.stopped, self.check_stop, spare)
+        if spare and place is not None and not remains["error"] and sum(file["bytes"] for file in remains["outputs"]) <= CHUNK:
             self.spare[int(os.path.basename(folder))] = place
-            left["spare"] = True
-        self.report(job, slot, folder, began, wall, left, status, running.meter.report() if running.meter else used(usage))
+            remains["spare"] = True
+        self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
 
     def await_signal(self) -> None:
         """Give a SIGTERM that has ended a run time to reach this process too: a scheduler sends it to one after the other."""
@@ -702,21 +702,21 @@ class Worker:
         while not self.stopping and time.monotonic() < deadline:
             time.sleep(SAMPLE_S)
 
-    def tell(self, running: Running, event: Event) -> None:
+    def note(self, running: Running, event: Event) -> None:
         """Write an event of a run. If this fails, the worker cannot continue."""
         try:
             self.journal.write(event, running.seal)
         except OSError as error:
             self.fail(error)
 
-    def tidied(self, folder: str) -> str | None:
+    def clear_shared(self, folder: str) -> str | None:
         """Remove the files that a run has left in folders that the next run shares.
 
         Return why that failed, or that the run may have lacked space there, or None.
         """
         full = [place for place in self.shared if is_full(place)]
         for place, before in self.shared.items():
-            for path in (os.path.join(place, name) for name in sorted(names_in(place) - before)):
+            for path in (os.path.join(place, name) for name in sorted(entries_of(place) - before)):
                 if path != folder:
                     remove(path) if is_folder(path) else unlink(path)
                     if os.path.lexists(path):
@@ -730,7 +730,7 @@ class Worker:
         folder: str,
         began: float,
         wall: float,
-        left: Remains,
+        remains: Remains,
         status: int | None = None,
         usage: Usage = UNUSED,
     ) -> None:
@@ -747,7 +747,7 @@ class Worker:
             **usage,
             "host": self.host,
             "slot": slot,
-            **left,
+            **remains,
         }
         self.journal.write(event, job.get("seal"))
 
@@ -762,8 +762,8 @@ class Worker:
         for container in list(self.containers.values()):
             if self.stopping:
                 container.stop(5.0)
-            if self.hurried:
-                container.hurry()
+            if self.without_grace:
+                container.skip_grace()
             if container.kill_at is not None and now >= container.kill_at:
                 container.kill()
             container.expire(now)
@@ -773,14 +773,14 @@ class Worker:
                 due.append(one.meter.due)
             if self.stopping:
                 one.stop("interrupted")
-            if self.hurried:
-                one.hurry()
+            if self.without_grace:
+                one.skip_grace()
             deadline = one.deadline()
             if deadline is not None and now >= deadline:
                 one.stop("timeout")
             if one.stalled(now):
                 since = time.time() - STALLED_S
-                self.tell(one, {"event": "stalled", "run": one.run, "execution": one.execution, "pid": one.pid, "since": since})
+                self.note(one, {"event": "stalled", "run": one.run, "execution": one.execution, "pid": one.pid, "since": since})
             if one.stopped is None and now - one.started > POLL_S / 2:
                 reason = exceeded(one)
                 if reason:
@@ -798,33 +798,33 @@ class Worker:
         return max(0.005, heapq.nsmallest(1, due)[0] - time.monotonic())
 
 
-class Place:
+class RunFolder:
     """A run's folder in the state in which it was made, so that changes by the run can be found."""
 
     def __init__(self, folder: str, files: list[str]) -> None:
         self.folder = folder
         self.files = files
-        self.seen: dict[str, tuple[object, ...]] = {}
-        self.see("", *FOLDERS, *LOGS, *files)
+        self.states: dict[str, tuple[object, ...]] = {}
+        self.record_state("", *FOLDERS, *LOGS, *files)
 
-    def see(self, *names: str) -> None:
-        self.seen.update((name, seen(os.path.join(self.folder, name))) for name in names)
+    def record_state(self, *names: str) -> None:
+        self.states.update((name, state_of(os.path.join(self.folder, name))) for name in names)
 
-    def touched(self, *names: str) -> list[str]:
-        return [name for name in names if seen(os.path.join(self.folder, name)) != self.seen[name]]
+    def changed(self, *names: str) -> list[str]:
+        return [name for name in names if state_of(os.path.join(self.folder, name)) != self.states[name]]
 
-    def is_spare(self) -> bool:
+    def is_reusable(self) -> bool:
         """Return whether the run has changed only outputs and logs, and the logs are short."""
         try:
             sizes = [size_of_file(os.path.join(self.folder, name)) for name in LOGS]
-            return sum(sizes) <= CHUNK and not self.touched("", "home", "tmp", *self.files)
+            return sum(sizes) <= CHUNK and not self.changed("", "home", "tmp", *self.files)
         except OSError:
             return False
 
     def clear(self) -> bool:
         """Make the changed parts of the folder again. Return False if that fails."""
         try:
-            for name in self.touched("output", *LOGS):
+            for name in self.changed("output", *LOGS):
                 path = os.path.join(self.folder, name)
                 if name in LOGS:
                     os.unlink(path)
@@ -832,27 +832,27 @@ class Place:
                 else:
                     remove(path)
                     os.mkdir(path)
-                self.see(name)
+                self.record_state(name)
         except OSError:
             return False
         return True
 
-    def serve(self, job: Job, folder: str) -> None:
+    def reuse(self, job: Job, folder: str) -> None:
         """Turn the folder into that of another run."""
         os.rename(self.folder, folder)
         self.folder = folder
         for name, content in job["files"].items():
             with open(os.path.join(folder, name), "wb") as file:
                 file.write(base64.b64decode(content))
-        self.see("", *self.files)
+        self.record_state("", *self.files)
 
 
-def seen(path: str) -> tuple[object, ...]:
+def state_of(path: str) -> tuple[object, ...]:
     """Return values of a folder or a file that differ after it was changed (ctime may not, within one tick of the clock)."""
-    found = os.lstat(path)
-    inside = sorted(os.listdir(path)) if stat.S_ISDIR(found.st_mode) else found.st_size
-    own = (found.st_ino, found.st_mode, found.st_nlink, found.st_uid, found.st_gid, found.st_ctime_ns)
-    return (*own, inside, attributes_of(path))
+    status = os.lstat(path)
+    inside = sorted(os.listdir(path)) if stat.S_ISDIR(status.st_mode) else status.st_size
+    values = (status.st_ino, status.st_mode, status.st_nlink, status.st_uid, status.st_gid, status.st_ctime_ns)
+    return (*values, inside, attributes_of(path))
 
 
 def attributes_of(path: str) -> list[str]:
@@ -863,11 +863,11 @@ def attributes_of(path: str) -> list[str]:
         return []
 
 
-def prepare(job: Job, folder: str, used: Place | None = None) -> Place | None:
+def prepare(job: Job, folder: str, used: RunFolder | None = None) -> RunFolder | None:
     """Make the run's folder with its input files, or reuse a spare one. If that fails, the worker cannot continue."""
     if used is not None:
         if used.files == list(job["files"]) and used.clear():
-            used.serve(job, folder)
+            used.reuse(job, folder)
             return used
         remove(used.folder)
     os.mkdir(folder)
@@ -878,14 +878,14 @@ def prepare(job: Job, folder: str, used: Place | None = None) -> Place | None:
             file.write(base64.b64decode(content))
     for name in LOGS:
         make_log(os.path.join(folder, name))
-    return Place(folder, list(job["files"])) if "used" in job else None
+    return RunFolder(folder, list(job["files"])) if "used" in job else None
 
 
 def make_log(path: str) -> None:
     os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
 
 
-def allotted(job: Job, slot: int, slots: int) -> Job:
+def with_own_devices(job: Job, slot: int, slots: int) -> Job:
     """Return the job with the devices of its slot, if it requests any."""
     if not any(job["environment"].get(name) == ALLOTTED + name for name in DEVICES):
         return job
@@ -920,19 +920,19 @@ def devices(slot: int, slots: int) -> dict[str, str]:
     return parts
 
 
-def part_of(found: list[str], slot: int, slots: int) -> str:
+def part_of(values: list[str], slot: int, slots: int) -> str:
     """Return a slot's part of the devices if they can be divided equally among the slots, or the slots among them; else all."""
-    if len(found) % slots == 0:
-        each = len(found) // slots
-        found = found[slot * each : (slot + 1) * each]
-    elif slots % len(found) == 0:
-        found = [found[slot % len(found)]]
-    return ",".join(found)
+    if len(values) % slots == 0:
+        each = len(values) // slots
+        values = values[slot * each : (slot + 1) * each]
+    elif slots % len(values) == 0:
+        values = [values[slot % len(values)]]
+    return ",".join(values)
 
 
 def start(job: Job, folder: str) -> subprocess.Popen[bytes]:
     """Start a run's program in its folder."""
-    started = client_in(job.get("client", job), folder)
+    started = with_folder(job.get("client", job), folder)
     out, err = (os.open(os.path.join(folder, name), os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC) for name in LOGS)
     try:
         return subprocess.Popen(
@@ -949,7 +949,7 @@ def start(job: Job, folder: str) -> subprocess.Popen[bytes]:
         os.close(err)
 
 
-def client_in(client: Program, folder: str) -> Program:
+def with_folder(client: Program, folder: str) -> Program:
     """Return the program's words and environment with the path of the given folder."""
     return {
         "argv": [word.replace("\0", folder) for word in client["argv"]],
@@ -980,7 +980,7 @@ def await_end(running: Running) -> tuple[int, struct_rusage]:
     """
     if hasattr(os, "waitid"):
         os.waitid(os.P_PID, running.pid, os.WEXITED | os.WNOWAIT)
-        while running.kill_at is not None and any(lives_in(pid, running.pid) for pid in orphans()):
+        while running.kill_at is not None and any(is_alive_in(pid, running.pid) for pid in orphans()):
             time.sleep(POLL_S / 10)
         with running.lock:
             running.over = True
@@ -999,58 +999,60 @@ def used(usage: struct_rusage) -> Usage:
 def is_full(place: str) -> bool:
     """Return whether a writable file system has no space left."""
     try:
-        found = os.statvfs(place)
+        space = os.statvfs(place)
     except OSError:
         return False
-    return not found.f_flag & os.ST_RDONLY and bool(found.f_blocks) and found.f_bavail == 0
+    return not space.f_flag & os.ST_RDONLY and bool(space.f_blocks) and space.f_bavail == 0
 
 
 def check_room(folder: str) -> None:
     """Raise OSError if a file system has no space or no inodes left."""
-    found = os.statvfs(folder)
-    if (found.f_blocks and found.f_bavail == 0) or (found.f_files and found.f_favail == 0):  # a ramfs reports neither
+    space = os.statvfs(folder)
+    if (space.f_blocks and space.f_bavail == 0) or (space.f_files and space.f_favail == 0):  # a ramfs reports neither
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), folder)
 
 
-def left_behind(folder: str, limits: Limits, stopped: str | None, go_on: Callable[[], None], spare: bool = False) -> Remains:
+def collect_outputs(
+    folder: str, limits: Limits, stopped: str | None, check_stop: Callable[[], None], spare: bool = False
+) -> Remains:
     """Return why a run was stopped (as far as its files show it), and its outputs or why they cannot be read.
 
     Folders that are no longer needed are removed, unless the run's folder is spare. The outputs of an interrupted run are not
-    read, and neither are outputs beyond the limit. `go_on` is called for each chunk that is read; it may raise GivenUp.
+    read, and neither are outputs beyond the limit. `check_stop` is called for each chunk that is read; it may raise GivenUp.
     """
     allowed = limits.get("output_bytes")
     outputs: list[OutputFile] = []
-    others: list[str] = []
+    other_entries: list[str] = []
     error = None
     try:
         if is_folder(folder):  # a run may have put a link here, which may lead to other people's files: do not touch it
             unlock(folder, 0o700)
             for name in () if spare else ("home", "tmp"):
                 remove(os.path.join(folder, name))
-            files, others = found(os.path.join(folder, "output"))
+            files, other_entries = list_files(os.path.join(folder, "output"))
             if stopped is None and allowed is not None and size_of(folder) > allowed:
                 stopped = "output"
             if stopped == "output" and allowed is not None:
-                files = list(within(files, allowed))
-            outputs = list(described(files, go_on)) if stopped != "interrupted" else []
+                files = list(limited_to(files, allowed))
+            outputs = list(described(files, check_stop)) if stopped != "interrupted" else []
     except GivenUp:
         stopped = "interrupted"
     except (OSError, RecursionError) as trouble:
         error = "its outputs cannot be read: " + explain(trouble)
-    left: Remains = {"stopped": stopped, "outputs": outputs, "error": error}
-    return {**left, "left_out": others[:MOST_NAMED]} if others else left
+    remains: Remains = {"stopped": stopped, "outputs": outputs, "error": error}
+    return {**remains, "left_out": other_entries[:MOST_NAMED]} if other_entries else remains
 
 
-def nothing(error: str | None, stopped: str | None = None) -> Remains:
+def no_outputs(error: str | None, stopped: str | None = None) -> Remains:
     return {"stopped": stopped, "outputs": [], "error": error}
 
 
-def found(root: str) -> tuple[list[tuple[str, str]], list[str]]:
+def list_files(root: str) -> tuple[list[tuple[str, str]], list[str]]:
     """Return the regular files below `root` (path, and path relative to it), and other entries that are not folders.
 
     Both are sorted. Links are not followed.
     """
-    files, others = [], []
+    files, other_entries = [], []
     pending = [root] if is_folder(root) else []
     while pending:
         folder = pending.pop()
@@ -1062,11 +1064,11 @@ def found(root: str) -> tuple[list[tuple[str, str]], list[str]]:
                 elif entry.is_file(follow_symlinks=False):
                     files.append((entry.path, os.path.relpath(entry.path, root)))
                 else:
-                    others.append(os.path.relpath(entry.path, root))
-    return sorted(files), sorted(others)
+                    other_entries.append(os.path.relpath(entry.path, root))
+    return sorted(files), sorted(other_entries)
 
 
-def within(files: Iterable[tuple[str, str]], most: int) -> Iterator[tuple[str, str]]:
+def limited_to(files: Iterable[tuple[str, str]], most: int) -> Iterator[tuple[str, str]]:
     """Yield the files whose total size is at most `most` bytes, in order. A file that exceeds the rest is skipped."""
     for path, name in files:
         size = size_of_file(path)
@@ -1075,17 +1077,17 @@ def within(files: Iterable[tuple[str, str]], most: int) -> Iterator[tuple[str, s
             yield path, name
 
 
-def described(files: Iterable[tuple[str, str]], go_on: Callable[[], None]) -> Iterator[OutputFile]:
+def described(files: Iterable[tuple[str, str]], check_stop: Callable[[], None]) -> Iterator[OutputFile]:
     """Yield the description of each file, with its hash. Makes a file readable if necessary."""
     for path, name in files:
         try:
-            yield describe(path, name, go_on)
+            yield describe(path, name, check_stop)
         except PermissionError:
             unlock(path, 0o400)
-            yield describe(path, name, go_on)
+            yield describe(path, name, check_stop)
 
 
-def names_in(folder: str) -> set[str]:
+def entries_of(folder: str) -> set[str]:
     try:
         return set(os.listdir(folder))
     except OSError:  # there is no such folder
@@ -1126,13 +1128,13 @@ def remove(folder: str) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def describe(path: str, name: str, go_on: Callable[[], None] = lambda: None) -> OutputFile:
-    """Return the description of a file. Calls `go_on` for each chunk."""
+def describe(path: str, name: str, check_stop: Callable[[], None] = lambda: None) -> OutputFile:
+    """Return the description of a file. Calls `check_stop` for each chunk."""
     counts = Counts()
-    go_on()
+    check_stop()
     with open(path, "rb", buffering=0) as file:
         for chunk in iter(lambda: file.read(CHUNK), b""):
-            go_on()
+            check_stop()
             counts.add(chunk)
     return counts.report(name)
 
@@ -1163,13 +1165,13 @@ class Counts:
 
     def _add_text(self, chunk: bytes) -> None:
         self._quotes += chunk.count(b'"')
-        seen = self._before + chunk
+        text = self._before + chunk
         returns = chunk.count(b"\r")
         if returns or self._before.endswith(b"\r"):
             self._returns += returns
             self._pairs += chunk.count(b"\r\n") + (self._before[-1:] + chunk[:1] == b"\r\n")
-        if b"\n\n" in seen or b"\n\r\n" in seen:
-            self._blank += sum(found.end() > len(self._before) for found in EMPTY_LINE.finditer(seen))
+        if b"\n\n" in text or b"\n\r\n" in text:
+            self._blank += sum(match.end() > len(self._before) for match in EMPTY_LINE.finditer(text))
 
     def report(self, name: str) -> OutputFile:
         file: OutputFile = {
@@ -1219,7 +1221,7 @@ def descendants(pid: int) -> list[int]:
     """Return the ids of a process and all its descendants, as far as /proc lists them."""
     pids = [pid]
     for parent in pids:
-        for task in names_in("/proc/%d/task" % parent):
+        for task in entries_of("/proc/%d/task" % parent):
             pids += children(parent, task)
     return pids
 
@@ -1247,8 +1249,8 @@ def usage_of(pids: list[int]) -> tuple[int, float]:
 def cpu_of(pids: list[int]) -> tuple[float, float]:
     """Return the CPU seconds of processes and of their ended children, in user mode and in the kernel."""
     tick = os.sysconf("SC_CLK_TCK")
-    found = [[int(field) for field in fields[11:15]] for fields in map(stat_of, pids) if fields]
-    return sum(one[0] + one[2] for one in found) / tick, sum(one[1] + one[3] for one in found) / tick
+    times = [[int(field) for field in fields[11:15]] for fields in map(stat_of, pids) if fields]
+    return sum(one[0] + one[2] for one in times) / tick, sum(one[1] + one[3] for one in times) / tick
 
 
 def peak_of(pid: int) -> int:
@@ -1294,11 +1296,11 @@ def end_orphans(execution: str | None, group: int | None = None) -> bool:
     """
     give_up = time.monotonic() + SETTLE_S
     while time.monotonic() < give_up:
-        found = reap()
-        mine = [pid for pid in found if execution is None or belongs(pid, execution, group)]
-        if not mine:
-            return not found
-        for pid in mine:
+        living = reap()
+        own = [pid for pid in living if execution is None or belongs_to(pid, execution, group)]
+        if not own:
+            return not living
+        for pid in own:
             signal_process(pid, signal.SIGKILL)
             with contextlib.suppress(ChildProcessError):
                 os.waitpid(pid, 0)
@@ -1343,13 +1345,13 @@ def group_of(pid: int) -> int | None:
     return int(fields[2]) if fields else None
 
 
-def lives_in(pid: int, group: int) -> bool:
+def is_alive_in(pid: int, group: int) -> bool:
     """Return whether a process is in a group, and is not a zombie."""
     fields = stat_of(pid)
     return bool(fields) and fields[0] != b"Z" and int(fields[2]) == group
 
 
-def belongs(pid: int, execution: str, group: int | None) -> bool:
+def belongs_to(pid: int, execution: str, group: int | None) -> bool:
     if group_of(pid) in (None, group):
         return True
     return b"SIERRA_EXECUTION=" + execution.encode() in environment_of(pid)

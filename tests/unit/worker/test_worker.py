@@ -836,7 +836,7 @@ def test_a_container_gets_only_the_allocated_devices(monkeypatch: pytest.MonkeyP
         "argv": ["podman", *(f"--env={name}={value}" for name, value in asked.items()), "true"],
         "environment": {f"OF_{name}": value for name, value in asked.items()},
     }
-    job = worker.allotted({"environment": {**asked, "HIP_VISIBLE_DEVICES": "0"}, "client": client}, 0, 1)
+    job = worker.with_own_devices({"environment": {**asked, "HIP_VISIBLE_DEVICES": "0"}, "client": client}, 0, 1)
     assert job["environment"] == {"CUDA_VISIBLE_DEVICES": "3", "HIP_VISIBLE_DEVICES": "0"}
     assert job["client"]["argv"] == ["podman", "--env=CUDA_VISIBLE_DEVICES=3", "true"]
     assert job["client"]["environment"] == {"OF_CUDA_VISIBLE_DEVICES": "3"}
