@@ -14,7 +14,7 @@ from sierra.ingest.consistency import find_odd
 from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
 from sierra.model import Result, Status
-from sierra.runners import orphans
+from sierra.runners import local
 from sierra.runners.journal_reader import Journal
 from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
@@ -29,7 +29,7 @@ def finish_dead(store: Store) -> int:
     recovered = 0
     with sessions.dead(store.paths) as found:
         if found:
-            orphans.end(found)
+            local.end_orphans(found)
         for paths in found:
             _sweep(paths)
             count = recover(store, paths)

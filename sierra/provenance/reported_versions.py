@@ -28,7 +28,7 @@ from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.store.layout import user_versions
 from sierra.util.cache import Cache
 from sierra.util.hashing import digest
-from sierra.worker import marked_processes
+from sierra.worker import worker
 
 TIMEOUT_S = 10.0
 """Seconds that a program may take. Simulators may need so long on a busy machine, and a missing answer is cached too."""
@@ -131,7 +131,7 @@ def _end(process: subprocess.Popen[bytes], mark: str) -> None:
     give_up = time.monotonic() + TIMEOUT_S
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
-    while (left := marked_processes.marked({f"{MARK}={mark}".encode()})) and time.monotonic() < give_up:
+    while (left := worker.marked({f"{MARK}={mark}".encode()})) and time.monotonic() < give_up:
         for pid in left:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.kill(pid, signal.SIGKILL)

@@ -6,19 +6,21 @@ import base64
 import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from functools import lru_cache
+from pathlib import Path
 from typing import ClassVar, cast
 
 from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Table
 from sierra.errors import Missing
 from sierra.model import Job, Limits, Result
-from sierra.runners import orphans
 from sierra.runners.base import Look, Work
 from sierra.runners.journal_reader import Journal, Stalled, Started
 from sierra.store.layout import SessionPaths
@@ -26,6 +28,7 @@ from sierra.util.log_messages import Log, shown
 from sierra.worker import worker
 
 log = Log(__name__)
+ORPHANS_S = 10.0
 
 
 class Local:
@@ -113,8 +116,46 @@ class Local:
         if self._trouble is not None:
             raise self._trouble
         if process.returncode not in (0, 1):
-            orphans.end([self._session])
+            end_orphans([self._session])
             raise Missing(f"the worker ended with {ending}; the finished runs are kept")
+
+
+def end_orphans(sessions: Sequence[SessionPaths]) -> None:
+    """Kill all processes that the dead workers of these sessions left running, and wait until they are gone.
+
+    Every process of a session has SIERRA_SESSION in its environment, unless it removed the variable. Then the journal still has
+    the first process of its program. (Linux only: on other systems nothing is found.) Afterwards, no process changes files of
+    these sessions.
+
+    Raises Missing if a process cannot be killed.
+    """
+    give_up = time.monotonic() + ORPHANS_S
+    while left := _orphans(sessions):
+        if time.monotonic() > give_up:
+            raise Missing(f"process {min(left)} of a dead session cannot be ended; end it and run the command again")
+        for pid in left:
+            for kill in (os.killpg, os.kill):
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    kill(pid, signal.SIGKILL)
+        time.sleep(0.01)
+
+
+def _orphans(sessions: Iterable[SessionPaths]) -> set[int]:
+    marks = {f"SIERRA_SESSION={paths.root.name}".encode() for paths in sessions}
+    started = {pid for paths in sessions for pid in _started(paths.journal)}
+    return (worker.marked(marks) | started) - {os.getpid()}
+
+
+def _started(journal: Path) -> list[int]:
+    """Return the living processes that a journal records as started but not as ended."""
+    started: dict[str, Started] = {}
+    for event in Journal(journal).read():
+        match event:
+            case Started():
+                started[event.execution] = event
+            case Result():
+                started.pop(event.execution, None)
+    return [one.pid for one in started.values() if one.born is not None and worker.birth(one.pid) == one.born]
 
 
 def line(job: Job) -> bytes:

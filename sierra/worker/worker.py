@@ -1271,6 +1271,12 @@ def stdin_of(process: subprocess.Popen[bytes]) -> IO[bytes]:
     return process.stdin
 
 
+def marked(marks: Iterable[bytes]) -> set[int]:
+    """Return this host's processes that were started with one of these NAME=value (Linux): no zombies, and only this user's."""
+    found = set(marks)
+    return {int(pid) for pid in entries_of("/proc") if pid.isdigit() and not found.isdisjoint(environment_of(int(pid)))}
+
+
 def write_all(descriptor: int, data: bytes) -> None:
     """Write all data, even if a pipe accepts only a part at a time."""
     while data:

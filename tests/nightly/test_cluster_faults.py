@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from sierra.worker import marked_processes
+from sierra.worker import worker
 from sierra.worker.array_task import Finished, Requeued
 from tests import clusters, projects
 from tests.batches import WAITING, Gated, at_rest, ended, is_whole, packed, rows
@@ -395,7 +395,7 @@ def test_removing_a_session_folder_by_hand_ends_its_processes_and_jobs(gate: Cal
     gated.until_begun(3)
     [folder] = (path for path in gated.root.glob(".sierra/work/*") if path.is_dir())
     shutil.rmtree(folder)
-    until(lambda: not marked_processes.marked({f"SIERRA_SESSION={folder.name}".encode()}), "no process is left")
+    until(lambda: not worker.marked({f"SIERRA_SESSION={folder.name}".encode()}), "no process is left")
     told = ended(asking, 3)
     assert len([line for line in told.splitlines() if line.startswith("sierra:")]) == 1
     until(lambda: not set(gated.slurm.states().values()) & {"PENDING", "RUNNING", "COMPLETING"}, "no job is left")

@@ -30,7 +30,6 @@ from sierra.util.json_types import Json, JsonView, as_object, as_texts
 from sierra.util.log_messages import Log
 from sierra.util.signals import noted
 from sierra.worker import worker
-from sierra.worker.marked_processes import marked
 
 log = Log(__name__)
 
@@ -238,7 +237,7 @@ def _stop(process: subprocess.Popen[str], mark: str, *, builds: bool) -> None:
         _wait(process)
         _signal(process.pid, signal.SIGKILL)
     give_up = time.monotonic() + TIMEOUT_S
-    while _end(started | _births(marked({f"{MARK}={mark}".encode()})), process.pid) and time.monotonic() < give_up:
+    while _end(started | _births(worker.marked({f"{MARK}={mark}".encode()})), process.pid) and time.monotonic() < give_up:
         time.sleep(0.01)
 
 

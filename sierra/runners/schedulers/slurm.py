@@ -217,7 +217,7 @@ class Slurm:
 
 
 def tasks(output: str) -> tuple[Task, ...]:
-    """Return the tasks in squeue's answer in the format LOOK."""
+    """Return the tasks in squeue's output in TASK_FORMAT."""
     return tuple(_task(*match.groups()) for match in TASK_LINE.finditer(output))
 
 
