@@ -57,12 +57,12 @@ class Share:
     """Number of consecutive times that the scheduler did not know the element."""
     gone_at: float = 0.0
     """Time of the first of these answers."""
-    grew: float = 0.0
+    grew_at: float = 0.0
     begun: dict[str, int] = field(default_factory=dict)
     """Executions that have not ended, and how many times each was begun."""
     trouble: str = ""
     """The reason that the last attempt gave for not being able to go on."""
-    word: str = ""
+    reason: str = ""
     """The reason for its end, in the scheduler's words."""
     queued: bool = False
     """True if it waited for a node when the scheduler last knew it."""
@@ -94,7 +94,7 @@ class Track:
     alone: set[str] = field(default_factory=set)
     """Runs that had the element for themselves."""
     requeued: str | None = None
-    word: str = ""
+    reason: str = ""
     """The reason for its end, in the scheduler's words."""
     stalled: dict[str, Stalled] = field(default_factory=dict)
     """Runs that were reported as stopped by a signal, and have not ended."""
@@ -119,15 +119,15 @@ class Collector:
     """Reader of all result logs of one session."""
 
     def __init__(
-        self, made: Submission, session: SessionPaths, recorded: Mapping[str, str | None], note: Callable[[str], None]
+        self, submission: Submission, session: SessionPaths, recorded: Mapping[str, str | None], note: Callable[[str], None]
     ) -> None:
         """Start reading. `recorded` maps the store's executions to their attempts; `note` receives messages for the user."""
-        self.shares = [Share(count, tries=1) for count in made.counts]
+        self.shares = [Share(count, tries=1) for count in submission.counts]
         self.rows: list[tuple[str, Mapping[str, Cell]]] = []
         """Rows for the store's tables, in addition to results."""
         self.failed: list[Result] = []
         """Results of runs that were given up."""
-        self._made, self._session, self._note = made, session, note
+        self._submission, self._session, self._note = submission, session, note
         self._tracks: dict[str, Track] = {}
         self._ended: set[bytes] = set()
         self._recorded = {bytes.fromhex(execution): attempt for execution, attempt in recorded.items()}
@@ -146,22 +146,22 @@ class Collector:
         """Return False if result logs were read just now and had nothing new."""
         return time.monotonic() >= self._due
 
-    def is_whole(self) -> bool:
+    def is_complete(self) -> bool:
         """Return True if no run is missing."""
         return all(share.missing == 0 for share in self.shares)
 
     def has_begun(self) -> bool:
         return bool(self._tracks)
 
-    def waits(self) -> bool:
+    def has_late_files(self) -> bool:
         """Return True if a result log reports files that have not arrived yet."""
         return any(track.late for track in self._tracks.values())
 
-    def ending(self) -> set[int]:
+    def finished_tasks(self) -> set[int]:
         """Return the elements that end by themselves."""
         return {track.element for track in self._tracks.values() if track.finished}
 
-    def closing(self) -> set[int]:
+    def finishing_tasks(self) -> set[int]:
         """Return the elements that have executed every run they began, but have not recorded yet that they have finished."""
         last = {track.element: track for track in self._tracks.values()}
         return {index for index, track in last.items() if not (track.finished or track.trouble or track.begun)}
@@ -184,27 +184,27 @@ class Collector:
         for path in sorted(self._session.results.glob("[0-9]*.pack")):
             track = self._tracks.setdefault(path.name, Track(Pack(path), int(path.name.partition(".")[0])))
             for event in self._events(track):
-                self.shares[track.element].grew = time.monotonic()
+                self.shares[track.element].grew_at = time.monotonic()
                 match event:
                     case Attempt():
-                        self._begun(track, event)
+                        self._note_attempt(track, event)
                     case Started():
-                        self._started(track, event)
+                        self._note_start(track, event)
                     case Requeued():
                         track.requeued = f"{REQUEUED}, but this is refused: {event.refused}" if event.refused else REQUEUED
                     case Stalled():
                         track.stalled[event.execution] = event
                     case Ended():
-                        self._take(track, event, results, copies)
+                        self._add(track, event, results, copies)
                     case Trouble():
-                        self._failed_by(track, event)
+                        self._note_trouble(track, event)
                     case Finished():
                         track.finished, track.ended = True, event.time
                 if len(results) >= AT_ONCE:
                     return results, copies
             for stalled in track.stalled.values():
                 self._note(stalled.message(f" on {self.shares[track.element].node}"))
-            self._take_late(track, results, copies)
+            self._add_late(track, results, copies)
         if not results:
             self._due = time.monotonic() + READ_S
         return results, copies
@@ -216,14 +216,14 @@ class Collector:
         except OSError as error:
             self._note(f"{track.pack.path} cannot be read: {error.strerror}")
 
-    def _begun(self, track: Track, event: Attempt) -> None:
-        around = environment.elsewhere(self._made.around, event.facts, event.variables)
-        track.attempt, track.environment, track.ended = event, str(around["environment"]), event.started
+    def _note_attempt(self, track: Track, event: Attempt) -> None:
+        row = environment.elsewhere(self._submission.around, event.facts, event.variables)
+        track.attempt, track.environment, track.ended = event, str(row["environment"]), event.started
         track.ahead = event.clock if abs(event.clock) > CLOCK_S else 0.0
         self.shares[track.element].node = event.node
-        self.rows.append(("environments", around))
+        self.rows.append(("environments", row))
 
-    def _started(self, track: Track, event: Started) -> None:
+    def _note_start(self, track: Track, event: Started) -> None:
         track.begun.add(event.execution)
         if not track.runs:
             track.first.add(event.execution)
@@ -234,7 +234,7 @@ class Collector:
             begun = self.shares[track.element].begun
             begun[event.execution] = begun.get(event.execution, 0) + 1
 
-    def _failed_by(self, track: Track, event: Trouble) -> None:
+    def _note_trouble(self, track: Track, event: Trouble) -> None:
         """Keep the reason why an attempt could not go on. If a disk was full, its unfinished runs count as not begun."""
         share = self.shares[track.element]
         track.trouble = share.trouble = event.reason
@@ -243,7 +243,7 @@ class Collector:
             if not share.begun[execution]:
                 del share.begun[execution]
 
-    def _take(self, track: Track, event: Ended, results: list[Result], copies: list[Result]) -> None:
+    def _add(self, track: Track, event: Ended, results: list[Result], copies: list[Result]) -> None:
         """Take one run that has ended. The first result seen is the run's; later ones are copies."""
         execution = event.result.execution
         key = bytes.fromhex(execution)
@@ -254,9 +254,9 @@ class Collector:
             except Damaged:
                 track.late.append((time.monotonic(), event))
                 return
-            results.append(self._of(track, result))
+            results.append(self._with_shared_clock(track, result))
         elif self._recorded.get(key, "") != track.pack.attempt:
-            copies.append(self._of(track, event.result))
+            copies.append(self._with_shared_clock(track, event.result))
         track.begun.discard(execution)
         track.stalled.pop(execution, None)
         track.runs += 1
@@ -267,7 +267,7 @@ class Collector:
             share.begun.pop(execution, None)
             self._ended.add(key)
 
-    def _take_late(self, track: Track, results: list[Result], copies: list[Result]) -> None:
+    def _add_late(self, track: Track, results: list[Result], copies: list[Result]) -> None:
         """Try again to take the results whose files had not arrived.
 
         After LATE_S seconds, the result log is treated as damaged. Its remaining runs were never recorded, and are executed
@@ -276,7 +276,7 @@ class Collector:
         late, track.late = track.late, []
         for since, event in late:
             before = len(track.late)
-            self._take(track, event, results, copies)
+            self._add(track, event, results, copies)
             if len(track.late) > before:
                 track.late[-1] = (since, event)
         if track.late and time.monotonic() - track.late[0][0] > LATE_S:
@@ -284,7 +284,7 @@ class Collector:
             self._note(f"{track.pack.path.name} is damaged; the runs in it are executed again")
             track.pack.path.rename(track.pack.path.with_suffix(".damaged"))
 
-    def _of(self, track: Track, result: Result) -> Result:
+    def _with_shared_clock(self, track: Track, result: Result) -> Result:
         """Return the result with its attempt and environment, and with times by the shared file system's clock."""
         ahead = track.ahead
         return replace(
@@ -297,28 +297,28 @@ class Collector:
 
     # Attempts
 
-    def attempts(self, word: str | None) -> list[tuple[str, Mapping[str, Cell]]]:
-        """Return all attempts as rows. `word` is the reason of those that have neither their own reason nor the scheduler's."""
+    def attempts(self, reason: str | None) -> list[tuple[str, Mapping[str, Cell]]]:
+        """Return all attempts as rows. `reason` is that of attempts without their own or the scheduler's."""
         for index in range(len(self.shares)):
             self.note_end(index)
-        return [("attempts", self._row(track, track.attempt, word)) for track in self._tracks.values() if track.attempt]
+        return [("attempts", self._row(track, track.attempt, reason)) for track in self._tracks.values() if track.attempt]
 
     def note_end(self, index: int) -> None:
         """Store the scheduler's reason for the end of an element in its last attempt, before another attempt may follow."""
         last = self._last(index)
-        if last is not None and not last.word:
-            last.word = self.shares[index].word
+        if last is not None and not last.reason:
+            last.reason = self.shares[index].reason
 
     def _last(self, index: int) -> Track | None:
         return last_of(self._tracks.values(), index)
 
-    def _row(self, track: Track, begun: Attempt, word: str | None) -> dict[str, Cell]:
+    def _row(self, track: Track, begun: Attempt, reason: str | None) -> dict[str, Cell]:
         return {
             "attempt": begun.attempt,
             "session": self._session.root.name,
-            "batch": self._made.batch,
+            "batch": self._submission.batch,
             "array_task": track.element,
-            "scheduler": self._made.version,
+            "scheduler": self._submission.version,
             "job": begun.job,
             "node": begun.node,
             "started": moment(track.since),
@@ -331,13 +331,13 @@ class Collector:
             "runs": track.runs,
             "interrupted_runs": len(track.begun),
             "state": "finished" if track.finished else "cut off",
-            "error": track.trouble or (None if track.finished else track.requeued or track.word or word or None),
+            "error": track.trouble or (None if track.finished else track.requeued or track.reason or reason or None),
             "environment": track.environment,
         }
 
     # Failed runs
 
-    def given_up_before(self, index: int) -> None:
+    def count_given_up(self, index: int) -> None:
         """Count the failed runs that an earlier process gave up."""
         share = self.shares[index]
         for execution, _ in jobs_of(self._session, index) if self._recorded else ():
@@ -355,11 +355,11 @@ class Collector:
         end = last.attempt.allocation.get("SLURM_JOB_END_TIME", "")
         return float(end) - last.since if end.isdigit() else None
 
-    def cut_alone(self, index: int) -> set[str]:
+    def interrupted_alone(self, index: int) -> set[str]:
         """Return the runs of an element that were cut off while they had it for themselves."""
         return {one for track in self._tracks.values() if track.element == index for one in track.begun & track.alone}
 
-    def cut_late(self, index: int) -> set[str]:
+    def interrupted_by_limit(self, index: int) -> set[str]:
         """Return the runs that the end of the element's last attempt cut off, and that had begun with the attempt."""
         last = self._last(index)
         return last.begun & last.first if last else set()
@@ -375,7 +375,7 @@ class Collector:
         else:
             alone.unlink(missing_ok=True)
 
-    def give_up_on(self, index: int, executions: Sequence[str], word: str) -> None:
+    def give_up_on(self, index: int, executions: Sequence[str], why: str) -> None:
         """Record the runs of these executions as failed: they were begun as often as allowed, and never ended."""
         if not executions:
             return
@@ -384,14 +384,14 @@ class Collector:
         for execution, run in jobs_of(self._session, index):
             if execution in wanted:
                 times = max(share.begun.pop(execution), share.tries)
-                reason = f"its array task was cut off {times} times while the run executed: {word}"
+                reason = f"its array task was cut off {times} times while the run executed: {why}"
                 self.failed.append(failed(run, execution, share.node, now, reason, self._folder))
                 self._ended.add(bytes.fromhex(execution))
                 share.done += 1
         with disk_errors(self._session.root), self._session.given_up(index).open("a") as file:
             file.writelines(f"{execution}\n" for execution in executions)
         which = "a run" if len(wanted) == 1 else f"{len(wanted)} runs"
-        self._note(f"{which} of array task {index} failed, cut off {times} times: {word}")
+        self._note(f"{which} of array task {index} failed, cut off {times} times: {why}")
 
 
 def jobs_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:

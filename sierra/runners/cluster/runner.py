@@ -215,11 +215,11 @@ class Cluster:
     # Progress
 
     def look(self) -> Look:
-        harvest = self._collector
-        results, copies = self._read() if harvest.is_due() else ([], [])
+        collector = self._collector
+        results, copies = self._read() if collector.is_due() else ([], [])
         if len(results) < AT_ONCE:
-            results += harvest.failed
-            harvest.failed = []
+            results += collector.failed
+            collector.failed = []
             was_over = self._over
             self._poll_scheduler(bool(results))
             if self._over and not was_over:  # read what was recorded before the last job ended
@@ -227,11 +227,11 @@ class Cluster:
                 for known, more in zip((results, copies), self._read(), strict=True):
                     known += more
         notes, self._notes = tuple(self._notes), []
-        rows, harvest.rows = harvest.rows, []
-        alive = not self._over or bool(results) or harvest.waits()
+        rows, collector.rows = collector.rows, []
+        alive = not self._over or bool(results) or collector.has_late_files()
         if not alive:
-            rows += harvest.attempts("cancelled" if self._stopping is not None and self._wrong is None else None)
-        running = 0 if self._over else harvest.running(self._alive)
+            rows += collector.attempts("cancelled" if self._stopping is not None and self._wrong is None else None)
+        running = 0 if self._over else collector.running(self._alive)
         wrong = None if alive else self._wrong
         return Look(tuple(results), running, alive, tuple(rows), notes, len(self._queued), self._waits, tuple(copies), wrong)
 
@@ -246,7 +246,7 @@ class Cluster:
         results = self._collector.read()
         if self._probing and self._stopping is None:
             self._probing = not self._nodes_work()
-        self._timing = self._calibration.result(over=self._collector.is_whole()) if self._calibration is not None else None
+        self._timing = self._calibration.result(over=self._collector.is_complete()) if self._calibration is not None else None
         return results
 
     def _poll_scheduler(self, new_results: bool) -> None:
@@ -254,7 +254,7 @@ class Cluster:
         now = time.monotonic()
         if self._over:
             return
-        if self._collector.is_whole() and not self._submission.rest:
+        if self._collector.is_complete() and not self._submission.rest:
             self._finish(now)
             return
         if new_results:
@@ -322,7 +322,7 @@ class Cluster:
         for index, task in submission_record.last(self._session, ended):
             if index < len(self._shares):
                 share = self._shares[index]
-                share.word = task.reason or share.word
+                share.reason = task.reason or share.reason
                 share.cancelled = task.cancelled
 
     def _nodes_work(self) -> bool:
@@ -376,7 +376,7 @@ class Cluster:
             self._probe_job = self._scheduler.submit(self._probe.request())
 
     def _is_quiet(self, share: Share) -> bool:
-        return share.gone > 1 and time.monotonic() - share.grew > QUIET_S
+        return share.gone > 1 and time.monotonic() - share.grew_at > QUIET_S
 
     def _handle_stuck(self, stuck: Sequence[Task]) -> None:
         """Cancel tasks that will never begin, to submit them again. If the reason is not a mishap, end the session."""
@@ -401,7 +401,7 @@ class Cluster:
         work.
         """
         self._complete_since = self._complete_since or now
-        closing = self._collector.closing() if self._alive is None else self._collector.closing() & self._alive
+        closing = self._collector.finishing_tasks() if self._alive is None else self._collector.finishing_tasks() & self._alive
         if closing and now - self._complete_since < LAST_WORD_S:
             return
         self._over = True
@@ -409,7 +409,7 @@ class Cluster:
             with contextlib.suppress(Missing):
                 self._scheduler.cancel(self._probe.name)
         tasks = self._scheduler.look(self._name) or ()
-        ending = self._collector.ending() | closing
+        ending = self._collector.finished_tasks() | closing
         living = [task for task in tasks if task.state is not State.ENDED]
         needless = [task for task in living if not (task.state is State.RUNNING and task.element in ending)]
         if needless:
@@ -428,12 +428,12 @@ class Cluster:
             return
         for index in indices:
             share = self._shares[index]
-            self._collector.given_up_before(index)
+            self._collector.count_given_up(index)
             word = self._end_reason(index)
             if share.done > share.progress:
                 share.tries = 0
             timed = bool(TIMED.search(word))
-            cut = self._collector.cut_late(index) if timed else self._collector.cut_alone(index)
+            cut = self._collector.interrupted_by_limit(index) if timed else self._collector.interrupted_alone(index)
             guilty = [one for one in self._suspects(share, self._table.attempts) if one in cut]
             self._collector.give_up_on(index, guilty, word)
             if not share.missing:
@@ -459,8 +459,8 @@ class Cluster:
             return bool(share.cancelled) and not share.ours
         message = share.trouble or submission_record.last_line(self._session, str(index))
         if message:
-            return bool(ASKED.search(message)) and not (self._overdue(index, message) or MISHAP.search(share.word))
-        return share.queued and not share.word and self._scheduler.forgets
+            return bool(ASKED.search(message)) and not (self._overdue(index, message) or MISHAP.search(share.reason))
+        return share.queued and not share.reason and self._scheduler.forgets
 
     def _end_as_cancelled(self, jobs: Sequence[str], what: str, *, sure: bool) -> None:
         """End the session because somebody else has cancelled a part of it; if not `sure`, because it looks like that."""
@@ -486,7 +486,7 @@ class Cluster:
         """Return the reason why an element is gone, in its own words and the scheduler's."""
         share = self._shares[index]
         message = share.trouble or submission_record.last_line(self._session, str(index))
-        word = share.word or self._overdue(index, message)
+        word = share.reason or self._overdue(index, message)
         if not message or (word and word in message):
             return share.trouble or word or "unknown reason"
         return f"{message} ({word})" if word else message
@@ -511,7 +511,7 @@ class Cluster:
             self._collector.note_end(index)
             share = self._shares[index]
             share.tries, share.progress, share.gone = share.tries + 1, share.done, 0
-            share.trouble = share.word = ""
+            share.trouble = share.reason = ""
             share.cancelled, share.ours, share.queued = None, False, False
         with self._ending_on_error():
             self._submit_tasks(indices, why)
