@@ -48,10 +48,7 @@ Made = TypeVar("Made")
 
 
 class Journal:
-    """A worker's journal. Each reading continues where the last one stopped.
-
-    An incomplete last line is left for the next reading. A damaged line is ignored.
-    """
+    """A worker's journal. Each reading continues where the last one stopped. A damaged line is ignored."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

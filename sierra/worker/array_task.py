@@ -243,10 +243,7 @@ class Settings(NamedTuple):
     slots: int
     """The greatest number of runs at a time; fewer if the node has fewer cores."""
     scratch: Optional[str]
-    """A folder of the node.
-
-    `$NAME` and `${NAME}` are replaced by the node's variables. None: $SLURM_TMPDIR, $TMPDIR or /tmp.
-    """
+    """A folder of the node, in which `$NAME` and `${NAME}` are its variables. None: $SLURM_TMPDIR, $TMPDIR or /tmp."""
     needs: "List[Need]"
     record: List[str]
     """The names, or patterns of names, of variables to record."""
@@ -461,10 +458,7 @@ def content_of(file: Union[str, Between], common: str) -> str:
 
 
 class Feeder(threading.Thread):
-    """A thread that sends missing jobs to the worker.
-
-    Few are sent in advance, so that large outputs do not fill up the node.
-    """
+    """A thread that sends missing jobs to the worker; few in advance, so that large outputs do not fill up the node."""
 
     def __init__(
         self, path: str, wanted: Callable[[str], bool], ahead: int, pipe: "IO[bytes]", write: Callable[[int, bytes], None]
@@ -502,10 +496,7 @@ class Feeder(threading.Thread):
 
 
 def opened(root: int, path: str) -> int:
-    """Open a regular file below an open folder, and return its descriptor. Does not follow links on the way.
-
-    Raises OSError.
-    """
+    """Open a regular file below an open folder, following no links, and return its descriptor. Raises OSError."""
     *folders, name = path.encode("utf-8", "surrogateescape").split(b"/")
     with contextlib.ExitStack() as stack:
         for folder in folders:
@@ -635,10 +626,7 @@ class Needs:
         self._identities: Dict[str, Tuple[int, ...]] = {}
 
     def check(self) -> None:
-        """Check all files.
-
-        Raises CannotContinue if one differs. A file that seems unchanged since the last check is not read again.
-        """
+        """Raise CannotContinue if a file differs. A file that seems unchanged since the last check is not read again."""
         for need in self._files:
             try:
                 status = os.stat(need["path"], follow_symlinks=not need.get("link"))

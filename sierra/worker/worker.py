@@ -416,10 +416,7 @@ class Container:
         self.lock = threading.Lock()
 
     def execute(self, job: Job) -> Iterator[Event]:
-        """Yield the events of the worker in the container about a run, until the run has ended.
-
-        Stops early if the container ends.
-        """
+        """Yield the events of the worker in the container about a run, until the run or the container has ended."""
         seal = base64.b64encode(os.urandom(18)).decode()
         inner = {name: value for name, value in job.items() if name not in ("client", "shared")}
         self.allow(job["limits"], START_S)
@@ -710,10 +707,7 @@ class Worker:
             self.fail(error)
 
     def clear_shared(self, folder: str) -> str | None:
-        """Remove the files that a run has left in folders that the next run shares.
-
-        Return why that failed, or that the run may have lacked space there, or None.
-        """
+        """Remove what a run has left in shared folders. Return why that failed, or that the run may have lacked space there."""
         full = [place for place in self.shared if is_full(place)]
         for place, before in self.shared.items():
             for path in (os.path.join(place, name) for name in sorted(entries_of(place) - before)):
@@ -1048,10 +1042,7 @@ def no_outputs(error: str | None, stopped: str | None = None) -> Remains:
 
 
 def list_files(root: str) -> tuple[list[tuple[str, str]], list[str]]:
-    """Return the regular files below `root` (path, and path relative to it), and other entries that are not folders.
-
-    Both are sorted. Links are not followed.
-    """
+    """Return the regular files below `root` (path, and path relative to it) and all other entries but folders, sorted."""
     files, other_entries = [], []
     pending = [root] if is_folder(root) else []
     while pending:
@@ -1112,10 +1103,7 @@ def unlock(path: str, rights: int) -> None:
 
 
 def remove(folder: str) -> None:
-    """Remove a folder (never the target of a link) with its contents, as far as permitted.
-
-    Read-only folders are removed too; package caches contain them.
-    """
+    """Remove a folder (never the target of a link) with its contents, also read-only folders, as far as permitted."""
     if is_folder(folder):
         shutil.rmtree(folder, ignore_errors=True)
     if is_folder(folder):

@@ -53,10 +53,7 @@ class Calibration:
         """The time when the first of them was seen to have begun."""
 
     def result(self, *, over: bool) -> Timing | None:
-        """Return the result of the calibration; None as long as more may be learned.
-
-        `over`: all first runs have ended, or were given up.
-        """
+        """Return the result; None as long as more may be learned. `over`: all first runs have ended, or were given up."""
         self._read()
         good = [seconds for seconds in self._durations.values() if seconds is not None]
         if over:

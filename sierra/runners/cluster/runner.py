@@ -492,10 +492,7 @@ class Cluster:
         return f"{message} ({word})" if word else message
 
     def _overdue(self, index: int, message: str) -> str:
-        """Return the words for an exceeded time limit if an element's time was over; else an empty text.
-
-        This is for a scheduler that reports nothing about ended jobs, for example PBS without a history.
-        """
+        """Return the words for an exceeded time limit if an element's time was over: a scheduler may not report it."""
         asked, wall = ASKED.search(message), self._table.wall or self._collector.allowed(index)
         return f"walltime of {wall:g} s exceeded" if asked and wall and int(asked[1]) >= wall - 1 else ""
 

@@ -40,10 +40,7 @@ PACKED = 4 << 20
 
 
 def deal(jobs: Iterable[Job], elements: int, session: SessionPaths) -> tuple[int, ...]:
-    """Write job k to element k mod `elements`; return the number of jobs of each. An element without jobs has no file.
-
-    Raises Missing if the disk is full.
-    """
+    """Write job k to element k mod `elements`; return the number of jobs of each. An element without jobs has no file."""
     shares = [_Share(session.jobs(number)) for number in range(elements)]
     _write(((shares[number % elements], job) for number, job in enumerate(jobs)), shares, session)
     return tuple(share.count for share in shares)
@@ -57,10 +54,7 @@ def deal_first(jobs: Iterable[Job], first: AbstractSet[int], session: SessionPat
 
 
 def deal_rest(elements: int, begin: int, session: SessionPaths) -> tuple[int, ...]:
-    """Write the jobs in `rest` to `elements` elements from `begin` on, as `deal` does. It may be repeated.
-
-    Raises Damaged if jobs are missing.
-    """
+    """Write the jobs in `rest` to `elements` elements from `begin` on. May be repeated. Raises Damaged if jobs are missing."""
     shares = [_Share(session.jobs(begin + number)) for number in range(elements)]
     lines = _lines(session.rest)
     common = next(lines)

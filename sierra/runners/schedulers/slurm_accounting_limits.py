@@ -44,10 +44,7 @@ class Partitions:
 
 
 def allowed(ask: Ask, config: Row, user: str, table: ClusterTable, partitions: Partitions) -> Allowed:
-    """Return the limits of this user on the cluster with that configuration.
-
-    Raises ConfigError for an account or a QOS that the user does not have.
-    """
+    """Return the limits of this user. Raises ConfigError for an account or a QOS that the user does not have."""
     enforced = set(re.findall(r"\w+", config.get("AccountingStorageEnforce", "")))
     if not config.get("AccountingStorageType", "").endswith("slurmdbd") or not enforced & {"associations", "limits", "qos"}:
         return Allowed()
@@ -91,10 +88,7 @@ def _association(ask: Ask, cluster: str, user: str, table: ClusterTable, partiti
 
 
 def _qos(association: Row, table: ClusterTable, *, strict: bool) -> str:
-    """Return the quality of service that a job will have.
-
-    Raises ConfigError if the account does not have the requested one.
-    """
+    """Return the QOS that a job will have. Raises ConfigError if the account does not have the requested one."""
     names = [name for name in association.get("QOS", "").split(",") if name]
     if table.qos is not None and names and strict and table.qos.lower() not in names:
         raise ConfigError(f"QOS {table.qos!r} is not open to account {association['Account']!r}; it has {', '.join(names)}")
