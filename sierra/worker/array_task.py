@@ -73,6 +73,8 @@ from functools import partial
 from types import FrameType, ModuleType
 from typing import TYPE_CHECKING, Callable, Dict, Iterable, Iterator, List, Mapping, NamedTuple, Optional, Set, Tuple, Union
 
+# No `from __future__ import annotations`: a Python before 3.7 would fail on it without a line that names the needed version.
+
 if TYPE_CHECKING:
     from typing import IO, BinaryIO, Deque, Literal, NotRequired, Sequence, TypedDict, final
 
@@ -119,7 +121,6 @@ if TYPE_CHECKING:
 
         event: Literal["attempt", "start", "stalled", "requeue", "trouble", "finished"]
 
-# No `from __future__ import annotations`: a Python before 3.7 would fail on it without a line that names the needed version.
 
 HOLD_S = 0.2
 BEFORE_S = 60.0

@@ -269,7 +269,7 @@ def _pattern(folder: Path) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Return a value in quotes, as sbatch reads it (not as a shell: up to the line's end). Raises ConfigError for a line feed."""
+    """Return a value in quotes as sbatch reads it: unlike a shell, to the line's end. Raises ConfigError for a line feed."""
     if "\n" in text:
         raise ConfigError(f"SLURM does not accept {text!r}; use a name without a line feed")
     return '"' + re.sub(r'(["\\])', r"\\\1", text) + '"'
