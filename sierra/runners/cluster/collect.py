@@ -175,8 +175,6 @@ class Collector:
             if not (track.finished or track.trouble or (alive is not None and track.element not in alive))
         )
 
-    # Reading
-
     def read(self) -> tuple[list[Result], list[Result]]:
         """Return new results (at most AT_ONCE) and new copies of runs whose result was read or recorded before."""
         results: list[Result] = []
@@ -295,8 +293,6 @@ class Collector:
             ended=result.ended - ahead,
         )
 
-    # Attempts
-
     def attempts(self, reason: str | None) -> list[tuple[str, Mapping[str, Cell]]]:
         """Return all attempts as rows. `reason` is that of attempts without their own or the scheduler's."""
         for index in range(len(self.shares)):
@@ -334,8 +330,6 @@ class Collector:
             "error": track.trouble or (None if track.finished else track.requeued or track.reason or reason or None),
             "environment": track.environment,
         }
-
-    # Failed runs
 
     def count_given_up(self, index: int) -> None:
         """Count the failed runs that an earlier process gave up."""

@@ -90,8 +90,6 @@ class Cluster:
         self._opened = contextlib.ExitStack()
         self._calibration: Calibration | None = None
 
-    # Submission
-
     def submit(self, work: Work, session: SessionPaths) -> None:
         bounds, version = self._scheduler.bounds(), self._scheduler.version()
         sized = size(work.count, work.times, self._table, bounds, waits=work.waits)
@@ -112,7 +110,6 @@ class Cluster:
         means = _means(work.times, sized.first)
         submission = Submission(self.name, self._kind, version, table, *dealt, bounds, estimated, *means, past)
         submission.save(session)
-        self._scheduler = schedulers.find(self._kind)(self._table)
         self._begin(submission, session, {})
         self._is_own = True
         if rest:
@@ -151,7 +148,6 @@ class Cluster:
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         submission = Submission.load(session)
         self._table = submission.cluster
-        self._scheduler = schedulers.find(self._kind)(self._table)
         self._begin(submission, session, recorded)
         with self._ending_on_error():
             if session.cancelled.exists():
@@ -179,7 +175,7 @@ class Cluster:
         self._timing: Timing | None = None
         self._probe_job = ""
         self._is_own = False
-        self._poll = Poll(self._scheduler)
+        self._connect()
         self._due = time.monotonic() + FIRST_POLL_S
         self._pause = FIRST_POLL_S
         self._queued: set[int] = set()
@@ -211,8 +207,6 @@ class Cluster:
 
     def close(self) -> None:
         self._opened.close()
-
-    # Progress
 
     def look(self) -> Look:
         collector = self._collector
@@ -415,8 +409,6 @@ class Cluster:
         if needless:
             self._cancel(sorted(self._elements(needless)))
 
-    # Resubmission
-
     def _handle_lost(self, indices: Sequence[int]) -> None:
         """Handle elements that are gone while runs of theirs are missing."""
         foreign = [index for index in indices if self._is_cancelled_by_others(index)]
@@ -528,8 +520,11 @@ class Cluster:
         self._table = self._table.model_copy(update={"wall": wall})
         self._submission = replace(self._submission, table=self._table.model_dump(mode="json"), estimated=True)
         self._submission.save(self._session)
+        self._connect()  # the old scheduler object does not know what the new one submits
+
+    def _connect(self) -> None:
         self._scheduler = schedulers.find(self._kind)(self._table)
-        self._poll = Poll(self._scheduler)  # the old scheduler object does not know what the new one submits
+        self._poll = Poll(self._scheduler)
 
     def _expected_mean(self, result: Timing) -> float | None:
         """Return the expected mean time of the other runs. If calibration shows that it is longer, raise the time limit."""
