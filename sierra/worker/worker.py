@@ -439,8 +439,8 @@ class Container:
 
     def events(self, seal: str) -> Iterator[Event]:
         """Yield the events of the worker in the container. Lines without the seal are ignored; a run cannot know it."""
-        said = self.process.stdout
-        for line in iter(lambda: said.readline(LINE_BYTES) if said else b"", b""):
+        output = self.process.stdout
+        for line in iter(lambda: output.readline(LINE_BYTES) if output else b"", b""):
             try:
                 event = json.loads(line)
                 sealed = event.pop("seal") == seal
@@ -497,8 +497,8 @@ class Container:
             self.process.stdout.close()
         with open(self.log, "rb") as log:
             log.seek(max(0, os.fstat(log.fileno()).st_size - HEAD_BYTES))
-            said = log.read().decode("utf-8", "replace").strip().splitlines()
-        return said[-1] if said else "status %s" % self.process.returncode
+            output = log.read().decode("utf-8", "replace").strip().splitlines()
+        return output[-1] if output else "status %s" % self.process.returncode
 
 
 class Worker:
@@ -629,11 +629,11 @@ class Worker:
                 event["born"] = birth(container.pid)
             self.journal.write(event)
         del self.containers[slot]
-        said = container.close()
+        output = container.close()
         wall = time.monotonic() - started
         folder = os.path.join(container.runs, "lost")
         stopped = "interrupted" if self.stopping else "timeout" if container.late else None
-        trouble = None if stopped else "its container ended: " + said
+        trouble = None if stopped else "its container ended: " + output
         self.report(job, slot, folder, began, wall, no_outputs(trouble, stopped))
 
     def take_out(self, job: Job, container: Container, event: End, slot: int) -> End:
