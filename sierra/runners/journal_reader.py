@@ -8,11 +8,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from sierra.model import OutputFile, Result
 from sierra.util.hashing import short
-from sierra.worker import worker
+
+if TYPE_CHECKING:
+    from sierra.worker import worker
 
 AT_ONCE = 1 << 20
 
