@@ -96,6 +96,7 @@ EMPTY_LINE = re.compile(rb"(?<=\n)\r?\n")
 LOG_BYTES = 256 << 20  # limit for standard output and for standard error, independent of the configured limits
 CHUNK = 1 << 20
 SETTLE_S = 2.0
+GRACE_S = 5.0  # between SIGTERM and SIGKILL, if the job does not say
 CLEAN_S = 10.0  # for an engine's cleanup after its containers have ended
 START_S = 60.0  # for an engine to start a container
 GIVE_UP_S = 5.0  # to read the outputs of ended runs after the worker was told to stop
@@ -312,7 +313,7 @@ class Running:
         with self.lock:
             if self.stopped is None and not self.over and not has_ended(self.pid):
                 self.stopped = reason
-                self.kill_at = time.monotonic() + self.limits.get("grace_s", 5.0)
+                self.kill_at = time.monotonic() + self.limits.get("grace_s", GRACE_S)
                 signal_group(self.pid, signal.SIGTERM)
                 for pid in self.pids():  # a stopped process reacts to SIGTERM only when it is continued
                     if stat_of(pid)[:1] == [b"T"]:
@@ -435,7 +436,7 @@ class Container:
         """Set the deadline for a run's end: its time limit and grace time, plus `spare` seconds."""
         wall = limits.get("wall_s")
         if wall is not None:
-            self.deadline = time.monotonic() + wall + limits.get("grace_s", 5.0) + spare
+            self.deadline = time.monotonic() + wall + limits.get("grace_s", GRACE_S) + spare
 
     def events(self, seal: str) -> Iterator[Event]:
         """Yield the events of the worker in the container. Lines without the seal are ignored; a run cannot know it."""
@@ -455,10 +456,9 @@ class Container:
             pipe.write(json.dumps(record, separators=(",", ":")).encode() + b"\n")
             pipe.flush()
 
-    def stop(self, grace: float) -> None:
+    def stop(self) -> None:
         """Close the pipe, so that the worker inside ends the running run and itself."""
-        if self.kill_at is None:
-            self.kill_at = time.monotonic() + grace + CLEAN_S
+        self.kill_at = self.kill_at or time.monotonic() + GRACE_S + CLEAN_S
         if self.lock.acquire(blocking=False):  # else a job is being sent that is not read yet; tried again later
             try:
                 self.close_pipe()
@@ -755,7 +755,7 @@ class Worker:
             reap()
         for container in list(self.containers.values()):
             if self.stopping:
-                container.stop(5.0)
+                container.stop()
             if self.without_grace:
                 container.skip_grace()
             if container.kill_at is not None and now >= container.kill_at:
