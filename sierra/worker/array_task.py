@@ -80,6 +80,8 @@ if TYPE_CHECKING:
 
     from sierra.worker.worker import End, Event, Job, Limits, Outcome, Program
 
+    Fact = Union[int, str, List[str], Dict[str, List[Optional[int]]], None]
+
     class Need(TypedDict):
         """A file that must be the same as on the submitting host."""
 
@@ -180,7 +182,7 @@ class Attempt(NamedTuple):
     gpus: Optional[str]
     allocation: Dict[str, str]
     """The scheduler's variables."""
-    facts: Dict[str, object]
+    facts: "Dict[str, Fact]"
     """See `machine.facts`."""
     variables: Dict[str, str]
     """Those that `record` names."""
@@ -547,7 +549,7 @@ def contents(root: int, files: Iterable[File], check_stop: Callable[[], None]) -
             raise Changed("%s has changed since the run ended" % path)
 
 
-def first_record(settings: Settings, index: int, facts: Dict[str, object], slots: int, cores: int) -> Attempt:
+def first_record(settings: Settings, index: int, facts: "Dict[str, Fact]", slots: int, cores: int) -> Attempt:
     """Return the first record, without the attempt's own name and clock."""
     variables = os.environ
     cpus = number(variables, "SLURM_CPUS_PER_TASK", "SLURM_CPUS_ON_NODE", "NCPUS", "PBS_NP", "PBS_NUM_PPN")
