@@ -27,7 +27,7 @@ from sierra.runners.cluster.sizing import ELEMENT_S
 from sierra.store.layout import SessionPaths
 from sierra.worker.array_task import Started
 
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 """Seconds to wait for a node."""
 
 
@@ -61,8 +61,8 @@ class Calibration:
             how = "the first runs have failed" if seconds is None else f"the first runs took {seconds:.3g} s"
             return Timing(seconds, how)
         if self._since is None:
-            late = self._waited() > PATIENCE_S
-            return Timing(None, f"no node was available for the first runs within {PATIENCE_S:g} s") if late else None
+            late = self._waited() > TIMEOUT_S
+            return Timing(None, f"no node was available for the first runs within {TIMEOUT_S:g} s") if late else None
         lasted = time.monotonic() - self._since
         late = lasted > ELEMENT_S
         return Timing(_mean([*good, lasted]), f"one of the first runs has not ended within {ELEMENT_S:g} s") if late else None

@@ -12,7 +12,7 @@ from sierra.errors import Missing
 from sierra.model import Times
 from sierra.runners import schedulers
 from sierra.runners.cluster import submission_record
-from sierra.runners.cluster.calibrate import PATIENCE_S
+from sierra.runners.cluster.calibrate import TIMEOUT_S
 from sierra.runners.cluster.preflight_job import Preflight
 from sierra.runners.cluster.sizing import Size, size
 from sierra.runners.cluster.submission_record import UNFOLLOWED
@@ -111,7 +111,7 @@ def propose(
     sized = size(count, times, table, bounds, waits=waits)
     requested = table.model_copy(update={"wall": sized.wall_s})
     unknown = NEVER_TIMED if times else NO_DURATION
-    notes += [CALIBRATES.format(unknown, counted(len(sized.first), "run"), PATIENCE_S)] if sized.first else []
+    notes += [CALIBRATES.format(unknown, counted(len(sized.first), "run"), TIMEOUT_S)] if sized.first else []
     notes += [] if waits else [UNFOLLOWED]
     files, carried = beside
     return Estimate(

@@ -23,7 +23,7 @@ from sierra.util.json_types import Json
 from sierra.worker.array_task import Finished, Trouble
 
 VALID_S = 86_400.0
-MOST = 64
+MAX_CACHED = 64
 
 
 class Preflight:
@@ -38,7 +38,7 @@ class Preflight:
 
     def is_needed(self) -> bool:
         """Return True unless a recent check has succeeded."""
-        found = Cache(user_clusters(), MOST).get(self._key)
+        found = Cache(user_clusters(), MAX_CACHED).get(self._key)
         return not (isinstance(found, float) and 0 <= time.time() - found < VALID_S)
 
     def request(self) -> Request:
@@ -65,7 +65,7 @@ class Preflight:
         return Missing(f"the preflight job ended on the nodes without any output{f' ({word})' if word else ''}: {where}")
 
     def _remember(self) -> None:
-        memory = Cache(user_clusters(), MOST)
+        memory = Cache(user_clusters(), MAX_CACHED)
         memory.put(self._key, time.time())
         memory.save()
 

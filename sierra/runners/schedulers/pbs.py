@@ -46,8 +46,8 @@ from sierra.util.log_messages import Log
 
 log = Log(__name__)
 
-PATIENCE_S = 20.0
-SUBMITTING_S = 120.0
+TIMEOUT_S = 20.0
+SUBMIT_TIMEOUT_S = 120.0
 AT_ONCE = 200
 """Largest number of ids on one command line."""
 ARRAY = 10_000
@@ -178,11 +178,11 @@ class Pbs:
 
     def _call_qsub(self, script: Path) -> subprocess.CompletedProcess[str]:
         if self._dialect is not Dialect.SLURM:
-            return _call("qsub", script.name, folder=script.parent, patience=SUBMITTING_S)
+            return _call("qsub", script.name, folder=script.parent, timeout=SUBMIT_TIMEOUT_S)
         environment = {name: value for name, value in os.environ.items() if name in FORWARDED} | SYSTEM
         # without these options, the wrapper chooses files for the jobs' output
         words = (shutil.which("qsub") or "qsub", "-j", "oe", "-o", "/dev/null", script.name)
-        return _call(*words, folder=script.parent, patience=SUBMITTING_S, environment=environment)
+        return _call(*words, folder=script.parent, timeout=SUBMIT_TIMEOUT_S, environment=environment)
 
     def _forget(self, name: str) -> None:
         self._submitted += 1
@@ -234,7 +234,7 @@ class Pbs:
 
 
 def _call(
-    *argv: str, folder: Path | None = None, patience: float = PATIENCE_S, environment: Mapping[str, str] | None = None
+    *argv: str, folder: Path | None = None, timeout: float = TIMEOUT_S, environment: Mapping[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
     """Run a command and return its outcome. Raises Missing if it does not exist, cannot start or does not end in time."""
     if environment is None:
@@ -248,7 +248,7 @@ def _call(
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=patience,
+            timeout=timeout,
             check=False,
         )
         log.command(argv, done.returncode, done.stderr)
@@ -258,7 +258,7 @@ def _call(
     except OSError as error:
         raise Missing(f"{argv[0]} cannot be started: {error.strerror}") from error
     except subprocess.TimeoutExpired as error:
-        raise Missing(f"{argv[0]} has not answered within {patience:g} s") from error
+        raise Missing(f"{argv[0]} has not answered within {timeout:g} s") from error
 
 
 def _output_of(*argv: str) -> str:

@@ -38,7 +38,7 @@ from sierra.util.text import ranges
 
 log = Log(__name__)
 
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 POLL_S = 0.5
 PATH = "/usr/local/bin:/usr/bin:/bin"
 KEPT = ("SLURM_CONF",)
@@ -299,7 +299,7 @@ def _submit(script: str, folder: Path) -> tuple[int, str, str]:
     argv = (_program("sbatch"), "--parsable")
     pipe = subprocess.PIPE
     with subprocess.Popen(argv, stdin=pipe, stdout=pipe, stderr=pipe, env=_environment(), cwd=folder) as process:
-        give_up = time.monotonic() + PATIENCE_S
+        give_up = time.monotonic() + TIMEOUT_S
         given: bytes | None = script.encode()
         while True:
             try:
@@ -314,7 +314,7 @@ def _submit(script: str, folder: Path) -> tuple[int, str, str]:
                     raise refusal(message) from None
                 if time.monotonic() > give_up:
                     process.kill()
-                    raise Missing(f"SLURM does not answer sbatch within {PATIENCE_S:.0f} s: {_one_line(message)}") from None
+                    raise Missing(f"SLURM does not answer sbatch within {TIMEOUT_S:.0f} s: {_one_line(message)}") from None
 
 
 def _output_of(program: str, *words: str) -> str:
@@ -327,11 +327,11 @@ def _output_of(program: str, *words: str) -> str:
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=PATIENCE_S,
+            timeout=TIMEOUT_S,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise Missing(f"SLURM does not answer {program} within {PATIENCE_S:.0f} s") from None
+        raise Missing(f"SLURM does not answer {program} within {TIMEOUT_S:.0f} s") from None
     log.command((program, *words), done.returncode, done.stderr)
     if done.returncode != 0:
         raise Missing(f"SLURM: {_one_line(done.stderr or done.stdout)}")

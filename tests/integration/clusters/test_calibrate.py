@@ -148,7 +148,7 @@ def test_a_first_run_that_takes_as_long_as_an_array_task_is_not_waited_for(
 def test_first_runs_without_a_free_node_are_not_waited_for(
     waiting: Simulated, slurm: Slurm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(calibrate, "PATIENCE_S", 1.0)
+    monkeypatch.setattr(calibrate, "TIMEOUT_S", 1.0)
     slurm.command("scontrol", "update", f"nodename={','.join(slurm.names)}", "state=drain", "reason=test")
     said: list[str] = []
 

@@ -290,7 +290,7 @@ def test_an_answer_without_a_job_is_reported_as_unknown(
 def test_waiting_for_an_answer_of_sbatch_ends_after_a_time_limit(
     sbatch: Callable[[str], None], request_of: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sierra.runners.schedulers.slurm.PATIENCE_S", 1.0)
+    monkeypatch.setattr("sierra.runners.schedulers.slurm.TIMEOUT_S", 1.0)
     sbatch("exec sleep 30")
     with pytest.raises(Missing, match="does not answer sbatch within 1 s"):
         scheduler().submit(request_of())
