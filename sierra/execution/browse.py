@@ -245,9 +245,9 @@ def _failures(
 
 
 def _experiment(snapshot: Snapshot, found: Found) -> dict[str, Any]:
-    [row, *_] = [row for row in snapshot.cells(str(found.batch)).values() if row["experiment"] == found.id]
+    [cell, *_] = [row for row in snapshot.cells(str(found.batch)).values() if row["experiment"] == found.id]
     [axes] = snapshot.sql("SELECT axes FROM batches WHERE batch = $b", b=found.batch).column("axes").to_pylist()
-    row = {name: row[name] for name in ("experiment", "batch", "ordinal", *axes)}
+    row: dict[str, Any] = {name: cell[name] for name in ("experiment", "batch", "ordinal", *axes)}
     row["runs"] = snapshot.rows(
         "SELECT m.number, m.run, m.seed, count(e.execution) AS executions, "
         "CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "

@@ -54,7 +54,7 @@ def recorded(store: Store, runs: Sequence[str]) -> Times | None:
     with store.snapshot() as snapshot:
         snapshot.views.make(("executions",))
         snapshot.register("asked", pa.table({"run": list(runs)}))
-        took = dict(snapshot.run(RECORDED))
+        took: dict[str, float] = dict(snapshot.run(RECORDED))
     if not took:
         return None
     greatest = max(took.values())

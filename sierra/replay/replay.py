@@ -26,7 +26,7 @@ from sierra.execution.plan_from_record import Recalled
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
-from sierra.model import Purpose, Run, Status
+from sierra.model import Purpose, Run, Status, Value
 from sierra.provenance import environment, fingerprint_programs, reported_versions
 from sierra.provenance.change_guard import ChangeGuard, guard
 from sierra.provenance.dependency_model import Programs, mentioned
@@ -79,7 +79,7 @@ class _Record:
     """Number of runs that the id names, including runs without a successful execution."""
     whole: bool
     """True if all successful runs of each experiment are replayed."""
-    cells: dict[int, dict[str, Any]]
+    cells: dict[int, dict[str, Value | None]]
     """Values of each experiment, by its place in the batch."""
     seeds: dict[str, int]
     tables: dict[str, list[str]]
@@ -224,7 +224,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         [(axes,)] = snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
         tables = {row["output"]: row["forms"] for row in snapshot.rows(TABLES)}
         wrote = {row[0] for row in snapshot.run(WROTE)}
-        seeds = dict(snapshot.run("SELECT run, seed FROM batch_runs WHERE batch = $b", {"b": batch}))
+        seeds: dict[str, int] = dict(snapshot.run("SELECT run, seed FROM batch_runs WHERE batch = $b", {"b": batch}))
     record = _Record(
         found=found,
         of=plan_from_record.recall(store, batch, by[0]["programs"], by[0]["ingest_rules"]),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sierra.config.project_file import Tolerance
+from sierra.model import Value
 from sierra.replay.compare_values import Agreement, Verdict, worst
 from sierra.replay.equivalence import Metric
 from sierra.store.recorded_files import ChosenExecution
@@ -39,7 +40,7 @@ class OfExperiment:
 
     id: str
     ordinal: int
-    values: Mapping[str, Any]
+    values: Mapping[str, Value | None]
     runs: tuple[Compared, ...]
     metrics: tuple[Metric, ...] = ()
 

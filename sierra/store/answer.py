@@ -10,7 +10,7 @@ import itertools
 import re
 from datetime import UTC, date, datetime, time, timedelta
 from decimal import Decimal
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
     import duckdb
@@ -20,6 +20,8 @@ Cell: TypeAlias = (
     bool | int | float | str | bytes | Decimal | datetime | date | time | timedelta | list["Cell"] | dict[str, "Cell"] | None
 )
 """One value of a result."""
+RawRow: TypeAlias = tuple[Any, ...]
+"""A row of one of SIERRA's own statements as DuckDB returns it; the statement is next to the code that unpacks the row."""
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 INSTANT = "TIMESTAMP WITH TIME ZONE"

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged, Missing
 from sierra.store.connections import connect
@@ -31,6 +31,9 @@ from sierra.store.schema import LATER, arrow_schema, is_table
 from sierra.store.segments import AFTER, MANIFEST, OUTPUT, REPLACES, Segment, Writer, disk_errors, on_disk, out_of_date, sync
 from sierra.store.sql_names import identifier
 from sierra.store.store import Snapshot
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Drop = Mapping[str, Mapping[str, AbstractSet[str]]]
 """Rows to remove, by table (`output` stands for all outputs) and column: those whose value is in the set."""
@@ -46,7 +49,7 @@ class Group:
 
 def groups(segments: Iterable[Segment]) -> list[Group]:
     """Group the segments that can be merged: segments of one batch whose columns agree."""
-    found: list[tuple[str, dict[str, Any], list[Segment]]] = []
+    found: list[tuple[str, dict[str, pa.Schema], list[Segment]]] = []
     for segment in segments:
         schemas = {name: _written(name, path) for name, path in segment.files.items()}
         for batch, theirs, members in found:
@@ -88,13 +91,13 @@ def _table(name: str) -> str:
     return "output" if name.startswith(OUTPUT) else name
 
 
-def _written(name: str, path: str) -> Any:
+def _written(name: str, path: str) -> pa.Schema:
     """Return the schema that a file will have after it is rewritten: later columns are added to older records."""
     schema = _schema(path)
     return arrow_schema(name) if name in LATER and is_table(name, schema) else schema
 
 
-def _schema(path: str) -> Any:
+def _schema(path: str) -> pa.Schema:
     """Return a file's column names and types. Nullability is left out, because DuckDB records it only sometimes."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -172,14 +175,14 @@ def _any_dropped(path: str, drop: Mapping[str, AbstractSet[str]]) -> bool:
     return False
 
 
-def _is_in(column: Any, values: AbstractSet[str]) -> Any:
+def _is_in(column: pa.Array, values: AbstractSet[str]) -> pa.BooleanArray:
     import pyarrow as pa
     import pyarrow.compute as pc
 
     return pc.is_in(column, value_set=pa.array(sorted(values), pa.string()))
 
 
-def _staying(paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> Iterator[Any]:
+def _staying(paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> Iterator[pa.Table]:
     """Yield the kept rows of tables of records, some rows at a time."""
     import pyarrow as pa
     import pyarrow.compute as pc
@@ -194,13 +197,13 @@ def _staying(paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> Iter
                     yield pa.Table.from_batches([batch]).replace_schema_metadata(None)
 
 
-def _staying_objects(paths: Sequence[str], drop: AbstractSet[str]) -> Iterator[Any]:
+def _staying_objects(paths: Sequence[str], drop: AbstractSet[str]) -> Iterator[pa.Table]:
     """Yield the kept objects, each once, in row groups of the usual size."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     known: set[str] = set()
-    held: list[Any] = []
+    held: list[pa.Table] = []
     for path in paths:
         mine: set[str] = set()
         with _readable(path), pq.ParquetFile(path) as file:
@@ -219,7 +222,7 @@ def _staying_objects(paths: Sequence[str], drop: AbstractSet[str]) -> Iterator[A
         yield from _in_groups(pa.concat_tables(held))
 
 
-def _in_groups(table: Any) -> Iterator[Any]:
+def _in_groups(table: pa.Table) -> Iterator[pa.Table]:
     """Yield the rows in row groups that are no larger than those of `sierra.store.objects`."""
     begin = held = 0
     for row, content in enumerate(table.column("content")):
@@ -231,7 +234,7 @@ def _in_groups(table: Any) -> Iterator[Any]:
     yield table.slice(begin)
 
 
-def _write_tables(target: Path, tables: Iterable[Any], schema: Any) -> None:
+def _write_tables(target: Path, tables: Iterable[pa.Table], schema: pa.Schema) -> None:
     """Write tables; fill columns that they lack with NULL."""
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -13,9 +13,12 @@ import re
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.store.duckdb_file_io import steady
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
 
 
 class Connection:
@@ -59,18 +62,18 @@ class Connection:
         self._database.close()
 
 
-_idle: dict[int, tuple[tuple[str, ...], Any]] = {}
+_idle: dict[int, tuple[tuple[str, ...], DuckDBPyConnection]] = {}
 """The kept databases with the folders that they may read, by process id: a forked process does not inherit DuckDB's threads."""
 
 
-def _locked(folders: tuple[str, ...]) -> Any:
+def _locked(folders: tuple[str, ...]) -> DuckDBPyConnection:
     database = connect()
     database.execute("SET allowed_directories = $folders", {"folders": list(folders)})
     database.execute("SET enable_external_access = false")
     return database
 
 
-def connect() -> Any:
+def connect() -> DuckDBPyConnection:
     """Return an in-memory DuckDB connection that never uses the network."""
     import duckdb
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged, Missing
 from sierra.store.connections import connect
@@ -11,6 +11,9 @@ from sierra.store.duckdb_file_io import copy, read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.segments import OUTPUT, Writer, is_first_part
 from sierra.store.store import Snapshot
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
 
 ROWS = "SELECT o.* REPLACE (m.made AS execution) FROM {files} o JOIN made m ON o.execution = m.known"
 HOLDING = "SELECT DISTINCT o.filename FROM {files} o SEMI JOIN made m ON o.execution = m.known"
@@ -39,7 +42,7 @@ def write_again(snapshot: Snapshot, writer: Writer, outputs: Iterable[str], made
         connection.close()
 
 
-def _output(connection: Any, snapshot: Snapshot, writer: Writer, name: str) -> int:
+def _output(connection: DuckDBPyConnection, snapshot: Snapshot, writer: Writer, name: str) -> int:
     """Write the rows of one output and return their number. Files with the same columns become one file."""
     import pyarrow.parquet as pq
 

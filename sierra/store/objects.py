@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.store.schema import arrow_schema
 from sierra.store.segments import disk_errors
 from sierra.util.hashing import sha256
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
 
 PART = 8 << 20
 GROUP = 32 << 20
@@ -27,7 +30,7 @@ class Objects:
         self._known: set[bytes] = set()
         self._rows: list[tuple[str, int, int, bytes]] = []
         self._held = 0
-        self._writer: Any = None
+        self._writer: pq.ParquetWriter | None = None
 
     def add(self, content: bytes) -> str:
         """Add `content` and return its SHA-256."""

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
 from sierra.store.duckdb_messages import first_line
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
 
 HELD = 256 << 20
 """The limit, in bytes, for the counted columns of one row group. Row groups that SIERRA writes are far smaller."""
@@ -50,7 +53,7 @@ def rows_in(path: str | Path) -> int:
     return rows
 
 
-def _check_size(described: Any, columns: list[str]) -> None:
+def _check_size(described: pq.FileMetaData, columns: list[str]) -> None:
     for number in range(described.num_row_groups):
         group = described.row_group(number)
         chunks = (group.column(place) for place in range(group.num_columns))

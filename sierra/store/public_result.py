@@ -39,7 +39,7 @@ class Result:
             raise AttributeError(name)
         return getattr(self.arrow, name)
 
-    def __getitem__(self, key: Any) -> Any:
+    def __getitem__(self, key: int | str) -> pa.ChunkedArray:
         return self.arrow[key]
 
     def __len__(self) -> int:

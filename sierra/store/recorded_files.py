@@ -19,9 +19,10 @@ from functools import partial
 from hashlib import sha256
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
+from sierra.store.answer import RawRow
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import explain, first_line
 from sierra.store.segments import MANIFEST, Segment
@@ -31,6 +32,10 @@ from sierra.store.type_inference import is_number
 from sierra.store.views import ORDER, recording
 from sierra.util.hashing import sha256_file
 from sierra.util.text import natural
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
 INPUT_FOLDER = "input/"
 OUTPUT_FOLDER = "output/"
@@ -119,7 +124,7 @@ class Place:
         return (self.ordinal is not None) * "AND m.ordinal = $o " + (self.run is not None) * "AND m.run = $r"
 
     @property
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> dict[str, str | int]:
         every = {"b": self.batch, "o": self.ordinal, "r": self.run}
         return {name: value for name, value in every.items() if value is not None}
 
@@ -259,8 +264,8 @@ class _Groups:
         self._paths = paths
         self._parts: dict[str, list[tuple[int, int, int]]] = {}
         """The location of each object's parts: file, row group, row."""
-        self._file: tuple[int, Any] = (-1, None)
-        self._group: tuple[tuple[int, int], Any] = ((-1, -1), None)
+        self._file: tuple[int, pq.ParquetFile] = (-1, None)
+        self._group: tuple[tuple[int, int], pa.ChunkedArray] = ((-1, -1), None)
 
     def find(self, wanted: Iterable[str]) -> Callable[[str], tuple[int, int, int]]:
         """Locate these digests. Return a sort key for digests: the location of the first part."""
@@ -301,7 +306,7 @@ class _Groups:
         content.identical = file.bytes == file.kept
         yield from whole or (self._read(*part) for part in parts)
 
-    def _open(self, place: int) -> Any:
+    def _open(self, place: int) -> pq.ParquetFile:
         import pyarrow.parquet as pq
 
         if self._file[0] != place:
@@ -368,7 +373,7 @@ class _Part:
 
         self._snapshot = snapshot
         self._path = path
-        described: list[tuple[Any, ...]] = []
+        described: list[RawRow] = []
         with contextlib.suppress(duckdb.Error, Damaged):
             described = snapshot.run(f"DESCRIBE SELECT * FROM {read_parquet([path])}")
         self._columns = [(row[0], row[1]) for row in described if row[0] not in ("run", "execution", "file")]

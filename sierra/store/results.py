@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import groupby
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
 from sierra.store.duckdb_file_io import read_parquet
@@ -12,17 +12,20 @@ from sierra.store.recorded_files import holding
 from sierra.store.store import Snapshot
 from sierra.util.hashing import sha256
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 OWN = ("run", "execution", "file", "filename", "file_row_number")
 
 Key = tuple[str, str, str | None]
 """A judgement, an output and, if the execution wrote several files of it, the file."""
 
 
-def rows_of(snapshot: Snapshot, executions: Iterable[str], outputs: Iterable[str]) -> dict[Key, Any]:
-    """Return the tables of these outputs and judgements, each a pyarrow.Table with its rows in order."""
+def rows_of(snapshot: Snapshot, executions: Iterable[str], outputs: Iterable[str]) -> dict[Key, pa.Table]:
+    """Return the tables of these outputs and judgements with their rows in order."""
     import pyarrow as pa
 
-    found: dict[Key, Any] = {}
+    found: dict[Key, pa.Table] = {}
     executions, outputs = sorted(set(executions)), set(outputs)
     segments = holding(snapshot, executions)
     snapshot.register("writers", pa.table({"execution": pa.array(executions, pa.string())}))
@@ -33,7 +36,7 @@ def rows_of(snapshot: Snapshot, executions: Iterable[str], outputs: Iterable[str
     return found
 
 
-def _tables(snapshot: Snapshot, path: str) -> Iterator[tuple[str, str | None, Any]]:
+def _tables(snapshot: Snapshot, path: str) -> Iterator[tuple[str, str | None, pa.Table]]:
     """Yield the tables in one file of a segment: the execution, the file, and the rows."""
     import pyarrow.compute as pc
 

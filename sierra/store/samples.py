@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sierra.errors import NotFound, SqlError
 from sierra.model import Axis, Value
@@ -227,7 +227,7 @@ class Frame:
         )
         self._loaded.add(table)
 
-    def sql(self, text: str, **parameters: Any) -> pa.Table:
+    def sql(self, text: str, **parameters: object) -> pa.Table:
         """Return the result of a statement on `samples`. Raises SqlError."""
         import duckdb
 
@@ -259,7 +259,7 @@ class Column:
     column: str
     time: str
 
-    def sql(self, text: str, /, **parameters: Any) -> pa.Table:
+    def sql(self, text: str, /, **parameters: object) -> pa.Table:
         self.frame.samples(self.table, self.column, self.time)
         return self.frame.sql(text, **parameters)
 

@@ -9,9 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
-from typing import Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 from sierra.store.records import ROWS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +168,8 @@ def check_name(name: str) -> bool:
 
 
 @cache
-def arrow_schema(name: str) -> Any:
-    """Return a recorded table's schema as a pyarrow.Schema."""
+def arrow_schema(name: str) -> pa.Schema:
+    """Return a recorded table's schema."""
     import pyarrow as pa
 
     types = {
@@ -181,7 +184,7 @@ def arrow_schema(name: str) -> Any:
     return pa.schema([(column.name, types[column.type]) for column in RECORDED[name].columns])
 
 
-def is_table(name: str, schema: Any) -> bool:
+def is_table(name: str, schema: pa.Schema) -> bool:
     """Check if a file with this Arrow schema holds the columns of a recorded table: all of them, or an older version's."""
     import pyarrow as pa
 

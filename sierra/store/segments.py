@@ -32,13 +32,16 @@ import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.errors import Missing
 from sierra.store.records import TABLES
 from sierra.store.schema import arrow_schema
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256, sha256_file
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 FORMAT = "sierra store 4\n"
 """The format of segments and of their role in the store. It is raised whenever an older SIERRA would misread it."""
@@ -127,7 +130,7 @@ class Writer:
         """Return the path for the Parquet file of this name, for callers that write it themselves."""
         return self.folder / (name + SUFFIX)
 
-    def rows(self, name: str, rows: Iterable[Mapping[str, Any]]) -> None:
+    def rows(self, name: str, rows: Iterable[Mapping[str, object]]) -> None:
         """Write records of one table; write no file if there are none. Raises ValueError for a column that it has not."""
         import pyarrow as pa
 
@@ -148,11 +151,11 @@ class Writer:
             columns = zip(zip(*rows, strict=True), arrow_schema(name), strict=True)
             self.table(name, pa.table([pa.array(column, field.type) for column, field in columns], arrow_schema(name)))
 
-    def table(self, name: str, table: Any) -> None:
+    def table(self, name: str, table: pa.Table) -> None:
         """Write an Arrow table unchanged."""
         self.tables(name, (table,))
 
-    def tables(self, name: str, parts: Iterable[Any]) -> None:
+    def tables(self, name: str, parts: Iterable[pa.Table]) -> None:
         """Write Arrow tables of one schema into one file, each as a row group. At least one table is required."""
         import pyarrow.parquet as pq
 

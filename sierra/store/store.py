@@ -11,13 +11,12 @@ import contextlib
 import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
-from sierra.store.answer import Answer
+from sierra.store.answer import Answer, RawRow
 from sierra.store.connections import Connection
 from sierra.store.duckdb_file_io import check_folder, plain, read_parquet
 from sierra.store.duckdb_messages import explain
@@ -29,7 +28,10 @@ from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole
 
 if TYPE_CHECKING:
+    import duckdb
     import pyarrow as pa
+
+    from sierra.model import Value
 
 FORMAT_BYTES = 100
 """The limit on the bytes that are read from the file `format`."""
@@ -48,8 +50,7 @@ PREFIX = re.compile(r"[0-9a-f]{4,64}")
 Converted = TypeVar("Converted")
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
+class Found(NamedTuple):
     """The meaning of an id; `kind` is batch, experiment, run or execution."""
 
     kind: str
@@ -176,7 +177,8 @@ class Store:
         if not PREFIX.fullmatch(text):
             raise NotFound(f"{prefix!r} is not an id: use 4 to 64 hexadecimal digits, as shown by `sierra ls`")
         with self.snapshot() as snapshot:
-            found = snapshot.rows(
+            found = snapshot.select(
+                Found,
                 "SELECT 'batch' AS kind, batch AS id, batch FROM batches WHERE starts_with(batch, $p) UNION "
                 "SELECT 'experiment', experiment, max(batch) FROM experiments WHERE starts_with(experiment, $p) GROUP BY ALL "
                 "UNION SELECT 'run', run, max(batch) FROM batch_runs WHERE starts_with(run, $p) GROUP BY ALL "
@@ -187,26 +189,26 @@ class Store:
         if not found:
             raise NotFound(f"no batch, experiment, run or execution begins with {prefix!r}; sierra ls lists the batches")
         if len(found) > 1:
-            shown = ", ".join(f"{row['id'][:16]} ({row['kind']})" for row in found[:6])
+            shown = ", ".join(f"{one.id[:16]} ({one.kind})" for one in found[:6])
             raise NotFound(f"{prefix!r} is ambiguous: {shown}{', …' if len(found) > 6 else ''}")
-        return Found(**found[0])
+        return found[0]
 
     def object(self, digest: str) -> bytes:
         """Return the content of a recorded file by its SHA-256. Raises NotFound or Damaged."""
         from sierra.util.hashing import sha256
 
-        rows = self.rows("SELECT DISTINCT ON (part) content FROM objects WHERE sha256 = $d ORDER BY part", d=digest)
-        if not rows:
+        parts = self.values(bytes, "SELECT DISTINCT ON (part) content FROM objects WHERE sha256 = $d ORDER BY part", d=digest)
+        if not parts:
             raise NotFound(f"no recorded file has the SHA-256 {digest}")
-        content: bytes = b"".join(row["content"] for row in rows)
+        content = b"".join(parts)
         if sha256(content) != digest:
             raise Damaged(f"the recorded file {digest} differs from the record")
         return content
 
     def blob(self, blob: str) -> bytes | None:
         """Return the content of a source file by its git hash; None if only git has it. Raises NotFound or Damaged."""
-        rows = self.rows("SELECT sha256 FROM blobs WHERE blob = $b LIMIT 1", b=blob)
-        return self.object(rows[0]["sha256"]) if rows else None
+        found = self.values(str, "SELECT sha256 FROM blobs WHERE blob = $b LIMIT 1", b=blob)
+        return self.object(found[0]) if found else None
 
 
 def check_free(root: Path) -> None:
@@ -311,7 +313,7 @@ class Snapshot:
             return Damaged(f"the store cannot be read: {explain(error)}")
         return SqlError(explain(error))
 
-    def _answer(self, text: str, parameters: Mapping[str, object]) -> Any:
+    def _answer(self, text: str, parameters: Mapping[str, object]) -> duckdb.DuckDBPyRelation | None:
         return self.connection.sql(text, params=parameters) if parameters else self.connection.sql(text)
 
     def _only_reads(self, text: str) -> None:
@@ -323,7 +325,7 @@ class Snapshot:
         if statements[0].type != duckdb.StatementType.SELECT:
             raise SqlError(f"the store is read-only here; {statements[0].type.name} statements are not allowed")
 
-    def each(self, statement: str, parameters: Mapping[str, object]) -> Iterator[tuple[Any, ...]]:
+    def each(self, statement: str, parameters: Mapping[str, object]) -> Iterator[RawRow]:
         """Yield the rows of one of SIERRA's own statements, with a few thousand rows in memory at a time."""
         import duckdb
 
@@ -334,7 +336,7 @@ class Snapshot:
         except duckdb.Error as error:
             raise self._wrong(error) from error
 
-    def cells(self, batch: str) -> dict[int, dict[str, Any]]:
+    def cells(self, batch: str) -> dict[int, dict[str, Value | None]]:
         """Return the recorded id and the original axis values of each experiment of a batch, by its position.
 
         The table `experiments` can differ: there a column has one type for all batches.
@@ -349,17 +351,16 @@ class Snapshot:
         names = rows.columns
         return {row["ordinal"]: row for row in (dict(zip(names, values, strict=True)) for values in rows.fetchall())}
 
-    def register(self, name: str, table: Any) -> None:
+    def register(self, name: str, table: pa.Table) -> None:
         """Register an Arrow table under a name on this connection."""
         self.connection.register(name, table)
 
-    def run(self, statement: str, parameters: Mapping[str, object] | None = None) -> list[tuple[Any, ...]]:
+    def run(self, statement: str, parameters: Mapping[str, object] | None = None) -> list[RawRow]:
         """Execute one of SIERRA's own statements, which may create temporary tables, and return its rows."""
         import duckdb
 
         self._opened.note(statement)
         try:
-            rows: list[tuple[Any, ...]] = self.connection.execute(statement, parameters or {}).fetchall()
+            return self.connection.execute(statement, parameters or {}).fetchall()
         except duckdb.Error as error:
             raise self._wrong(error) from error
-        return rows

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
+from sierra.store.answer import RawRow
 from sierra.store.duckdb_file_io import parquet_schema, read_parquet, steady
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.type_inference import EMPTY, HUGE, bit, is_inexact, is_number, is_whole, narrowest, reads_as
 
-Fetch = Callable[[str], Sequence[Sequence[Any]]]
+Fetch = Callable[[str], list[RawRow]]
 """A function that executes a statement and returns its rows."""
 PLACES = ("filename", "file_row_number")
 """Columns that identify a row's origin; they come after all other columns."""
@@ -179,9 +179,8 @@ def _mixed(fetch: Fetch, name: str, beside: str, kinds: Mapping[str, Sequence[st
     """Decide how to read a column that has these types, each in some files."""
     column = identifier(name)
 
-    def seen(kind: str, what: str) -> Any:
-        [(found,)] = fetch(f"SELECT {what} FROM {read_parquet(kinds[kind], union=True)} WHERE {where}")
-        return found
+    def seen(kind: str, what: str) -> int:
+        return int(fetch(f"SELECT {what} FROM {read_parquet(kinds[kind], union=True)} WHERE {where}")[0][0])
 
     def has_values(kind: str) -> bool:
         return kind != EMPTY and bool(seen(kind, f"count({column}) > 0"))

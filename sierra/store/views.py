@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
+from sierra.store.answer import RawRow
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.schema import DERIVED, LATER, RECORDED
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote
-from sierra.store.union_files import Relation, relation
+from sierra.store.union_files import Fetch, Relation, relation
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
 
 NEEDS = {
     "all_judgements": ("findings", "judgements"),
@@ -52,7 +56,7 @@ def outputs(segments: Iterable[Segment]) -> list[str]:
 class Views:
     """The views of one connection; each is created once."""
 
-    def __init__(self, connection: Any, segments: Sequence[Segment], within: str | None = None) -> None:
+    def __init__(self, connection: DuckDBPyConnection, segments: Sequence[Segment], within: str | None = None) -> None:
         self._sql = connection
         self._within = within
         self._files: dict[str, list[str]] = {}
@@ -72,7 +76,7 @@ class Views:
         self._made: set[str] = set()
         self._there: list[str] = []
 
-    def _execute(self, statement: str, parameters: Mapping[str, Any] | None = None) -> Any:
+    def _execute(self, statement: str, parameters: Mapping[str, str] | None = None) -> DuckDBPyConnection:
         """Execute a statement of these views. Raises Damaged for errors in the store's files."""
         import duckdb
 
@@ -96,12 +100,11 @@ class Views:
         """Return the axes that are columns: of all batches, as in `experiments`; or of one batch, in its order."""
         if self._within is not None:
             self._make("batches")
-            rows = self._execute("SELECT unnest(axes) FROM batches WHERE batch = $batch", {"batch": self._within})
-            return [row[0] for row in rows.fetchall()]
+            found = self._execute("SELECT unnest(axes) FROM batches WHERE batch = $batch", {"batch": self._within})
+            return [row[0] for row in found.fetchall()]
         self._make("experiments")
         fixed = {column.name for column in RECORDED["experiments"].columns}
-        rows = self._execute("DESCRIBE experiments").fetchall()
-        return [row[0] for row in rows if row[0] not in fixed]
+        return [row[0] for row in self._fetch("DESCRIBE experiments") if row[0] not in fixed]
 
     def _make(self, name: str) -> None:
         if name in self._made:
@@ -172,9 +175,8 @@ class Views:
         self._tell("experiments", found, {name: name for name in found.types})
         return found.sql if self._within is None else f"(SELECT * FROM {found.sql} WHERE batch = {quote(self._within)})"
 
-    def _fetch(self, statement: str) -> list[tuple[Any, ...]]:
-        rows: list[tuple[Any, ...]] = self._execute(statement).fetchall()
-        return rows
+    def _fetch(self, statement: str) -> list[RawRow]:
+        return self._execute(statement).fetchall()
 
     def _tell(self, table: str, found: Relation, called: Mapping[str, str]) -> None:
         """Note which columns have a `_text` column."""
@@ -225,7 +227,7 @@ class Views:
     def _columns(self, name: str, source: str) -> list[str]:
         if name != "experiments":
             return [column.name for column in RECORDED[name].columns]
-        return [row[0] for row in self._execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
+        return [row[0] for row in self._fetch(f"DESCRIBE SELECT * FROM {source}")]
 
     def _runs(self) -> str:
         axes = "".join(f"{_only(_value(axis))} AS {identifier(axis)}, " for axis in self.axes())
@@ -284,7 +286,7 @@ class Views:
             files = [file for file in files if file in mine] or files
         elif all(map(is_first_part, files)) and "findings" not in self._files and not self._anew:
             return files
-        found = {row[0] for row in self._execute(files_with(files, f"SELECT judgement FROM ({COUNTED})")).fetchall()}
+        found = {row[0] for row in self._fetch(files_with(files, f"SELECT judgement FROM ({COUNTED})"))}
         return [file for file in files if file in found] or files
 
     def _of_batch(self, files: Sequence[str]) -> set[str]:
@@ -389,13 +391,13 @@ def files_with(files: Sequence[str], judgements: str, column: str = "execution")
     return f"SELECT DISTINCT filename FROM {read_parquet(files, filename=True)} WHERE {column} IN ({judgements})"
 
 
-def recording(run: Callable[[str], list[tuple[Any, ...]]], segments: Sequence[Segment], judgements: str) -> list[Segment]:
+def recording(fetch: Fetch, segments: Sequence[Segment], judgements: str) -> list[Segment]:
     """Return the segments that contain first or later judgements of executions; `judgements` is a query for these."""
     found: set[str] = set()
     for name, column in (("executions", "execution"), ("judgements", "judgement")):
         files = {segment.files[name]: segment.name for segment in segments if name in segment.files}
         if files:
-            found |= {files[row[0]] for row in run(files_with(list(files), judgements, column))}
+            found |= {files[row[0]] for row in fetch(files_with(list(files), judgements, column))}
     return [segment for segment in segments if segment.name in found]
 
 
