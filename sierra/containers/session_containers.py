@@ -22,8 +22,9 @@ from sierra.provenance.change_guard import ChangeGuard, guard_file
 from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache, cached_sha256
 from sierra.store.layout import StorePaths
+from sierra.store.records import IsolationRow
 from sierra.util.hashing import digest, sha256
-from sierra.util.json_types import Cell, JsonView
+from sierra.util.json_types import Cell
 
 NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
 MOUNTS = "{mount}"
@@ -90,7 +91,7 @@ class Recorded(TypedDict, total=False):
     """The facts about an isolation that are needed to record executions."""
 
     engine: str
-    isolation: dict[str, JsonView] | None
+    isolation: IsolationRow | None
     shared: bool
     enforced: tuple[str, ...]
 
@@ -107,7 +108,7 @@ class Isolation:
     """A guard for the image, if it is a file that its user may replace: its state when it was found to be the pinned one."""
 
     @property
-    def row(self) -> dict[str, JsonView] | None:
+    def row(self) -> IsolationRow | None:
         """Return the row of `isolations`, whose id is the hash of its other fields; None without containers."""
         box, able = self.box, self.abilities
         if box is None:
@@ -115,21 +116,24 @@ class Isolation:
         # the code of a replay is in a folder of its own
         mounts = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
         client = self.engine.client(replace(box, session="", mounts=mounts, files=""), Process((), {}, (), "/"))
-        fields: dict[str, JsonView] = {
-            "engine": self.engine.name,
-            "version": able.version,
-            "rootless": able.rootless,
-            "mode": "worker" if box.shared else "run",
-            "image": box.image.id,
-            "user": able.user,
-            "network": "host" if box.network else "none" if able.isolated else "not isolated",
-            "devices": [*box.devices, *(["gpu"] if box.gpu else [])],
-            "mounts": json.dumps({mount.target: mount.source for mount in mounts}, sort_keys=True),
-            "limits_asked": json.dumps(box.limits, sort_keys=True),
-            "limits_enforced": json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
-            "argv": [word.replace("\0", "{run}") for word in client.argv],
-        }
-        return {"isolation": digest("isolation", fields), **fields}
+        row = IsolationRow(
+            isolation="",
+            engine=self.engine.name,
+            version=able.version,
+            rootless=able.rootless,
+            mode="worker" if box.shared else "run",
+            image=box.image.id,
+            user=able.user,
+            network="host" if box.network else "none" if able.isolated else "not isolated",
+            devices=[*box.devices, *(["gpu"] if box.gpu else [])],
+            mounts=json.dumps({mount.target: mount.source for mount in mounts}, sort_keys=True),
+            limits_asked=json.dumps(box.limits, sort_keys=True),
+            limits_enforced=json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
+            argv=[word.replace("\0", "{run}") for word in client.argv],
+        )
+        fields = row._asdict()
+        del fields["isolation"]
+        return row._replace(isolation=digest("isolation", fields))
 
     @property
     def context(self) -> Recorded:

@@ -16,13 +16,14 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, TypedDict
 
 from sierra.config.plugin_registry import READERS, Tables
 from sierra.config.project_file import Output, Table
 from sierra.errors import ConfigError
+from sierra.util.json_types import Json
 
-Columns = Mapping[str, Sequence[Any]]
+Columns = Mapping[str, Sequence[object]]
 """A table: the values of each column, by its name. All columns have the same length."""
 FILE_FORMAT = "file"
 """The format of outputs that are kept as files and become no table."""
@@ -55,8 +56,15 @@ class OutputReader(Protocol):
         ...
 
 
-Used = Mapping[str, Mapping[str, Any]]
-"""The readers of other packages by format, each with its `package` and its `options`, as JSON."""
+class UsedReader(TypedDict):
+    """A reader of another package, as it is recorded in the rules."""
+
+    package: str
+    options: dict[str, Json]
+
+
+Used = Mapping[str, UsedReader]
+"""The readers of other packages by format."""
 
 
 def used(outputs: Mapping[str, Output], tables: Tables) -> Used:
@@ -75,7 +83,7 @@ def used(outputs: Mapping[str, Output], tables: Tables) -> Used:
 
 def described(formats: Iterable[str], tables: Tables) -> Used:
     """Return the readers of these formats with their packages and options, as they are installed now."""
-    found: dict[str, Mapping[str, Any]] = {}
+    found: dict[str, UsedReader] = {}
     for name in sorted(set(formats)):
         READERS.load(name)
         options = READERS.options(name, tables.get(name, {})).model_dump(mode="json")

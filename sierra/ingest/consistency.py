@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import NamedTuple
 
 from sierra.config.project_file import Output
 from sierra.ingest.messages import difference
-from sierra.ingest.model import Siblings
+from sierra.ingest.model import Group, Siblings
 from sierra.ingest.recording_context import Context
+from sierra.model import Status
 from sierra.store.layout import SessionPaths
+from sierra.store.records import FindingRow
 from sierra.store.store import Store
+from sierra.store.table_layout import Columns, TableLayout
 from sierra.store.type_inference import AS_TEXT, own_kind, right_kind
 from sierra.store.views import ORDER
 from sierra.util.text import counted
@@ -32,23 +36,22 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
     with store.snapshot() as snapshot:
         if not snapshot.sql(ANY_TABLE).num_rows:
             return set()
-        rows = snapshot.rows(GOOD + ODD, **asked(context))
-    tables: dict[tuple[int, str], list[dict[str, Any]]] = {}
+        rows = snapshot.select(Sibling, GOOD + ODD, **parameters(context))
+    tables: dict[tuple[int, str], list[Sibling]] = {}
     for row in rows:
-        tables.setdefault((row["ordinal"], row["output"]), []).append(row)
+        tables.setdefault((row.ordinal, row.output), []).append(row)
     found: dict[str, str] = {}
     for (_, name), siblings in sorted(tables.items()):
         for execution, reason in _odd(siblings, name, context.outputs.get(name)):
             found.setdefault(execution, reason)
-    now = datetime.now(UTC)
+    now, lamport = datetime.now(UTC), context.lamport()
     writer = store.writer(session.segment, context.batch)
-    same = {"found_at": now, "status": "mismatch", "lamport": context.lamport()}
-    writer.rows("findings", ({"execution": one, "reason": reason, **same} for one, reason in found.items()))
+    writer.records(FindingRow(one, now, Status.MISMATCH, reason, lamport) for one, reason in found.items())
     store.publish(writer)
-    return {row["run"] for row in rows if row["execution"] in found}
+    return {row.run for row in rows if row.execution in found}
 
 
-def asked(context: Context) -> dict[str, str]:
+def parameters(context: Context) -> dict[str, str]:
     """Return the parameters of the statements below."""
     return {"batch": context.batch, "programs": context.programs, "ingest_rules": context.ingest_rules}
 
@@ -83,34 +86,45 @@ SELECT c.* FROM counted c JOIN differing USING (ordinal, output) ORDER BY execut
 """
 
 
-def _odd(siblings: Sequence[Mapping[str, Any]], name: str, declared: Output | None) -> Iterator[tuple[str, str]]:
+class Sibling(NamedTuple):
+    """The table of one output that an execution wrote; without rows and forms if it wrote none."""
+
+    ordinal: int
+    run: str
+    execution: str
+    output: str
+    rows: int | None
+    forms: list[str] | None
+
+
+def _odd(siblings: Sequence[Sibling], name: str, declared: Output | None) -> Iterator[tuple[str, str]]:
     """Yield the executions among siblings whose table `name` differs, each with the difference."""
-    having = [row for row in siblings if row["rows"] is not None]
-    lacking = [row for row in siblings if row["rows"] is None]
+    having = [row for row in siblings if row.rows is not None]
+    lacking = [row for row in siblings if row.rows is None]
     others = f"the {counted(len(siblings) - 1, 'other run')} of its experiment"
     ragged = declared is not None and declared.mismatch == "ragged"
     if declared is None or declared.required:
         if len(having) < len(lacking):
             for row in having:
-                yield row["execution"], f"there is a table {name!r}, but {len(lacking)} of {others} have none"
+                yield row.execution, f"there is a table {name!r}, but {len(lacking)} of {others} have none"
             return
         for row in lacking:
-            yield row["execution"], f"table {name!r} is missing, but {len(having)} of {others} have it"
-    forms = Counter(form for row in having for form in row["forms"])
-    parsed = {form: json.loads(form) for form in forms}
-    likely = _likely([(parsed[form], number) for form, number in forms.items()])
-    allow = _allowing(name, None if declared else likely["file"])
+            yield row.execution, f"table {name!r} is missing, but {len(having)} of {others} have it"
+    forms = Counter(form for row in having for form in row.forms or ())
+    parsed = {form: TableLayout.load(form) for form in forms}
+    likely = _usual([(parsed[form], number) for form, number in forms.items()])
+    allow = _allowing(name, None if declared else likely.file)
     for row in having:
-        for form in row["forms"]:
+        for form in row.forms or ():
             if reason := _unlike(parsed[form], likely, ragged, allow):
-                yield row["execution"], f"table {name!r} {reason}"
+                yield row.execution, f"table {name!r} {reason}"
     if not ragged:
-        rows = Counter(row["rows"] for row in having)
+        rows = Counter(row.rows or 0 for row in having)
         most = max(rows, key=lambda number: (rows[number], number))
         for row in having:
-            if row["rows"] != most:
-                told = f"has {row['rows']} rows, but {rows[most]} of {others} have {most}"
-                yield row["execution"], f"table {name!r} {told} {allow}"
+            if row.rows != most:
+                told = f"has {row.rows} rows, but {rows[most]} of {others} have {most}"
+                yield row.execution, f"table {name!r} {told} {allow}"
 
 
 def _allowing(name: str, undeclared: str | None) -> str:
@@ -119,28 +133,37 @@ def _allowing(name: str, undeclared: str | None) -> str:
     return f'(to allow this, set {file}mismatch = "ragged" in [outputs.{name}])'
 
 
-def _likely(forms: Sequence[tuple[Mapping[str, Any], int]]) -> dict[str, Any]:
-    """Return the most frequent properties of the tables, each on its own: source file, columns, kinds, line feed at the end."""
+@dataclass(frozen=True, slots=True)
+class _Usual:
+    """The most frequent properties of the tables of siblings, each on its own."""
+
+    file: str | None
+    columns: tuple[str, ...]
+    kinds: Columns
+    ended: bool
+
+
+def _usual(forms: Sequence[tuple[TableLayout, int]]) -> _Usual:
     files: Counter[str | None] = Counter()
     columns: Counter[tuple[str, ...]] = Counter()
     ended: Counter[bool] = Counter()
     for form, number in forms:
-        files[form["file"]] += number
-        columns[tuple(form["columns"])] += number
-        ended[form["ended"]] += number
-    return {
-        "file": max(files, key=lambda file: files[file]),
-        "columns": max(columns, key=lambda names: (columns[names], len(names))),
-        "kinds": _likely_kinds(forms),
-        "ended": ended[True] >= ended[False],
-    }
+        files[form.file] += number
+        columns[tuple(form.columns)] += number
+        ended[form.ended] += number
+    return _Usual(
+        max(files, key=lambda file: files[file]),
+        max(columns, key=lambda names: (columns[names], len(names))),
+        _usual_kinds(forms),
+        ended[True] >= ended[False],
+    )
 
 
-def _likely_kinds(forms: Iterable[tuple[Mapping[str, Any], int]]) -> dict[str, str]:
+def _usual_kinds(forms: Iterable[tuple[TableLayout, int]]) -> dict[str, str]:
     """Return the expected kind of each column, marked as text if all siblings with numbers keep them as text."""
     counts: dict[str, Counter[str]] = {}
     for form, number in forms:
-        for name, kind in form["columns"].items():
+        for name, kind in form.columns.items():
             if kind != "empty":
                 counts.setdefault(name, Counter())[kind] += number
     return {name: _kind(kinds) for name, kinds in counts.items()}
@@ -152,26 +175,26 @@ def _kind(kinds: Mapping[str, int]) -> str:
     return right if right in kinds or right == "text" else right + AS_TEXT
 
 
-def _unlike(form: Mapping[str, Any], likely: Mapping[str, Any], ragged: bool, allow: str) -> str | None:
+def _unlike(form: TableLayout, likely: _Usual, ragged: bool, allow: str) -> str | None:
     """Return how a table differs from its siblings', apart from the number of rows; None if it does not."""
-    if form["file"] != likely["file"]:
-        return f"comes from {form['file']!r}, but in other runs from {likely['file']!r}"
-    columns = tuple(form["columns"])
-    if columns and columns != likely["columns"] and not ragged:
-        return f"{difference(columns, likely['columns'])} {allow}"
-    if wrong := _misfit(form["columns"], likely["kinds"]):
+    if form.file != likely.file:
+        return f"comes from {form.file!r}, but in other runs from {likely.file!r}"
+    columns = tuple(form.columns)
+    if columns and columns != likely.columns and not ragged:
+        return f"{difference(columns, likely.columns)} {allow}"
+    if wrong := _misfit(form.columns, likely.kinds):
         name, kind = wrong
-        if (hint := form.get("hints", {}).get(name)) and likely["kinds"][name] == "number":
+        if (hint := form.hints.get(name)) and likely.kinds[name] == "number":
             return f"differs from other runs: {hint}"
-        told = f"has {many(kind)} in column {name!r}, but other runs have {many(likely['kinds'][name])}"
-        again = kind.endswith(AS_TEXT) or likely["kinds"][name] == "text"
+        told = f"has {many(kind)} in column {name!r}, but other runs have {many(likely.kinds[name])}"
+        again = kind.endswith(AS_TEXT) or likely.kinds[name] == "text"
         return told + " (it was recorded before most of them; run the query again to read it like them)" * again
-    if likely["ended"] and not form["ended"]:
+    if likely.ended and not form.ended:
         return "is truncated: its last line does not end with a line feed"
     return None
 
 
-def _misfit(columns: Mapping[str, str], kinds: Mapping[str, str]) -> tuple[str, str] | None:
+def _misfit(columns: Columns, kinds: Columns) -> tuple[str, str] | None:
     """Return the first column with an unexpected kind, and that kind. If text is expected, values kept as text are accepted."""
     for name, kind in columns.items():
         right = kinds.get(name, kind)
@@ -188,29 +211,37 @@ def many(kind: str) -> str:
 
 def known(store: Store, context: Context, name: str) -> Siblings:
     """Return what the store knows about table `name` in the experiments of this batch, whichever session recorded it."""
-    alike = {**asked(context), "output": name}
+    alike = {**parameters(context), "output": name}
     with store.snapshot() as snapshot:
         if not snapshot.sql(ANY_TABLE).num_rows:
             return Siblings()
-        forms = snapshot.rows(SIBLINGS + SIBLINGS_FORMS, **alike)
+        forms = snapshot.values(str, SIBLINGS + SIBLINGS_FORMS, **alike)
     mixed = {
-        column
-        for row in forms
-        for column, kind in json.loads(row["table_layout"])["columns"].items()
-        if kind not in ("number", "empty")
+        column for form in forms for column, kind in TableLayout.load(form).columns.items() if kind not in ("number", "empty")
     }
 
-    def ask(runs: Sequence[str]) -> tuple[dict[str, Any], dict[tuple[Any, str], Counter[str]]]:
-        places = store.rows(PLACES, batch=context.batch)
-        votes: dict[tuple[Any, str], Counter[str]] = {}
-        for row in store.rows(SIBLINGS + SIBLINGS_VOTES, **alike):
-            for column, kind in json.loads(row["table_layout"])["columns"].items():
+    def ask(runs: Sequence[str]) -> tuple[dict[str, Group], dict[tuple[Group, str], Counter[str]]]:
+        places = store.select(_Place, PLACES, batch=context.batch)
+        votes: dict[tuple[Group, str], Counter[str]] = {}
+        for row in store.select(_Vote, SIBLINGS + SIBLINGS_VOTES, **alike):
+            for column, kind in TableLayout.load(row.table_layout).columns.items():
                 if kind != "empty":
-                    votes.setdefault((row["ordinal"], column), Counter())[own_kind(kind)] += row["executions"]
+                    votes.setdefault((row.ordinal, column), Counter())[own_kind(kind)] += row.executions
         wanted = set(runs)
-        return {row["run"]: row["ordinal"] for row in places if row["run"] in wanted}, votes
+        return {row.run: row.ordinal for row in places if row.run in wanted}, votes
 
     return Siblings(frozenset(mixed), ask)
+
+
+class _Place(NamedTuple):
+    run: str
+    ordinal: int
+
+
+class _Vote(NamedTuple):
+    ordinal: int
+    table_layout: str
+    executions: int
 
 
 PLACES = "SELECT run, min(ordinal) AS ordinal FROM batch_runs WHERE batch = $batch GROUP BY run"

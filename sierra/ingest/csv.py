@@ -7,9 +7,9 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.ingest.independent_row_count import any_size, count_records, csv_reader, lines_of
 from sierra.ingest.messages import shown
@@ -17,6 +17,9 @@ from sierra.ingest.model import Part, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE
 from sierra.ingest.text_formats import Text
 from sierra.store.duckdb_file_io import csv_given
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
 
 DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
@@ -33,7 +36,7 @@ class Csv(Text):
     _longest = 0
     """The length of the longest line of the part in bytes; determined only for files of megabytes."""
 
-    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
+    def __init__(self, connection: DuckDBPyConnection, shape: Shape, target: Path, siblings: Siblings) -> None:
         super().__init__(connection, shape, target, siblings)
         self._records: dict[str, int | str] = {}
         """The number of records in each file, or an error message, by path."""
@@ -51,7 +54,7 @@ class Csv(Text):
                 self.fault(file, f"line 1: {part}")
         return {path: part for path, head in heads.items() if not isinstance(part := described[head], str)}
 
-    def key(self, part: Part) -> Any:
+    def key(self, part: Part) -> Hashable:
         return part.names, part.delimiter
 
     def _described(self, heads: Counter[str]) -> dict[str, Part | str | None]:

@@ -13,9 +13,12 @@ import re
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.ingest.model import Written
+
+if TYPE_CHECKING:
+    import _csv
 
 
 def lines_of(file: Written, *, empty: bool = False) -> int | None:
@@ -37,7 +40,7 @@ def count_records(file: Written, delimiter: str, *, empty: bool = False) -> int:
         return sum(1 for record in csv_reader(text, delimiter) if record or empty)
 
 
-def csv_reader(lines: Iterable[str], delimiter: str) -> Any:
+def csv_reader(lines: Iterable[str], delimiter: str) -> _csv.Reader:
     """Return Python's reader for the dialect that SIERRA reads, in which blanks around quotes are ignored."""
     padded = delimiter != " "
     return csv.reader(

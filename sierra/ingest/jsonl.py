@@ -6,7 +6,6 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from sierra.ingest.independent_row_count import count_lines, lines_of
 from sierra.ingest.messages import shown
@@ -80,5 +79,5 @@ class Jsonl(Text):
         return None
 
 
-class _Pairs(list[tuple[str, Any]]):
+class _Pairs(list[tuple[str, object]]):
     """The key-value pairs of a JSON object, including duplicate keys."""

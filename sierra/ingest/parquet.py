@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
 from sierra.ingest.group_by_types import alike
@@ -16,6 +16,9 @@ from sierra.store.parquet_row_counts import rows_in
 from sierra.store.sql_names import identifier
 from sierra.store.type_inference import EMPTY, HUGE, is_inexact, is_whole, kind_of
 
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
+
 DIGITS = 38
 """The maximum number of digits of a DuckDB DECIMAL. DuckDB silently reads longer decimals as DOUBLE."""
 
@@ -23,7 +26,7 @@ DIGITS = 38
 class Parquet(TableReader):
     """The reader of Parquet, which has types of its own."""
 
-    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
+    def __init__(self, connection: DuckDBPyConnection, shape: Shape, target: Path, siblings: Siblings) -> None:
         super().__init__(connection, shape, target, siblings)
         self._found: Mapping[str, Mapping[str, str]] = {}
         self._wide: dict[str, str] = {}

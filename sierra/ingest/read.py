@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.config.plugin_registry import READERS
 from sierra.ingest.csv import delimiter_of
@@ -31,6 +31,9 @@ from sierra.ingest.model import Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.duckdb_file_io import Aliases
 from sierra.store.type_inference import AS_TEXT, is_number, own_kind, right_kind
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
 
 __all__ = [
     "AS_TEXT",
@@ -48,7 +51,9 @@ __all__ = [
 ]
 
 
-def read(connection: Any, files: Sequence[Written], shape: Shape, target: Path, siblings: Siblings | None = None) -> Reading:
+def read(
+    connection: DuckDBPyConnection, files: Sequence[Written], shape: Shape, target: Path, siblings: Siblings | None = None
+) -> Reading:
     """Read all files into Parquet files, without those of executions that are at fault.
 
     The first Parquet file is `target`. If columns or kinds differ, there are others beside it (`target~2`, …).

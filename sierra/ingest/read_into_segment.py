@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from sierra.config.project_file import Output
 from sierra.ingest.consistency import known
@@ -18,8 +16,10 @@ from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Judgement
 from sierra.model import OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT
+from sierra.store.records import ArtifactRow
 from sierra.store.segments import OUTPUT, Writer
 from sierra.store.store import Store
+from sierra.store.table_layout import TableLayout
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,15 +64,12 @@ class TableIngest:
         reading = self.readings[self.belongs[execution, file.path]]
         columns = reading.columns[execution, file.path]
         csv = reading.shape.format == "csv"
-        whole = file.ended or not csv
-        return json.dumps(
-            {
-                "file": None if reading.shape.many else shown(file.path),
-                "columns": columns if csv else dict(sorted(columns.items())),
-                "ended": whole,
-                **({"hints": dict(hints)} if (hints := reading.hints.get((execution, file.path))) else {}),
-            }
-        )
+        return TableLayout(
+            None if reading.shape.many else shown(file.path),
+            columns if csv else dict(sorted(columns.items())),
+            file.ended or not csv,
+            reading.hints.get((execution, file.path), {}),
+        ).dump()
 
 
 def too_few(path: str, rows: int, name: str, output: Output) -> str:
@@ -80,22 +77,22 @@ def too_few(path: str, rows: int, name: str, output: Output) -> str:
     return f"{path}: {rows} rows; [outputs.{name}] min_rows asks for {output.min_rows}"
 
 
-def artifact_rows(result: Result, tables: TableIngest) -> Iterator[dict[str, Any]]:
+def artifact_rows(result: Result, tables: TableIngest) -> Iterator[ArtifactRow]:
     """Yield a row of `artifacts` for each file of an execution except its logs."""
     for file in result.outputs:
         count = tables.rows(result.execution, file)
-        yield {
-            "execution": result.execution,
-            "run": result.run,
-            "path": shown(file.path),
-            "kind": "file" if count is None else "table",
-            "output": tables.table(result.execution, file),
-            "size": file.bytes,
-            "sha256": file.sha256,
-            "rows": count,
-            "table_layout": None if count is None else tables.form(result.execution, file),
-            "counted_rows": None if count is None else tables.counted(result.execution, file),
-        }
+        yield ArtifactRow(
+            execution=result.execution,
+            run=result.run,
+            path=shown(file.path),
+            kind="file" if count is None else "table",
+            output=tables.table(result.execution, file),
+            size=file.bytes,
+            sha256=file.sha256,
+            rows=count,
+            table_layout=None if count is None else tables.form(result.execution, file),
+            counted_rows=None if count is None else tables.counted(result.execution, file),
+        )
 
 
 def tabled(

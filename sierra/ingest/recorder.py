@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 from sierra.containers import engines
 from sierra.ingest.logs import LOG_SHOWN, kept_of, last_words
@@ -20,8 +20,10 @@ from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Judgement, doubted, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
 from sierra.model import OutputFile, Result, Status
+from sierra.store.answer import Cell
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.objects import Objects
+from sierra.store.records import ArtifactRow, DuplicateRow, ExecutionRow, IngestRulesRow
 from sierra.store.segments import Writer
 from sierra.store.store import Store
 from sierra.util.fs import inside
@@ -31,7 +33,19 @@ from sierra.worker import worker
 PENDING_RUNS = 4_000
 PENDING_BYTES = 256 << 20
 SOON_S, LATE_S = 2.0, 600.0
+COUNT = "SELECT count(*) AS executions FROM executions WHERE session = $s"
+RESULTS = "SELECT execution, result FROM executions WHERE session = $s"
 COPIES = "SELECT c.execution, c.attempt FROM duplicates c JOIN executions e USING (execution) WHERE e.session = $s"
+
+
+class _ResultHash(NamedTuple):
+    execution: str
+    result: str
+
+
+class _Copy(NamedTuple):
+    execution: str
+    attempt: str
 
 
 class Recorder:
@@ -57,7 +71,7 @@ class Recorder:
         self.context = context
         self._reading = context.ingest_rules
         self._pending: list[Judgement] = []
-        self._beside: dict[str, list[Mapping[str, Any]]] = {}
+        self._beside: dict[str, list[Mapping[str, Cell]]] = {}
         self._around: set[str] = set()
         """The environments that are recorded or will be; usually one for all elements."""
         self._ruled = 0
@@ -92,13 +106,13 @@ class Recorder:
         engine = engines.find(self.context.engine, self.context.engines)
         return engine.classify(result, said, frozenset(self.context.enforced))
 
-    def beside(self, rows: Iterable[tuple[str, Mapping[str, Any]]], copies: Iterable[Result]) -> None:
+    def beside(self, rows: Iterable[tuple[str, Mapping[str, Cell]]], copies: Iterable[Result]) -> None:
         """Add other records: rows by table, and runs that were executed once more than requested."""
         for table, row in rows:
             if table == "environments":
                 if row["environment"] in self._around:
                     continue
-                self._around.add(row["environment"])
+                self._around.add(str(row["environment"]))
             self._beside.setdefault(table, []).append(row)
         self._copies += copies
 
@@ -120,7 +134,7 @@ class Recorder:
         writer = self._store.writer(self._session.segment, self.context.batch)
         for table, rows in self._beside.items():
             writer.rows(table, rows)
-        writer.rows("duplicates", self._compared())
+        writer.records(self._compared())
         if (doubt := self._doubt()) is not None:
             self._pending = [doubted(one, doubt) for one in self._pending]
         judged = self._write(writer)
@@ -132,20 +146,18 @@ class Recorder:
         self._beside, self._copies = {}, []
         return [(one.result.run, one.status, one.reason or "") for one in judged if one.status is not Status.OK]
 
-    def _compared(self) -> Iterator[dict[str, Any]]:
+    def _compared(self) -> Iterator[DuplicateRow]:
         """Yield the copies that are not recorded yet, each compared with the record of its execution."""
         if not self._copies:
             return
         recorded = {one.result.execution: result_hash(one.result.outputs) for one in self._pending}
-        rows = self._store.rows("SELECT execution, result FROM executions WHERE session = $s", s=self.context.session)
-        recorded |= {row["execution"]: row["result"] for row in rows}
-        told = self._store.rows(COPIES, s=self.context.session)
-        known = {(row["execution"], row["attempt"]) for row in told}
-        for copy in (one for one in self._copies if (one.execution, one.attempt) not in known):
+        recorded |= dict(self._store.select(_ResultHash, RESULTS, s=self.context.session))
+        known = set(self._store.select(_Copy, COPIES, s=self.context.session))
+        for copy in (one for one in self._copies if _Copy(one.execution, one.attempt or "") not in known):
             result = result_hash(copy.outputs)
             same = recorded.get(copy.execution) == result
             self._copied, self._unlike = self._copied + 1, self._unlike + (not same)
-            yield {"execution": copy.execution, "run": copy.run, "attempt": copy.attempt, "result": result, "same": same}
+            yield DuplicateRow(copy.execution, copy.run, copy.attempt or "", result, same)
 
     def _put_away(self, result: Result) -> None:
         folder = Path(result.directory)
@@ -177,64 +189,63 @@ class Recorder:
         objects = Objects(writer.path("objects"))
         artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects, raw=self.context.raw)]
         objects.close()
-        writer.rows("artifacts", artifacts)
+        writer.records(artifacts)
         first = self._next()
-        writer.rows("executions", (self._execution(one, place) for place, one in enumerate(judged, first)))
+        writer.records((self._execution(one, place) for place, one in enumerate(judged, first)))
         self._position = first + len(judged)
         if self._ruled < 2:  # in two segments, so that one damaged segment does not make the others useless
-            writer.rows("ingest_rules", [{"ingest_rules": self._reading, "declared": self.context.declared}])
-            writer.rows("isolations", [self.context.isolation] if self.context.isolation else [])
+            writer.records([IngestRulesRow(self._reading, self.context.declared)])
+            writer.records([self.context.isolation] if self.context.isolation else [])
         return judged
 
     def _next(self) -> int:
         """Return the position of the next execution in its session."""
         if self._position is None:
-            [row] = self._store.rows("SELECT count(*) AS before FROM executions WHERE session = $s", s=self.context.session)
-            self._position = row["before"]
+            [self._position] = self._store.values(int, COUNT, s=self.context.session)
         return self._position
 
-    def _execution(self, one: Judgement, position: int) -> dict[str, Any]:
+    def _execution(self, one: Judgement, position: int) -> ExecutionRow:
         result, context = one.result, self.context
-        return {
-            "execution": result.execution,
-            "run": result.run,
-            "session": context.session,
-            "batch": context.batch,
-            "started": _moment(result.started),
-            "ended": _moment(result.ended),
-            "status": str(one.status),
-            "reason": one.reason,
-            "exit_code": result.exit_code,
-            "signal": result.signal,
-            "wall_s": result.ended - result.started,
-            "user_s": result.user_s,
-            "system_s": result.system_s,
-            "max_rss_bytes": result.max_rss_bytes,
-            "host": result.host,
-            "slot": result.slot,
-            "result": result_hash(result.outputs),
-            "log_tail": None if one.status is Status.OK else last_words(result.directory),
-            "environment": result.environment or context.environment,
-            "programs": context.programs,
-            "ingest_rules": self._reading,
-            "purpose": context.purpose,
-            "isolation": context.isolation and context.isolation["isolation"],
-            "attempt": result.attempt,
-            "lamport": context.lamport(position),
-        }
+        return ExecutionRow(
+            execution=result.execution,
+            run=result.run,
+            session=context.session,
+            batch=context.batch,
+            started=_moment(result.started),
+            ended=_moment(result.ended),
+            status=str(one.status),
+            reason=one.reason,
+            exit_code=result.exit_code,
+            signal=result.signal,
+            wall_s=result.ended - result.started,
+            user_s=result.user_s,
+            system_s=result.system_s,
+            max_rss_bytes=result.max_rss_bytes,
+            host=result.host,
+            slot=result.slot,
+            result=result_hash(result.outputs),
+            log_tail=None if one.status is Status.OK else last_words(result.directory),
+            environment=result.environment or context.environment,
+            programs=context.programs,
+            ingest_rules=self._reading,
+            purpose=context.purpose,
+            isolation=context.isolation and context.isolation.isolation,
+            attempt=result.attempt,
+            lamport=context.lamport(position),
+        )
 
 
-def _artifacts(result: Result, tables: TableIngest, objects: Objects, *, raw: bool) -> Iterator[dict[str, Any]]:
+def _artifacts(result: Result, tables: TableIngest, objects: Objects, *, raw: bool) -> Iterator[ArtifactRow]:
     """Yield a row for each file that a run left, and store its bytes as an object; those of tables only with `raw`."""
-    mine = {"execution": result.execution, "run": result.run}
     for file, row in zip(result.outputs, artifact_rows(result, tables), strict=True):
-        if raw or row["kind"] == "file":
+        if raw or row.kind == "file":
             objects.add_file(Path(result.directory, RUN_OUTPUT, file.path), file.sha256, file.bytes)
         yield row
     for name in (RUN_STDOUT, RUN_STDERR):
         content, size = kept_of(f"{result.directory}/{name}")
         if size:
-            yield {**mine, "path": name, "kind": "log", "output": None, "size": size, "sha256": objects.add(content)}
+            digest = objects.add(content)
+            yield ArtifactRow(result.execution, result.run, name, "log", None, size, digest, None, None, None)
 
 
 def result_hash(outputs: Iterable[OutputFile]) -> str:

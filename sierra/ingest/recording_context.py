@@ -5,38 +5,35 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import NotRequired, TypedDict
 
 from sierra.config.plugin_registry import Tables
 from sierra.config.project_file import Output, Success
 from sierra.errors import Damaged
 from sierra.ingest.base import Used
 from sierra.store.order import stamp
+from sierra.store.records import IsolationRow
 from sierra.store.segments import disk_errors
 from sierra.util.fs import read_record, write_whole
 from sierra.util.hashing import digest
+from sierra.util.json_types import Json, JsonView
 
 ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
 UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
 """The settings of an output that do not influence how it is recorded."""
-SAVED = (
-    *(
-        "session",
-        "batch",
-        "purpose",
-        "environment",
-        "programs",
-        "engine",
-        "isolation",
-        "shared",
-        "enforced",
-        "number",
-        "raw",
-        "engines",
-    ),
-)
+SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "shared", "enforced", "number", "raw", "engines")
+"""The fields that are saved as they are."""
+
+
+class Declared(TypedDict):
+    """A project's declarations of outputs and success, and the readers of other packages, as JSON."""
+
+    outputs: dict[str, dict[str, Json]]
+    success: dict[str, Json]
+    readers: NotRequired[Used]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +48,15 @@ class Context:
     outputs: Mapping[str, Output]
     success: Success
     engine: str = "none"
-    isolation: Mapping[str, Any] | None = None
-    """The isolation of the runs as a row of `isolations`; None if they were not isolated."""
+    isolation: IsolationRow | None = None
+    """The isolation of the runs; None if they were not isolated."""
     shared: bool = False
     enforced: tuple[str, ...] = ()
     """The limits that the engine enforces."""
     number: int | None = None
     """The session's Lamport number; None without a session."""
 
-    def lamport(self, position: int = 0) -> int | None:
+    def lamport(self, position: int = 0) -> int:
         """Return the `lamport` value of a record of this session; `position` is an execution's position in it."""
         return stamp(self.number, self.session, position)
 
@@ -73,33 +70,29 @@ class Context:
     @property
     def ingest_rules(self) -> str:
         """The hash of the rules that decide if an execution is successful and what is recorded of it."""
-        return self._declared({"mismatch", *UNREAD})
+        return digest("reading", self._tables({"mismatch", *UNREAD}))
 
     @property
     def batch_rules(self) -> str:
         """The hash of these rules and of the differences that are allowed between siblings."""
-        return self._declared(UNREAD)
+        return digest("reading", self._tables(UNREAD))
 
     @property
     def declared(self) -> str:
         """The project's declarations of outputs and success, as JSON."""
         return json.dumps(self._tables())
 
-    def _tables(self) -> dict[str, Any]:
-        outputs = {name: output.model_dump(mode="json") for name, output in self.outputs.items()}
-        return {"outputs": outputs, "success": self.success.model_dump(mode="json"), **self._others()}
-
-    def _others(self) -> dict[str, Any]:
-        """Return the readers of other packages, if there are any: the hashes of rules without them stay the same."""
-        return {"readers": self.readers} if self.readers else {}
-
-    def _declared(self, without: set[str]) -> str:
-        outputs = {name: output.model_dump(mode="json", exclude=without) for name, output in self.outputs.items()}
-        return digest("reading", {"outputs": outputs, "success": self.success.model_dump(mode="json"), **self._others()})
+    def _tables(self, without: AbstractSet[str] = frozenset()) -> dict[str, JsonView]:
+        """Return the declarations; readers only if there are any, so that the hashes of rules without them stay the same."""
+        outputs = {name: output.model_dump(mode="json", exclude=set(without)) for name, output in self.outputs.items()}
+        declared: dict[str, JsonView] = {"outputs": outputs, "success": self.success.model_dump(mode="json")}
+        if self.readers:
+            declared["readers"] = {n: {"package": one["package"], "options": one["options"]} for n, one in self.readers.items()}
+        return declared
 
     def save(self, path: Path) -> None:
-        fields = {name: getattr(self, name) for name in SAVED}
-        fields |= self._tables()
+        fields = {**{name: getattr(self, name) for name in SAVED}, **self._tables()}
+        fields["isolation"] = self.isolation and self.isolation._asdict()
         with disk_errors(path.parent):
             write_whole(path, json.dumps(fields, default=str).encode())
 
@@ -108,7 +101,9 @@ class Context:
         """Load a saved context. Raises FileNotFoundError, and Damaged if the file is not a valid context."""
         fields = read_record(path)
         try:
-            fields["outputs"], fields["success"], fields["readers"] = rules_of(fields)
+            declared = Declared(outputs=fields["outputs"], success=fields["success"], readers=fields.get("readers", {}))
+            fields["outputs"], fields["success"], fields["readers"] = rules_of(declared)
+            fields["isolation"] = IsolationRow(**known) if (known := fields.get("isolation")) else None
             made = cls(**fields)
             if ID.fullmatch(made.batch) and SESSION.fullmatch(made.session):
                 return made
@@ -119,7 +114,7 @@ class Context:
         )
 
 
-def rules_of(declared: Mapping[str, Any]) -> tuple[dict[str, Output], Success, Used]:
+def rules_of(declared: Declared) -> tuple[dict[str, Output], Success, Used]:
     """Return the declarations of outputs and success, and the readers, from the form of `Context.declared`."""
     outputs = {name: Output.model_validate(output) for name, output in declared["outputs"].items()}
     return outputs, Success.model_validate(declared["success"]), dict(declared.get("readers", {}))

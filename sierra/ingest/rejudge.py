@@ -30,7 +30,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 from sierra.config.project_file import Output, Success
 from sierra.errors import Damaged
@@ -45,6 +45,7 @@ from sierra.model import OutputFile, Result, Status
 from sierra.store.copy_rejudged_rows import write_again
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.recorded_files import ChosenExecution, Recorded, contents
+from sierra.store.records import ArtifactRow, IngestRulesRow, JudgementRow
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import inside
@@ -59,49 +60,53 @@ LOGS = (RUN_STDOUT, RUN_STDERR)
 NOT_KEPT = "the bytes of {path!r} are not in the store ([store] raw = false, sierra gc --raw, or an older SIERRA)"
 CUT = "the store has only the beginning and the end of {path}"
 
-Artifact = Mapping[str, Any]
-
 
 def judgement_id(execution: str, ingest_rules: str, session: str) -> str:
     """Return the id of the judgement of an execution by a session; `ingest_rules` is the hash of the rules."""
     return digest_plain("judgement", {"execution": execution, "reading": ingest_rules, "session": session})
 
 
+class _LastJudgement(NamedTuple):
+    """An execution and its last judgement."""
+
+    run: str
+    execution: str
+    exit_code: int
+    found: bool
+    """True if it is not successful because it differs from its siblings."""
+    status: str
+    reason: str | None
+    ingest_rules: str
+    judgement: str
+
+
 @dataclass(frozen=True, slots=True)
 class Past:
     """A recorded execution with its last judgement, and its files by that judgement."""
 
-    run: str
-    execution: str
-    status: str
-    reason: str | None
-    found: bool
-    """True if it is not successful because it differs from its siblings."""
-    exit_code: int
+    last: _LastJudgement
     outputs: Mapping[str, Output]
     success: Success
     readers: Used
     """The rules of its last judgement are `outputs`, `success` and `readers`."""
-    artifacts: tuple[Artifact, ...]
-    judgement: str
-    """The judgement under which its artifacts and rows are recorded."""
+    artifacts: tuple[ArtifactRow, ...]
     tabled: bool = False
     """True if the rows of its tables by the new rules are already recorded."""
 
     @property
     def succeeded(self) -> bool:
-        return self.status == Status.OK
+        return self.last.status == Status.OK
 
     def result(self, execution: str, directory: Path, files: Mapping[str, OutputFile]) -> Result:
         """Return the result that a worker would have reported; `files` are the files whose bytes are in `directory`."""
-        outputs = (files.get(row["path"]) or _unread(row) for row in self.artifacts if row["kind"] != "log")
+        outputs = (files.get(row.path) or _unread(row) for row in self.artifacts if row.kind != "log")
         return Result(
-            run=self.run,
+            run=self.last.run,
             execution=execution,
             directory=str(directory),
             started=0.0,
             ended=0.0,
-            exit_code=self.exit_code,
+            exit_code=self.last.exit_code,
             signal=None,
             stopped=None,
             user_s=None,
@@ -114,19 +119,19 @@ class Past:
 
     def failed_by_rules(self, result: Result) -> bool:
         """Check that it was successful, or failed only by its rules, which then give the same reason again."""
-        if self.succeeded or self.status == Status.MISMATCH:
+        if self.succeeded or self.last.status == Status.MISMATCH:
             return True
         reasons = {judge(result, self.outputs, self.success)[1]}
         for row in self.artifacts:
-            output = self.outputs.get(row["output"] or "")
-            if output and row["rows"] is not None and row["rows"] < output.min_rows:
-                reasons.add(too_few(row["path"], row["rows"], row["output"], output))
-        return self.reason in reasons
+            output = self.outputs.get(row.output or "")
+            if output and row.rows is not None and row.rows < output.min_rows:
+                reasons.add(too_few(row.path, row.rows, str(row.output), output))
+        return self.last.reason in reasons
 
 
-def _unread(row: Artifact) -> OutputFile:
+def _unread(row: ArtifactRow) -> OutputFile:
     """Return the description of a file whose bytes are not read."""
-    return OutputFile(row["path"], row["size"], row["sha256"], 0, True, "")
+    return OutputFile(row.path, row.size, row.sha256, 0, True, "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,9 +151,9 @@ def foresee(store: Store, context: Context, runs: Iterable[str], *, mismatched: 
     while some := list(islice(pending, AT_A_TIME)):
         with store.snapshot() as snapshot:
             past = [one for one in _past(snapshot, context, some, mismatched=mismatched) if not _is_hopeless(one, context)]
-            sizes = _kept(snapshot, {row["sha256"] for one in past for row in one.artifacts})
-        lacking = {one.run: lack for one in past if (lack := _lacking(one, context, sizes)) is not None}
-        yield Foreseen({one.run: one for one in past if one.run not in lacking}, lacking)
+            sizes = _kept(snapshot, {row.sha256 for one in past for row in one.artifacts})
+        lacking = {one.last.run: lack for one in past if (lack := _lacking(one, context, sizes)) is not None}
+        yield Foreseen({one.last.run: one for one in past if one.last.run not in lacking}, lacking)
 
 
 PAST = """
@@ -182,41 +187,42 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
     import pyarrow as pa
 
     snapshot.register("wanted", pa.table({"run": pa.array(sorted(runs), pa.string())}))
-    asked = {"ingest_rules": context.ingest_rules, "programs": context.programs, "mismatched": mismatched}
-    rows = snapshot.rows(PAST, **asked)
-    declared = {row["ingest_rules"]: row["declared"] for row in snapshot.rows("SELECT * FROM ingest_rules")}
+    rows = snapshot.select(
+        _LastJudgement, PAST, ingest_rules=context.ingest_rules, programs=context.programs, mismatched=mismatched
+    )
+    used = {row.ingest_rules for row in rows}
     rules = {
-        name: rules_of(json.loads(text)) for name, text in declared.items() if any(row["ingest_rules"] == name for row in rows)
+        known.ingest_rules: rules_of(json.loads(known.declared))
+        for known in snapshot.select(IngestRulesRow, "SELECT * FROM ingest_rules")
+        if known.ingest_rules in used
     }
-    snapshot.register("chosen", pa.table({"execution": pa.array([row["judgement"] for row in rows], pa.string())}))
-    artifacts: dict[str, list[Artifact]] = {row["judgement"]: [] for row in rows}
-    for row in snapshot.rows(ARTIFACTS):
-        artifacts[row["execution"]].append(row)
+    snapshot.register("chosen", pa.table({"execution": pa.array([row.judgement for row in rows], pa.string())}))
+    artifacts: dict[str, list[ArtifactRow]] = {row.judgement: [] for row in rows}
+    for artifact in snapshot.select(ArtifactRow, ARTIFACTS):
+        artifacts[artifact.execution].append(artifact)
     for row in rows:
-        if row["ingest_rules"] in rules:
-            named = {name: row[name] for name in ("run", "execution", "status", "reason", "found", "exit_code", "judgement")}
-            outputs, success, readers = rules[row["ingest_rules"]]
-            one = Past(**named, outputs=outputs, success=success, readers=readers, artifacts=tuple(artifacts[row["judgement"]]))
+        if row.ingest_rules in rules:
+            one = Past(row, *rules[row.ingest_rules], tuple(artifacts[row.judgement]))
             yield replace(one, tabled=_is_tabled(one, context))
 
 
 def _is_tabled(one: Past, context: Context) -> bool:
     """Check that the files that become tables are already recorded as these tables, read in the same way, with their rows."""
-    recorded = {(row["output"], row["path"]) for row in one.artifacts if row["rows"] is not None}
+    recorded = {(row.output, row.path) for row in one.artifacts if row.rows is not None}
     before, now = ({(n, file.path): shape for n, shape, file in _tables(one, rules)} for rules in (one, context))
     return before == now and now.keys() == recorded
 
 
 def _tables(one: Past, rules: Past | Context) -> Iterator[tuple[str, Shape, OutputFile]]:
     """Yield the files of an execution that become tables by these rules."""
-    return OutputMatcher(rules.outputs, rules.readers).of(one.result(one.execution, Path(), {}))
+    return OutputMatcher(rules.outputs, rules.readers).of(one.result(one.last.execution, Path(), {}))
 
 
 def _is_hopeless(one: Past, context: Context) -> bool:
     """Check, without reading any bytes, if a run must be executed: it still fails, or did not fail by its rules."""
     if one.succeeded:
         return False
-    result = one.result(one.execution, Path(), {})
+    result = one.result(one.last.execution, Path(), {})
     if judge(result, context.outputs, context.success.model_copy(update={"marker": ""}))[0] is not Status.OK:
         return True
     return not (one.success.marker or one.failed_by_rules(result))
@@ -234,19 +240,19 @@ def _kept(snapshot: Snapshot, digests: AbstractSet[str]) -> dict[str, int]:
 def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | None:
     """Return why the store does not have enough to evaluate an execution again; None if it has."""
     for row in needed(one, context):
-        if row["sha256"] not in sizes:
-            return NOT_KEPT.format(path=row["path"])
-        if row["kind"] == "log" and sizes[row["sha256"]] != row["size"]:
-            return CUT.format(path=row["path"])
+        if row.sha256 not in sizes:
+            return NOT_KEPT.format(path=row.path)
+        if row.kind == "log" and sizes[row.sha256] != row.size:
+            return CUT.format(path=row.path)
     return None
 
 
-def needed(one: Past, context: Context) -> list[Artifact]:
+def needed(one: Past, context: Context) -> list[ArtifactRow]:
     """Return the files to read for an evaluation: files that become tables and are not yet tables, and the markers."""
     tables = set() if one.tabled else {file.path for _, _, file in _tables(one, context)}
     markers = {context.success.marker, *(() if one.succeeded else (one.success.marker,))} - {""}
-    files = [row for row in one.artifacts if row["kind"] != "log" and row["path"] in tables | markers]
-    return [*files, *(row for row in one.artifacts if row["kind"] == "log" and row["path"] in markers)]
+    files = [row for row in one.artifacts if row.kind != "log" and row.path in tables | markers]
+    return [*files, *(row for row in one.artifacts if row.kind == "log" and row.path in markers)]
 
 
 @dataclass(slots=True)
@@ -282,7 +288,7 @@ def _by_weight(past: Iterable[Past], context: Context) -> Iterator[list[Past]]:
     some: list[Past] = []
     weight = 0
     for one in past:
-        more = sum(row["size"] for row in needed(one, context))
+        more = sum(row.size for row in needed(one, context))
         if some and (weight + more > BYTES or one.tabled != some[0].tabled):
             yield some
             some, weight = [], 0
@@ -318,24 +324,20 @@ class _Group:
         else:
             tables = tabled(first, writer, self.store, self.context, self.assigning, self.shapes)
         made = [(results[one.result.execution][0], tables.judged(one)) for one in first]
-        writer.rows("artifacts", (row for of, one in made for row in _artifacts(of, one.result, tables)))
-        writer.rows("judgements", (self._row(of, one) for of, one in made))
-        writer.rows(
-            "ingest_rules", [{"ingest_rules": self.context.ingest_rules, "declared": self.context.declared}] if made else []
-        )
+        writer.records(row for of, one in made for row in _artifacts(of, one.result, tables))
+        writer.records(self._row(of, one) for of, one in made)
+        writer.records([IngestRulesRow(self.context.ingest_rules, self.context.declared)] if made else [])
         self.store.publish(writer)
-        self.anew.judged |= {of.run for of, _ in made}
+        self.anew.judged |= {of.last.run for of, _ in made}
 
     def _copied(self, good: Sequence[tuple[Past, Result]], writer: Writer) -> TableIngest:
         """Copy recorded rows. Raises Damaged if their number differs from the number in their artifacts."""
-        recorded = {
-            (result.execution, row["path"]): row for one, result in good for row in one.artifacts if row["rows"] is not None
-        }
+        recorded = {(result.execution, row.path): row for one, result in good for row in one.artifacts if row.rows is not None}
         tables = Counter[str]()
         for row in recorded.values():
-            tables[row["output"].lower()] += row["rows"]
+            tables[str(row.output).lower()] += row.rows or 0
         with self.store.snapshot() as snapshot:
-            written = write_again(snapshot, writer, tables, {one.judgement: result.execution for one, result in good})
+            written = write_again(snapshot, writer, tables, {one.last.judgement: result.execution for one, result in good})
         for name, rows in tables.items():
             if rows != written[name]:
                 raise Damaged(f"table {name!r} has {written[name]} rows, but {rows} were recorded; see sierra fsck")
@@ -347,13 +349,13 @@ class _Group:
 
     def _results(self, past: Sequence[Past]) -> Iterator[tuple[Past, Result]]:
         """Yield the results that a worker would have reported, with the bytes of the needed files in a folder."""
-        folders = {one.execution: self.session.anew / str(number) for number, one in enumerate(past)}
+        folders = {one.last.execution: self.session.anew / str(number) for number, one in enumerate(past)}
         read, lost = self._unpacked(past, folders)
         for one in past:
-            made = judgement_id(one.execution, self.context.ingest_rules, self.context.session)
-            result = one.result(made, folders[one.execution], read.get(one.execution, {}))
-            if one.execution in lost:
-                self.anew.unread[one.run] = lost[one.execution]
+            made = judgement_id(one.last.execution, self.context.ingest_rules, self.context.session)
+            result = one.result(made, folders[one.last.execution], read.get(one.last.execution, {}))
+            if one.last.execution in lost:
+                self.anew.unread[one.last.run] = lost[one.last.execution]
             elif one.failed_by_rules(result):
                 yield one, result
 
@@ -382,51 +384,48 @@ class _Group:
                     read.setdefault(execution, {})[file.path] = seen
         return read, lost
 
-    def _row(self, past: Past, one: Judgement) -> dict[str, Any]:
-        return {
-            "judgement": one.result.execution,
-            "execution": past.execution,
-            "run": past.run,
-            "session": self.context.session,
-            "batch": self.context.batch,
-            "judged_at": datetime.now(UTC),
-            "status": str(one.status),
-            "reason": one.reason,
-            "ingest_rules": self.context.ingest_rules,
-            "lamport": self.context.lamport(),
-        }
+    def _row(self, past: Past, one: Judgement) -> JudgementRow:
+        return JudgementRow(
+            judgement=one.result.execution,
+            execution=past.last.execution,
+            run=past.last.run,
+            session=self.context.session,
+            batch=self.context.batch,
+            judged_at=datetime.now(UTC),
+            status=str(one.status),
+            reason=one.reason,
+            ingest_rules=self.context.ingest_rules,
+            lamport=self.context.lamport(),
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Recalled(TableIngest):
     """The recorded tables of earlier judgements, which the new judgements share."""
 
-    recorded: Mapping[tuple[str, str], Artifact] = field(default_factory=dict)
+    recorded: Mapping[tuple[str, str], ArtifactRow] = field(default_factory=dict)
 
     def table(self, execution: str, file: OutputFile) -> str | None:
-        name: str | None = self._of(execution, file).get("output")
-        return name
+        row = self.recorded.get((execution, file.path))
+        return row and row.output
 
     def rows(self, execution: str, file: OutputFile) -> int | None:
-        count: int | None = self._of(execution, file).get("rows")
-        return count
+        row = self.recorded.get((execution, file.path))
+        return row and row.rows
 
     def counted(self, execution: str, file: OutputFile) -> int | None:
-        count: int | None = self._of(execution, file).get("counted_rows")
-        return count
+        row = self.recorded.get((execution, file.path))
+        return row and row.counted_rows
 
     def form(self, execution: str, file: OutputFile) -> str:
-        return str(self._of(execution, file)["table_layout"])
-
-    def _of(self, execution: str, file: OutputFile) -> Artifact:
-        return self.recorded.get((execution, file.path), {})
+        return str(self.recorded[execution, file.path].table_layout)
 
 
-def _recorded(one: Past, row: Artifact) -> Recorded:
+def _recorded(one: Past, row: ArtifactRow) -> Recorded:
     """Return a file as `sierra.store.recorded_files` describes it, with kind `file` for a table, so that its bytes are read."""
-    taken = ChosenExecution("", 0, 0, one.run, one.execution, one.status, "asked", one.execution)
-    kind = "log" if row["kind"] == "log" else "file"
-    return Recorded(taken, row["path"], kind, row["size"], row["sha256"], row["size"], None, None, None)
+    taken = ChosenExecution("", 0, 0, one.last.run, one.last.execution, one.last.status, "asked", one.last.execution)
+    kind = "log" if row.kind == "log" else "file"
+    return Recorded(taken, row.path, kind, row.size, row.sha256, row.size, None, None, None)
 
 
 def _target(folder: Path, file: Recorded) -> Path:
@@ -434,7 +433,7 @@ def _target(folder: Path, file: Recorded) -> Path:
     return inside(folder if file.kind == "log" else folder / RUN_OUTPUT, file.path)
 
 
-def _artifacts(past: Past, result: Result, tables: TableIngest) -> Iterator[dict[str, Any]]:
+def _artifacts(past: Past, result: Result, tables: TableIngest) -> Iterator[ArtifactRow]:
     """Yield the artifacts of an execution by its new judgement; logs do not change."""
     yield from artifact_rows(result, tables)
-    yield from ({**row, "execution": result.execution} for row in past.artifacts if row["kind"] == "log")
+    yield from (row._replace(execution=result.execution) for row in past.artifacts if row.kind == "log")

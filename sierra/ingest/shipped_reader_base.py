@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Table
 from sierra.errors import Missing
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
+from sierra.store.answer import RawRow
 from sierra.store.duckdb_file_io import copy, parquet_metadata, read_parquet
 from sierra.store.duckdb_messages import duckdb_error, first_line
 from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.sql_names import column_names, identifier
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
 
 FILE = "# file"
 """DuckDB's name for the column with a row's file; real columns are unlikely to have this name."""
@@ -31,7 +35,7 @@ class TableReader:
 
     Options: ClassVar[type[Table]] = NoOptions
 
-    def __init__(self, connection: Any, shape: Shape, target: Path, siblings: Siblings) -> None:
+    def __init__(self, connection: DuckDBPyConnection, shape: Shape, target: Path, siblings: Siblings) -> None:
         self.sql = connection
         self.shape = shape
         self.siblings = siblings
@@ -138,7 +142,7 @@ class TableReader:
             members.setdefault(place, []).append(file)
         return list(members.items())
 
-    def key(self, part: Part) -> Any:
+    def key(self, part: Part) -> Hashable:
         """Return the key that files of one part share. The order of columns matters only in a CSV."""
         return frozenset(part.names)
 
@@ -174,7 +178,9 @@ class TableReader:
         ).fetchall()
         return {row[0].partition(", ")[0] for row in rows} | {row[0] for row in rows}
 
-    def halve(self, files: Sequence[Written], attempt: Callable[[Sequence[Written]], Any], explain: Callable[..., str]) -> None:
+    def halve(
+        self, files: Sequence[Written], attempt: Callable[[Sequence[Written]], object], explain: Callable[..., str]
+    ) -> None:
         """Find the files for which `attempt` fails, by repeated halving, and mark them as faulty."""
         try:
             if files:
@@ -239,9 +245,8 @@ class TableReader:
         for execution, file, count, *values in self.sql.execute(statement).fetchall():
             yield (execution, only[execution, file]), count, values
 
-    def fetch(self, statement: str, files: Sequence[Written]) -> list[tuple[Any, ...]]:
-        rows: list[tuple[Any, ...]] = self.sql.execute(statement, these(files)).fetchall() if files else []
-        return rows
+    def fetch(self, statement: str, files: Sequence[Written]) -> list[RawRow]:
+        return self.sql.execute(statement, these(files)).fetchall() if files else []
 
     def unwritten(self, error: Exception) -> Missing:
         return Missing(f"cannot write to {self.target.parent}: {first_line(error)}")

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import Any
+from typing import NamedTuple
 
-from sierra.ingest.consistency import GOOD, asked, many
+from sierra.ingest.consistency import GOOD, many, parameters
 from sierra.ingest.csv import delimiter_of
 from sierra.ingest.match_outputs import NOTED_AT_MOST
 from sierra.ingest.messages import shown
@@ -16,12 +17,28 @@ from sierra.ingest.model import Shape
 from sierra.ingest.recording_context import Context
 from sierra.store.sql_names import identifier
 from sierra.store.store import Snapshot, Store
+from sierra.store.table_layout import Columns, TableLayout
 from sierra.store.type_inference import AS_TEXT
 from sierra.store.union_files import TEXT
 from sierra.util.text import counted
 
 COMMENT = "the first line is a comment, but comments are not supported; begin with the column names, without '#'"
 SEVERAL = "are these several columns? (set delimiter = {delimiter} in [outputs.{output}])"
+
+
+class _Form(NamedTuple):
+    output: str
+    table_layout: str
+    executions: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """Tables of one output with the same columns, and the number of executions that have one."""
+
+    output: str
+    columns: Columns
+    executions: int
 
 
 class TableWarnings:
@@ -39,15 +56,15 @@ class TableWarnings:
         """
         if not self._shapes:
             return []
-        rows = self._store.rows(GOOD + FORMS, **asked(self._context))
-        forms = [{**row, "columns": json.loads(row["table_layout"])["columns"]} for row in rows]
+        rows = self._store.select(_Form, GOOD + FORMS, **parameters(self._context))
+        forms = [_Table(row.output, TableLayout.load(row.table_layout).columns, row.executions) for row in rows]
         return [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms)]
 
-    def _alone(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    def _alone(self, forms: Sequence[_Table]) -> Iterator[str]:
         """Yield warnings about columns that only one run of the batch has, which is possible with one run per experiment."""
         sets: dict[str, Counter[tuple[str, ...]]] = {}
         for row in forms:
-            sets.setdefault(row["output"], Counter())[tuple(row["columns"])] += row["executions"]
+            sets.setdefault(row.output, Counter())[tuple(row.columns)] += row.executions
         for name, counts in sets.items():
             declared = self._context.outputs.get(name)
             alone = sum(number == 1 for number in counts.values())
@@ -55,11 +72,11 @@ class TableWarnings:
                 whose = "one run has columns" if alone == 1 else f"{alone} runs each have columns"
                 yield f"output {name!r}: {whose} that no other run has; no other run of the experiment can confirm them"
 
-    def _renamed(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    def _renamed(self, forms: Sequence[_Table]) -> Iterator[str]:
         """Yield warnings about columns that have another name in SQL, because an axis has their name but other values."""
         columns: dict[str, set[str]] = {}
         for row in forms:
-            columns.setdefault(row["output"], set()).update(map(str.lower, row["columns"]))
+            columns.setdefault(row.output, set()).update(map(str.lower, row.columns))
         with self._store.snapshot(self._context.batch) as snapshot:
             axes = {axis.lower(): axis for axis in snapshot.views.axes()}
             for name in (name for name in self._shapes if not axes.keys().isdisjoint(columns.get(name, ()))):
@@ -67,13 +84,13 @@ class TableWarnings:
                     told = f"column {column!r} of output {name!r} is named {called!r} in SQL"
                     yield f"{told}, because {axis!r} is the independent variable, which has other values"
 
-    def _of_kinds(self, forms: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    def _of_kinds(self, forms: Sequence[_Table]) -> Iterator[str]:
         """Yield warnings about columns of different kinds in different runs, and about texts that are probably numbers."""
         kinds: dict[tuple[str, str], Counter[str]] = {}
         for row in forms:
-            for name, kind in row["columns"].items():
-                if kind != "empty" and row["output"] in self._shapes:
-                    kinds.setdefault((row["output"], name), Counter())[kind] += row["executions"]
+            for name, kind in row.columns.items():
+                if kind != "empty" and row.output in self._shapes:
+                    kinds.setdefault((row.output, name), Counter())[kind] += row.executions
         for (output, name), counts in kinds.items():
             stored = {"text" if kind.endswith(AS_TEXT) else kind for kind in counts}
             if len(stored) > 1:

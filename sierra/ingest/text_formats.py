@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from sierra.ingest.group_by_types import alike, kinds_of
 from sierra.ingest.messages import shown
@@ -191,7 +190,7 @@ class Text(TableReader):
             if "DOUBLE" in kinds.values() and any(map(is_whole, filter(None, kinds.values())))
         }
 
-    def _any(self, condition: str, cells: Iterable[str], relation: str, given: Mapping[str, Any]) -> bool:
+    def _any(self, condition: str, cells: Iterable[str], relation: str, given: Mapping[str, list[str]]) -> bool:
         """Check if a condition holds for any of these cells in any row."""
         cells = list(cells)
         either = " OR ".join(condition.replace("{}", cell) for cell in cells)

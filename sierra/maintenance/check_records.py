@@ -10,10 +10,11 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple, TypeVar
 
 import pyarrow as pa
 
@@ -22,22 +23,28 @@ from sierra.errors import Missing, SierraError
 from sierra.ingest.recording_context import UNREAD
 from sierra.ingest.rejudge import judgement_id
 from sierra.maintenance.check_files import Contents, Objects
-from sierra.maintenance.findings import NOTHING, Affected, Finding, Kind, of
-from sierra.model import RunSpec
+from sierra.maintenance.findings import Affected, Finding, Kind, of
+from sierra.model import RunSpec, Value
 from sierra.provenance import source
 from sierra.provenance.dependency_model import fingerprint
+from sierra.store.answer import RawRow
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import StorePaths
 from sierra.store.parquet_row_counts import rows_by_file
+from sierra.store.records import TABLES as TABLE_NAMES
+from sierra.store.records import EnvironmentRow, IngestRulesRow, IsolationRow, SourceRow, SpecRow
 from sierra.store.schema import RECORDED
 from sierra.store.store import Snapshot
 from sierra.store.views import records as records_of
 from sierra.util.hashing import canonical_plain, digest, merkle, sha256, short
+from sierra.util.json_types import JsonView
 
-Rows = Iterator[dict[str, Any]]
 SHOWN = 3
 MEMORY = "1GB"
+
+
+R = TypeVar("R", bound=NamedTuple)
 
 
 class Records:
@@ -59,7 +66,7 @@ class Records:
             with contextlib.suppress(SierraError):  # the checks that need it report that it cannot be read
                 self.snapshot.views.make((name,))
 
-    def each(self, statement: str, **parameters: Any) -> Iterator[tuple[Any, ...]]:
+    def each(self, statement: str, **parameters: object) -> Iterator[RawRow]:
         return self.snapshot.each(statement, parameters)
 
     def raw(self, name: str) -> str:
@@ -69,19 +76,18 @@ class Records:
         columns = ", ".join(f'NULL::{c.type} AS "{c.name}"' for c in RECORDED[name].columns)
         return f"(SELECT {columns}, '' AS filename WHERE false)"
 
-    def rows(self, name: str) -> Rows:
-        """Yield the distinct records of a table, each with one file that has it."""
-        columns = [column.name for column in RECORDED[name].columns]
-        listed = ", ".join(f'"{column}"' for column in columns)
-        for row in self.each(f"SELECT {listed}, min(filename) FROM {self.raw(name)} GROUP BY ALL"):
-            yield dict(zip((*columns, "filename"), row, strict=True))
+    def rows(self, kind: type[R]) -> Iterator[tuple[R, str]]:
+        """Yield the distinct records of a table, each with one file that has it. Any value may be NULL in a damaged store."""
+        listed = ", ".join(f'"{column}"' for column in kind._fields)
+        for *row, path in self.each(f"SELECT {listed}, min(filename) FROM {self.raw(TABLE_NAMES[kind])} GROUP BY ALL"):
+            yield kind._make(row), path
 
     def shown(self, path: str) -> str:
         """Return a file's path relative to the store."""
         return str(Path(path).relative_to(self.paths.root)) if path else ""
 
-    def wrong(self, row: Mapping[str, Any], what: str, affected: Affected = NOTHING) -> Finding:
-        return Finding(Kind.INCONSISTENT, self.shown(row["filename"]), what, affected)
+    def wrong(self, path: str, what: str, affected: Affected) -> Finding:
+        return Finding(Kind.INCONSISTENT, self.shown(path), what, affected)
 
 
 Check = Callable[[Records], Iterator[Finding]]
@@ -114,36 +120,32 @@ def _id(what: Callable[[], str]) -> str | None:
 
 
 def _recipes(records: Records) -> Iterator[Finding]:
-    def spec(row: Mapping[str, Any]) -> str:
-        variables = json.loads(row["variables"])
-        made = RunSpec(
-            row["platform"], tuple(row["command"]), variables, row["source"], row["image"], tuple(row["host_access"] or ())
-        )
+    def spec(row: SpecRow) -> str:
+        variables = json.loads(row.variables)
+        made = RunSpec(row.platform, tuple(row.command), variables, row.source, row.image, tuple(row.host_access or ()))
         return digest("recipe", made.preimage())
 
-    yield from _own(records, "specs", "spec", spec)
+    yield from _own(records, SpecRow, spec)
 
 
 def _environments(records: Records) -> Iterator[Finding]:
-    facts = [column.name for column in RECORDED["environments"].columns if column.name != "environment"]
-    yield from _own(records, "environments", "environment", lambda row: digest("environment", {n: row[n] for n in facts}))
+    yield from _own(records, EnvironmentRow, lambda row: digest("environment", _fields(row, EnvironmentRow._fields[1:])))
 
 
 def _sources(records: Records) -> Iterator[Finding]:
-    names = source.RECORDED
-    yield from _own(records, "sources", "source", lambda row: digest("source", {name: row[name] for name in names}))
+    yield from _own(records, SourceRow, lambda row: digest("source", _fields(row, source.RECORDED)))
 
 
 def _readings(records: Records) -> Iterator[Finding]:
-    def ingest_rules(row: Mapping[str, Any]) -> str:
-        declared = json.loads(row["declared"])
+    def ingest_rules(row: IngestRulesRow) -> str:
+        declared = json.loads(row.declared)
         heeded = {
             name: {key: value for key, value in output.items() if key not in {"mismatch", *UNREAD}}
             for name, output in declared["outputs"].items()
         }
         return digest("reading", {**declared, "outputs": heeded})
 
-    yield from _own(records, "ingest_rules", "ingest_rules", ingest_rules)
+    yield from _own(records, IngestRulesRow, ingest_rules)
 
 
 def _judgements(records: Records) -> Iterator[Finding]:
@@ -152,7 +154,7 @@ def _judgements(records: Records) -> Iterator[Finding]:
     for judgement, execution, ingest_rules, session, filename in list(records.each(rows)):
         if _id(lambda: judgement_id(execution, ingest_rules, session)) != judgement:  # noqa: B023
             what = f"judgement {short(str(judgement))} does not have the id that follows from its columns"
-            yield records.wrong({"filename": filename}, what, of(records.snapshot, [judgement]))
+            yield records.wrong(filename, what, of(records.snapshot, [judgement]))
     statement = "SELECT j.judgement FROM judgements j JOIN executions e USING (execution) WHERE j.run <> e.run"
     if named := [row[0] for row in records.each(statement)]:
         what = "judgements have other runs than their executions"
@@ -160,19 +162,20 @@ def _judgements(records: Records) -> Iterator[Finding]:
 
 
 def _isolations(records: Records) -> Iterator[Finding]:
-    facts = [column.name for column in RECORDED["isolations"].columns if column.name != "isolation"]
-    yield from _own(records, "isolations", "isolation", lambda row: digest("isolation", {n: row[n] for n in facts}))
+    yield from _own(records, IsolationRow, lambda row: digest("isolation", _fields(row, IsolationRow._fields[1:])))
 
 
-def _own(records: Records, table: str, key: str, identity: Callable[[Mapping[str, Any]], str]) -> Iterator[Finding]:
-    """Yield the records whose id does not follow from their columns."""
-    for row in records.rows(table):
-        if _id(lambda row=row: identity(row)) != row[key]:  # type: ignore[misc]
-            yield records.wrong(
-                row,
-                f"{key} {short(str(row[key]))} does not have the id that follows from its columns",
-                _using(records, row, key),
-            )
+def _fields(row: NamedTuple, names: Iterable[str]) -> dict[str, JsonView]:
+    return {name: getattr(row, name) for name in names}
+
+
+def _own(records: Records, kind: type[R], identity: Callable[[R], str]) -> Iterator[Finding]:
+    """Yield the records whose id, which is their first column, does not follow from their columns."""
+    key = kind._fields[0]
+    for row, path in records.rows(kind):
+        if _id(partial(identity, row)) != row[0]:
+            what = f"{key} {short(str(row[0]))} does not have the id that follows from its columns"
+            yield records.wrong(path, what, _using(records, key, row[0]))
 
 
 USING = {
@@ -185,8 +188,8 @@ USING = {
 }
 
 
-def _using(records: Records, row: Mapping[str, Any], key: str) -> Affected:
-    return of(records.snapshot, batches=[found[0] for found in records.each(USING[key], id=row[key]) if found[0]])
+def _using(records: Records, key: str, identity: str) -> Affected:
+    return of(records.snapshot, batches=[found[0] for found in records.each(USING[key], id=identity) if found[0]])
 
 
 def _programs(records: Records) -> Iterator[Finding]:
@@ -196,7 +199,7 @@ def _programs(records: Records) -> Iterator[Finding]:
         for identity, rows in groupby(records.each(statement), itemgetter(0)):
             if identity != fingerprint((name, found) for _, name, found in rows if name is not None):
                 what = f"programs {short(str(identity))} do not have the id that follows from their names and SHA-256"
-                yield Finding(Kind.INCONSISTENT, records.shown(path), what, _using(records, {"programs": identity}, "programs"))
+                yield Finding(Kind.INCONSISTENT, records.shown(path), what, _using(records, "programs", identity))
 
 
 RUNS = """
@@ -225,13 +228,14 @@ def _batches(records: Records) -> Iterator[Finding]:
     found: dict[str, dict[int, str]] = {}
     for path in records.files.get("experiments", ()):
         statement = f"SELECT * FROM {read_parquet([path])}"
-        for row in records.snapshot.rows(statement):
+        names = [column[0] for column in records.each(f"DESCRIBE {statement}")]
+        for row in (dict(zip(names, values, strict=True)) for values in list(records.each(statement))):
             batch, ordinal, own = row["batch"], row["ordinal"], row["experiment"]
             found.setdefault(batch, {})[ordinal] = own
             if batch in axes and not _is_experiment(records, row, axes[batch]):
                 what = f"experiment {short(str(own))} does not have the id that follows from its values and runs"
                 runs = [r[0] for r in records.each(MEMBERS, b=batch, o=ordinal)]
-                yield records.wrong({"filename": path}, what, of(records.snapshot, runs=runs, batches=[batch]))
+                yield records.wrong(path, what, of(records.snapshot, runs=runs, batches=[batch]))
     for batch in axes:
         ids = [experiment for _, experiment in sorted(found.get(batch, {}).items())]
         if _id(lambda: merkle("batch", ids)) != batch:  # noqa: B023
@@ -247,7 +251,7 @@ def _batches(records: Records) -> Iterator[Finding]:
 MEMBERS = "SELECT run FROM batch_runs WHERE batch = $b AND ordinal = $o GROUP BY run, number ORDER BY number"
 
 
-def _is_experiment(records: Records, row: Mapping[str, Any], axes: Sequence[str]) -> bool:
+def _is_experiment(records: Records, row: Mapping[str, Value | None], axes: Sequence[str]) -> bool:
     values = {axis: row.get(axis) for axis in axes}
     if any(isinstance(value, float) and abs(value) >= 2**53 for value in values.values()):
         return True  # a column of fractions cannot hold so large a whole number exactly
@@ -406,20 +410,19 @@ WRITTEN = pa.schema([("execution", pa.string()), ("output", pa.string()), ("file
 
 def _manifests(records: Records) -> Iterator[Finding]:
     """Check the files of sources: their list is present and gives the tree; outside git, each file is present."""
-    wanted = dict(records.each("SELECT blob, sha256 FROM blobs"))
+    wanted: dict[str, str] = dict(records.each("SELECT blob, sha256 FROM blobs"))
     for blob, found in wanted.items():
         if found not in records.objects.whole:
             yield Finding(Kind.LOST, "blobs", f"a file of a source, {short(blob)}, is not in the store", _of_sources(records))
         elif records.objects.blobs.get(found, blob) != blob:
             yield Finding(Kind.INCONSISTENT, "blobs", f"{short(blob)} is not git's hash of its file")
-    for row in records.rows("sources"):
-        if row["files"] not in records.objects.whole:
-            what = f"the list of the files of source {short(row['source'])} is not in the store"
-            yield Finding(Kind.LOST, "sources", what, _of_tree(records, row["tree"]))
-        elif (tree := source.tree_of(_object(records, row["files"]))) is not None and source.SWHID + tree != row["tree"]:
-            yield records.wrong(
-                row, f"the files of source {short(row['source'])} do not have its tree's hash", _of_tree(records, row["tree"])
-            )
+    for row, path in records.rows(SourceRow):
+        if row.files not in records.objects.whole:
+            what = f"the list of the files of source {short(row.source)} is not in the store"
+            yield Finding(Kind.LOST, "sources", what, _of_tree(records, row.tree))
+        elif (tree := source.tree_of(_object(records, row.files))) is not None and source.SWHID + tree != row.tree:
+            what = f"the files of source {short(row.source)} do not have its tree's hash"
+            yield records.wrong(path, what, _of_tree(records, row.tree))
     known = {row[0] for row in records.each("SELECT DISTINCT tree FROM sources")}
     for (tree,) in records.each("SELECT DISTINCT source FROM specs WHERE source IS NOT NULL"):
         if tree not in known:

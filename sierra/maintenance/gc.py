@@ -153,7 +153,7 @@ def _logs(store: Store) -> list[Path]:
     """Return the log files of sessions that are not recorded and have ended."""
     if not (found := session_log.logs(store.paths)):
         return []
-    known = {row["session"] for row in store.rows(SESSIONS)} | {one.root.name for one in sessions.all_of(store.paths)}
+    known = set(store.values(str, SESSIONS)) | {one.root.name for one in sessions.all_of(store.paths)}
     return [path for path in found if path.stem not in known]
 
 

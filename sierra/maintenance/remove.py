@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import pyarrow as pa
 
@@ -33,11 +32,21 @@ SHOWN = 5
 
 
 @dataclass(frozen=True, slots=True)
+class RemovedBatch:
+    """A batch that is removed as a whole, with the numbers of its experiments and runs."""
+
+    batch: str
+    query: str
+    experiments: int
+    runs: int
+
+
+@dataclass(frozen=True, slots=True)
 class Removal:
     """The things that a removal deletes, and the named things that stay."""
 
-    batches: tuple[Mapping[str, Any], ...]
-    """Batches that are removed as a whole: columns batch, query, experiments, runs."""
+    batches: tuple[RemovedBatch, ...]
+    """Batches that are removed as a whole."""
     runs: int
     """Runs that lose at least one execution."""
     executions: int
@@ -165,6 +174,7 @@ CREATE TEMP TABLE gone_images AS SELECT image, files FROM images WHERE
     image IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM gone_members))
     AND image NOT IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM staying_specs) AND image IS NOT NULL);
 """
+BATCHES = "SELECT batch, query, experiments, runs FROM batches WHERE list_contains($b, batch) ORDER BY batch"
 AROUND = {
     "specs": ("spec", "SELECT spec FROM gone_members EXCEPT SELECT spec FROM staying_specs"),
     "environments": (
@@ -217,10 +227,7 @@ def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
 
 
 def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Removal:
-    batches = snapshot.rows(
-        "SELECT batch, query, experiments, runs FROM batches WHERE list_contains($b, batch) ORDER BY batch",
-        b=sorted(named["batch"]),
-    )
+    batches = [RemovedBatch(*row) for row in snapshot.run(BATCHES, {"b": sorted(named["batch"])})]
     [(runs, executions)] = snapshot.run("SELECT count(DISTINCT run), count(DISTINCT own) FROM gone")
     [(replays,)] = snapshot.run("SELECT count(DISTINCT replay) FROM gone_replays")
     [(size,)] = snapshot.run("SELECT coalesce(sum(size), 0)::BIGINT FROM artifacts WHERE execution IN (SELECT own FROM gone)")
@@ -275,8 +282,7 @@ def _column(snapshot: Snapshot, statement: str) -> set[str]:
 def text(removal: Removal) -> list[str]:
     """Return lines that list the records to delete, and those that stay."""
     lines = [
-        f"batch {short(one['batch'])} ({one['query']}): {one['experiments']} experiments, {one['runs']} runs"
-        for one in removal.batches
+        f"batch {short(one.batch)} ({one.query}): {one.experiments} experiments, {one.runs} runs" for one in removal.batches
     ]
     if removal.executions:
         lines.append(f"{removal.executions} executions of {removal.runs} runs, with their files, tables and logs")

@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.config.project_file import Output
 from sierra.errors import Damaged
 from sierra.replay.compare_values import Agreement, Rules, Verdict, of_tables, of_texts, other_columns
 from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.recorded_files import holding
+from sierra.store.records import ArtifactRow
 from sierra.store.results import objects, rows_of
 from sierra.store.store import Snapshot
+from sierra.store.table_layout import TableLayout
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 BYTES = 64 << 20
 """Maximum total size, in bytes, of the recorded files that are compared at a time."""
 PAIRS = 1000
 
-Artifact = Mapping[str, Any]
-"""Row of `artifacts`."""
-Artifacts = Mapping[str, Artifact]
+Artifacts = Mapping[str, ArtifactRow]
 """Artifacts of one execution by path, without logs."""
-_Pair = tuple[tuple[str, str], list[tuple[Artifact, Artifact]]]
+_Pair = tuple[tuple[str, str], list[tuple[ArtifactRow, ArtifactRow]]]
 """Pair of executions, and the files of both whose bytes differ."""
 
 
@@ -53,11 +55,11 @@ def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artif
     """Return the artifacts of each of these executions."""
     import pyarrow as pa
 
-    left: dict[str, dict[str, Artifact]] = {execution: {} for execution in executions}
+    left: dict[str, dict[str, ArtifactRow]] = {execution: {} for execution in executions}
     snapshot.register("compared", pa.table({"execution": pa.array(left, pa.string())}))
     statement = "SELECT a.* FROM all_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
-    for row in snapshot.rows(statement):
-        left[row["execution"]][row["path"]] = row
+    for row in snapshot.select(ArtifactRow, statement):
+        left[row.execution][row.path] = row
     return dict(left)
 
 
@@ -66,7 +68,7 @@ def _counted(snapshot: Snapshot, left: Mapping[str, Artifacts]) -> Counter[tuple
 
     The key is an execution, an output and, if the output has several files, the file.
     """
-    outputs = {row["output"] for rows in left.values() for row in rows.values() if row["kind"] == "table"}
+    outputs = {row.output for rows in left.values() for row in rows.values() if row.kind == "table"}
     counted: Counter[tuple[str, str, str | None]] = Counter()
     for segment in holding(snapshot, sorted(left)) if outputs else ():
         for output, path in segment.outputs():
@@ -82,7 +84,7 @@ def _by_weight(pairs: Iterable[_Pair]) -> Iterator[list[_Pair]]:
     some: list[_Pair] = []
     weight = 0
     for pair in pairs:
-        more = sum(row["size"] for files in pair[1] for row in files)
+        more = sum(row.size for files in pair[1] for row in files)
         if some and (weight + more > BYTES or len(some) >= PAIRS):
             yield some
             some, weight = [], 0
@@ -91,50 +93,48 @@ def _by_weight(pairs: Iterable[_Pair]) -> Iterator[list[_Pair]]:
     yield some
 
 
-def _unlike(was: Artifacts, now: Artifacts) -> Iterator[tuple[Artifact, Artifact]]:
+def _unlike(was: Artifacts, now: Artifacts) -> Iterator[tuple[ArtifactRow, ArtifactRow]]:
     """Yield the files that both have, with different bytes."""
     for path in was.keys() & now.keys():
-        if was[path]["sha256"] != now[path]["sha256"]:
+        if was[path].sha256 != now[path].sha256:
             yield was[path], now[path]
 
 
-def _same_kind(was: Artifact, now: Artifact) -> bool:
-    return bool(was["kind"] == now["kind"])
+def _same_kind(was: ArtifactRow, now: ArtifactRow) -> bool:
+    return bool(was.kind == now.kind)
 
 
 class _Contents:
     """Content of some artifacts."""
 
     def __init__(
-        self, snapshot: Snapshot, artifacts: Sequence[Artifact], counted: Mapping[tuple[str, str, str | None], int]
+        self, snapshot: Snapshot, artifacts: Sequence[ArtifactRow], counted: Mapping[tuple[str, str, str | None], int]
     ) -> None:
         """Read the artifacts; `counted` has the rows of all compared tables, counted in another way."""
         self._counted = counted
-        tables = [one for one in artifacts if one["kind"] == "table"]
-        files = [one["sha256"] for one in artifacts if one["kind"] != "table"]
-        self._rows = (
-            rows_of(snapshot, {one["execution"] for one in tables}, {one["output"] for one in tables}) if tables else {}
-        )
+        tables = [one for one in artifacts if one.kind == "table"]
+        files = [one.sha256 for one in artifacts if one.kind != "table"]
+        self._rows = rows_of(snapshot, {one.execution for one in tables}, {str(one.output) for one in tables}) if tables else {}
         self._bytes = objects(snapshot, files) if files else {}
 
-    def rows(self, artifact: Artifact) -> Any:
+    def rows(self, artifact: ArtifactRow) -> pa.Table | None:
         rows = self._rows.get(_key(artifact))
-        if (count := 0 if rows is None else rows.num_rows) != artifact["rows"]:
-            told = f"{count} of the {artifact['rows']} rows that execution {artifact['execution'][:10]} wrote"
-            raise Damaged(f"the store has {told} to {artifact['output']!r}")
+        if (count := 0 if rows is None else rows.num_rows) != artifact.rows:
+            told = f"{count} of the {artifact.rows} rows that execution {artifact.execution[:10]} wrote"
+            raise Damaged(f"the store has {told} to {artifact.output!r}")
         return rows
 
-    def lost(self, was: Artifact, now: Artifact) -> str | None:
+    def lost(self, was: ArtifactRow, now: ArtifactRow) -> str | None:
         """Return the difference between the store's row counts of two tables with the same bytes; None if there is none."""
         for whose, one, other in (("recorded", was, now), ("new", now, was)):
-            known = [row["counted_rows"] for row in (one, other) if row["counted_rows"] is not None]
-            truth = next(iter(known), one["rows"])
+            known = [row.counted_rows for row in (one, other) if row.counted_rows is not None]
+            truth = next(iter(known), one.rows)
             if (count := self._counted.get(_key(one), 0)) != truth:
                 return f"the same bytes, but the {whose} table has {count} of {truth} rows (see sierra fsck)"
         return None
 
-    def bytes(self, artifact: Artifact) -> bytes:
-        return self._bytes[artifact["sha256"]]
+    def bytes(self, artifact: ArtifactRow) -> bytes:
+        return self._bytes[artifact.sha256]
 
 
 def _of_artifacts(
@@ -146,33 +146,33 @@ def _of_artifacts(
             agreements[path] = Agreement(Verdict.DIFFERENT, "was written before and is missing now", form=True)
         elif path not in was:
             agreements[path] = Agreement(Verdict.DIFFERENT, "was not written before and is new", form=True)
-        elif was[path]["sha256"] == now[path]["sha256"]:
+        elif was[path].sha256 == now[path].sha256:
             agreements[path] = _identical(contents, was[path], now[path])
         else:
             agreements[path] = _output(contents, was[path], now[path], declared)
     return agreements
 
 
-def _identical(contents: _Contents, was: Artifact, now: Artifact) -> Agreement:
+def _identical(contents: _Contents, was: ArtifactRow, now: ArtifactRow) -> Agreement:
     """Compare one output with identical bytes; the store must have all rows of a table."""
-    tables = was["kind"] == now["kind"] == "table"
+    tables = was.kind == now.kind == "table"
     lost = contents.lost(was, now) if tables else None
     return Agreement(Verdict.DIFFERENT, lost, form=True) if lost else Agreement(Verdict.IDENTICAL)
 
 
-def _key(artifact: Artifact) -> tuple[str, str, str | None]:
+def _key(artifact: ArtifactRow) -> tuple[str, str, str | None]:
     """Return the key of a table in the store: the execution, the output and, if it has several files, the file's path."""
-    several = json.loads(artifact["table_layout"] or "{}").get("file", "") is None
-    return artifact["execution"], artifact["output"], artifact["path"] if several else None
+    several = TableLayout.load(artifact.table_layout).file is None
+    return artifact.execution, str(artifact.output), artifact.path if several else None
 
 
-def _output(contents: _Contents, was: Artifact, now: Artifact, declared: Mapping[str, Output]) -> Agreement:
+def _output(contents: _Contents, was: ArtifactRow, now: ArtifactRow, declared: Mapping[str, Output]) -> Agreement:
     """Compare one output whose bytes differ."""
-    rules = declared.get(was["output"] or "") or next((o for o in declared.values() if o.matches(was["path"])), None)
+    rules = declared.get(was.output or "") or next((o for o in declared.values() if o.matches(was.path)), None)
     volatile = rules.volatile if rules else ()
     if not _same_kind(was, now):
-        return Agreement(Verdict.DIFFERENT, f"was a {was['kind']} and is a {now['kind']}", form=True)
-    if was["kind"] != "table":
+        return Agreement(Verdict.DIFFERENT, f"was a {was.kind} and is a {now.kind}", form=True)
+    if was.kind != "table":
         return of_texts(contents.bytes(was), contents.bytes(now), volatile)
     old, new = contents.rows(was), contents.rows(now)
     if old is None or new is None:
@@ -180,11 +180,11 @@ def _output(contents: _Contents, was: Artifact, now: Artifact, declared: Mapping
     return of_tables(old, new, Rules(rules.tolerance, volatile, rules.time, rules.ordered) if rules else Rules())
 
 
-def _without_rows(was: Artifact, now: Artifact) -> Agreement:
+def _without_rows(was: ArtifactRow, now: ArtifactRow) -> Agreement:
     """Compare two tables by their columns' names; one or both of them have no rows."""
-    columns, others = (list(json.loads(one["table_layout"] or "{}").get("columns", ())) for one in (was, now))
+    columns, others = (list(TableLayout.load(one.table_layout).columns) for one in (was, now))
     if columns != others:
         return Agreement(Verdict.DIFFERENT, other_columns(columns, others), form=True)
-    if was["rows"] != now["rows"]:
-        return Agreement(Verdict.DIFFERENT, f"{was['rows']} rows were recorded, {now['rows']} found")
+    if was.rows != now.rows:
+        return Agreement(Verdict.DIFFERENT, f"{was.rows} rows were recorded, {now.rows} found")
     return Agreement(Verdict.EQUAL, "the same columns, and no rows")

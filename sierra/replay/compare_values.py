@@ -12,10 +12,17 @@ from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from enum import StrEnum
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING
 
 from sierra.config.project_file import Tolerance
 from sierra.util.text import counted, few
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pyarrow as pa
+    from numpy.typing import NDArray
+
+    from sierra.store.answer import Cell
 
 STEPS = 10
 """Number of parts of the rows for which the growth of a difference is reported."""
@@ -73,7 +80,7 @@ class Agreement:
     """Greatest absolute distance; `max_rel` is the greatest relative one, `max_ulp` the greatest in units in the last place."""
     max_rel: float | None = None
     max_ulp: float | None = None
-    growth: tuple[tuple[Any, float], ...] = ()
+    growth: tuple[tuple[object, float], ...] = ()
     """For each tenth of the rows: its last time (or row number, without a time), and its greatest absolute distance."""
     form: bool = False
     """True if the form differs instead of values: a missing or additional file, or other columns of a table."""
@@ -96,7 +103,7 @@ class Rules:
         return self.tolerance.get(column, self.tolerance.get("*", EXACT))
 
 
-def of_tables(recorded: Any, found: Any, rules: Rules | None = None) -> Agreement:
+def of_tables(recorded: pa.Table, found: pa.Table, rules: Rules | None = None) -> Agreement:
     """Compare two pyarrow tables, row by row. If the order of rows is not significant, sort both by all columns, numbers last.
 
     If only one table has a column, or their numbers of rows differ, the common part is compared as well.
@@ -125,7 +132,7 @@ def other_columns(was: Sequence[str], now: Sequence[str]) -> str:
     return f"different columns: {', '.join(sides)}" if sides else "the same columns in another order"
 
 
-def _of_columns(recorded: Any, found: Any, columns: list[str], rules: Rules) -> Agreement:
+def _of_columns(recorded: pa.Table, found: pa.Table, columns: list[str], rules: Rules) -> Agreement:
     """Compare these columns of two tables."""
     unlike = _volatile(recorded, found, rules)
     recorded, found = _plain(recorded.select(columns)), _plain(found.select(columns))
@@ -137,13 +144,13 @@ def _of_columns(recorded: Any, found: Any, columns: list[str], rules: Rules) -> 
     return replace(answer, reason="the same rows in another order" if equal else f"after sorting the rows: {answer.reason}")
 
 
-def _volatile(recorded: Any, found: Any, rules: Rules) -> list[str]:
+def _volatile(recorded: pa.Table, found: pa.Table, rules: Rules) -> list[str]:
     """Return the volatile columns in which two tables differ."""
     names = [name for name in (*recorded.column_names, *found.column_names) if name in rules.volatile]
     return [name for name in dict.fromkeys(names) if not _alike(recorded, found, name)]
 
 
-def _alike(recorded: Any, found: Any, name: str) -> bool:
+def _alike(recorded: pa.Table, found: pa.Table, name: str) -> bool:
     """Check whether two tables have the same column of that name."""
     if name not in recorded.column_names or name not in found.column_names or recorded.num_rows != found.num_rows:
         return False
@@ -151,7 +158,7 @@ def _alike(recorded: Any, found: Any, name: str) -> bool:
     return not _differ(old, new).any()
 
 
-def _plain(table: Any) -> Any:
+def _plain(table: pa.Table) -> pa.Table:
     """Return the table with nested and similar columns as texts, because Arrow cannot compare or sort them."""
     import pyarrow as pa
 
@@ -163,7 +170,7 @@ def _plain(table: Any) -> Any:
     return table
 
 
-def _of_rows(recorded: Any, found: Any, rules: Rules, unlike: Sequence[str] = ()) -> Agreement:
+def _of_rows(recorded: pa.Table, found: pa.Table, rules: Rules, unlike: Sequence[str] = ()) -> Agreement:
     """Compare tables with the same columns; `unlike` are volatile columns that differ."""
     time = recorded.column(rules.time) if rules.time in recorded.column_names else None
     distances = [_Distance(name, recorded.column(name), found.column(name), time) for name in recorded.column_names]
@@ -211,7 +218,7 @@ def _in_a_line(first: _Distance, parted: Sequence[_Distance]) -> str:
     return "; ".join(parts)
 
 
-def _sorted(table: Any) -> Any:
+def _sorted(table: pa.Table) -> pa.Table:
     """Return the rows sorted by their values.
 
     Texts and whole numbers are the first keys, because they identify rows even if floating-point values vary.
@@ -267,7 +274,9 @@ def _of_bytes(recorded: bytes, found: bytes) -> str:
 class _Distance:
     """Distances of one column of two tables, in the rows that both have."""
 
-    def __init__(self, name: str, recorded: Any, found: Any, time: Any = None) -> None:
+    def __init__(
+        self, name: str, recorded: pa.ChunkedArray, found: pa.ChunkedArray, time: pa.ChunkedArray | None = None
+    ) -> None:
         import numpy as np
 
         rows = min(len(recorded), len(found))
@@ -279,17 +288,19 @@ class _Distance:
         self._apart = _differ(self._recorded, self._found)
         places = np.flatnonzero(self._apart)
         self.first: int | None = int(places[0]) if len(places) else None
-        self.growth: tuple[tuple[Any, float], ...] = ()
+        self.growth: tuple[tuple[object, float], ...] = ()
         self.abs = self.rel = self.ulp = float("inf")
         if self.numeric:
-            self._measure(np)
+            self._measure()
 
-    def _measure(self, np: Any) -> None:
+    def _measure(self) -> None:
+        import numpy as np
+
         old, new = (_doubles(column) for column in (self._recorded, self._found))
         with np.errstate(all="ignore"):
             apart = np.where(self._apart, np.abs(new - old), 0.0)
             apart = np.where(np.isnan(apart), np.inf, apart)
-            self._exactly(np, apart, np.fmax(np.abs(old), np.abs(new)))
+            self._exactly(apart, np.fmax(np.abs(old), np.abs(new)))
             relative = np.where(apart == 0, 0.0, apart / np.abs(old))
             last_place = np.fmin(np.spacing(np.maximum(np.abs(old), np.abs(new))), LARGEST_ULP)
             units = np.where(apart == 0, 0.0, apart / last_place)
@@ -299,8 +310,10 @@ class _Distance:
             parts = np.array_split(np.arange(len(apart)), min(STEPS, len(apart)))
             self.growth = tuple((self._when(int(part[-1])), float(apart[part].max())) for part in parts)
 
-    def _exactly(self, np: Any, apart: Any, size: Any) -> None:
+    def _exactly(self, apart: NDArray[np.float64], size: NDArray[np.float64]) -> None:
         """Compute exact distances for numbers that doubles cannot distinguish: large whole numbers, and decimals."""
+        import numpy as np
+
         if not any(_is_exact(column.type) for column in (self._recorded, self._found)):
             return
         whole = all(_is_whole(column.type) for column in (self._recorded, self._found))
@@ -317,7 +330,7 @@ class _Distance:
                 fine |= distances <= allowed
         return bool(fine.all())
 
-    def _when(self, row: int) -> Any:
+    def _when(self, row: int) -> object:
         return row if self._time is None else self._time[row].as_py()
 
     def where(self) -> str:
@@ -360,43 +373,44 @@ def distance(far: float) -> str:
     return f"{far:.3g}" if far < float("inf") else "not finite"
 
 
-def _value(value: Any) -> str:
+def _value(value: Cell) -> str:
     """Return a cell's value for a line."""
     return "missing" if value is None else _cut(str(value) if isinstance(value, Decimal) else repr(value))
 
 
-def _or_infinite(values: Any) -> Any:
+def _or_infinite(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the distances with NaN replaced by infinity."""
     import numpy as np
 
     return np.where(np.isnan(values), np.inf, values)
 
 
-def _is_number(kind: Any) -> bool:
+def _is_number(kind: pa.DataType) -> bool:
     import pyarrow as pa
 
     return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind))
 
 
-def _is_whole(kind: Any) -> bool:
+def _is_whole(kind: pa.DataType) -> bool:
     import pyarrow as pa
 
     return bool(pa.types.is_integer(kind))
 
 
-def _is_exact(kind: Any) -> bool:
+def _is_exact(kind: pa.DataType) -> bool:
     import pyarrow as pa
 
     return _is_whole(kind) or bool(pa.types.is_decimal(kind))
 
 
-def _doubles(column: Any) -> Any:
+def _doubles(column: pa.ChunkedArray) -> NDArray[np.float64]:
     import pyarrow as pa
 
-    return column.cast(pa.float64(), safe=False).fill_null(float("nan")).to_numpy()
+    values: NDArray[np.float64] = column.cast(pa.float64(), safe=False).fill_null(float("nan")).to_numpy()
+    return values
 
 
-def _differ(recorded: Any, found: Any) -> Any:
+def _differ(recorded: pa.ChunkedArray, found: pa.ChunkedArray) -> NDArray[np.bool_]:
     """Return where two columns differ, as a numpy array of bool."""
     import numpy as np
     import pyarrow as pa

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 from sierra import runners
 from sierra.config.project_file import LoadedProject, Output
@@ -38,11 +38,14 @@ from sierra.replay.verdicts import Compared, OfExperiment, Replay, Tolerances, m
 from sierra.store.layout import SessionPaths
 from sierra.store.order import stamp
 from sierra.store.recorded_files import ChosenExecution, take, where
+from sierra.store.records import EnvironmentRow, ReplayRow
 from sierra.store.samples import like
 from sierra.store.sql_names import column_names
 from sierra.store.store import Found, Store
+from sierra.store.table_layout import TableLayout
 from sierra.templates.base import Files
 from sierra.util.hashing import short
+from sierra.util.json_types import JsonView
 from sierra.util.log_messages import Log
 from sierra.version import __version__
 
@@ -216,25 +219,26 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         snapshot.views.make(("batch_runs", "experiments", "batches"))
         batch = where(snapshot, found).batch
         snapshot.register("taken", pa.table({"execution": [str(one.judgement) for one in taken]}))
-        by = snapshot.rows(
+        by = snapshot.select(
+            _RecordedBy,
             "SELECT DISTINCT programs, ingest_rules, environment "
-            "FROM all_judgements e SEMI JOIN taken t ON t.execution = e.judgement ORDER BY ALL"
+            "FROM all_judgements e SEMI JOIN taken t ON t.execution = e.judgement ORDER BY ALL",
         )
         cells = snapshot.cells(batch)
         [(axes,)] = snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
-        tables = {row["output"]: row["forms"] for row in snapshot.rows(TABLES)}
-        wrote = {row[0] for row in snapshot.run(WROTE)}
+        tables = dict(snapshot.select(_Forms, TABLES))
+        wrote = set(snapshot.values(str, WROTE))
         seeds: dict[str, int] = dict(snapshot.run("SELECT run, seed FROM batch_runs WHERE batch = $b", {"b": batch}))
     record = _Record(
         found=found,
-        of=plan_from_record.recall(store, batch, by[0]["programs"], by[0]["ingest_rules"]),
+        of=plan_from_record.recall(store, batch, by[0].programs, by[0].ingest_rules),
         runs=taken,
         named=len(named),
         whole=len(taken) == len(good) and found.kind in ("batch", "experiment"),
         cells={place: {axis: row[axis] for axis in axes} for place, row in cells.items()},
         seeds=seeds,
         tables={name: _columns(forms) for name, forms in sorted(tables.items())},
-        environment=by[0]["environment"],
+        environment=by[0].environment,
         notes=[],
     )
     left = sum(one.judgement in wrote for one in taken)
@@ -246,14 +250,25 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         record.notes.append(
             f"{without} of {len(named)} runs have no successful execution to compare with; they are not replayed"
         )
-    if len({(row["programs"], row["ingest_rules"]) for row in by}) > 1:
+    if len({(row.programs, row.ingest_rules) for row in by}) > 1:
         record.notes.append("not all runs were recorded with the same programs and rules; the first ones are used")
     return record
 
 
-def _columns(forms: list[str | None]) -> list[str]:
+class _RecordedBy(NamedTuple):
+    programs: str
+    ingest_rules: str
+    environment: str
+
+
+class _Forms(NamedTuple):
+    output: str
+    forms: list[str]
+
+
+def _columns(forms: list[str]) -> list[str]:
     """Return the columns of tables by their names in SQL, from the recorded forms of these tables."""
-    named = (column_names(list(json.loads(form or "{}").get("columns", ()))) for form in forms)
+    named = (column_names(list(TableLayout.load(form).columns)) for form in forms)
     return list(dict.fromkeys(name for names in named for name in names))
 
 
@@ -329,10 +344,10 @@ def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
         yield from (f"different programs: {line}" for line in fingerprint_programs.differences(of.programs, now, words))
 
 
-def _other_machine(store: Store, record: _Record, around: Mapping[str, Any]) -> Iterator[str]:
+def _other_machine(store: Store, record: _Record, around: Mapping[str, JsonView]) -> Iterator[str]:
     """Yield a line for each difference of the machine that may change arithmetic."""
-    for row in store.rows("SELECT * FROM environments WHERE environment = $e", e=record.environment):
-        for name, was, found in environment.differing(row, around):
+    for row in store.select(EnvironmentRow, "SELECT * FROM environments WHERE environment = $e", e=record.environment):
+        for name, was, found in environment.differing(row._asdict(), around):
             if name in ARITHMETIC:
                 old, new = (", ".join(one) or "none" if isinstance(one, list) else one or "none" for one in (was, found))
                 yield f"different machine: {name} {'that differ: ' if isinstance(was, list) else ''}was {old}, is now {new}"
@@ -414,36 +429,32 @@ def _keep(
     session: Session,
     record: _Record,
     now: Programs,
-    around: Mapping[str, Any],
+    around: Mapping[str, JsonView],
     began: datetime,
     options: ReplayOptions,
     engine: Engine,
 ) -> None:
     """Record the replay and its verdicts."""
     writer = store.writer(session.paths.segment, record.of.batch)
-    writer.rows(
-        "replays",
-        [
-            {
-                "replay": answer.id,
-                "kind": record.found.kind,
-                "target": record.found.id,
-                "batch": record.of.batch,
-                "started": began,
-                "ended": datetime.now(UTC),
-                "runner": options.runner,
-                "engine": engine.name,
-                "runs": len(answer.runs),
-                "verdict": str(answer.verdict),
-                "tolerances": json.dumps(plain(options.tolerances)) if options.tolerances else None,
-                "environment": around["environment"],
-                "programs": now.id,
-                "lamport": stamp(session.number, session.id),
-            }
-        ],
+    row = ReplayRow(
+        replay=answer.id,
+        kind=record.found.kind,
+        target=record.found.id,
+        batch=record.of.batch,
+        started=began,
+        ended=datetime.now(UTC),
+        runner=options.runner,
+        engine=engine.name,
+        runs=len(answer.runs),
+        verdict=answer.verdict,
+        tolerances=json.dumps(plain(options.tolerances)) if options.tolerances else None,
+        environment=str(around["environment"]),
+        programs=now.id,
+        lamport=stamp(session.number, session.id),
     )
-    writer.rows("verdicts", (row for run in answer.runs for row in verdict_rows(answer.id, run)))
-    writer.rows("equivalences", (row for one in answer.experiments for row in metric_rows(answer.id, one)))
+    writer.records([row])
+    writer.records(row for run in answer.runs for row in verdict_rows(answer.id, run))
+    writer.records(row for one in answer.experiments for row in metric_rows(answer.id, one))
     writer.rows("environments", [around])
     writer.rows("programs", now.rows())
     store.publish(writer)

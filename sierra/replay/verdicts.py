@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 from sierra.config.project_file import Tolerance
 from sierra.model import Value
 from sierra.replay.compare_values import Agreement, Verdict, worst
 from sierra.replay.equivalence import Metric
+from sierra.stats.equivalence import Tested
 from sierra.store.recorded_files import ChosenExecution
+from sierra.store.records import EquivalenceRow, VerdictRow
 from sierra.store.store import Found
 from sierra.util import html
 from sierra.util.hashing import short
@@ -104,45 +105,45 @@ class Replay:
         return {path: worst(verdicts) for path, verdicts in sorted(found.items())}
 
 
-def plain(tolerances: Tolerances) -> dict[str, Any]:
+def plain(tolerances: Tolerances) -> dict[str, dict[str, dict[str, float]]]:
     """Return tolerances as JSON values."""
     return {name: {c: t.model_dump(exclude_defaults=True) for c, t in of.items()} for name, of in tolerances.items()}
 
 
-def verdict_rows(replay: str, run: Compared) -> Iterator[dict[str, Any]]:
+def verdict_rows(replay: str, run: Compared) -> Iterator[VerdictRow]:
     """Yield the rows of `verdicts` for one run."""
     for path, agreement in run.outputs.items():
-        yield {
-            "replay": replay,
-            "run": run.taken.run,
-            "recorded": run.taken.execution,
-            "execution": run.execution,
-            "path": path,
-            "verdict": str(agreement.verdict),
-            "reason": agreement.reason,
-            "row": agreement.row,
-            "column": agreement.column,
-            "recorded_value": agreement.recorded_value,
-            "replayed_value": agreement.replayed_value,
-            "max_abs": agreement.max_abs,
-            "max_rel": agreement.max_rel,
-            "max_ulp": agreement.max_ulp,
-        }
+        yield VerdictRow(
+            replay=replay,
+            run=run.taken.run,
+            recorded=str(run.taken.execution),
+            execution=run.execution,
+            path=path,
+            verdict=agreement.verdict,
+            reason=agreement.reason,
+            row=agreement.row,
+            column=agreement.column,
+            recorded_value=agreement.recorded_value,
+            replayed_value=agreement.replayed_value,
+            max_abs=agreement.max_abs,
+            max_rel=agreement.max_rel,
+            max_ulp=agreement.max_ulp,
+        )
 
 
-def metric_rows(replay: str, experiment: OfExperiment) -> Iterator[dict[str, Any]]:
+def metric_rows(replay: str, experiment: OfExperiment) -> Iterator[EquivalenceRow]:
     """Yield the rows of `equivalences` for one experiment."""
     for metric in experiment.metrics:
-        yield {
-            "replay": replay,
-            "experiment": experiment.id,
-            "metric": metric.name,
-            "output": metric.declared.table,
-            "column": metric.declared.column,
-            "measure": metric.declared.measure,
-            "recorded_mean": metric.recorded_mean,
-            "replayed_mean": metric.replayed_mean,
-            "reason": metric.reason,
-            **({} if metric.tested is None else asdict(metric.tested)),
-            "equivalent": metric.equivalent,
-        }
+        tested = asdict(metric.tested) if metric.tested else dict.fromkeys(one.name for one in fields(Tested))
+        yield EquivalenceRow(
+            replay=replay,
+            experiment=experiment.id,
+            metric=metric.name,
+            output=metric.declared.table,
+            column=metric.declared.column,
+            measure=metric.declared.measure,
+            recorded_mean=metric.recorded_mean,
+            replayed_mean=metric.replayed_mean,
+            reason=metric.reason,
+            **tested | {"equivalent": metric.equivalent},
+        )

@@ -24,12 +24,10 @@ ORDERED = ("batches", "executions", "findings", "judgements", "replays", "sessio
 """The tables with the column `lamport`."""
 
 
-def stamp(number: int | None, session: str, position: int = 0) -> int | None:
-    """Return the value of the column `lamport`; None without a session."""
-    if number is None:
-        return None
+def stamp(number: int | None, session: str, position: int = 0) -> int:
+    """Return the value of the column `lamport`; a session without a number comes first."""
     tie = int(session[:16], 16) >> (64 - TIE)
-    return (number << TIE | tie) << POSITION | min(position, (1 << POSITION) - 1)
+    return ((number or 0) << TIE | tie) << POSITION | min(position, (1 << POSITION) - 1)
 
 
 def number_of(lamport: int) -> int:

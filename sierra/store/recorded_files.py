@@ -11,7 +11,6 @@ Memory use grows with the number of requested files, not with their sizes.
 from __future__ import annotations
 
 import contextlib
-import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -28,6 +27,7 @@ from sierra.store.duckdb_messages import explain, first_line
 from sierra.store.segments import MANIFEST, Segment
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.store import Found, Snapshot
+from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import is_number
 from sierra.store.views import ORDER, recording
 from sierra.util.hashing import sha256_file
@@ -361,7 +361,7 @@ def _once(snapshot: Snapshot, holding: Sequence[Segment], files: dict[tuple[str,
 
 def _key(file: Recorded) -> tuple[str, Key]:
     """Return the table and the key of the rows that make up this file."""
-    name = file.path.removeprefix(OUTPUT_FOLDER) if json.loads(file.form or "{}").get("file", "") is None else ""
+    name = file.path.removeprefix(OUTPUT_FOLDER) if TableLayout.load(file.form).file is None else ""
     return file.output or "", (file.taken.judgement or "", name)
 
 
@@ -429,8 +429,8 @@ def _csv(
 ) -> Iterator[bytes]:
     """Yield a table's rows as the text of a CSV file. Raises Damaged at the end if they are not the recorded rows."""
     file = content.file
-    form = json.loads(file.form or "{}")
-    own = tuple(form.get("columns", ()))
+    form = TableLayout.load(file.form)
+    own = tuple(form.columns)
     header = own if column_names(own) == tuple(names) or not names else names
     found, count = sha256(), 0
 
@@ -440,7 +440,7 @@ def _csv(
         for _, lines, text in chunks:
             count += lines
             yield text
-        if header and form.get("ended", True):
+        if header and form.ended:
             yield b"\n"
 
     for piece in pieces():

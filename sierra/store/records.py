@@ -196,10 +196,8 @@ class ArtifactRow(NamedTuple):
     path: Annotated[str, "path in the output folder; for logs, stdout or stderr"]
     kind: Annotated[str, "table, file or log"]
     output: Annotated[str | None, "the declared or detected output that it belongs to, which is the table's name"]
-    size: Annotated[int | None, "its size", "bytes"]
-    sha256: Annotated[
-        str | None, "SHA-256 of its bytes; of a log over 1 MiB, SHA-256 of the part that is kept: its beginning and end"
-    ]
+    size: Annotated[int, "its size", "bytes"]
+    sha256: Annotated[str, "SHA-256 of its bytes; of a log over 1 MiB, SHA-256 of the part that is kept: its beginning and end"]
     rows: Annotated[int | None, "rows that it added to its table", "1"]
     table_layout: Annotated[
         str | None, "layout of its table, as JSON: its file, the type of each column, whether its last line is complete"
@@ -254,7 +252,7 @@ class ReplayRow(NamedTuple):
     verdict: Annotated[
         str, "identical, equal, within tolerance, equivalent, different or failed: the worst verdict of its experiments"
     ]
-    tolerances: Annotated[str, "tolerances that were requested, as JSON: by output, by column"]
+    tolerances: Annotated[str | None, "tolerances that were requested, as JSON: by output, by column; NULL if none were"]
     environment: Annotated[str, "the environment in which it ran"]
     programs: Annotated[str, "fingerprint of the programs with which it was executed"]
     lamport: Annotated[int, "its position in the logical order, as in sessions"]
@@ -290,13 +288,15 @@ class EquivalenceRow(NamedTuple):
     measure: Annotated[str, "how each run was reduced to one number"]
     recorded_mean: Annotated[float | None, "the recorded mean, in the column's unit"]
     replayed_mean: Annotated[float | None, "the replayed mean"]
-    n: Annotated[int, "number of pairs of runs", "1"]
+    n: Annotated[int | None, "number of pairs of runs; NULL if the means were not compared", "1"]
     difference: Annotated[float | None, "the mean of the differences between paired runs"]
     low: Annotated[float | None, "lower end of the confidence interval (level 1 - 2 alpha) of the difference"]
     high: Annotated[float | None, "upper end of the confidence interval"]
     margin: Annotated[float | None, "the interval must lie between -margin and +margin"]
     alpha: Annotated[
-        float, "significance level: greatest probability of finding means equivalent that differ by the margin", "1"
+        float | None,
+        "significance level: greatest probability of finding means equivalent that differ by the margin; NULL as n",
+        "1",
     ]
     p: Annotated[float | None, "the greater p-value of the two tests", "1"]
     power: Annotated[float | None, "power: probability of finding equal means equivalent", "1"]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from functools import cache
+from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from sierra.errors import Damaged
@@ -46,9 +47,9 @@ def typed(kind: type[R], answer: Answer) -> list[R]:
     check_columns(kind.__name__, fields, answer)
     rows = answer.rows()
     for place, (name, annotation) in enumerate(fields):
-        if not annotation.endswith(OPTIONAL) and any(row[place] is None for row in rows):
+        if not annotation.endswith(OPTIONAL) and None in map(itemgetter(place), rows):
             raise Damaged(f"the store cannot be read: a record has no {name!r}; sierra fsck checks the store")
-    return [kind._make(row) for row in rows]
+    return list(map(kind._make, rows))
 
 
 def values(kind: type[V], answer: Answer) -> list[V]:
