@@ -32,8 +32,9 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 from sierra.util.fs import inside
 
@@ -52,24 +53,31 @@ RUN_TMP = "tmp"
 RUN_OUTPUT = "output"
 
 
+class _Rooted(Protocol):
+    @property
+    def root(self) -> Path: ...
+
+
+@dataclass(frozen=True)
+class _Below:
+    """A path below the attribute `root` of the class that has it as an attribute."""
+
+    name: str
+
+    def __get__(self, paths: _Rooted, owner: type) -> Path:
+        return paths.root / self.name
+
+
 @dataclass(frozen=True, slots=True)
 class ProjectPaths:
     """The paths of one project; `root` is an absolute path."""
 
     root: Path
 
-    @property
-    def store(self) -> Path:
-        return self.root / STORE
-
-    @property
-    def lock(self) -> Path:
-        """The file that pins image names to images."""
-        return self.root / LOCK
-
-    @property
-    def figures(self) -> Path:
-        return self.root / FIGURES
+    store = _Below(STORE)
+    lock = _Below(LOCK)
+    """The file that pins image names to images."""
+    figures = _Below(FIGURES)
 
     def drawn(self, batch: str) -> Path:
         """Return the file that lists the data of a batch's figures: their names, each with a hash."""
@@ -80,96 +88,42 @@ class ProjectPaths:
 class StorePaths:
     """The paths in one store."""
 
-    MARK: ClassVar[str] = "mark"
-    """The name of the file that shows that SIERRA made a folder; see `sierra.store.ownership_marks`."""
-    NAMES: ClassVar[frozenset[str]] = frozenset(
-        (
-            ".gitignore",
-            "CACHEDIR.TAG",
-            "damaged",
-            "files",
-            "format",
-            "id",
-            "images",
-            "kept",
-            "logs",
-            "numbers",
-            "segments",
-            "work",
-        )
-    )
-    """The names of all entries of a store."""
     root: Path
 
-    @property
-    def format(self) -> Path:
-        return self.root / "format"
-
-    @property
-    def gitignore(self) -> Path:
-        return self.root / ".gitignore"
-
-    @property
-    def cachedir_tag(self) -> Path:
-        return self.root / "CACHEDIR.TAG"
-
-    @property
-    def segments(self) -> Path:
-        return self.root / "segments"
-
-    @property
-    def work(self) -> Path:
-        return self.root / WORK
-
-    @property
-    def files(self) -> Path:
-        """The cache of hashes of the project's files outside git, which avoids reading all of them again; may be deleted."""
-        return self.root / "files"
-
-    @property
-    def numbers(self) -> Path:
-        """The cache of the known segments' highest Lamport number, which avoids reading all of them again; may be deleted."""
-        return self.root / "numbers"
-
-    @property
-    def images(self) -> Path:
-        """The folder of image descriptions and of images for apptainer; all of it can be rebuilt."""
-        return self.root / "images"
+    MARK: ClassVar[str] = "mark"
+    """The name of the file that shows that SIERRA made a folder; see `sierra.store.ownership_marks`."""
+    format = _Below("format")
+    gitignore = _Below(".gitignore")
+    cachedir_tag = _Below("CACHEDIR.TAG")
+    segments = _Below("segments")
+    work = _Below(WORK)
+    files = _Below("files")
+    """The cache of hashes of the project's files outside git, which avoids reading all of them again; may be deleted."""
+    numbers = _Below("numbers")
+    """The cache of the known segments' highest Lamport number, which avoids reading all of them again; may be deleted."""
+    images = _Below("images")
+    """The folder of image descriptions and of images for apptainer; all of it can be rebuilt."""
+    identity = _Below("id")
+    """The file with the store's id."""
+    damaged = _Below("damaged")
+    """The folder to which `sierra fsck --repair` moves damaged segments."""
+    logs = _Below("logs")
+    """The folder of the sessions' log files; may be deleted."""
+    kept_files = _Below("kept")
+    """The folder of what `sierra replay --keep` leaves."""
+    reading = format
+    """The file that readers lock in shared mode. It always exists, and readers never write it."""
+    NAMES: ClassVar[frozenset[str]] = frozenset(one.name for one in vars().values() if isinstance(one, _Below))
+    """The names of all entries of a store."""
+    work_mark = _Below(f"{WORK}/{MARK}")
+    work_lock = _Below(f"{WORK}/lock")
 
     def image(self, folder: str) -> ImagePaths:
         return ImagePaths(inside(self.images, folder))
 
-    @property
-    def identity(self) -> Path:
-        """The file with the store's id."""
-        return self.root / "id"
-
-    @property
-    def work_mark(self) -> Path:
-        return self.work / self.MARK
-
-    @property
-    def work_lock(self) -> Path:
-        return self.work / "lock"
-
-    @property
-    def reading(self) -> Path:
-        """The file that readers lock in shared mode. It always exists, and readers never write it."""
-        return self.format
-
-    @property
-    def damaged(self) -> Path:
-        """The folder to which `sierra fsck --repair` moves damaged segments."""
-        return self.root / "damaged"
-
     def kept(self, replay: str) -> Path:
         """Return the folder of the files that `sierra replay --keep` leaves."""
-        return inside(self.root / "kept", replay)
-
-    @property
-    def logs(self) -> Path:
-        """The folder of the sessions' log files; may be deleted."""
-        return self.root / "logs"
+        return inside(self.kept_files, replay)
 
     def log(self, session: str) -> Path:
         return self.logs / f"{session}.log"
@@ -184,19 +138,11 @@ class ImagePaths:
 
     root: Path
 
-    @property
-    def description(self) -> Path:
-        return self.root / "image.json"
-
-    @property
-    def files(self) -> Path:
-        """The list of the image's files."""
-        return self.root / "files.jsonl"
-
-    @property
-    def rootfs(self) -> Path:
-        """The image's files as a squashfs."""
-        return self.root / "rootfs.sqfs"
+    description = _Below("image.json")
+    files = _Below("files.jsonl")
+    """The list of the image's files."""
+    rootfs = _Below("rootfs.sqfs")
+    """The image's files as a squashfs."""
 
     def sandbox(self, user: int) -> Path:
         """Return the folder of the image's files for a user who can't mount a squashfs."""
@@ -211,19 +157,44 @@ class SessionPaths:
     elsewhere: Path | None = None
     """The folder where the session's runs execute, if it is not `root`."""
 
+    elsewhere_file = _Below("elsewhere")
+    """The file that names the folder where runs execute, if it is not `root`."""
+    lock = _Below("lock")
+    number = _Below("number")
+    """The file with the session's Lamport number."""
+    claims = _Below("claims.json")
+    context = _Below("context.json")
+    source = _Below("source")
+    """The folder of the restored source during a replay."""
+    segment = _Below("segment")
+    anew = _Below("anew")
+    """The folder of recorded files while executions are evaluated by changed rules."""
+    asking = _Below("asking.json")
+    """The data to record about a session whose process may be gone when it ends."""
+    submission = _Below("submission.json")
+    """The cluster submission. A session with this file lives without a process."""
+    sent = _Below("sent")
+    """The folder with a file for each job, written before the job is submitted to a scheduler."""
+    cancelled = _Below("cancelled")
+    """The file that exists once the user has cancelled the submission."""
+    worker = _Below("worker.py")
+    """The program that executes runs, for hosts without SIERRA."""
+    engine = _Below("engine")
+    """The folder of files that an engine needs to start containers, for hosts without SIERRA."""
+    element_settings = _Below("element.json")
+    """The settings that all array tasks share."""
+    rest = _Below("elements/rest.jobs")
+    """The jobs that are not assigned to array tasks yet."""
+    results = _Below("results")
+    """The folder of result logs (packs)."""
+    logs = _Below("logs")
+    """The folder of the array tasks' standard output and error."""
+    journal = _Below("journal.jsonl")
+
     @property
     def runs(self) -> Path:
         """The folder that contains a folder for each run."""
         return self.elsewhere or self.root
-
-    @property
-    def elsewhere_file(self) -> Path:
-        """The file that names the folder where runs execute, if it is not `root`."""
-        return self.root / "elsewhere"
-
-    @property
-    def lock(self) -> Path:
-        return self.root / "lock"
 
     def owner(self, generation: int) -> Path:
         return self.root / f"owner.{generation}"
@@ -232,140 +203,40 @@ class SessionPaths:
         """Return the file that exists once that owner has detached from its submission, on a file system without locks."""
         return self.root / f"left.{generation}"
 
-    @property
-    def number(self) -> Path:
-        """The file with the session's Lamport number."""
-        return self.root / "number"
+    def jobs(self, array_task: int) -> Path:
+        return self.root / "elements" / f"{array_task}.jobs"
 
-    @property
-    def claims(self) -> Path:
-        return self.root / "claims.json"
+    def given_up(self, array_task: int) -> Path:
+        """Return the list of an array task's executions that must not be started again, one per line."""
+        return self.root / "elements" / f"{array_task}.failed"
 
-    @property
-    def context(self) -> Path:
-        return self.root / "context.json"
-
-    @property
-    def source(self) -> Path:
-        """The folder of the restored source during a replay."""
-        return self.root / "source"
-
-    @property
-    def segment(self) -> Path:
-        return self.root / "segment"
-
-    @property
-    def anew(self) -> Path:
-        """The folder of recorded files while executions are evaluated by changed rules."""
-        return self.root / "anew"
-
-    @property
-    def asking(self) -> Path:
-        """The data to record about a session whose process may be gone when it ends."""
-        return self.root / "asking.json"
-
-    @property
-    def submission(self) -> Path:
-        """The cluster submission. A session with this file lives without a process."""
-        return self.root / "submission.json"
-
-    @property
-    def sent(self) -> Path:
-        """The folder with a file for each job, written before the job is submitted to a scheduler."""
-        return self.root / "sent"
-
-    @property
-    def cancelled(self) -> Path:
-        """The file that exists once the user has cancelled the submission."""
-        return self.root / "cancelled"
-
-    @property
-    def worker(self) -> Path:
-        """The program that executes runs, for hosts without SIERRA."""
-        return self.root / "worker.py"
-
-    @property
-    def engine(self) -> Path:
-        """The folder of files that an engine needs to start containers, for hosts without SIERRA."""
-        return self.root / "engine"
-
-    @property
-    def element_settings(self) -> Path:
-        """The settings that all elements share."""
-        return self.root / "element.json"
-
-    def jobs(self, element: int) -> Path:
-        return self.root / "elements" / f"{element}.jobs"
-
-    @property
-    def rest(self) -> Path:
-        """The jobs that are not assigned to elements yet."""
-        return self.root / "elements" / "rest.jobs"
-
-    def given_up(self, element: int) -> Path:
-        """Return the list of an element's executions that must not be started again, one per line."""
-        return self.root / "elements" / f"{element}.failed"
-
-    def alone(self, element: int) -> Path:
-        """Return the list of an element's executions that execute one at a time, before all others, one per line."""
-        return self.root / "elements" / f"{element}.alone"
-
-    @property
-    def results(self) -> Path:
-        """The folder of result logs (packs)."""
-        return self.root / "results"
-
-    @property
-    def logs(self) -> Path:
-        """The folder of the elements' standard output and error."""
-        return self.root / "logs"
-
-    @property
-    def journal(self) -> Path:
-        return self.root / "journal.jsonl"
+    def alone(self, array_task: int) -> Path:
+        """Return the list of an array task's executions that execute one at a time, before all others, one per line."""
+        return self.root / "elements" / f"{array_task}.alone"
 
 
-def user_settings() -> Path:
-    """Return the file of the user's settings; it may be missing."""
-    return _user("XDG_CONFIG_HOME", ".config") / "config.toml"
+def _user(variable: str, fallback: str, name: str = "") -> Path:
+    """Return a path in SIERRA's folder by the XDG Base Directory Specification; it may be missing.
+
+    The specification ignores a variable that is not an absolute path.
+    """
+    folder = Path(os.environ.get(variable, ""))
+    return (folder if folder.is_absolute() else Path.home() / fallback) / "sierra" / name
 
 
-def user_state() -> Path:
-    """Return the user's folder for state that outlives a command and may be deleted; it may be missing."""
-    return _user("XDG_STATE_HOME", ".local/state")
-
-
-def user_digests() -> Path:
-    """Return the cache of hashes of unchanged files; it may be missing."""
-    return _user("XDG_CACHE_HOME", ".cache") / "digests.json"
-
-
-def user_versions() -> Path:
-    """Return the cache of the versions that programs reported; it may be missing."""
-    return _user("XDG_CACHE_HOME", ".cache") / "versions.json"
-
-
-def user_images() -> Path:
-    """Return the cache of image descriptions from podman; it may be missing."""
-    return _user("XDG_CACHE_HOME", ".cache") / "images.json"
-
-
-def user_engines() -> Path:
-    """Return the cache of the engines' capabilities on this host; it may be missing."""
-    return _user("XDG_CACHE_HOME", ".cache") / "engines.json"
-
-
-def user_clusters() -> Path:
-    """Return the cache of clusters whose nodes passed the checks; it may be missing."""
-    return _user("XDG_CACHE_HOME", ".cache") / "clusters.json"
-
-
-def user_apptainer() -> Path:
-    """Return the folder of apptainer's configuration for runs; it may be missing."""
-    return _user("XDG_CACHE_HOME", ".cache") / "apptainer"
-
-
-def _user(variable: str, fallback: str) -> Path:
-    """Return SIERRA's folder by the XDG Base Directory Specification, which ignores a variable that is not an absolute path."""
-    said = Path(os.environ.get(variable, ""))
-    return (said if said.is_absolute() else Path.home() / fallback) / "sierra"
+_user_cache = partial(_user, "XDG_CACHE_HOME", ".cache")
+user_settings = partial(_user, "XDG_CONFIG_HOME", ".config", "config.toml")
+user_state = partial(_user, "XDG_STATE_HOME", ".local/state")
+"""Return the user's folder for state that outlives a command and may be deleted."""
+user_digests = partial(_user_cache, "digests.json")
+"""Return the cache of hashes of unchanged files."""
+user_versions = partial(_user_cache, "versions.json")
+"""Return the cache of the versions that programs reported."""
+user_images = partial(_user_cache, "images.json")
+"""Return the cache of image descriptions from podman."""
+user_engines = partial(_user_cache, "engines.json")
+"""Return the cache of the engines' capabilities on this host."""
+user_clusters = partial(_user_cache, "clusters.json")
+"""Return the cache of clusters whose nodes passed the checks."""
+user_apptainer = partial(_user_cache, "apptainer")
+"""Return the folder of apptainer's configuration for runs."""
