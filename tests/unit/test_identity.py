@@ -260,7 +260,7 @@ def test_id_of_an_isolation_is_unchanged_and_independent_of_the_session() -> Non
     able = Capabilities("fake 1", rootless=True, enforced=frozenset({"memory"}), user="somebody")
     row = Isolation(Engine(), able, box).row
     assert row is not None
-    assert (row["isolation"], row["argv"]) == (ISOLATION, ["fake", "--cid={run}/id", "--session=", "sim"])
+    assert (row.isolation, row.argv) == (ISOLATION, ["fake", "--cid={run}/id", "--session=", "sim"])
     assert Isolation(Engine(), able, replace(box, session="t")).row == row
     assert Isolation(Engine(), able).row is None
 
