@@ -25,30 +25,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.config.plugin_registry import READERS
-from sierra.ingest.csv import delimiter_of
-from sierra.ingest.messages import difference, shown
 from sierra.ingest.model import Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.duckdb_file_io import Aliases
-from sierra.store.type_inference import AS_TEXT, is_number, own_kind, right_kind
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
-
-__all__ = [
-    "AS_TEXT",
-    "Reading",
-    "Shape",
-    "Siblings",
-    "Written",
-    "delimiter_of",
-    "difference",
-    "is_number",
-    "own_kind",
-    "read",
-    "right_kind",
-    "shown",
-]
 
 
 def read(

@@ -22,7 +22,7 @@ from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import WORK, StorePaths
 from sierra.store.objects import GROUP, ROWS
 from sierra.store.schema import RECORDED, arrow_schema, is_table
-from sierra.store.segments import AFTER, FORMAT, MANIFEST, MARK_BYTES, OUTPUT, REPLACES, SUFFIX, Segment, on_disk, out_of_date
+from sierra.store.segments import FORMAT, MANIFEST, MARK_BYTES, OUTPUT, SUFFIX, Segment, on_disk, out_of_date
 from sierra.store.store import CACHEDIR
 from sierra.store.views import ONCE
 from sierra.util.hashing import sha256, unsealed
@@ -270,11 +270,6 @@ def _differs(found: tuple[str, int] | None, digest: str) -> tuple[Kind, str]:
 # content of Parquet files
 
 
-def table_of(name: str) -> str | None:
-    """Return the recorded table whose rows a file of a segment holds; None for a file of an output."""
-    return None if name.startswith(OUTPUT) else name
-
-
 def parquet_fault(path: Path, name: str) -> str | None:
     """Return why a file cannot be the one of that name; None if it can."""
     import pyarrow as pa
@@ -382,6 +377,3 @@ def _parts(path: str) -> Iterator[tuple[str, int, int, memoryview]]:
                     if content is None or None in (fixed := (digests[row].as_py(), parts[row].as_py(), sizes[row].as_py())):
                         raise ValueError("it has rows without a value")
                     yield *fixed, memoryview(content)
-
-
-__all__ = ["AFTER", "REPLACES", "Contents", "Objects", "parquet_fault", "read", "read_objects", "table_of"]

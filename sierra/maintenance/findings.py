@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -149,7 +148,3 @@ def _ranges(numbers: Sequence[int]) -> str:
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:
     order = {kind: place for place, kind in enumerate(Kind)}
     return sorted(findings, key=lambda finding: (order[finding.kind], finding.path))
-
-
-def counts(findings: Iterable[Finding]) -> Counter[Kind]:
-    return Counter(finding.kind for finding in findings)

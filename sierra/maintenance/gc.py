@@ -92,7 +92,7 @@ def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collectio
         living = {one.root for one in sessions.alive(paths)} if locks else set()
         dead = [one for one in sessions.all_of(paths) if locks and one.root not in living]
         unused = len(out_of_use(paths))
-    merged = [group for group in made.groups if len(group.segments) > 1]
+    merged = [group for group in made.groups if len(group) > 1]
     aside = len(put_aside(paths)) if damaged else 0
     return Collection(
         len(dead),
@@ -100,7 +100,7 @@ def plan(store: Store, *, damaged: bool = False, raw: bool = False) -> Collectio
         unused,
         made.objects,
         made.bytes,
-        sum(len(group.segments) for group in merged),
+        sum(len(group) for group in merged),
         len(merged),
         aside,
         made.raw,
@@ -188,7 +188,7 @@ def _plan(store: Store, *, raw: bool) -> _Plan:
         chosen = {id(segment): segment for those in small.values() if len(those) >= MANY for segment in those}
         chosen |= {id(segment): segment for segment in holding}
         found = [part for group in groups(chosen.values()) for part in _parts(group)]
-        kept = [group for group in found if len(group.segments) > 1 or group.segments[0] in holding]
+        kept = [group for group in found if len(group) > 1 or group[0] in holding]
         raws = _tables(snapshot, unneeded)
         return _Plan(tuple(kept), drop, sum(unneeded.values()), raws, {segment.name for segment in snapshot.segments})
 
@@ -222,14 +222,14 @@ def _parts(group: Group) -> Iterator[Group]:
     """Yield parts of a group, each at most `LARGE` bytes unless one segment alone is larger."""
     held: list[Segment] = []
     size = 0
-    for segment in group.segments:
+    for segment in group:
         more = _size(segment)
         if held and size + more > LARGE:
-            yield Group(tuple(held))
+            yield tuple(held)
             held, size = [], 0
         held.append(segment)
         size += more
-    yield Group(tuple(held))
+    yield tuple(held)
 
 
 RAW_LOST = (
@@ -251,6 +251,3 @@ def text(collection: Collection) -> list[str]:
         (collection.damaged, "damaged segments that a repair put aside"),
     )
     return [f"{count} {what}" for count, what in told if count]
-
-
-__all__ = ["Collection", "collect", "plan", "text"]

@@ -23,6 +23,7 @@ from sierra.execution import recover
 from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.provenance import source
 from sierra.store.compaction import Compaction, groups, touched
+from sierra.store.schema import RECORDED
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
@@ -120,22 +121,6 @@ def _resolve(store: Store, prefixes: Sequence[str]) -> dict[str, set[str]]:
     return named
 
 
-TABLES = (
-    "batches",
-    "experiments",
-    "batch_runs",
-    "executions",
-    "all_judgements",
-    "artifacts",
-    "all_artifacts",
-    "verdicts",
-    "replays",
-    "sessions",
-    "specs",
-    "sources",
-    "images",
-    "blobs",
-)
 FIND = """
 CREATE TEMP TABLE asked_members AS SELECT DISTINCT m.batch, m.ordinal, m.run
     FROM batch_runs m JOIN experiments x USING (batch, ordinal)
@@ -213,7 +198,7 @@ EXCEPT
 
 def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
     with store.snapshot() as snapshot:
-        snapshot.views.make((*TABLES, "environments", "programs", "ingest_rules", "findings"))
+        snapshot.views.make((*(RECORDED.keys() - {"objects"}), "all_judgements", "all_artifacts"))
         pairs = [(kind, identity) for kind, ids in named.items() for identity in sorted(ids)]
         snapshot.register("named", pa.table({"kind": [kind for kind, _ in pairs], "id": [one for _, one in pairs]}))
         snapshot.run(FIND)

@@ -13,7 +13,7 @@ from pathlib import Path
 from sierra.errors import Missing, SierraError
 from sierra.execution import sessions
 from sierra.execution.sessions import Session
-from sierra.store.compaction import Compaction, tidy
+from sierra.store.compaction import Compaction, out_of_use, tidy
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors, listed
 from sierra.util.hashing import short
@@ -66,7 +66,7 @@ def publish(
                     for name in sorted(keep):
                         aside(store, store.segments / name)
                     tidy(store, session.paths.root / "old")
-                    return left(store)
+                    return len(out_of_use(store))
     raise SierraError("the store is busy; retry when other sierra processes have finished")
 
 
@@ -76,13 +76,6 @@ def aside(store: StorePaths, path: Path) -> None:
     names = itertools.chain([path.name], (f"{path.name}.{number}" for number in itertools.count(1)))
     target = next(target for name in names if not (target := store.damaged / name).exists() and not target.is_symlink())
     path.rename(target)
-
-
-def left(store: StorePaths) -> int:
-    """Return the number of replaced segments that still exist."""
-    from sierra.store.compaction import out_of_use
-
-    return len(out_of_use(store))
 
 
 def undisturbed(store: StorePaths, session: Session, batches: AbstractSet[str]) -> None:

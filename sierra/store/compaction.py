@@ -15,7 +15,6 @@ import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,7 +27,7 @@ from sierra.store.objects import GROUP, ROWS
 from sierra.store.parquet_row_counts import Written, rows_by_file
 from sierra.store.read_lock import alone
 from sierra.store.schema import LATER, arrow_schema, is_table
-from sierra.store.segments import AFTER, MANIFEST, OUTPUT, REPLACES, Segment, Writer, disk_errors, on_disk, out_of_date, sync
+from sierra.store.segments import AFTER, OUTPUT, REPLACES, Segment, Writer, disk_errors, on_disk, out_of_date, sync
 from sierra.store.sql_names import identifier
 from sierra.store.store import Snapshot
 
@@ -37,14 +36,9 @@ if TYPE_CHECKING:
 
 Drop = Mapping[str, Mapping[str, AbstractSet[str]]]
 """Rows to remove, by table (`output` stands for all outputs) and column: those whose value is in the set."""
+Group = tuple[Segment, ...]
+"""Segments of one batch that are merged into one. Files of the same name have the same columns in all of them."""
 LINES = 65_536
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """Segments of one batch that are merged into one. Files of the same name have the same columns in all of them."""
-
-    segments: tuple[Segment, ...]
 
 
 def groups(segments: Iterable[Segment]) -> list[Group]:
@@ -59,7 +53,7 @@ def groups(segments: Iterable[Segment]) -> list[Group]:
                 break
         else:
             found.append((segment.batch, schemas, [segment]))
-    return [Group(tuple(members)) for _, _, members in found]
+    return [tuple(members) for _, _, members in found]
 
 
 def touched(snapshot: Snapshot, segments: Iterable[Segment], drop: Drop) -> list[Segment]:
@@ -119,14 +113,14 @@ class Compaction:
 
     def write(self, group: Group, drop: Drop) -> None:
         """Write the kept rows of a group. Raises Missing if the disk is full, Damaged if an old file cannot be read."""
-        writer = Writer(self._folder / str(len(self._replaced)), group.segments[0].batch)
-        for name in sorted({name for segment in group.segments for name in segment.files}):
-            paths = [segment.files[name] for segment in group.segments if name in segment.files]
+        writer = Writer(self._folder / str(len(self._replaced)), group[0].batch)
+        for name in sorted({name for segment in group for name in segment.files}):
+            paths = [segment.files[name] for segment in group if name in segment.files]
             with disk_errors(self._folder):
                 _write(writer.path(name), name, paths, drop.get(_table(name), {}))
-        self._replaced += group.segments
+        self._replaced += group
         if any(writer.folder.iterdir()):
-            self._writers.append((group.segments[0].batch, writer))
+            self._writers.append((group[0].batch, writer))
 
     def publish(self) -> None:
         """Replace the old segments by those that were written."""
@@ -334,6 +328,3 @@ def tidy(paths: StorePaths, aside: Path) -> int:
             sync(paths.segments)
     shutil.rmtree(aside, ignore_errors=True)
     return len(unused)
-
-
-__all__ = ["MANIFEST", "Compaction", "Drop", "Group", "groups", "out_of_use", "tidy"]

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sierra.store.schema import arrow_schema
+from sierra.store.schema import arrow_table
 from sierra.store.segments import disk_errors
 from sierra.util.hashing import sha256
 
@@ -55,17 +55,14 @@ class Objects:
                 self._flush()
 
     def _flush(self) -> None:
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
         if not self._rows:
             return
-        schema = arrow_schema("objects")
-        columns = zip(*self._rows, strict=True)
-        table = pa.table([pa.array(column, field.type) for column, field in zip(columns, schema, strict=True)], schema)
+        table = arrow_table("objects", self._rows)
         with disk_errors(self._path.parent):
             if self._writer is None:
-                self._writer = pq.ParquetWriter(self._path, schema, compression="zstd")
+                self._writer = pq.ParquetWriter(self._path, table.schema, compression="zstd")
             self._writer.write_table(table)
         self._rows, self._held = [], 0
 

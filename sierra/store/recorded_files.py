@@ -387,7 +387,6 @@ class _Part:
         Ends early if the rest of the file cannot be read.
         """
         import duckdb
-        import pyarrow.compute as pc
 
         if not self._columns:
             return
@@ -400,13 +399,9 @@ class _Part:
         )
         with contextlib.suppress(duckdb.Error, Damaged, *UNREADABLE):
             for batch in self._snapshot.connection.sql(statement).to_arrow_reader(LINES):
-                runs = pc.run_end_encode(batch.column(0))
-                begin = 0
-                for key, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
-                    execution, _, name = key.partition("/")
-                    lines = batch.column(1).slice(begin, end - begin).to_pylist()
-                    yield (execution, name), end - begin, "".join(f"\n{line}" for line in lines).encode()
-                    begin = end
+                for execution, name, begin, count in runs_of_keys(batch.column(0)):
+                    lines = batch.column(1).slice(begin, count).to_pylist()
+                    yield (execution, name), count, "".join(f"\n{line}" for line in lines).encode()
 
     def is_sound(self) -> bool:
         """Check that the file's hash is the one in its segment's MANIFEST."""
@@ -418,6 +413,17 @@ class _Part:
             except OSError:
                 self._sound = False
         return self._sound
+
+
+def runs_of_keys(keys: pa.Array) -> Iterator[tuple[str, str, int, int]]:
+    """Yield each run of equal keys `execution/file`: the execution, the file, the place of the first, and their number."""
+    import pyarrow.compute as pc
+
+    runs, begin = pc.run_end_encode(keys), 0
+    for key, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
+        execution, _, file = key.partition("/")
+        yield execution, file, begin, end - begin
+        begin = end
 
 
 def _csv(
@@ -467,6 +473,3 @@ def _cell(value: str, kind: str) -> str:
 def _quoted(name: str) -> str:
     special = not name or any(c in name for c in '",\r\n')
     return '"' + name.replace('"', '""') + '"' if special else name
-
-
-__all__ = ["ChosenExecution", "Content", "Recorded", "contents", "recorded", "take"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
 from sierra.store.duckdb_file_io import read_parquet
-from sierra.store.recorded_files import holding
+from sierra.store.recorded_files import holding, runs_of_keys
 from sierra.store.store import Snapshot
 from sierra.util.hashing import sha256
 
@@ -38,20 +38,14 @@ def rows_of(snapshot: Snapshot, executions: Iterable[str], outputs: Iterable[str
 
 def _tables(snapshot: Snapshot, path: str) -> Iterator[tuple[str, str | None, pa.Table]]:
     """Yield the tables in one file of a segment: the execution, the file, and the rows."""
-    import pyarrow.compute as pc
-
     source = read_parquet([path], rows=True)
     many = any(row[0] == "file" for row in snapshot.run(f"DESCRIBE SELECT * FROM {source}"))
     key = f"execution || '/'{' || file' if many else ''}"
     statement = f'SELECT {key} AS "# key", * FROM {source} SEMI JOIN writers USING (execution) ORDER BY 1, file_row_number'
     table = snapshot.connection.sql(statement).to_arrow_table()
     rows = table.drop_columns([column for column in ("# key", *OWN) if column in table.column_names])
-    runs = pc.run_end_encode(table.column(0).combine_chunks())
-    begin = 0
-    for key, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
-        execution, _, file = key.partition("/")
-        yield execution, file if many else None, rows.slice(begin, end - begin)
-        begin = end
+    for execution, file, begin, count in runs_of_keys(table.column(0).combine_chunks()):
+        yield execution, file if many else None, rows.slice(begin, count)
 
 
 def objects(snapshot: Snapshot, digests: Iterable[str]) -> dict[str, bytes]:

@@ -6,6 +6,7 @@ The tables of the runs' own outputs are not here: the runs define their columns.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
@@ -182,6 +183,15 @@ def arrow_schema(name: str) -> pa.Schema:
         "BLOB": pa.large_binary(),
     }
     return pa.schema([(column.name, types[column.type]) for column in RECORDED[name].columns])
+
+
+def arrow_table(name: str, rows: Sequence[tuple[object, ...]]) -> pa.Table:
+    """Return rows of a recorded table as an Arrow table."""
+    import pyarrow as pa
+
+    schema = arrow_schema(name)
+    columns = zip(zip(*rows, strict=True), schema, strict=True)
+    return pa.table([pa.array(column, field.type) for column, field in columns], schema)
 
 
 def is_table(name: str, schema: pa.Schema) -> bool:

@@ -36,7 +36,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.errors import Missing
 from sierra.store.records import TABLES
-from sierra.store.schema import arrow_schema
+from sierra.store.schema import arrow_schema, arrow_table
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256, sha256_file
 
@@ -144,12 +144,9 @@ class Writer:
 
     def records(self, rows: Iterable[NamedTuple]) -> None:
         """Write records of one table, which their class decides; write no file if there are none."""
-        import pyarrow as pa
-
         if rows := list(rows):
             name = TABLES[type(rows[0])]
-            columns = zip(zip(*rows, strict=True), arrow_schema(name), strict=True)
-            self.table(name, pa.table([pa.array(column, field.type) for column, field in columns], arrow_schema(name)))
+            self.table(name, arrow_table(name, rows))
 
     def table(self, name: str, table: pa.Table) -> None:
         """Write an Arrow table unchanged."""
