@@ -209,7 +209,7 @@ def many(kind: str) -> str:
     return {"number": "numbers", "flag": "flags"}.get(own, own) + kind.removeprefix(own)
 
 
-def known(store: Store, context: Context, name: str) -> Siblings:
+def siblings(store: Store, context: Context, name: str) -> Siblings:
     """Return what the store knows about table `name` in the experiments of this batch, whichever session recorded it."""
     alike = {**parameters(context), "output": name}
     with store.snapshot() as snapshot:

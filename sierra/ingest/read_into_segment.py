@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from sierra.config.project_file import Output
-from sierra.ingest.consistency import known
+from sierra.ingest.consistency import siblings
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Reading, Shape, Written
@@ -22,16 +23,31 @@ from sierra.store.store import Store
 from sierra.store.table_layout import TableLayout
 
 
+class TableFile(NamedTuple):
+    """A file that belongs to a table, as it is recorded in its artifact."""
+
+    output: str | None
+    rows: int | None
+    """The number of rows that the file added to its table; None if nothing could be read from it."""
+    counted: int | None
+    """The number of rows by a count of the file itself."""
+    layout: str | None
+
+
+NO_TABLE = TableFile(None, None, None, None)
+
+
 @dataclass(frozen=True, slots=True)
 class TableIngest:
-    """The assignment of files to tables, and the results of reading them."""
+    """The files that belong to tables, by execution and path."""
 
     outputs: Mapping[str, Output]
-    belongs: dict[tuple[str, str], str] = field(default_factory=dict)
-    """The table of each file, by execution and path."""
-    readings: dict[str, Reading] = field(default_factory=dict)
+    files: dict[tuple[str, str], TableFile] = field(default_factory=dict)
     faults: dict[str, str] = field(default_factory=dict)
     """The reasons why executions are at fault."""
+
+    def of(self, execution: str, file: OutputFile) -> TableFile:
+        return self.files.get((execution, file.path), NO_TABLE)
 
     def judged(self, one: Judgement) -> Judgement:
         """Return the judgement after the tables were read."""
@@ -39,37 +55,21 @@ class TableIngest:
         if execution in self.faults:
             return Judgement(one.result, Status.MISMATCH, self.faults[execution])
         for file in one.result.outputs if one.status is Status.OK else ():
-            name = self.table(execution, file)
-            output, count = self.outputs.get(name or ""), self.rows(execution, file)
-            if output and count is not None and count < output.min_rows:
-                return Judgement(one.result, Status.FAILED, too_few(file.path, count, str(name), output))
+            found = self.of(execution, file)
+            output = self.outputs.get(found.output or "")
+            if output and found.rows is not None and found.rows < output.min_rows:
+                return Judgement(one.result, Status.FAILED, too_few(file.path, found.rows, str(found.output), output))
         return one
 
-    def table(self, execution: str, file: OutputFile) -> str | None:
-        """Return the table of a file, even if nothing could be read from it."""
-        return self.belongs.get((execution, file.path))
 
-    def rows(self, execution: str, file: OutputFile) -> int | None:
-        """Return the number of rows that a file added to its table; None for a file without a table."""
-        name = self.table(execution, file)
-        return self.readings[name].rows.get((execution, file.path)) if name else None
-
-    def counted(self, execution: str, file: OutputFile) -> int | None:
-        """Return the number of rows by a count of the file itself; None for a file without a table."""
-        name = self.table(execution, file)
-        return self.readings[name].counted.get((execution, file.path)) if name else None
-
-    def form(self, execution: str, file: OutputFile) -> str:
-        """Return the properties of a table as JSON, for comparison with its siblings. Only a CSV's columns have an order."""
-        reading = self.readings[self.belongs[execution, file.path]]
-        columns = reading.columns[execution, file.path]
-        csv = reading.shape.format == "csv"
-        return TableLayout(
-            None if reading.shape.many else shown(file.path),
-            columns if csv else dict(sorted(columns.items())),
-            file.ended or not csv,
-            reading.hints.get((execution, file.path), {}),
-        ).dump()
+def _layout(reading: Reading, file: Written) -> str:
+    """Return the layout of a table for comparison with its siblings. Only a CSV's columns have an order."""
+    key = file.execution, file.name
+    columns, csv = reading.columns[key], reading.shape.format == "csv"
+    name = None if reading.shape.many else shown(file.name)
+    return TableLayout(
+        name, columns if csv else dict(sorted(columns.items())), file.ended or not csv, reading.hints.get(key, {})
+    ).dump()
 
 
 def too_few(path: str, rows: int, name: str, output: Output) -> str:
@@ -80,18 +80,18 @@ def too_few(path: str, rows: int, name: str, output: Output) -> str:
 def artifact_rows(result: Result, tables: TableIngest) -> Iterator[ArtifactRow]:
     """Yield a row of `artifacts` for each file of an execution except its logs."""
     for file in result.outputs:
-        count = tables.rows(result.execution, file)
+        found = tables.of(result.execution, file)
         yield ArtifactRow(
             execution=result.execution,
             run=result.run,
             path=shown(file.path),
-            kind="file" if count is None else "table",
-            output=tables.table(result.execution, file),
+            kind="file" if found.rows is None else "table",
+            output=found.output,
             size=file.bytes,
             sha256=file.sha256,
-            rows=count,
-            table_layout=None if count is None else tables.form(result.execution, file),
-            counted_rows=None if count is None else tables.counted(result.execution, file),
+            rows=found.rows,
+            table_layout=found.layout,
+            counted_rows=found.counted,
         )
 
 
@@ -110,7 +110,6 @@ def tabled(
     files: dict[str, list[Written]] = {}
     for result in (one.result for one in executions if one.status is Status.OK):
         for name, shape, file in assigning.of(result):
-            made.belongs[result.execution, file.path] = name
             shapes.setdefault(name, shape)
             files.setdefault(name, []).append(_written(result, file))
     if not files:
@@ -118,8 +117,12 @@ def tabled(
     connection = connect()
     try:
         for name, written in files.items():
-            reading = read(connection, written, shapes[name], writer.path(OUTPUT + name), known(store, context, name))
-            shapes[name], made.readings[name] = reading.shape, reading
+            reading = read(connection, written, shapes[name], writer.path(OUTPUT + name), siblings(store, context, name))
+            shapes[name] = reading.shape
+            for one in written:
+                rows = reading.rows.get(key := (one.execution, one.name))
+                read_in = (rows, reading.counted.get(key), _layout(reading, one)) if rows is not None else (None, None, None)
+                made.files[key] = TableFile(name, *read_in)
             for execution, fault in reading.faults.items():
                 made.faults.setdefault(execution, fault)
     finally:

@@ -37,7 +37,7 @@ from sierra.errors import Damaged
 from sierra.ingest.base import Used
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.model import Shape
-from sierra.ingest.read_into_segment import TableIngest, artifact_rows, tabled, too_few
+from sierra.ingest.read_into_segment import TableFile, TableIngest, artifact_rows, tabled, too_few
 from sierra.ingest.recording_context import Context, rules_of
 from sierra.ingest.success import Judgement, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files
@@ -49,6 +49,7 @@ from sierra.store.records import ArtifactRow, IngestRulesRow, JudgementRow
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import inside
+from sierra.util.grouping import by_weight
 from sierra.util.hashing import digest_plain
 from sierra.worker import worker
 
@@ -270,9 +271,14 @@ def judge_anew(store: Store, session: SessionPaths, context: Context, runs: Iter
     """Evaluate and record these runs as far as possible. Raises Missing if the disk is full; then nothing is lost."""
     anew = Rejudged()
     assigning, shapes = OutputMatcher(context.outputs, context.readers), dict[str, Shape]()
+
+    def size(one: Past) -> int:
+        return sum(row.size for row in needed(one, context))
+
     for foreseen in foresee(store, context, runs, mismatched=mismatched):
         anew.unread |= foreseen.lacking
-        for some in _by_weight(sorted(foreseen.possible.values(), key=lambda one: one.tabled), context):
+        past = sorted(foreseen.possible.values(), key=lambda one: one.tabled)
+        for some in by_weight(past, size, BYTES, lambda group, one: one.tabled == group[0].tabled):
             with disk_errors(session.anew):
                 session.anew.mkdir()
             try:
@@ -281,21 +287,6 @@ def judge_anew(store: Store, session: SessionPaths, context: Context, runs: Iter
                 worker.remove(str(session.anew))
     anew.notes += [*as_files(assigning.kept), *TableWarnings(store, context, shapes).all()]
     return anew
-
-
-def _by_weight(past: Iterable[Past], context: Context) -> Iterator[list[Past]]:
-    """Yield groups of executions of one kind, with a limit on the bytes unpacked at a time; each group has at least one."""
-    some: list[Past] = []
-    weight = 0
-    for one in past:
-        more = sum(row.size for row in needed(one, context))
-        if some and (weight + more > BYTES or one.tabled != some[0].tabled):
-            yield some
-            some, weight = [], 0
-        some.append(one)
-        weight += more
-    if some:
-        yield some
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,7 +332,8 @@ class _Group:
         for name, rows in tables.items():
             if rows != written[name]:
                 raise Damaged(f"table {name!r} has {written[name]} rows, but {rows} were recorded; see sierra fsck")
-        return Recalled(self.context.outputs, recorded=recorded)
+        known = {key: TableFile(row.output, row.rows, row.counted_rows, row.table_layout) for key, row in recorded.items()}
+        return TableIngest(self.context.outputs, known)
 
     def _is_worth(self, past: Past, one: Judgement) -> bool:
         """Return False if the execution failed before and still fails: then its run is executed, and nothing is recorded."""
@@ -397,28 +389,6 @@ class _Group:
             ingest_rules=self.context.ingest_rules,
             lamport=self.context.lamport(),
         )
-
-
-@dataclass(frozen=True, slots=True)
-class Recalled(TableIngest):
-    """The recorded tables of earlier judgements, which the new judgements share."""
-
-    recorded: Mapping[tuple[str, str], ArtifactRow] = field(default_factory=dict)
-
-    def table(self, execution: str, file: OutputFile) -> str | None:
-        row = self.recorded.get((execution, file.path))
-        return row and row.output
-
-    def rows(self, execution: str, file: OutputFile) -> int | None:
-        row = self.recorded.get((execution, file.path))
-        return row and row.rows
-
-    def counted(self, execution: str, file: OutputFile) -> int | None:
-        row = self.recorded.get((execution, file.path))
-        return row and row.counted_rows
-
-    def form(self, execution: str, file: OutputFile) -> str:
-        return str(self.recorded[execution, file.path].table_layout)
 
 
 def _recorded(one: Past, row: ArtifactRow) -> Recorded:

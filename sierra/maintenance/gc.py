@@ -28,13 +28,14 @@ from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
+from sierra.util.grouping import by_weight
 from sierra.worker import worker
 
 MANY = 4
 """The smallest number of small segments of one batch that are merged."""
 SMALL = 64 << 20
 LARGE = 256 << 20
-"""The largest size of merged segments, in bytes."""
+"""The largest size of merged segments, in bytes, unless one segment alone is larger."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +188,7 @@ def _plan(store: Store, *, raw: bool) -> _Plan:
                 small.setdefault(segment.batch, []).append(segment)
         chosen = {id(segment): segment for those in small.values() if len(those) >= MANY for segment in those}
         chosen |= {id(segment): segment for segment in holding}
-        found = [part for group in groups(chosen.values()) for part in _parts(group)]
+        found = [part for group in groups(chosen.values()) for part in map(tuple, by_weight(group, _size, LARGE))]
         kept = [group for group in found if len(group) > 1 or group[0] in holding]
         raws = _tables(snapshot, unneeded)
         return _Plan(tuple(kept), drop, sum(unneeded.values()), raws, {segment.name for segment in snapshot.segments})
@@ -216,20 +217,6 @@ def _tables(snapshot: Snapshot, unneeded: Iterable[str]) -> int:
 
 def _size(segment: Segment) -> int:
     return sum(Path(path).stat().st_size for path in segment.files.values())
-
-
-def _parts(group: Group) -> Iterator[Group]:
-    """Yield parts of a group, each at most `LARGE` bytes unless one segment alone is larger."""
-    held: list[Segment] = []
-    size = 0
-    for segment in group:
-        more = _size(segment)
-        if held and size + more > LARGE:
-            yield tuple(held)
-            held, size = [], 0
-        held.append(segment)
-        size += more
-    yield tuple(held)
 
 
 RAW_LOST = (

@@ -16,6 +16,7 @@ from sierra.store.records import ArtifactRow
 from sierra.store.results import objects, rows_of
 from sierra.store.store import Snapshot
 from sierra.store.table_layout import TableLayout
+from sierra.util.grouping import by_weight
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -44,8 +45,9 @@ def compare_all(
     """Yield the result of `compare` for each pair of executions, with only a few of them in memory at a time."""
     left = _artifacts(snapshot, (execution for pair in pairs for execution in pair))
     counted = _counted(snapshot, left)
-    for some in _by_weight((pair, list(_unlike(*(left[one] for one in pair)))) for pair in pairs):
-        compared = [files for _, unlike in some for files in unlike if _same_kind(*files)]
+    unlike = ((pair, list(_unlike(*(left[one] for one in pair)))) for pair in pairs)
+    for some in by_weight(unlike, _size, BYTES, lambda group, pair: len(group) < PAIRS):
+        compared = [files for _, differing in some for files in differing if _same_kind(*files)]
         contents = _Contents(snapshot, [row for files in compared for row in files], counted)
         for (recorded, found), _ in some:
             yield _of_artifacts(contents, left[recorded], left[found], declared)
@@ -79,18 +81,8 @@ def _counted(snapshot: Snapshot, left: Mapping[str, Artifacts]) -> Counter[tuple
     return counted
 
 
-def _by_weight(pairs: Iterable[_Pair]) -> Iterator[list[_Pair]]:
-    """Yield groups of pairs of limited total size; each group has at least one pair."""
-    some: list[_Pair] = []
-    weight = 0
-    for pair in pairs:
-        more = sum(row.size for files in pair[1] for row in files)
-        if some and (weight + more > BYTES or len(some) >= PAIRS):
-            yield some
-            some, weight = [], 0
-        some.append(pair)
-        weight += more
-    yield some
+def _size(pair: _Pair) -> int:
+    return sum(row.size for files in pair[1] for row in files)
 
 
 def _unlike(was: Artifacts, now: Artifacts) -> Iterator[tuple[ArtifactRow, ArtifactRow]]:
