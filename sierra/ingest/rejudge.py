@@ -306,7 +306,8 @@ class _Group:
         first = [
             Judgement(result, *judge(result, self.context.outputs, self.context.success)) for _, result in results.values()
         ]
-        first = [one for one in first if self._is_worth(results[one.result.execution][0], one)]
+        # an execution that failed before and still fails is not recorded: its run is executed
+        first = [one for one in first if results[one.result.execution][0].succeeded or one.status is Status.OK]
         writer = self.store.writer(self.session.segment, self.context.batch)
         if past[0].tabled:
             tables: TableIngest = self._copied(
@@ -334,10 +335,6 @@ class _Group:
                 raise Damaged(f"table {name!r} has {written[name]} rows, but {rows} were recorded; see sierra fsck")
         known = {key: TableFile(row.output, row.rows, row.counted_rows, row.table_layout) for key, row in recorded.items()}
         return TableIngest(self.context.outputs, known)
-
-    def _is_worth(self, past: Past, one: Judgement) -> bool:
-        """Return False if the execution failed before and still fails: then its run is executed, and nothing is recorded."""
-        return past.succeeded or one.status is Status.OK
 
     def _results(self, past: Sequence[Past]) -> Iterator[tuple[Past, Result]]:
         """Yield the results that a worker would have reported, with the bytes of the needed files in a folder."""

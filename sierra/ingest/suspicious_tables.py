@@ -110,7 +110,7 @@ class TableWarnings:
 
     def _as_one_column(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
         """Return advice for a table that has one column because its delimiter or its header was not recognized."""
-        if self._shapes[output].format != "csv" or not _only_column(kinds, output, name):
+        if self._shapes[output].format != "csv" or [key for key in kinds if key[0] == output] != [(output, name)]:
             return None
         if name.startswith("#"):
             return COMMENT
@@ -134,7 +134,8 @@ class TableWarnings:
         united = max((count for look, count, _ in looks if look.startswith("unit ")), default=0)
         if 2 * (numbers + united) <= sum(count for look, count, _ in rows if look != "missing"):
             return None
-        if _first_column(kinds, output).startswith("#") and looks and looks[0][0] == "other":
+        first = next(column for table, column in kinds if table == output)
+        if first.startswith("#") and looks and looks[0][0] == "other":
             return COMMENT
         return "most of its values look like numbers; " + _instead(output, name, *(looks[0] if looks else ("", 0, "")))
 
@@ -170,14 +171,6 @@ def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
         some = "or more " if len(files) == NOTED_AT_MOST else ""
         these = f"{str(first)!r} and {len(files) - 1} {some}others are" if len(files) > 1 else f"{str(first)!r} is"
         yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {told}"
-
-
-def _first_column(kinds: Iterable[tuple[str, str]], output: str) -> str:
-    return next(name for table, name in kinds if table == output)
-
-
-def _only_column(kinds: Iterable[tuple[str, str]], output: str, name: str) -> bool:
-    return [key for key in kinds if key[0] == output] == [(output, name)]
 
 
 FORMS = """

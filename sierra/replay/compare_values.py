@@ -283,8 +283,9 @@ class _Distance:
         self.name = name
         self._time = time
         self._recorded, self._found = recorded.slice(0, rows), found.slice(0, rows)
-        self.numeric = _is_number(recorded.type) and _is_number(found.type)
-        self.fractions = any(not _is_exact(column.type) for column in (recorded, found)) and self.numeric
+        self._kinds = {_number_kind(recorded), _number_kind(found)}
+        self.numeric = "" not in self._kinds
+        self.fractions = self.numeric and "float" in self._kinds
         self._apart = _differ(self._recorded, self._found)
         places = np.flatnonzero(self._apart)
         self.first: int | None = int(places[0]) if len(places) else None
@@ -304,7 +305,8 @@ class _Distance:
             relative = np.where(apart == 0, 0.0, apart / np.abs(old))
             last_place = np.fmin(np.spacing(np.maximum(np.abs(old), np.abs(new))), LARGEST_ULP)
             units = np.where(apart == 0, 0.0, apart / last_place)
-        self._all = {"abs": apart, "rel": _or_infinite(relative), "ulp": _or_infinite(units)}
+            relative, units = (np.where(np.isnan(distances), np.inf, distances) for distances in (relative, units))
+        self._all = {"abs": apart, "rel": relative, "ulp": units}
         self.abs, self.rel, self.ulp = (float(values.max(initial=0.0)) for values in self._all.values())
         if self.first is not None:
             parts = np.array_split(np.arange(len(apart)), min(STEPS, len(apart)))
@@ -314,9 +316,9 @@ class _Distance:
         """Compute exact distances for numbers that doubles cannot distinguish: large whole numbers, and decimals."""
         import numpy as np
 
-        if not any(_is_exact(column.type) for column in (self._recorded, self._found)):
+        if self._kinds == {"float"}:
             return
-        whole = all(_is_whole(column.type) for column in (self._recorded, self._found))
+        whole = self._kinds == {"whole"}
         for row in np.flatnonzero(self._apart & np.isfinite(apart) & ((size >= EXACT_UP_TO) | (not whole))):
             old, new = (Fraction(column[int(row)].as_py()) for column in (self._recorded, self._found))
             apart[row] = float(abs(new - old))
@@ -378,29 +380,12 @@ def _value(value: Cell) -> str:
     return "missing" if value is None else _cut(str(value) if isinstance(value, Decimal) else repr(value))
 
 
-def _or_infinite(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distances with NaN replaced by infinity."""
-    import numpy as np
-
-    return np.where(np.isnan(values), np.inf, values)
-
-
-def _is_number(kind: pa.DataType) -> bool:
+def _number_kind(column: pa.ChunkedArray) -> str:
+    """Return whole, decimal or float for a column of numbers; empty for other columns."""
     import pyarrow as pa
 
-    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind))
-
-
-def _is_whole(kind: pa.DataType) -> bool:
-    import pyarrow as pa
-
-    return bool(pa.types.is_integer(kind))
-
-
-def _is_exact(kind: pa.DataType) -> bool:
-    import pyarrow as pa
-
-    return _is_whole(kind) or bool(pa.types.is_decimal(kind))
+    tests = {"whole": pa.types.is_integer, "decimal": pa.types.is_decimal, "float": pa.types.is_floating}
+    return next((name for name, test in tests.items() if test(column.type)), "")
 
 
 def _doubles(column: pa.ChunkedArray) -> NDArray[np.float64]:

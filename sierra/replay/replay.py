@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,7 +18,6 @@ from typing import NamedTuple
 from sierra import runners
 from sierra.config.project_file import LoadedProject, Output
 from sierra.containers.engines.base import Engine
-from sierra.containers.session_containers import Isolation
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.execution import commands, expected_durations, plan_from_record, recover
 from sierra.execution.observer import Observer, Relay, Tally
@@ -28,7 +27,7 @@ from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
 from sierra.model import Purpose, Run, Status, Value
 from sierra.provenance import environment, fingerprint_programs, reported_versions
-from sierra.provenance.change_guard import ChangeGuard, guard
+from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Programs, mentioned
 from sierra.replay import equivalence, host_check
 from sierra.replay.compare_outputs import compare_all
@@ -155,6 +154,7 @@ def replay(
         )
         made = {one.run: commands.execution_id(session.id, one.run) for one in record.runs}
         tally = Tally(Relay(observer, leave=False), len(record.runs))
+        source_guard = guard(root, b"", now)
         followed = service.execute(
             runner,
             context,
@@ -163,7 +163,7 @@ def replay(
             now,
             tally,
             times=expected_durations.recorded(store, [one.run for one in record.runs]) if runner.stays else None,
-            doubt=_doubt(guard(root, b"", now), service.isolation),
+            doubt=lambda: source_guard.doubt() or service.isolation.doubt(),
             kept=kept,
         )
         failed = {run: tally.statuses[run] for run in tally.failed}
@@ -357,14 +357,6 @@ def _inputs(record: _Record, store: Store) -> Iterator[tuple[Run, Files]]:
     """Yield each run with its recorded inputs."""
     for taken, files in plan_from_record.inputs(store, {one.run: one for one in record.runs}.values()):
         yield Run(taken.run, taken.ordinal, taken.number, record.seeds[taken.run], (), b""), files
-
-
-def _doubt(files: ChangeGuard, contained: Isolation) -> Callable[[], str | None]:
-    """Return a function that reports why results cannot be ascribed to the programs or the image at the start.
-
-    The function returns None if nothing has changed.
-    """
-    return lambda: files.doubt() or contained.doubt()
 
 
 def _leave(session: SessionPaths, kept: Path | None) -> None:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from sierra.errors import Damaged
 from sierra.store.answer import RawRow
 from sierra.store.duckdb_file_io import read_parquet
-from sierra.store.duckdb_messages import explain, first_line
+from sierra.store.duckdb_messages import first_line
 from sierra.store.segments import MANIFEST, Segment
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.store import Found, Snapshot
@@ -103,10 +103,9 @@ def take(snapshot: Snapshot, found: Found) -> list[ChosenExecution]:
 
     A run or an experiment that belongs to several batches is taken from the batch that was submitted last.
     """
-    with _readable():
-        place = where(snapshot, found)
-        statement = TAKEN.format(only=place.only, order=ORDER)
-        return [ChosenExecution(*row) for row in snapshot.each(statement, {**place.parameters, "named": place.execution})]
+    place = where(snapshot, found)
+    statement = TAKEN.format(only=place.only, order=ORDER)
+    return [ChosenExecution(*row) for row in snapshot.each(statement, {**place.parameters, "named": place.execution})]
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,17 +141,6 @@ def where(snapshot: Snapshot, found: Found) -> Place:
     return Place(batch, ordinal, run, found.id if found.kind == "execution" else None)
 
 
-@contextlib.contextmanager
-def _readable() -> Iterator[None]:
-    """Turn DuckDB's errors about a damaged segment into Damaged."""
-    import duckdb
-
-    try:
-        yield
-    except duckdb.Error as error:
-        raise Damaged(f"the store cannot be read: {explain(error)}") from error
-
-
 LATEST = """
 SELECT m.batch, m.ordinal
 FROM batch_runs m JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
@@ -186,9 +174,8 @@ def recorded(snapshot: Snapshot, runs: Sequence[ChosenExecution], *, inputs: boo
 
     columns = {"place": range(len(runs)), "run": [t.run for t in runs], "execution": [t.judgement for t in runs]}
     snapshot.register("taken", pa.table({name: list(values) for name, values in columns.items()}))
-    with _readable():
-        snapshot.views.make(("batch_runs", "specs", "all_artifacts", "objects"))
-        rows = [(place, Recorded(runs[place], *rest)) for place, *rest in snapshot.each(FILES, {"all": not inputs})]
+    snapshot.views.make(("batch_runs", "specs", "all_artifacts", "objects"))
+    rows = [(place, Recorded(runs[place], *rest)) for place, *rest in snapshot.each(FILES, {"all": not inputs})]
     return [file for _, file in sorted(rows, key=lambda row: (row[0], PARTS.get(row[1].kind, 1), natural(row[1].path)))]
 
 
@@ -238,8 +225,7 @@ def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
     import pyarrow as pa
 
     snapshot.register("asked", pa.table({"execution": pa.array(judgements, pa.string())}))
-    with _readable():
-        return recording(snapshot.run, snapshot.segments, "SELECT execution FROM asked")
+    return recording(snapshot.run, snapshot.segments, "SELECT execution FROM asked")
 
 
 # Objects: they are first located by their digests, then read one row group at a time.

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError
+from sierra.errors import Damaged, Missing, NotFound, SqlError
 from sierra.store.answer import Answer, RawRow
 from sierra.store.connections import Connection
 from sierra.store.duckdb_file_io import check_folder, plain, read_parquet
@@ -287,9 +287,10 @@ class Snapshot:
         """Return the converted result of one statement that only reads. Raises SqlError."""
         import duckdb
 
-        try:
+        with self._errors():
             self._only_reads(text)
-            self.views.make(tables_of(text))
+            tables = tables_of(text)
+            self.views.make(tables)
             try:
                 answer = self._answer(text, parameters)
             except duckdb.CatalogException:  # a table name that `tables_of` does not recognize: main.runs
@@ -297,21 +298,20 @@ class Snapshot:
                 answer = self._answer(text, parameters)
             if answer is None:
                 raise SqlError("the statement returns no rows; use SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
-            return convert(Answer(answer, "; ".join(self.views.told) if self._noted(text) else ""))
-        except duckdb.Error as error:
-            raise self._wrong(error) from error
+            # a list of all tables does not need notes on columns
+            return convert(Answer(answer, "" if tables is None else "; ".join(self.views.notes)))
 
-    def _noted(self, text: str) -> bool:
-        """Check if notes on columns belong to a result; a list of all tables does not need them."""
-        return bool(self.views.told) and tables_of(text) is not None
-
-    def _wrong(self, error: Exception) -> SierraError:
-        """Return Damaged if DuckDB's error is about the store's files, else SqlError for the statement."""
+    @contextlib.contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Raise DuckDB's errors as Damaged if they are about the store's files, else as SqlError for the statement."""
         import duckdb
 
-        if f"{self._root}/segments/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException):
-            return Damaged(f"the store cannot be read: {explain(error)}")
-        return SqlError(explain(error))
+        try:
+            yield
+        except duckdb.Error as error:
+            if f"{self._root}/segments/" in plain(str(error)) and not isinstance(error, duckdb.PermissionException):
+                raise Damaged(f"the store cannot be read: {explain(error)}") from error
+            raise SqlError(explain(error)) from error
 
     def _answer(self, text: str, parameters: Mapping[str, object]) -> duckdb.DuckDBPyRelation | None:
         return self.connection.sql(text, params=parameters) if parameters else self.connection.sql(text)
@@ -327,14 +327,10 @@ class Snapshot:
 
     def each(self, statement: str, parameters: Mapping[str, object]) -> Iterator[RawRow]:
         """Yield the rows of one of SIERRA's own statements, with a few thousand rows in memory at a time."""
-        import duckdb
-
-        try:
+        with self._errors():
             answer = self.connection.execute(statement, parameters)
             while rows := answer.fetchmany(4096):
                 yield from rows
-        except duckdb.Error as error:
-            raise self._wrong(error) from error
 
     def cells(self, batch: str) -> dict[int, dict[str, Value | None]]:
         """Return the recorded id and the original axis values of each experiment of a batch, by its position.
@@ -357,10 +353,6 @@ class Snapshot:
 
     def run(self, statement: str, parameters: Mapping[str, object] | None = None) -> list[RawRow]:
         """Execute one of SIERRA's own statements, which may create temporary tables, and return its rows."""
-        import duckdb
-
         self._opened.note(statement)
-        try:
+        with self._errors():
             return self.connection.execute(statement, parameters or {}).fetchall()
-        except duckdb.Error as error:
-            raise self._wrong(error) from error

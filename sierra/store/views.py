@@ -71,7 +71,7 @@ class Views:
         self._segments = segments
         self.called: dict[str, dict[str, str]] = {}
         """The names of an output's columns in SQL, by output (in lower case) whose view exists."""
-        self.told: list[str] = []
+        self.notes: list[str] = []
         """Notes for the user on columns with several types."""
         self._made: set[str] = set()
         self._there: list[str] = []
@@ -185,7 +185,7 @@ class Views:
             split = "numbers in some runs and other values in others; the other values are"
             if name in found.rounded:
                 split = "fractions in some runs and very large whole numbers in others; the exact digits are"
-            self.told.append(f"{column} has {split} in {beside}")
+            self.notes.append(f"{column} has {split} in {beside}")
 
     @property
     def _anew(self) -> bool:
