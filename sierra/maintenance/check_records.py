@@ -69,6 +69,14 @@ class Records:
     def each(self, statement: str, **parameters: object) -> Iterator[RawRow]:
         return self.snapshot.each(statement, parameters)
 
+    def column(self, statement: str, **parameters: object) -> list[str]:
+        """Return the first column of a statement's result."""
+        return [row[0] for row in self.each(statement, **parameters)]
+
+    def of_batches(self, statement: str, **parameters: object) -> Affected:
+        """Return what a problem of the batches in a statement's result affects."""
+        return of(self.snapshot, batches=self.column(statement, **parameters))
+
     def raw(self, name: str) -> str:
         """Return a SQL relation of all rows of a table as the files hold them, with the file's name."""
         if name in self.files:
@@ -156,7 +164,7 @@ def _judgements(records: Records) -> Iterator[Finding]:
             what = f"judgement {short(str(judgement))} does not have the id that follows from its columns"
             yield records.wrong(filename, what, of(records.snapshot, [judgement]))
     statement = "SELECT j.judgement FROM judgements j JOIN executions e USING (execution) WHERE j.run <> e.run"
-    if named := [row[0] for row in records.each(statement)]:
+    if named := records.column(statement):
         what = "judgements have other runs than their executions"
         yield Finding(Kind.INCONSISTENT, "judgements", what, of(records.snapshot, named))
 
@@ -234,7 +242,7 @@ def _batches(records: Records) -> Iterator[Finding]:
             found.setdefault(batch, {})[ordinal] = own
             if batch in axes and not _is_experiment(records, row, axes[batch]):
                 what = f"experiment {short(str(own))} does not have the id that follows from its values and runs"
-                runs = [r[0] for r in records.each(MEMBERS, b=batch, o=ordinal)]
+                runs = records.column(MEMBERS, b=batch, o=ordinal)
                 yield records.wrong(path, what, of(records.snapshot, runs=runs, batches=[batch]))
     for batch in axes:
         ids = [experiment for _, experiment in sorted(found.get(batch, {}).items())]
@@ -255,14 +263,14 @@ def _is_experiment(records: Records, row: Mapping[str, Value | None], axes: Sequ
     values = {axis: row.get(axis) for axis in axes}
     if any(isinstance(value, float) and abs(value) >= 2**53 for value in values.values()):
         return True  # a column of fractions cannot hold so large a whole number exactly
-    runs = [found[0] for found in records.each(MEMBERS, b=row["batch"], o=row["ordinal"])]
+    runs = records.column(MEMBERS, b=row["batch"], o=row["ordinal"])
     shown = {name: exact(value) for name, value in values.items() if value is not None}
     return bool(_id(lambda: merkle("experiment", runs, {"values": shown})) == row["experiment"])
 
 
 def _parted(records: Records, batches: Iterable[str]) -> Iterator[Finding]:
-    members = {row[0] for row in records.each("SELECT DISTINCT batch FROM batch_runs")}
-    known = {row[0] for row in records.each("SELECT DISTINCT batch FROM batches")}
+    members = set(records.column("SELECT DISTINCT batch FROM batch_runs"))
+    known = set(records.column("SELECT DISTINCT batch FROM batches"))
     for batch in sorted({*batches, *(members - known)}):
         yield Finding(
             Kind.LOST,
@@ -340,7 +348,7 @@ def _references(records: Records) -> Iterator[Finding]:
         f"SELECT execution FROM (SELECT execution FROM {records.raw('executions')} UNION ALL "
         f"SELECT judgement FROM {records.raw('judgements')}) GROUP BY execution HAVING count(*) > 1"
     )
-    if named := [row[0] for row in records.each(doubled)]:
+    if named := records.column(doubled):
         yield Finding(Kind.INCONSISTENT, "executions", "executions are recorded more than once", of(records.snapshot, named))
     said = "SELECT replay FROM verdicts UNION SELECT replay FROM equivalences"
     orphans = f"SELECT replay FROM ({said}) ANTI JOIN replays USING (replay)"
@@ -348,7 +356,7 @@ def _references(records: Records) -> Iterator[Finding]:
         yield Finding(Kind.LOST, "replays", f"replay {short(replay)} is not recorded, but its verdicts are")
     for table, key in (("environments", "environment"), ("programs", "programs")):
         statement = f"SELECT execution FROM executions ANTI JOIN {table} USING ({key}) WHERE {key} <> $nothing"
-        if named := [row[0] for row in records.each(statement, nothing=fingerprint(()))]:
+        if named := records.column(statement, nothing=fingerprint(())):
             yield Finding(
                 Kind.UNKNOWN,
                 table,
@@ -363,7 +371,7 @@ SELECT DISTINCT run FROM (SELECT run, unnest([input] || other_inputs) AS sha256 
 
 
 def _inputs(records: Records) -> Iterator[Finding]:
-    if lost := [row[0] for row in records.each(INPUTS)]:
+    if lost := records.column(INPUTS):
         yield Finding(Kind.LOST, "batch_runs", "input files of runs are not in the store", of(records.snapshot, runs=lost))
 
 
@@ -413,20 +421,22 @@ def _manifests(records: Records) -> Iterator[Finding]:
     wanted: dict[str, str] = dict(records.each("SELECT blob, sha256 FROM blobs"))
     for blob, found in wanted.items():
         if found not in records.objects.whole:
-            yield Finding(Kind.LOST, "blobs", f"a file of a source, {short(blob)}, is not in the store", _of_sources(records))
+            yield Finding(
+                Kind.LOST, "blobs", f"a file of a source, {short(blob)}, is not in the store", records.of_batches(OF_SOURCES)
+            )
         elif records.objects.blobs.get(found, blob) != blob:
             yield Finding(Kind.INCONSISTENT, "blobs", f"{short(blob)} is not git's hash of its file")
     for row, path in records.rows(SourceRow):
         if row.files not in records.objects.whole:
             what = f"the list of the files of source {short(row.source)} is not in the store"
-            yield Finding(Kind.LOST, "sources", what, _of_tree(records, row.tree))
+            yield Finding(Kind.LOST, "sources", what, records.of_batches(OF_TREE, t=row.tree))
         elif (tree := source.tree_of(_object(records, row.files))) is not None and source.SWHID + tree != row.tree:
             what = f"the files of source {short(row.source)} do not have its tree's hash"
-            yield records.wrong(path, what, _of_tree(records, row.tree))
-    known = {row[0] for row in records.each("SELECT DISTINCT tree FROM sources")}
+            yield records.wrong(path, what, records.of_batches(OF_TREE, t=row.tree))
+    known = set(records.column("SELECT DISTINCT tree FROM sources"))
     for (tree,) in records.each("SELECT DISTINCT source FROM specs WHERE source IS NOT NULL"):
         if tree not in known:
-            yield Finding(Kind.LOST, "sources", f"the source {tree} is not recorded", _of_tree(records, tree))
+            yield Finding(Kind.LOST, "sources", f"the source {tree} is not recorded", records.of_batches(OF_TREE, t=tree))
 
 
 def _images(records: Records) -> Iterator[Finding]:
@@ -438,7 +448,7 @@ def _images(records: Records) -> Iterator[Finding]:
             what = f"the list of the files of image {identity} is not in the store"
         else:
             continue
-        yield Finding(Kind.LOST, "images", what, _of_image(records, identity))
+        yield Finding(Kind.LOST, "images", what, records.of_batches(OF_IMAGE, i=identity))
 
 
 IMAGES = """
@@ -447,9 +457,7 @@ FULL JOIN images i USING (image)
 """
 
 
-def _of_image(records: Records, identity: str) -> Affected:
-    statement = "SELECT DISTINCT batch FROM batch_runs SEMI JOIN (SELECT spec FROM specs WHERE image = $i) USING (spec)"
-    return of(records.snapshot, batches=[row[0] for row in records.each(statement, i=identity)])
+OF_IMAGE = "SELECT DISTINCT batch FROM batch_runs SEMI JOIN (SELECT spec FROM specs WHERE image = $i) USING (spec)"
 
 
 def _object(records: Records, digest: str) -> bytes:
@@ -457,19 +465,10 @@ def _object(records: Records, digest: str) -> bytes:
     return b"".join(row[0] for row in records.each(statement, d=digest))
 
 
-def _of_tree(records: Records, tree: str | None) -> Affected:
-    statement = "SELECT DISTINCT batch FROM batch_runs SEMI JOIN (SELECT spec FROM specs WHERE source = $t) USING (spec)"
-    return of(records.snapshot, batches=[row[0] for row in records.each(statement, t=tree)])
-
-
-def _of_sources(records: Records) -> Affected:
-    statement = (
-        "SELECT DISTINCT m.batch FROM batch_runs m JOIN specs r USING (spec) JOIN sources s ON s.tree = r.source "
-        "WHERE s.vcs = 'none'"
-    )
-    return of(records.snapshot, batches=[row[0] for row in records.each(statement)])
-
-
+OF_TREE = "SELECT DISTINCT batch FROM batch_runs SEMI JOIN (SELECT spec FROM specs WHERE source = $t) USING (spec)"
+OF_SOURCES = """
+SELECT DISTINCT m.batch FROM batch_runs m JOIN specs r USING (spec) JOIN sources s ON s.tree = r.source WHERE s.vcs = 'none'
+"""
 HEALS = "sierra source fetch gets sources that were shared with sierra source push"
 
 
@@ -482,7 +481,7 @@ def _gone(records: Records, root: Path) -> Iterator[Finding]:
             yield Finding(Kind.GONE, "sources", str(error))
             return
         if not there:
-            affected = _of_tree(records, tree)
+            affected = records.of_batches(OF_TREE, t=tree)
             yield Finding(Kind.GONE, "sources", f"{tree} is not in git, so its runs cannot be replayed here; {HEALS}", affected)
 
 

@@ -25,8 +25,10 @@ RawRow: TypeAlias = tuple[Any, ...]
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 INSTANT = "TIMESTAMP WITH TIME ZONE"
-NUMBERS = r"U?(TINY|SMALL|BIG|HUGE)INT|U?INTEGER|DOUBLE|FLOAT|DECIMAL\(\d+,\d+\)"
-SIMPLE = re.compile(rf"(VARCHAR|BOOLEAN|{NUMBERS}|DATE|TIMESTAMP|BLOB|JSON)(\[\])*")
+INTEGER = r"U?(TINY|SMALL|BIG|HUGE)INT|U?INTEGER"
+NUMBER = rf"{INTEGER}|DOUBLE|FLOAT|DECIMAL\(\d+,\d+\)"
+"""The types of whole numbers, and of all numbers, as regular expressions."""
+SIMPLE = re.compile(rf"(VARCHAR|BOOLEAN|{NUMBER}|DATE|TIMESTAMP|BLOB|JSON)(\[\])*")
 """The types of values that are the same as Python objects from DuckDB and from Arrow; `HUGEINT` is more exact."""
 
 
@@ -43,7 +45,7 @@ class Answer:
     @property
     def numeric(self) -> list[str]:
         """Return the names of the columns of numbers."""
-        return [name for name, kind in zip(self.columns, self.types, strict=True) if re.fullmatch(NUMBERS, kind)]
+        return [name for name, kind in zip(self.columns, self.types, strict=True) if re.fullmatch(NUMBER, kind)]
 
     def rows(self) -> list[tuple[Cell, ...]]:
         """Return all rows as Python objects; times are in UTC."""

@@ -7,12 +7,14 @@ missing.
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.errors import NotFound, SqlError
 from sierra.model import Axis, Value
+from sierra.store.answer import INTEGER, NUMBER
 from sierra.store.duckdb_messages import explain
 from sierra.store.schema import RECORDED
 from sierra.store.segments import is_first_part
@@ -26,8 +28,8 @@ if TYPE_CHECKING:
 
 MEMBERS = "SELECT judgement FROM membership"
 MIXED = "has numbers in some runs and other values in others"
-WHOLE = ("BOOLEAN", "BIGINT", "INTEGER", "SMALLINT", "TINYINT", "UBIGINT", "UINTEGER", "USMALLINT", "UTINYINT", "HUGEINT")
-NUMERIC = (*WHOLE, "DOUBLE", "FLOAT", "DECIMAL", "UHUGEINT")
+WHOLE, NUMERIC = rf"BOOLEAN|{INTEGER}", rf"BOOLEAN|{NUMBER}"
+"""DuckDB's types of the columns that statistics use, as regular expressions; flags are 0 and 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +147,7 @@ class Frame:
             )
             mixed = _mixed(source)
             numeric, whole = (
-                tuple(c for c, kind in columns if _is_one_of(kind, kinds) and c not in mixed) for kinds in (NUMERIC, WHOLE)
+                tuple(c for c, kind in columns if re.fullmatch(kinds, kind) and c not in mixed) for kinds in (NUMERIC, WHOLE)
             )
             found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, whole))
         return tuple(found)
@@ -266,11 +268,6 @@ class Column:
 
 def _mixed(relation: Relation) -> tuple[str, ...]:
     return tuple(name for name in relation.texts if name not in relation.rounded)
-
-
-def _is_one_of(kind: str, kinds: Sequence[str]) -> bool:
-    """Check if a DuckDB type is one of these: `DECIMAL(18,3)` is a DECIMAL, but `BIGINT[]` is not a BIGINT."""
-    return kind.partition("(")[0] in kinds and not kind.endswith("]")
 
 
 def like(name: str, known: Sequence[str]) -> str:

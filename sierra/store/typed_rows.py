@@ -10,21 +10,18 @@ import re
 from collections.abc import Sequence
 from functools import cache
 from operator import itemgetter
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 from sierra.errors import Damaged
-
-if TYPE_CHECKING:
-    from sierra.store.answer import Answer
+from sierra.store.answer import INTEGER, NUMBER, Answer
 
 R = TypeVar("R", bound=NamedTuple)
 V = TypeVar("V", str, int, float, bool, bytes)
 
-INTEGER = r"U?(TINY|SMALL|BIG|HUGE)INT|U?INTEGER"
 SQL_TYPES = {
     "str": "VARCHAR|JSON",
     "int": INTEGER,
-    "float": rf"DOUBLE|FLOAT|DECIMAL\(\d+,\d+\)|{INTEGER}",
+    "float": NUMBER,
     "bool": "BOOLEAN",
     "datetime": "TIMESTAMP WITH TIME ZONE",
     "date": "DATE",
