@@ -61,7 +61,7 @@ class Records:
         self.snapshot = Snapshot(paths.root, contents.sound)
         self.snapshot.run(f"SET memory_limit = '{MEMORY}'")
         self.snapshot.run("SET preserve_insertion_order = true")
-        self.snapshot.register("kept", pa.table({"sha256": pa.array(sorted(objects.whole), pa.string())}))
+        self.snapshot.register("kept", sha256=sorted(objects.whole))
         for name in (*(name for name in RECORDED if name != "objects"), "all_judgements", "all_artifacts"):
             with contextlib.suppress(SierraError):  # the checks that need it report that it cannot be read
                 self.snapshot.views.make((name,))

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-import pyarrow as pa
-
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
 from sierra.util.text import counted, spans
@@ -88,13 +86,13 @@ def of(snapshot: Snapshot, executions: Iterable[str] = (), runs: Iterable[str] =
     """Return the runs, experiments and batches that these executions, runs and batches belong to, and a text about them."""
     ended = sorted(set(executions))
     snapshot.views.make(("batch_runs", "experiments", "batches", "all_judgements", "all_artifacts"))
-    snapshot.register("named", pa.table({"execution": pa.array(ended, pa.string())}))
+    snapshot.register("named", execution=ended)
     found = snapshot.run(
         "SELECT DISTINCT run FROM all_judgements e SEMI JOIN named n ON n.execution = e.judgement UNION "
         "SELECT DISTINCT run FROM all_artifacts SEMI JOIN named USING (execution)"
     )
     concerned = sorted({*runs, *(row[0] for row in found if row[0] is not None)})
-    snapshot.register("concerned", pa.table({"run": pa.array(concerned, pa.string())}))
+    snapshot.register("concerned", run=concerned)
     places = snapshot.run(PLACES)
     named = sorted({*batches, *(row[0] for row in places)})
     return Affected(

@@ -208,9 +208,7 @@ def _unneeded(snapshot: Snapshot, *, raw: bool) -> dict[str, int]:
 
 def _tables(snapshot: Snapshot, unneeded: Iterable[str]) -> int:
     """Return the number of these objects that are the bytes of tables."""
-    import pyarrow as pa
-
-    snapshot.register("unneeded", pa.table({"sha256": pa.array(sorted(unneeded), pa.string())}))
+    snapshot.register("unneeded", sha256=sorted(unneeded))
     count: int = snapshot.run(TABLES)[0][0]
     return count
 

@@ -55,10 +55,8 @@ def compare_all(
 
 def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artifacts]:
     """Return the artifacts of each of these executions."""
-    import pyarrow as pa
-
     left: dict[str, dict[str, ArtifactRow]] = {execution: {} for execution in executions}
-    snapshot.register("compared", pa.table({"execution": pa.array(left, pa.string())}))
+    snapshot.register("compared", execution=left)
     statement = "SELECT a.* FROM all_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
     for row in snapshot.select(ArtifactRow, statement):
         left[row.execution][row.path] = row

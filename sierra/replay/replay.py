@@ -206,8 +206,6 @@ def unrecorded(
 
 
 def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
-    import pyarrow as pa
-
     with store.snapshot() as snapshot:
         named = take(snapshot, found)
         good = [one for one in named if one.status == "ok"]
@@ -218,7 +216,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
             )
         snapshot.views.make(("batch_runs", "experiments", "batches"))
         batch = where(snapshot, found).batch
-        snapshot.register("taken", pa.table({"execution": [str(one.judgement) for one in taken]}))
+        snapshot.register("taken", execution=[str(one.judgement) for one in taken])
         by = snapshot.select(
             _RecordedBy,
             "SELECT DISTINCT programs, ingest_rules, environment "

@@ -58,11 +58,9 @@ def groups(segments: Iterable[Segment]) -> list[Group]:
 
 def touched(snapshot: Snapshot, segments: Iterable[Segment], drop: Drop) -> list[Segment]:
     """Return the segments that have a row to remove."""
-    import pyarrow as pa
-
     for table, columns in drop.items():
         for column, values in columns.items():
-            snapshot.register(f"going {table} {column}", pa.table({"value": pa.array(sorted(values), pa.string())}))
+            snapshot.register(f"going {table} {column}", value=sorted(values))
 
     def goes(path: str, table: str, column: str) -> bool:
         going = f"SELECT value FROM {identifier(f'going {table} {column}')}"

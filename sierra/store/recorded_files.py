@@ -222,9 +222,7 @@ def contents(snapshot: Snapshot, files: Sequence[Recorded]) -> Iterator[Content]
 
 def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
     """Return the segments that contain these judgements."""
-    import pyarrow as pa
-
-    snapshot.register("asked", pa.table({"execution": pa.array(judgements, pa.string())}))
+    snapshot.register("asked", execution=judgements)
     return recording(snapshot.run, snapshot.segments, "SELECT execution FROM asked")
 
 
@@ -318,10 +316,8 @@ def _tables(snapshot: Snapshot, holding: Sequence[Segment], files: Sequence[Reco
     """Yield these files. If several have the same rows (a run in two experiments), read each in a separate pass."""
     if not files:
         return
-    import pyarrow as pa
-
-    executions = {file.taken.judgement for file in files}
-    snapshot.register("asked", pa.table({"execution": pa.array(executions, pa.string())}))
+    executions = {file.taken.judgement for file in files if file.taken.judgement}
+    snapshot.register("asked", execution=executions)
     snapshot.run("SET threads = 1")
     snapshot.run("SET TimeZone = 'UTC'")
     snapshot.run("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order

@@ -23,12 +23,10 @@ Key = tuple[str, str, str | None]
 
 def rows_of(snapshot: Snapshot, executions: Iterable[str], outputs: Iterable[str]) -> dict[Key, pa.Table]:
     """Return the tables of these outputs and judgements with their rows in order."""
-    import pyarrow as pa
-
     found: dict[Key, pa.Table] = {}
     executions, outputs = sorted(set(executions)), set(outputs)
     segments = holding(snapshot, executions)
-    snapshot.register("writers", pa.table({"execution": pa.array(executions, pa.string())}))
+    snapshot.register("writers", execution=executions)
     for segment in segments:
         for output, path in segment.outputs():
             if output in outputs:
@@ -50,10 +48,8 @@ def _tables(snapshot: Snapshot, path: str) -> Iterator[tuple[str, str | None, pa
 
 def objects(snapshot: Snapshot, digests: Iterable[str]) -> dict[str, bytes]:
     """Return recorded files by their SHA-256. Raises Damaged if one is missing or has changed."""
-    import pyarrow as pa
-
     digests = set(digests)
-    snapshot.register("digests", pa.table({"sha256": pa.array(digests, pa.string())}))
+    snapshot.register("digests", sha256=digests)
     snapshot.views.make(("objects",))
     statement = "SELECT sha256, content FROM objects SEMI JOIN digests USING (sha256) ORDER BY sha256, part"
     parts = groupby(snapshot.each(statement, {}), lambda row: row[0])

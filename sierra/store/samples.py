@@ -71,9 +71,7 @@ class Frame:
         run = self._snapshot.run
         taken = "(SELECT ordinal, run, judgement FROM effective WHERE batch = $b)"
         if these is not None:
-            import pyarrow as pa
-
-            self._snapshot.register("these", pa.table({"run": list(these), "judgement": list(these.values())}))
+            self._snapshot.register("these", run=these, judgement=these.values())
             taken = "(SELECT ordinal, run, judgement FROM wanted JOIN these USING (run))"
         run(
             "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM batch_runs WHERE batch = $b",

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import re
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -347,9 +347,12 @@ class Snapshot:
         names = rows.columns
         return {row["ordinal"]: row for row in (dict(zip(names, values, strict=True)) for values in rows.fetchall())}
 
-    def register(self, name: str, table: pa.Table) -> None:
-        """Register an Arrow table under a name on this connection."""
-        self.connection.register(name, table)
+    def register(self, name: str, table: pa.Table | None = None, **texts: Iterable[str]) -> None:
+        """Register an Arrow table, or columns of texts, under a name on this connection."""
+        import pyarrow as pa
+
+        columns = {column: pa.array(list(values), pa.string()) for column, values in texts.items()}
+        self.connection.register(name, pa.table(columns) if table is None else table)
 
     def run(self, statement: str, parameters: Mapping[str, object] | None = None) -> list[RawRow]:
         """Execute one of SIERRA's own statements, which may create temporary tables, and return its rows."""
