@@ -18,7 +18,7 @@ from sierra.execution.reuse import rules_changed, states
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.consistency import find_odd
-from sierra.ingest.rejudge import judge_anew
+from sierra.ingest.rejudge import reevaluate
 from sierra.model import Run
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner
@@ -141,7 +141,7 @@ class Executor:
         if not fresh:
             return wanted
         self._context.save(self.session.paths.context)
-        anew = judge_anew(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
+        anew = reevaluate(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
         for lack, count in Counter(anew.unread.values()).most_common(NOTED):
             self._options.observer.notice(
                 f"executing {counted(count, 'run')} again; their records cannot be evaluated by the changed rules: {lack}"

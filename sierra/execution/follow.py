@@ -143,7 +143,7 @@ class _Following:
             status = self._recorder.add(result)
             if status is not Status.INTERRUPTED:
                 self._tally.ended(result.run, status)
-        self._recorder.beside(look.rows, look.copies)
+        self._recorder.add_rows(look.rows, look.copies)
         for text in look.notes:
             self._tally.observer.notice(text)
 

@@ -123,8 +123,8 @@ def _odd(siblings: Sequence[Sibling], name: str, declared: Output | None) -> Ite
         most = max(rows, key=lambda number: (rows[number], number))
         for row in having:
             if row.rows != most:
-                told = f"has {row.rows} rows, but {rows[most]} of {others} have {most}"
-                yield row.execution, f"table {name!r} {told} {allow}"
+                message = f"has {row.rows} rows, but {rows[most]} of {others} have {most}"
+                yield row.execution, f"table {name!r} {message} {allow}"
 
 
 def _allowing(name: str, undeclared: str | None) -> str:
@@ -186,9 +186,9 @@ def _unlike(form: TableLayout, likely: _Usual, ragged: bool, allow: str) -> str 
         name, kind = wrong
         if (hint := form.hints.get(name)) and likely.kinds[name] == "number":
             return f"differs from other runs: {hint}"
-        told = f"has {many(kind)} in column {name!r}, but other runs have {many(likely.kinds[name])}"
+        message = f"has {many(kind)} in column {name!r}, but other runs have {many(likely.kinds[name])}"
         again = kind.endswith(AS_TEXT) or likely.kinds[name] == "text"
-        return told + " (it was recorded before most of them; run the query again to read it like them)" * again
+        return message + " (it was recorded before most of them; run the query again to read it like them)" * again
     if likely.ended and not form.ended:
         return "is truncated: its last line does not end with a line feed"
     return None

@@ -145,8 +145,8 @@ class Csv(Text):
     def miscount(self, file: Written, counted: int, read: int) -> str:
         if not self.part.names:
             return f"line 1: is empty, but {counted} rows follow; name the columns (set columns = [...] in [outputs.…])"
-        told = self.first_fault(file, self.part.names, dict.fromkeys(self.part.names, "VARCHAR"))
-        return told or f"{super().miscount(file, counted, read)} ({QUOTING}, and end all lines in the same way)"
+        message = self.first_fault(file, self.part.names, dict.fromkeys(self.part.names, "VARCHAR"))
+        return message or f"{super().miscount(file, counted, read)} ({QUOTING}, and end all lines in the same way)"
 
     def _unquoted(self, file: Written) -> str:
         """Return the position of the first error in quotes; if all quotes have a partner, the first line with an odd number."""
@@ -165,8 +165,8 @@ class Csv(Text):
         names = [name for place, name in enumerate(self.part.names) if name != f"column{place}" and not reads_as_number(name)]
         for file in files if self.shape.header else ():
             if names and all(found[name].get(file.path) == "VARCHAR" for name in names) and (line := self._header_again(file)):
-                told = f"line {line}: the header is repeated: {_first_record(file)[:80]!r}"
-                yield file, f"{told} (did the run append to the file? write the header once, before all rows)"
+                message = f"line {line}: the header is repeated: {_first_record(file)[:80]!r}"
+                yield file, f"{message} (did the run append to the file? write the header once, before all rows)"
 
     def _header_again(self, file: Written) -> int | None:
         """Return the first line that repeats the header; None if a single column of texts contains the name as a value."""

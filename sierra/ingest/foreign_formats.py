@@ -40,8 +40,8 @@ class Converted(Parquet):
             except OSError:
                 raise
             except Exception as error:
-                told = f"the reader {self.shape.format!r} failed: {type(error).__name__}: {error}"
-                self.fault(file, _one_line(told))
+                message = f"the reader {self.shape.format!r} failed: {type(error).__name__}: {error}"
+                self.fault(file, _one_line(message))
             else:
                 yield replace(file, path=str(target))
 

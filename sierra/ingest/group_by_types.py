@@ -36,7 +36,7 @@ def kinds_of(
     kept: Mapping[str, Mapping[str, str | None]],
 ) -> dict[str, dict[str, str]]:
     """Return the kind of each column in each file, marked if it is kept as text."""
-    told = {}
+    by_file = {}
     same: dict[tuple[str, ...], dict[str, str]] = {}
     for file in files:
         mine = {}
@@ -44,5 +44,5 @@ def kinds_of(
             kind = found[name].get(file.path)
             as_text = kind not in (None, "VARCHAR") and kept[name].get(file.path) == "VARCHAR"
             mine[name] = kind_of(kind or EMPTY) + AS_TEXT * as_text
-        told[file.path] = same.setdefault(tuple(mine.values()), mine)
-    return told
+        by_file[file.path] = same.setdefault(tuple(mine.values()), mine)
+    return by_file

@@ -71,8 +71,8 @@ class Recorder:
         self.context = context
         self._reading = context.ingest_rules
         self._pending: list[Judgement] = []
-        self._beside: dict[str, list[Mapping[str, Cell]]] = {}
-        self._around: set[str] = set()
+        self._other_rows: dict[str, list[Mapping[str, Cell]]] = {}
+        self._environments: set[str] = set()
         """The environments that are recorded or will be; usually one for all elements."""
         self._ruled = 0
         """The number of segments that record the data shared by all executions."""
@@ -102,18 +102,18 @@ class Recorder:
         """Return the result as the engine classifies it, if the engine's client ran between the program and the worker."""
         if self.context.isolation is None or self.context.shared or result.exit_code == 0:
             return result
-        said = kept_of(f"{result.directory}/{RUN_STDERR}")[0][-LOG_SHOWN:].decode("utf-8", "replace")
+        errors = kept_of(f"{result.directory}/{RUN_STDERR}")[0][-LOG_SHOWN:].decode("utf-8", "replace")
         engine = engines.find(self.context.engine, self.context.engines)
-        return engine.classify(result, said, frozenset(self.context.enforced))
+        return engine.classify(result, errors, frozenset(self.context.enforced))
 
-    def beside(self, rows: Iterable[tuple[str, Mapping[str, Cell]]], copies: Iterable[Result]) -> None:
+    def add_rows(self, rows: Iterable[tuple[str, Mapping[str, Cell]]], copies: Iterable[Result]) -> None:
         """Add other records: rows by table, and runs that were executed once more than requested."""
         for table, row in rows:
             if table == "environments":
-                if row["environment"] in self._around:
+                if row["environment"] in self._environments:
                     continue
-                self._around.add(str(row["environment"]))
-            self._beside.setdefault(table, []).append(row)
+                self._environments.add(str(row["environment"]))
+            self._other_rows.setdefault(table, []).append(row)
         self._copies += copies
 
     def due(self) -> bool:
@@ -129,10 +129,10 @@ class Recorder:
         Raises Missing if the disk is full or read-only; then nothing is lost.
         """
         self._flushed = time.monotonic()
-        if not (self._pending or self._beside or self._copies):
+        if not (self._pending or self._other_rows or self._copies):
             return []
         writer = self._store.writer(self._session.segment, self.context.batch)
-        for table, rows in self._beside.items():
+        for table, rows in self._other_rows.items():
             writer.rows(table, rows)
         writer.records(self._compared())
         if (doubt := self._doubt()) is not None:
@@ -143,7 +143,7 @@ class Recorder:
         for one in judged:
             self._put_away(one.result)
         self._pending, self._bytes = [], 0
-        self._beside, self._copies = {}, []
+        self._other_rows, self._copies = {}, []
         return [(one.result.run, one.status, one.reason or "") for one in judged if one.status is not Status.OK]
 
     def _compared(self) -> Iterator[DuplicateRow]:
@@ -178,9 +178,9 @@ class Recorder:
     def _twice(self) -> Iterator[str]:
         """Yield a warning about runs that two attempts executed at the same time."""
         if self._copied:
-            told = f"{self._copied} runs were executed twice, because copies of their array tasks ran at the same time"
+            message = f"{self._copied} runs were executed twice, because copies of their array tasks ran at the same time"
             unlike = f"; {self._unlike} of them have different results: they are not deterministic" if self._unlike else ""
-            yield f"{told}{unlike}; see the table duplicates"
+            yield f"{message}{unlike}; see the table duplicates"
 
     def _write(self, writer: Writer) -> list[Judgement]:
         """Write everything pending and return the final judgements."""

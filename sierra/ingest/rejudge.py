@@ -263,26 +263,26 @@ class Rejudged:
     notes: list[str] = field(default_factory=list)
 
 
-def judge_anew(store: Store, session: SessionPaths, context: Context, runs: Iterable[str], *, mismatched: bool) -> Rejudged:
+def reevaluate(store: Store, session: SessionPaths, context: Context, runs: Iterable[str], *, mismatched: bool) -> Rejudged:
     """Evaluate and record these runs as far as possible. Raises Missing if the disk is full; then nothing is lost."""
-    anew = Rejudged()
+    outcome = Rejudged()
     assigning, shapes = OutputMatcher(context.outputs, context.readers), dict[str, Shape]()
 
     def size(one: Past) -> int:
         return sum(row.size for row in needed(one, context))
 
-    for foreseen in foresee(store, context, runs, mismatched=mismatched):
-        anew.unread |= foreseen.lacking
-        past = sorted(foreseen.possible.values(), key=lambda one: one.tabled)
+    for found in foresee(store, context, runs, mismatched=mismatched):
+        outcome.unread |= found.lacking
+        past = sorted(found.possible.values(), key=lambda one: one.tabled)
         for some in by_weight(past, size, BYTES, lambda group, one: one.tabled == group[0].tabled):
-            with disk_errors(session.anew):
-                session.anew.mkdir()
+            with disk_errors(session.reevaluation):
+                session.reevaluation.mkdir()
             try:
-                _Group(store, session, context, assigning, shapes, anew).judge(some)
+                _Group(store, session, context, assigning, shapes, outcome).judge(some)
             finally:
-                worker.remove(str(session.anew))
-    anew.notes += [*as_files(assigning.kept), *TableWarnings(store, context, shapes).all()]
-    return anew
+                worker.remove(str(session.reevaluation))
+    outcome.notes += [*as_files(assigning.kept), *TableWarnings(store, context, shapes).all()]
+    return outcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,7 +294,7 @@ class _Group:
     context: Context
     assigning: OutputMatcher
     shapes: dict[str, Shape]
-    anew: Rejudged
+    outcome: Rejudged
 
     def judge(self, past: Sequence[Past]) -> None:
         """Evaluate the executions and publish the segment."""
@@ -316,7 +316,7 @@ class _Group:
         writer.records(self._row(of, one) for of, one in made)
         writer.records([IngestRulesRow(self.context.ingest_rules, self.context.declared)] if made else [])
         self.store.publish(writer)
-        self.anew.judged |= {of.last.run for of, _ in made}
+        self.outcome.judged |= {of.last.run for of, _ in made}
 
     def _copied(self, good: Sequence[tuple[Past, Result]], writer: Writer) -> TableIngest:
         """Copy recorded rows. Raises Damaged if their number differs from the number in their artifacts."""
@@ -334,13 +334,13 @@ class _Group:
 
     def _results(self, past: Sequence[Past]) -> Iterator[tuple[Past, Result]]:
         """Yield the results that a worker would have reported, with the bytes of the needed files in a folder."""
-        folders = {one.last.execution: self.session.anew / str(number) for number, one in enumerate(past)}
+        folders = {one.last.execution: self.session.reevaluation / str(number) for number, one in enumerate(past)}
         read, lost = self._unpacked(past, folders)
         for one in past:
             made = judgement_id(one.last.execution, self.context.ingest_rules, self.context.session)
             result = one.result(made, folders[one.last.execution], read.get(one.last.execution, {}))
             if one.last.execution in lost:
-                self.anew.unread[one.last.run] = lost[one.last.execution]
+                self.outcome.unread[one.last.run] = lost[one.last.execution]
             elif one.failed_by_rules(result):
                 yield one, result
 

@@ -81,8 +81,8 @@ class TableWarnings:
             axes = {axis.lower(): axis for axis in snapshot.views.axes()}
             for name in (name for name in self._shapes if not axes.keys().isdisjoint(columns.get(name, ()))):
                 for axis, column, called in _hidden(snapshot, name, axes):
-                    told = f"column {column!r} of output {name!r} is named {called!r} in SQL"
-                    yield f"{told}, because {axis!r} is the independent variable, which has other values"
+                    message = f"column {column!r} of output {name!r} is named {called!r} in SQL"
+                    yield f"{message}, because {axis!r} is the independent variable, which has other values"
 
     def _of_kinds(self, forms: Sequence[_Table]) -> Iterator[str]:
         """Yield warnings about columns of different kinds in different runs, and about texts that are probably numbers."""
@@ -104,9 +104,9 @@ class TableWarnings:
         """Yield warnings about columns that are text in all runs, but were probably not intended as text."""
         texts = [key for key, counts in kinds.items() if all(kind == "text" or kind.endswith(AS_TEXT) for kind in counts)]
         for output, name in texts[:NOTED_AT_MOST]:
-            if told := self._as_one_column(kinds, output, name) or self._numeric(kinds, output, name):
+            if message := self._as_one_column(kinds, output, name) or self._numeric(kinds, output, name):
                 runs = kinds[output, name].total()
-                yield f"column {name!r} of output {output!r} is text in {counted(runs, 'run')}, so it has no figure: {told}"
+                yield f"column {name!r} of output {output!r} is text in {counted(runs, 'run')}, so it has no figure: {message}"
 
     def _as_one_column(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
         """Return advice for a table that has one column because its delimiter or its header was not recognized."""
@@ -149,8 +149,8 @@ def _instead(output: str, name: str, look: str, cells: int, example: str) -> str
             return f"write {example!r} without separators between digits"
         case ("unit", _, unit):
             key = json.dumps(name, ensure_ascii=False)
-            told = f"[outputs.{output}] units = {{ {key} = {json.dumps(unit, ensure_ascii=False)} }}"
-            return f"write {example!r} without {unit!r} ({told} declares the unit)"
+            message = f"[outputs.{output}] units = {{ {key} = {json.dumps(unit, ensure_ascii=False)} }}"
+            return f"write {example!r} without {unit!r} ({message} declares the unit)"
         case ("other" | "missing", _, _):
             return f"leave cells without a number empty instead of writing {example!r} ({counted(cells, 'such cell')})"
     return "some further down do not"
@@ -167,10 +167,10 @@ def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
     """Yield warnings about files that look like tables but are recorded as files."""
     for why, files in kept.items():
         first = PurePosixPath(next(iter(files)))
-        told = why.replace("{glob}", str(first.with_name("*" + first.suffix))).replace("{file}", str(first))
+        message = why.replace("{glob}", str(first.with_name("*" + first.suffix))).replace("{file}", str(first))
         some = "or more " if len(files) == NOTED_AT_MOST else ""
         these = f"{str(first)!r} and {len(files) - 1} {some}others are" if len(files) > 1 else f"{str(first)!r} is"
-        yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {told}"
+        yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {message}"
 
 
 FORMS = """
@@ -203,7 +203,7 @@ SELECT look, count(*), min(cell) FROM looking GROUP BY look ORDER BY count(*) DE
 def _hidden(snapshot: Snapshot, name: str, axes: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
     """Yield the columns that an axis with other values hides in SQL: axis, column, and the column's name in SQL."""
     snapshot.views.make((name,))
-    for column, called in snapshot.views.called.get(name.lower(), {}).items():
+    for column, called in snapshot.views.sql_names.get(name.lower(), {}).items():
         axis = axes.get(column.lower())
         if axis is not None and snapshot.run(
             UNLIKE.format(axis=identifier(axis), column=identifier(called), table=identifier(name))

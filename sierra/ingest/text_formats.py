@@ -151,8 +151,8 @@ class Text(TableReader):
     def _hint(self, file: Written, name: str) -> None:
         """Note the place where a file has text, if most of its siblings have numbers."""
         types = dict.fromkeys(self.part.names, "VARCHAR") | {name: "DOUBLE"}
-        if told := self.first_fault(file, self.part.names, types):
-            self.hints.setdefault((file.execution, file.name), {})[name] = f"{shown(file.name)}: {told}"
+        if fault := self.first_fault(file, self.part.names, types):
+            self.hints.setdefault((file.execution, file.name), {})[name] = f"{shown(file.name)}: {fault}"
 
     def _misread(self, target: Path, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> bool:
         """Check if a text that is not a number was written as one; search only if there is a sign of it."""

@@ -396,7 +396,7 @@ def _tables(records: Records) -> Iterator[Finding]:
         bad.setdefault(output, []).append((execution, f"{path}: {found} instead of {expected}"))
     for output, executions in sorted(bad.items()):
         if named := _unless_broken(records, (execution for execution, _ in executions)):
-            first = next(told for execution, told in executions if execution in named)
+            first = next(difference for execution, difference in executions if execution in named)
             what = f"table {output!r} does not have as many rows as executions wrote ({first})"
             yield Finding(Kind.LOST, "output." + output, what, of(records.snapshot, named))
 

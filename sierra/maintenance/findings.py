@@ -69,8 +69,8 @@ class Finding:
     affected: Affected = field(default=NOTHING)
 
     def __str__(self) -> str:
-        told = f"{self.kind}: {self.path}: {self.what}"
-        return f"{told}: {self.affected.text}" if self.affected.text else told
+        problem = f"{self.kind}: {self.path}: {self.what}"
+        return f"{problem}: {self.affected.text}" if self.affected.text else problem
 
 
 SHOWN = 3
@@ -122,9 +122,9 @@ def _experiments(snapshot: Snapshot, batch: str, places: Sequence[tuple[str, str
     for _, _, ordinal, number, _ in places:
         numbers.setdefault(ordinal, []).append(number)
     values = _values(snapshot, batch) if numbers else {}
-    told = [f"{values.get(ordinal, f'experiment {ordinal}')}: {_ranges(those)}" for ordinal, those in numbers.items()]
-    more = [f"{len(told) - SHOWN} more experiments"] if len(told) > SHOWN else []
-    return "; ".join(told[:SHOWN] + more)
+    texts = [f"{values.get(ordinal, f'experiment {ordinal}')}: {_ranges(those)}" for ordinal, those in numbers.items()]
+    more = [f"{len(texts) - SHOWN} more experiments"] if len(texts) > SHOWN else []
+    return "; ".join(texts[:SHOWN] + more)
 
 
 def _values(snapshot: Snapshot, batch: str) -> dict[int, str]:
@@ -139,8 +139,8 @@ def _values(snapshot: Snapshot, batch: str) -> dict[int, str]:
 def _ranges(numbers: Sequence[int]) -> str:
     """Format run numbers as ranges: `runs 3–9, 12`."""
     found = spans(sorted(set(numbers)))
-    told = ", ".join(str(a) if a == b else f"{a}–{b}" for a, b in found[:5]) + (", …" if len(found) > 5 else "")
-    return f"run{'s' if len(set(numbers)) > 1 else ''} {told}"
+    ranges = ", ".join(str(a) if a == b else f"{a}–{b}" for a, b in found[:5]) + (", …" if len(found) > 5 else "")
+    return f"run{'s' if len(set(numbers)) > 1 else ''} {ranges}"
 
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:

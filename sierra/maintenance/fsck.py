@@ -116,10 +116,10 @@ def _affected(read: Records, name: str, file: str) -> Affected:
         for table, path in segment.files.items():
             if table in ("executions", "artifacts") or (table.startswith("output.") and not executions):
                 executions |= {row[0] for row in read.each(f"SELECT DISTINCT execution FROM {read_parquet([path])}")}
-        told = of(read.snapshot, executions, batches=batches)
+        affected = of(read.snapshot, executions, batches=batches)
     except (Damaged, SierraError):
         return Affected(text=f"of batch {segment.batch}…")
-    return told if told.text else Affected(text=f"of batch {segment.batch}…")
+    return affected if affected.text else Affected(text=f"of batch {segment.batch}…")
 
 
 def _sessions(paths: StorePaths) -> Iterator[Finding]:

@@ -225,7 +225,7 @@ RAW_LOST = (
 
 def text(collection: Collection) -> list[str]:
     """Return lines that list the data to remove."""
-    told = (
+    counts = (
         (collection.sessions, "sessions that died (their finished executions are recorded first)"),
         (collection.unfinished, "unfinished files"),
         (collection.replaced, "replaced segments"),
@@ -235,4 +235,4 @@ def text(collection: Collection) -> list[str]:
         (collection.logs, "log files of sessions that are not recorded"),
         (collection.damaged, "damaged segments that a repair put aside"),
     )
-    return [f"{count} {what}" for count, what in told if count]
+    return [f"{count} {what}" for count, what in counts if count]

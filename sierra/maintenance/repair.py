@@ -85,9 +85,9 @@ def _ours(paths: StorePaths) -> None:
     with contextlib.suppress(OSError):
         found = paths.format.read_bytes().decode("utf-8", "replace")
         if re.fullmatch(r"sierra store \d+\n", found) and found != FORMAT:
-            told = f"this is {found.strip()!r}, which this SIERRA does not repair"
+            problem = f"this is {found.strip()!r}, which this SIERRA does not repair"
             raise Damaged(
-                f"{paths.format}: {told}; if this SIERRA made the store, change the file's content to {FORMAT.strip()!r}"
+                f"{paths.format}: {problem}; if this SIERRA made the store, change the file's content to {FORMAT.strip()!r}"
             )
 
 

@@ -110,8 +110,8 @@ class _Contents:
     def rows(self, artifact: ArtifactRow) -> pa.Table | None:
         rows = self._rows.get(_key(artifact))
         if (count := 0 if rows is None else rows.num_rows) != artifact.rows:
-            told = f"{count} of the {artifact.rows} rows that execution {artifact.execution[:10]} wrote"
-            raise Damaged(f"the store has {told} to {artifact.output!r}")
+            present = f"{count} of the {artifact.rows} rows that execution {artifact.execution[:10]} wrote"
+            raise Damaged(f"the store has {present} to {artifact.output!r}")
         return rows
 
     def lost(self, was: ArtifactRow, now: ArtifactRow) -> str | None:

@@ -182,9 +182,9 @@ def _of_rows(recorded: pa.Table, found: pa.Table, rules: Rules, unlike: Sequence
     beyond = [one for one in parted if not one.keeps_to(rules.of(one.name))]
     if not beyond:
         far = max(parted, key=lambda one: one.rel)
-        return far.told(Verdict.WITHIN, f"differences of at most {far.far()} in {far.called()}")
+        return far.agreement(Verdict.WITHIN, f"differences of at most {far.far()} in {far.called()}")
     first = min(beyond, key=lambda one: one.first or 0)
-    return first.told(Verdict.DIFFERENT, _in_a_line(first, beyond))
+    return first.agreement(Verdict.DIFFERENT, _in_a_line(first, beyond))
 
 
 def _equal(distances: Sequence[_Distance], unlike: Sequence[str]) -> str:
@@ -204,7 +204,7 @@ def _other_length(was: int, now: int, parted: Sequence[_Distance]) -> Agreement:
     first = min(parted, key=lambda one: one.first or 0, default=None)
     if first is None:
         return Agreement(Verdict.DIFFERENT, f"{why}; the first {min(was, now)} are the same" if min(was, now) else why)
-    return first.told(Verdict.DIFFERENT, f"{why}; {_in_a_line(first, parted)}")
+    return first.agreement(Verdict.DIFFERENT, f"{why}; {_in_a_line(first, parted)}")
 
 
 def _in_a_line(first: _Distance, parted: Sequence[_Distance]) -> str:
@@ -359,7 +359,7 @@ class _Distance:
         ]
         return f"{self.abs:.3g}" + (f" ({', '.join(known)})" if known else "")
 
-    def told(self, verdict: Verdict, why: str) -> Agreement:
+    def agreement(self, verdict: Verdict, why: str) -> Agreement:
         was, now = self._values()
         if not self.numeric:
             return Agreement(verdict, why, self.first, self.name, was, now)

@@ -49,13 +49,13 @@ def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
         return (f"run {short(run)} could not be executed a second time: {error}",)
     if answer.interrupted:
         raise KeyboardInterrupt
-    return tuple(_told(one) for one in answer.runs)
+    return tuple(_as_note(one) for one in answer.runs)
 
 
-def _told(run: Compared) -> str:
+def _as_note(run: Compared) -> str:
     executed = f"run {short(run.taken.run)} was executed twice:"
     if run.verdict is Verdict.IDENTICAL:
         return f"{executed} both executions wrote the same bytes"
     worst = next((path, one) for path, one in run.outputs.items() if one.verdict is run.verdict)
-    told = f"{executed} the second execution is {run.verdict}: {f'{worst[0]}: ' if worst[0] else ''}{worst[1].reason}"
-    return told if run.verdict.fine else f"{told}; runs with the same seed are not deterministic"
+    message = f"{executed} the second execution is {run.verdict}: {f'{worst[0]}: ' if worst[0] else ''}{worst[1].reason}"
+    return message if run.verdict.fine else f"{message}; runs with the same seed are not deterministic"

@@ -95,10 +95,10 @@ def _compare(name: str, metric: Equivalence, pairs: list[tuple[float, float]]) -
             name, metric, mean, None, None, f"{name}: the recorded mean is 0, so 'relative' gives a margin of 0; use 'margin'"
         )
     tested = equivalence.test(differences, margin, metric.alpha)
-    return Metric(name, metric, mean, now, tested, _told(name, tested))
+    return Metric(name, metric, mean, now, tested, _as_text(name, tested))
 
 
-def _told(name: str, tested: equivalence.Tested) -> str:
+def _as_text(name: str, tested: equivalence.Tested) -> str:
     level = f"{100 * (1 - 2 * tested.alpha):.3g} % CI {tested.low:.3g} … {tested.high:.3g}"
     within = "within" if tested.equivalent else "not within"
     return (

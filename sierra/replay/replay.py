@@ -201,7 +201,7 @@ def unrecorded(
         raise UsageError(f"runner {options.runner!r} needs the record to find its runs again; remove --no-record")
     own = project.config.store.model_copy(update={"work_folder": None})  # the temporary store is in that folder already
     inner = replace(project, config=project.config.model_copy(update={"store": own}))
-    with store.beside(project.config.store.place()) as other:
+    with store.overlay(project.config.store.place()) as other:
         return replay(inner, other, prefix, options, observer)
 
 

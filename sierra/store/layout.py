@@ -167,7 +167,7 @@ class SessionPaths:
     source = _Below("source")
     """The folder of the restored source during a replay."""
     segment = _Below("segment")
-    anew = _Below("anew")
+    reevaluation = _Below("anew")
     """The folder of recorded files while executions are evaluated by changed rules."""
     asking = _Below("asking.json")
     """The data to record about a session whose process may be gone when it ends."""

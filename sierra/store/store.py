@@ -74,10 +74,10 @@ class Store:
         except OSError as error:
             raise Missing(f"no store in {root}: nothing has been run here yet (sierra run creates one)") from error
         if found != FORMAT:
-            told = f"this is {found.strip()[:40]!r}, but this SIERRA reads {FORMAT.strip()!r}"
+            problem = f"this is {found.strip()[:40]!r}, but this SIERRA reads {FORMAT.strip()!r}"
             other = f"read it with the SIERRA that made it, or move {root} away and run the command again"
-            heals = other if re.fullmatch(r"sierra store \d+\n", found) else "sierra fsck --repair writes it again"
-            raise Damaged(f"{self.paths.format}: {told}; {heals}")
+            remedy = other if re.fullmatch(r"sierra store \d+\n", found) else "sierra fsck --repair writes it again"
+            raise Damaged(f"{self.paths.format}: {problem}; {remedy}")
 
     @classmethod
     def create(cls, root: Path) -> Store:
@@ -116,7 +116,7 @@ class Store:
         return writer.publish(self.paths.segments)
 
     @contextlib.contextmanager
-    def beside(self, folder: Path | None = None) -> Iterator[Store]:
+    def overlay(self, folder: Path | None = None) -> Iterator[Store]:
         """Yield a temporary store that contains this store's current segments. New segments go only into the temporary store.
 
         It is created in `folder` or the system's temporary folder, and removed at the end.

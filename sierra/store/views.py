@@ -69,12 +69,12 @@ class Views:
                 self._outputs.setdefault(spelled.setdefault(name.lower(), name), []).append(path)
         self._own = [segment for segment in segments if within is not None and segment.batch == within[:12]]
         self._segments = segments
-        self.called: dict[str, dict[str, str]] = {}
+        self.sql_names: dict[str, dict[str, str]] = {}
         """The names of an output's columns in SQL, by output (in lower case) whose view exists."""
         self.notes: list[str] = []
         """Notes for the user on columns with several types."""
         self._made: set[str] = set()
-        self._there: list[str] = []
+        self._views: list[str] = []
 
     def _execute(self, statement: str, parameters: Mapping[str, str] | None = None) -> DuckDBPyConnection:
         """Execute a statement of these views. Raises Damaged for errors in the store's files."""
@@ -94,7 +94,7 @@ class Views:
 
     def made(self) -> list[str]:
         """Return the existing views as SQL identifiers."""
-        return self._there
+        return self._views
 
     def axes(self) -> list[str]:
         """Return the axes that are columns: of all batches, as in `experiments`; or of one batch, in its order."""
@@ -126,7 +126,7 @@ class Views:
         else:
             return
         self._execute(f"CREATE VIEW {identifier(name)} AS {body}")
-        self._there.append(identifier(name))
+        self._views.append(identifier(name))
 
     def _make_recorded(self, name: str) -> None:
         """Create a view of records. If no file has the later columns, use the query that takes longer to prepare."""
@@ -139,7 +139,7 @@ class Views:
             self._sql.execute(view + body())
         except duckdb.Error:
             self._execute(view + body(older=True))
-        self._there.append(identifier(name))
+        self._views.append(identifier(name))
 
     def _recorded(self, name: str, *, older: bool = False) -> str:
         files = self._files.get(name)
@@ -154,7 +154,7 @@ class Views:
             return f"SELECT {', '.join(keys)}{picked} FROM {source} GROUP BY {', '.join(keys)}"
         if name == "executions":
             return self._executions(source)
-        if name == "artifacts" and self._anew:
+        if name == "artifacts" and self._reevaluated:
             return f"SELECT a.* REPLACE (l.execution AS execution) FROM {source} a JOIN ({LAST}) l ON a.execution = l.judgement"
         if name == "batch_runs" and self._within is not None:
             return f"SELECT * FROM {source} WHERE batch = {quote(self._within)}"
@@ -172,31 +172,31 @@ class Views:
         """Return the relation of axis values: unchanged for one batch, with numbers split from texts for all batches."""
         own = [segment.files["experiments"] for segment in self._own if "experiments" in segment.files]
         found = relation(self._fetch, own or files)
-        self._tell("experiments", found, {name: name for name in found.types})
+        self._note("experiments", found, {name: name for name in found.types})
         return found.sql if self._within is None else f"(SELECT * FROM {found.sql} WHERE batch = {quote(self._within)})"
 
     def _fetch(self, statement: str) -> list[RawRow]:
         return self._execute(statement).fetchall()
 
-    def _tell(self, table: str, found: Relation, called: Mapping[str, str]) -> None:
+    def _note(self, table: str, found: Relation, sql_names: Mapping[str, str]) -> None:
         """Note which columns have a `_text` column."""
         for name, text in found.texts.items():
-            column, beside = f"column {called[name]!r} of {table}", repr(called[text])
+            column, beside = f"column {sql_names[name]!r} of {table}", repr(sql_names[text])
             split = "numbers in some runs and other values in others; the other values are"
             if name in found.rounded:
                 split = "fractions in some runs and very large whole numbers in others; the exact digits are"
             self.notes.append(f"{column} has {split} in {beside}")
 
     @property
-    def _anew(self) -> bool:
+    def _reevaluated(self) -> bool:
         """True if any execution was evaluated by changed rules."""
         return "judgements" in self._files
 
     def _executions(self, source: str) -> str:
-        if not self._anew:
+        if not self._reevaluated:
             return "SELECT * EXCLUDE (judgement, judged_at, place) FROM all_judgements"
-        said = "l.status AS status, l.reason AS reason, l.ingest_rules AS ingest_rules"
-        return f"SELECT e.* REPLACE ({said}) FROM {source} e JOIN ({LAST}) l USING (execution)"
+        last_values = "l.status AS status, l.reason AS reason, l.ingest_rules AS ingest_rules"
+        return f"SELECT e.* REPLACE ({last_values}) FROM {source} e JOIN ({LAST}) l USING (execution)"
 
     def _all_judgements(self, *, older: bool = False) -> str:
         """Return the query for all judgements, the first and the later ones, with findings that were added afterwards."""
@@ -206,13 +206,13 @@ class Views:
             return f"SELECT {columns} WHERE false"
         source = self._records("executions", files, older=older)
         first = f"SELECT execution AS judgement, ended AS judged_at, lamport AS place, * FROM {source}"
-        if self._anew:
+        if self._reevaluated:
             theirs = ", ".join(f"j.{name} AS {name}" for name in ("batch", "status", "reason", "ingest_rules"))
-            anew = (
+            later = (
                 f"SELECT j.judgement, j.judged_at, j.lamport AS place, e.* REPLACE ({theirs}) "
                 f"FROM judgements j JOIN {source} e USING (execution)"
             )
-            first = f"{first} UNION ALL BY NAME {anew}"
+            first = f"{first} UNION ALL BY NAME {later}"
         if "findings" not in self._files:
             return first
         return (
@@ -269,8 +269,8 @@ class Views:
         renamed = ", ".join(f"{identifier(c)} AS {identifier(n)}" for c, n in zip(theirs, free, strict=True) if c != n)
         rename = f" RENAME ({renamed})" if renamed else ""
         *_, row = column_names(["row"], taken=(*axes, *free))
-        self.called[name.lower()] = dict(zip(theirs, free, strict=True))
-        self._tell(name, found, self.called[name.lower()])
+        self.sql_names[name.lower()] = dict(zip(theirs, free, strict=True))
+        self._note(name, found, self.sql_names[name.lower()])
         ours = "".join(f"p.{identifier(axis)}, " for axis in axes)
         return (
             f"SELECT {ours}p.number, o.file_row_number AS {identifier(row)}, "
@@ -284,7 +284,7 @@ class Views:
         if self._within is not None:
             mine = self._of_batch(files)
             files = [file for file in files if file in mine] or files
-        elif all(map(is_first_part, files)) and "findings" not in self._files and not self._anew:
+        elif all(map(is_first_part, files)) and "findings" not in self._files and not self._reevaluated:
             return files
         found = {row[0] for row in self._fetch(files_with(files, f"SELECT judgement FROM ({COUNTED})"))}
         return [file for file in files if file in found] or files
