@@ -200,7 +200,7 @@ CREATE TABLE replays (
     "engine" VARCHAR,  -- the container engine
     "runs" BIGINT,  -- runs compared [1]
     "verdict" VARCHAR,  -- identical, equal, within tolerance, equivalent, different or failed: the worst verdict of its experiments
-    "tolerances" VARCHAR,  -- tolerances that were requested, as JSON: by output, by column
+    "tolerances" VARCHAR,  -- tolerances that were requested, as JSON: by output, by column; NULL if none were
     "environment" VARCHAR,  -- the environment in which it ran
     "programs" VARCHAR,  -- fingerprint of the programs with which it was executed
     "lamport" BIGINT  -- its position in the logical order, as in sessions
@@ -234,12 +234,12 @@ CREATE TABLE equivalences (
     "measure" VARCHAR,  -- how each run was reduced to one number
     "recorded_mean" DOUBLE,  -- the recorded mean, in the column's unit
     "replayed_mean" DOUBLE,  -- the replayed mean
-    "n" BIGINT,  -- number of pairs of runs [1]
+    "n" BIGINT,  -- number of pairs of runs; NULL if the means were not compared [1]
     "difference" DOUBLE,  -- the mean of the differences between paired runs
     "low" DOUBLE,  -- lower end of the confidence interval (level 1 - 2 alpha) of the difference
     "high" DOUBLE,  -- upper end of the confidence interval
     "margin" DOUBLE,  -- the interval must lie between -margin and +margin
-    "alpha" DOUBLE,  -- significance level: greatest probability of finding means equivalent that differ by the margin [1]
+    "alpha" DOUBLE,  -- significance level: greatest probability of finding means equivalent that differ by the margin; NULL as n [1]
     "p" DOUBLE,  -- the greater p-value of the two tests [1]
     "power" DOUBLE,  -- power: probability of finding equal means equivalent [1]
     "equivalent" BOOLEAN,  -- whether the interval lies within the margins
