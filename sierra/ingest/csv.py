@@ -9,17 +9,14 @@ import re
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from sierra.ingest.independent_row_count import any_size, count_records, csv_reader, lines_of
 from sierra.ingest.messages import shown
-from sierra.ingest.model import Part, Shape, Siblings, Written
+from sierra.ingest.model import Found, Part, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE
 from sierra.ingest.text_formats import Text
+from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import csv_given
-
-if TYPE_CHECKING:
-    from duckdb import DuckDBPyConnection
 
 DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
@@ -36,7 +33,7 @@ class Csv(Text):
     _longest = 0
     """The length of the longest line of the part in bytes; determined only for files of megabytes."""
 
-    def __init__(self, connection: DuckDBPyConnection, shape: Shape, target: Path, siblings: Siblings) -> None:
+    def __init__(self, connection: Database, shape: Shape, target: Path, siblings: Siblings) -> None:
         super().__init__(connection, shape, target, siblings)
         self._records: dict[str, int | str] = {}
         """The number of records in each file, or an error message, by path."""
@@ -158,9 +155,7 @@ class Csv(Text):
             line, text = next(odd, (1, ""))
         return f"line {line}: an odd number of quotes: {shown(text.strip())[:80]!r} ({QUOTING})"
 
-    def contradictions(
-        self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
-    ) -> Iterator[tuple[Written, str]]:
+    def contradictions(self, files: Sequence[Written], found: Found) -> Iterator[tuple[Written, str]]:
         """Yield the files that repeat their header, for example because a run appended to them; then all columns are text."""
         names = [name for place, name in enumerate(self.part.names) if name != f"column{place}" and not reads_as_number(name)]
         for file in files if self.shape.header else ():

@@ -6,22 +6,19 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from sierra.ingest import base
 from sierra.ingest.base import Columns, OutputReader, UnreadableError
 from sierra.ingest.model import Reading, Shape, Siblings, Written
 from sierra.ingest.parquet import Parquet
+from sierra.store.connections import Database
 from sierra.store.segments import disk_errors
-
-if TYPE_CHECKING:
-    from duckdb import DuckDBPyConnection
 
 
 class Converted(Parquet):
     """A reader that converts each file by a reader of another package."""
 
-    def __init__(self, connection: DuckDBPyConnection, shape: Shape, target: Path, siblings: Siblings) -> None:
+    def __init__(self, connection: Database, shape: Shape, target: Path, siblings: Siblings) -> None:
         super().__init__(connection, shape, target, siblings)
         self._reader: OutputReader = base.make(shape.format, shape.reader)
 

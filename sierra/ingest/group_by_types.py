@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
-from sierra.ingest.model import Written
+from sierra.ingest.model import Found, Written
 from sierra.store.type_inference import AS_TEXT, EMPTY, is_whole, kind_of
 
 
-def alike(
-    files: Sequence[Written], kept: Mapping[str, Mapping[str, str | None]], apart: Collection[str] = ()
-) -> list[list[Written]]:
+def alike(files: Sequence[Written], kept: Found, apart: Collection[str] = ()) -> list[list[Written]]:
     """Return the files grouped by the kinds of their columns; a column without values joins the most frequent kind.
 
     `apart`: the columns in which whole numbers are kept separate from fractions, because DOUBLE cannot hold them.
@@ -29,12 +27,7 @@ def alike(
     return sorted(sorts.values(), key=lambda some: -len(some))
 
 
-def kinds_of(
-    files: Sequence[Written],
-    types: Mapping[str, str],
-    found: Mapping[str, Mapping[str, str | None]],
-    kept: Mapping[str, Mapping[str, str | None]],
-) -> dict[str, dict[str, str]]:
+def kinds_of(files: Sequence[Written], types: Mapping[str, str], found: Found, kept: Found) -> dict[str, dict[str, str]]:
     """Return the kind of each column in each file, marked if it is kept as text."""
     by_file = {}
     same: dict[tuple[str, ...], dict[str, str]] = {}

@@ -26,6 +26,10 @@ class Written:
     alike: bool | None = None
 
 
+Found = Mapping[str, Mapping[str, str | None]]
+"""The type that holds a column's values, by column and path; None if it has no values."""
+
+
 @dataclass(frozen=True, slots=True)
 class Part:
     """The files of an output that have the same columns."""
@@ -58,10 +62,8 @@ class Shape:
 
 Group = Hashable
 """An experiment, as a key."""
-
-
-def _nobody(runs: Sequence[str]) -> tuple[Mapping[str, Group], Mapping[tuple[Group, str], Mapping[str, int]]]:
-    return {}, {}
+Votes = Mapping[tuple[Group, str], Mapping[str, int]]
+"""How many files have which kind in a column, by experiment and column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +72,8 @@ class Siblings:
 
     mixed: AbstractSet[str] = frozenset()
     """The columns in which some of these files have values that are not numbers."""
-    ask: Callable[[Sequence[str]], tuple[Mapping[str, Group], Mapping[tuple[Group, str], Mapping[str, int]]]] = _nobody
-    """A function of runs. It returns each run's experiment, and how many files have which kind in a column, by experiment."""
+    ask: Callable[[Sequence[str]], tuple[Mapping[str, Group], Votes]] = lambda runs: ({}, {})
+    """A function of runs. It returns each run's experiment, and the votes of the files that were read before."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
 from sierra.ingest.group_by_types import alike
 from sierra.ingest.model import AtFaultError, Part, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE, TableReader
+from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import parquet_given, parquet_schema
 from sierra.store.duckdb_messages import first_line
 from sierra.store.parquet_row_counts import rows_in
 from sierra.store.sql_names import identifier
 from sierra.store.type_inference import EMPTY, HUGE, is_inexact, is_whole, kind_of
-
-if TYPE_CHECKING:
-    from duckdb import DuckDBPyConnection
 
 DIGITS = 38
 """The maximum number of digits of a DuckDB DECIMAL. DuckDB silently reads longer decimals as DOUBLE."""
@@ -26,7 +23,7 @@ DIGITS = 38
 class Parquet(TableReader):
     """The reader of Parquet, which has types of its own."""
 
-    def __init__(self, connection: DuckDBPyConnection, shape: Shape, target: Path, siblings: Siblings) -> None:
+    def __init__(self, connection: Database, shape: Shape, target: Path, siblings: Siblings) -> None:
         super().__init__(connection, shape, target, siblings)
         self._found: Mapping[str, Mapping[str, str]] = {}
         self._wide: dict[str, str] = {}

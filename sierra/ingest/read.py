@@ -22,19 +22,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from sierra.config.plugin_registry import READERS
 from sierra.ingest.model import Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import TableReader
+from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import Aliases
-
-if TYPE_CHECKING:
-    from duckdb import DuckDBPyConnection
 
 
 def read(
-    connection: DuckDBPyConnection, files: Sequence[Written], shape: Shape, target: Path, siblings: Siblings | None = None
+    connection: Database, files: Sequence[Written], shape: Shape, target: Path, siblings: Siblings | None = None
 ) -> Reading:
     """Read all files into Parquet files, without those of executions that are at fault.
 

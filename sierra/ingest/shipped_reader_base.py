@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Table
@@ -13,13 +13,11 @@ from sierra.errors import Missing
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
 from sierra.store.answer import RawRow
+from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import copy, parquet_metadata, read_parquet
 from sierra.store.duckdb_messages import duckdb_error, first_line
 from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.sql_names import column_names, identifier
-
-if TYPE_CHECKING:
-    from duckdb import DuckDBPyConnection
 
 FILE = "# file"
 """DuckDB's name for the column with a row's file; real columns are unlikely to have this name."""
@@ -35,7 +33,7 @@ class TableReader:
 
     Options: ClassVar[type[Table]] = NoOptions
 
-    def __init__(self, connection: DuckDBPyConnection, shape: Shape, target: Path, siblings: Siblings) -> None:
+    def __init__(self, connection: Database, shape: Shape, target: Path, siblings: Siblings) -> None:
         self.sql = connection
         self.shape = shape
         self.siblings = siblings

@@ -8,15 +8,13 @@ from pathlib import Path
 
 from sierra.ingest.group_by_types import alike, kinds_of
 from sierra.ingest.messages import shown
-from sierra.ingest.model import AtFaultError, Group, Written
+from sierra.ingest.model import AtFaultError, Found, Group, Written
 from sierra.ingest.shipped_reader_base import FILE, TableReader, these
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.sql_names import column_names, identifier, quote
 from sierra.store.type_inference import LOGICAL, WHOLE, bit, common, is_whole, kind_of, narrowest, no_nan, odd, right_kind
 
-Found = Mapping[str, Mapping[str, str | None]]
-"""The type that holds a column's values, by column and path; None if it has no values."""
 Target = tuple[Path, list[Written], dict[str, dict[str, str]]]
 """A Parquet file that was written, its source files, and the kinds of their columns."""
 AT_ONCE = 50
@@ -38,9 +36,7 @@ class Text(TableReader):
         """Return the first faulty line of a file, found by a slow search; None if there is none."""
         raise NotImplementedError
 
-    def contradictions(
-        self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
-    ) -> Iterable[tuple[Written, str]]:
+    def contradictions(self, files: Sequence[Written], found: Found) -> Iterable[tuple[Written, str]]:
         """Return files that contradict themselves, each with an error message; `found`: their types by column and path."""
         return ()
 
@@ -116,9 +112,7 @@ class Text(TableReader):
             raise
         return written
 
-    def _kept(
-        self, files: Sequence[Written], found: Mapping[str, Mapping[str, str | None]]
-    ) -> dict[str, Mapping[str, str | None]]:
+    def _kept(self, files: Sequence[Written], found: Found) -> dict[str, Mapping[str, str | None]]:
         """Return the type in which each file's columns are kept: text among siblings that have text."""
         doubtful = [
             name

@@ -16,6 +16,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 from sierra.maintenance.findings import Finding, Kind
 from sierra.store import ownership_marks, session_log
 from sierra.store.duckdb_messages import first_line
@@ -272,9 +275,6 @@ def _differs(found: tuple[str, int] | None, digest: str) -> tuple[Kind, str]:
 
 def parquet_fault(path: Path, name: str) -> str | None:
     """Return why a file cannot be the one of that name; None if it can."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     try:
         with pq.ParquetFile(path) as file:
             schema = file.schema_arrow
@@ -361,8 +361,6 @@ def _parts(path: str) -> Iterator[tuple[str, int, int, memoryview]]:
 
     Raises ValueError for a file that SIERRA cannot have written.
     """
-    import pyarrow.parquet as pq
-
     with pq.ParquetFile(path, pre_buffer=False) as file:
         for group in range(file.num_row_groups):
             described = file.metadata.row_group(group)

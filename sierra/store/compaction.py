@@ -16,7 +16,11 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import duckdb
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from sierra.errors import Damaged, Missing
 from sierra.store.connections import connect
@@ -30,9 +34,6 @@ from sierra.store.schema import LATER, arrow_schema, is_table
 from sierra.store.segments import AFTER, OUTPUT, REPLACES, Segment, Writer, disk_errors, on_disk, out_of_date, sync
 from sierra.store.sql_names import identifier
 from sierra.store.store import Snapshot
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 Drop = Mapping[str, Mapping[str, AbstractSet[str]]]
 """Rows to remove, by table (`output` stands for all outputs) and column: those whose value is in the set."""
@@ -91,9 +92,6 @@ def _written(name: str, path: str) -> pa.Schema:
 
 def _schema(path: str) -> pa.Schema:
     """Return a file's column names and types. Nullability is left out, because DuckDB records it only sometimes."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     with _readable(path):
         return pa.schema([(field.name, field.type) for field in pq.read_schema(path)])
 
@@ -154,9 +152,6 @@ def _write(target: Path, name: str, paths: Sequence[str], drop: Mapping[str, Abs
 
 
 def _any_dropped(path: str, drop: Mapping[str, AbstractSet[str]]) -> bool:
-    import pyarrow.compute as pc
-    import pyarrow.parquet as pq
-
     if not drop:
         return False
     with _readable(path), pq.ParquetFile(path) as file:
@@ -168,18 +163,11 @@ def _any_dropped(path: str, drop: Mapping[str, AbstractSet[str]]) -> bool:
 
 
 def _is_in(column: pa.Array, values: AbstractSet[str]) -> pa.BooleanArray:
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
     return pc.is_in(column, value_set=pa.array(sorted(values), pa.string()))
 
 
 def _staying(paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> Iterator[pa.Table]:
     """Yield the kept rows of tables of records, some rows at a time."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-    import pyarrow.parquet as pq
-
     for path in paths:
         with _readable(path), pq.ParquetFile(path) as file:
             for batch in file.iter_batches(LINES):
@@ -191,9 +179,6 @@ def _staying(paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> Iter
 
 def _staying_objects(paths: Sequence[str], drop: AbstractSet[str]) -> Iterator[pa.Table]:
     """Yield the kept objects, each once, in row groups of the usual size."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     known: set[str] = set()
     held: list[pa.Table] = []
     for path in paths:
@@ -228,9 +213,6 @@ def _in_groups(table: pa.Table) -> Iterator[pa.Table]:
 
 def _write_tables(target: Path, tables: Iterable[pa.Table], schema: pa.Schema) -> None:
     """Write tables; fill columns that they lack with NULL."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     writer = None
     try:
         for table in tables:
@@ -246,9 +228,6 @@ def _write_tables(target: Path, tables: Iterable[pa.Table], schema: pa.Schema) -
 
 def _write_output(target: Path, paths: Sequence[str], executions: AbstractSet[str]) -> None:
     """Write the kept rows of an output. DuckDB wrote them and rewrites them, because only DuckDB has all their types."""
-    import duckdb
-    import pyarrow as pa
-
     connection = connect()
     try:
         connection.register("gone", pa.table({"execution": pa.array(sorted(executions), pa.string())}))
@@ -282,8 +261,6 @@ SUM = "SELECT count(*), sum(hash(place, line))::VARCHAR FROM (SELECT row_number(
 @contextlib.contextmanager
 def _readable(path: str) -> Iterator[None]:
     """Turn pyarrow's errors about a damaged file into Damaged; raise write errors (OSError with an errno) unchanged."""
-    import pyarrow as pa
-
     try:
         yield
     except (pa.ArrowException, ValueError) as error:

@@ -13,12 +13,15 @@ import re
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from sierra.store.duckdb_file_io import steady
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
+
+Database: TypeAlias = "DuckDBPyConnection"
+"""A connection to DuckDB, for packages that do not know DuckDB."""
 
 
 class Connection:

@@ -252,7 +252,7 @@ class Snapshot:
 
     def __exit__(self, kind: type[BaseException] | None = None, *_: object) -> None:
         if kind is None:
-            self._opened.keep(self.views.made())
+            self._opened.keep(self.views.made)
         else:
             self._opened.close()
         if self._shared is not None:

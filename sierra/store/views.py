@@ -74,7 +74,8 @@ class Views:
         self.notes: list[str] = []
         """Notes for the user on columns with several types."""
         self._made: set[str] = set()
-        self._views: list[str] = []
+        self.made: list[str] = []
+        """The existing views as SQL identifiers."""
 
     def _execute(self, statement: str, parameters: Mapping[str, str] | None = None) -> DuckDBPyConnection:
         """Execute a statement of these views. Raises Damaged for errors in the store's files."""
@@ -91,10 +92,6 @@ class Views:
         for name in (*RECORDED, *DERIVED, *sorted(self._outputs)):
             if wanted is None or name.lower() in wanted:
                 self._make(name)
-
-    def made(self) -> list[str]:
-        """Return the existing views as SQL identifiers."""
-        return self._views
 
     def axes(self) -> list[str]:
         """Return the axes that are columns: of all batches, as in `experiments`; or of one batch, in its order."""
@@ -126,7 +123,7 @@ class Views:
         else:
             return
         self._execute(f"CREATE VIEW {identifier(name)} AS {body}")
-        self._views.append(identifier(name))
+        self.made.append(identifier(name))
 
     def _make_recorded(self, name: str) -> None:
         """Create a view of records. If no file has the later columns, use the query that takes longer to prepare."""
@@ -139,7 +136,7 @@ class Views:
             self._sql.execute(view + body())
         except duckdb.Error:
             self._execute(view + body(older=True))
-        self._views.append(identifier(name))
+        self.made.append(identifier(name))
 
     def _recorded(self, name: str, *, older: bool = False) -> str:
         files = self._files.get(name)
