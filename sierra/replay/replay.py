@@ -91,11 +91,7 @@ class _Record:
 
 
 def replay(
-    project: LoadedProject,
-    store: Store,
-    prefix: str,
-    options: ReplayOptions,
-    observer: Observer | None = None,
+    project: LoadedProject, store: Store, prefix: str, options: ReplayOptions, observer: Observer | None = None
 ) -> Replay:
     """Execute the runs of an id again and compare. `observer` receives deviations from the record, before anything executes.
 
@@ -185,11 +181,7 @@ def replay(
 
 
 def unrecorded(
-    project: LoadedProject,
-    store: Store,
-    prefix: str,
-    options: ReplayOptions,
-    observer: Observer | None = None,
+    project: LoadedProject, store: Store, prefix: str, options: ReplayOptions, observer: Observer | None = None
 ) -> Replay:
     """Replay without a record: a temporary store records everything, and is removed at the end.
 

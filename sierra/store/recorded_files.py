@@ -409,11 +409,7 @@ def runs_of_keys(keys: pa.Array) -> Iterator[tuple[str, str, int, int]]:
 
 
 def _csv(
-    content: Content,
-    *,
-    chunks: Iterator[tuple[Key, int, bytes]],
-    names: Sequence[str],
-    is_sound: Callable[[], bool],
+    content: Content, *, chunks: Iterator[tuple[Key, int, bytes]], names: Sequence[str], is_sound: Callable[[], bool]
 ) -> Iterator[bytes]:
     """Yield a table's rows as the text of a CSV file. Raises Damaged at the end if they are not the recorded rows."""
     file = content.file

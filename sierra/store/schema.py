@@ -34,15 +34,7 @@ class Table:
 
 
 ID, TEXT, INT, TIME = "VARCHAR", "VARCHAR", "BIGINT", "TIMESTAMP WITH TIME ZONE"
-TYPES = {
-    str: TEXT,
-    int: INT,
-    float: "DOUBLE",
-    bool: "BOOLEAN",
-    datetime: TIME,
-    list[str]: "VARCHAR[]",
-    bytes: "BLOB",
-}
+TYPES = {str: TEXT, int: INT, float: "DOUBLE", bool: "BOOLEAN", datetime: TIME, list[str]: "VARCHAR[]", bytes: "BLOB"}
 """The SQL type of a column by the Python type of its values."""
 
 
