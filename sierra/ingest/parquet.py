@@ -1,18 +1,23 @@
-"""The reader of Parquet, which has types of its own."""
+"""The reader of Parquet, and the reader for formats of other packages, whose tables become Parquet files first."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from sierra.errors import Damaged
-from sierra.ingest.group_by_types import alike
-from sierra.ingest.model import AtFaultError, Part, Shape, Siblings, Written
+from sierra.ingest import base
+from sierra.ingest.base import Columns, OutputReader, UnreadableError
+from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE, TableReader
+from sierra.ingest.text_formats import alike
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import parquet_given, parquet_schema
 from sierra.store.duckdb_messages import first_line
 from sierra.store.parquet_row_counts import rows_in
+from sierra.store.segments import disk_errors
 from sierra.store.sql_names import identifier
 from sierra.store.type_inference import EMPTY, HUGE, is_inexact, is_whole, kind_of
 
@@ -126,3 +131,48 @@ class Parquet(TableReader):
             return kinds.pop() if kinds else EMPTY
         whole = all("INT" in kind for kind in kinds)
         return HUGE if whole and "UBIGINT" in kinds else "BIGINT" if whole else "DOUBLE"
+
+
+class Converted(Parquet):
+    """A reader that converts each file by a reader of another package."""
+
+    def __init__(self, connection: Database, shape: Shape, target: Path, siblings: Siblings) -> None:
+        super().__init__(connection, shape, target, siblings)
+        self._reader: OutputReader = base.make(shape.format, shape.reader)
+
+    def read(self, files: Sequence[Written]) -> Reading:
+        with tempfile.TemporaryDirectory(prefix="sierra-") as folder, disk_errors(Path(folder)):
+            return super().read(list(self._converted(files, Path(folder))))
+
+    def _converted(self, files: Sequence[Written], folder: Path) -> Iterator[Written]:
+        """Yield the files as Parquet files; note the faults of others."""
+        for number, file in enumerate(files):
+            target = folder / f"{number}.parquet"
+            try:
+                _write(self._reader.read(Path(file.path)), target)
+            except UnreadableError as error:
+                self.fault(file, _one_line(str(error) or "cannot be read"))
+            except OSError:
+                raise
+            except Exception as error:
+                message = f"the reader {self.shape.format!r} failed: {type(error).__name__}: {error}"
+                self.fault(file, _one_line(message))
+            else:
+                yield replace(file, path=str(target))
+
+
+def _write(columns: Columns, target: Path) -> None:
+    """Write a table as Parquet. A column without any value is BOOLEAN, which every other type can hold."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = columns if isinstance(columns, pa.Table) else pa.table(dict(columns))
+    for place, field in enumerate(table.schema):
+        if pa.types.is_null(field.type):
+            empty = pa.nulls(len(table), pa.bool_())
+            table = table.set_column(place, field.name, empty)
+    pq.write_table(table, target)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

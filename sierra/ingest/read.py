@@ -41,7 +41,7 @@ def read(
     connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
     found = READERS.load(shape.format)
     if not issubclass(found, TableReader):
-        from sierra.ingest.foreign_formats import Converted
+        from sierra.ingest.parquet import Converted
 
         found = Converted
     with Aliases() as aliases:

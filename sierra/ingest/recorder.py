@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
+import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
@@ -11,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra.containers import engines
-from sierra.ingest.logs import LOG_SHOWN, kept_of, last_words
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
@@ -33,6 +34,9 @@ from sierra.worker import worker
 PENDING_RUNS = 4_000
 PENDING_BYTES = 256 << 20
 SOON_S, LATE_S = 2.0, 600.0
+LOG_KEPT = 1 << 20
+"""The number of bytes that are kept of each log: a quarter from its beginning, three quarters from its end."""
+LOG_SHOWN = 2000
 COUNT = "SELECT count(*) AS executions FROM executions WHERE session = $s"
 RESULTS = "SELECT execution, result FROM executions WHERE session = $s"
 COPIES = "SELECT c.execution, c.attempt FROM duplicates c JOIN executions e USING (execution) WHERE e.session = $s"
@@ -261,3 +265,29 @@ def discard(folder: Path, session: SessionPaths) -> None:
 
 def _moment(seconds: float) -> datetime:
     return datetime.fromtimestamp(seconds, UTC)
+
+
+def kept_of(path: str) -> tuple[bytes, int]:
+    """Return the kept part of a log and the log's size in bytes. A link that a run put in its place is not followed."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return b"", 0
+    with os.fdopen(descriptor, "rb") as file:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode) or Path(path).parent.is_symlink():
+            return b"", 0
+        size = found.st_size
+        if size <= LOG_KEPT:
+            return file.read(), size
+        head = file.read(LOG_KEPT // 4)
+        file.seek(-3 * LOG_KEPT // 4, 2)
+        return head + b"\n[... %d bytes left out ...]\n" % (size - LOG_KEPT) + file.read(), size
+
+
+def last_words(folder: str) -> str | None:
+    for name in (RUN_STDERR, RUN_STDOUT):
+        content, _ = kept_of(f"{folder}/{name}")
+        if content.strip():
+            return content[-LOG_SHOWN:].decode("utf-8", "replace").strip()
+    return None

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from sierra.ingest.group_by_types import alike, kinds_of
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Found, Group, Written
 from sierra.ingest.shipped_reader_base import FILE, TableReader, these
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.sql_names import column_names, identifier, quote
-from sierra.store.type_inference import LOGICAL, WHOLE, bit, common, is_whole, kind_of, narrowest, no_nan, odd, right_kind
+from sierra.store.type_inference import (
+    AS_TEXT,
+    EMPTY,
+    LOGICAL,
+    WHOLE,
+    bit,
+    common,
+    is_whole,
+    kind_of,
+    narrowest,
+    no_nan,
+    odd,
+    right_kind,
+)
 
 Target = tuple[Path, list[Written], dict[str, dict[str, str]]]
 """A Parquet file that was written, its source files, and the kinds of their columns."""
@@ -267,3 +279,35 @@ class _RoundedError(Exception):
         """`found`: the types by column and file."""
         super().__init__()
         self.found = found
+
+
+def alike(files: Sequence[Written], kept: Found, apart: Collection[str] = ()) -> list[list[Written]]:
+    """Return the files grouped by the kinds of their columns; a column without values joins the most frequent kind.
+
+    `apart`: the columns in which whole numbers are kept separate from fractions, because DOUBLE cannot hold them.
+    """
+
+    def sort(name: str, kind: str) -> str:
+        return "whole" if name in apart and is_whole(kind) else kind_of(kind)
+
+    kinds = {name: {path: sort(name, kind) for path, kind in seen.items() if kind} for name, seen in kept.items()}
+    mixed = {name: Counter(seen.values()) for name, seen in kinds.items() if len(set(seen.values())) > 1}
+    most = {name: counts.most_common(1)[0][0] for name, counts in mixed.items()}
+    sorts: dict[tuple[str, ...], list[Written]] = {}
+    for file in files:
+        sorts.setdefault(tuple(kinds[name].get(file.path, most[name]) for name in mixed), []).append(file)
+    return sorted(sorts.values(), key=lambda some: -len(some))
+
+
+def kinds_of(files: Sequence[Written], types: Mapping[str, str], found: Found, kept: Found) -> dict[str, dict[str, str]]:
+    """Return the kind of each column in each file, marked if it is kept as text."""
+    by_file = {}
+    same: dict[tuple[str, ...], dict[str, str]] = {}
+    for file in files:
+        mine = {}
+        for name in types:
+            kind = found[name].get(file.path)
+            as_text = kind not in (None, "VARCHAR") and kept[name].get(file.path) == "VARCHAR"
+            mine[name] = kind_of(kind or EMPTY) + AS_TEXT * as_text
+        by_file[file.path] = same.setdefault(tuple(mine.values()), mine)
+    return by_file
