@@ -195,7 +195,7 @@ class Recorder:
         objects.close()
         writer.records(artifacts)
         first = self._next()
-        writer.records((self._execution(one, place) for place, one in enumerate(judged, first)))
+        writer.records(self._execution(one, place) for place, one in enumerate(judged, first))
         self._position = first + len(judged)
         if self._ruled < 2:  # in two segments, so that one damaged segment does not make the others useless
             writer.records([IngestRulesRow(self._reading, self.context.declared)])

@@ -277,11 +277,7 @@ class Snapshot:
 
     def rows(self, text: str, **parameters: object) -> list[dict[str, Any]]:
         """Return the result of one statement that only reads, as rows by column. Raises SqlError."""
-
-        def rows(answer: Answer) -> list[dict[str, Any]]:
-            return [dict(zip(answer.columns, row, strict=True)) for row in answer.rows()]
-
-        return self.ask(text, parameters, rows)
+        return self.ask(text, parameters, lambda found: [dict(zip(found.columns, row, strict=True)) for row in found.rows()])
 
     def ask(self, text: str, parameters: Mapping[str, object], convert: Callable[[Answer], Converted]) -> Converted:
         """Return the converted result of one statement that only reads. Raises SqlError."""
