@@ -126,10 +126,6 @@ class Csv(Text):
         return known
 
     @property
-    def _first_line(self) -> str:
-        return "the column names" if self.shape.header else "the first row"
-
-    @property
     def _empty(self) -> bool:
         """True if an empty line is a row without a value."""
         return len(self.part.names) == 1
@@ -212,9 +208,8 @@ class Csv(Text):
                 continue
             if fault := self._fault_in(record, names, types):
                 if only_comments and line > 1 and not is_comment:
-                    return (
-                        f"line 1: is a comment, but {self._first_line} must be here: {_first_record(file)[:80]!r} ({COMMENTS})"
-                    )
+                    first = "the column names" if self.shape.header else "the first row"
+                    return f"line 1: is a comment, but {first} must be here: {_first_record(file)[:80]!r} ({COMMENTS})"
                 about = f" ({COMMENTS})" if is_comment else ""
                 return f"line {line}: {fault}{about}"
             only_comments &= is_comment

@@ -21,6 +21,7 @@ from sierra.store.read_lock import Shared
 from sierra.store.store import Snapshot, check_free
 
 Tell = Callable[[str], None]
+REPLACED = "replaced by another segment; sierra gc removes it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,8 @@ def check(paths: StorePaths, root: Path, tell: Tell = lambda text: None) -> Chec
         read = Records(paths, found, objects)
         try:
             tell("checking records")
-            findings = [*_contents(read), *check_records.check(read, root), *_sessions(paths), *_strange(paths), *_left(found)]
+            findings = [*_contents(read), *check_records.check(read, root), *_sessions(paths), *_strange(paths)]
+            findings += [Finding(Kind.LEFT, f"segments/{name}", REPLACED) for name in found.left]
             executions = _count(read)
         finally:
             read.snapshot.__exit__()
@@ -149,8 +151,3 @@ def _strange(paths: StorePaths) -> Iterator[Finding]:
         yield Finding(
             Kind.FOREIGN, str(name), "has no mark of SIERRA, so SIERRA does not touch it; move it away if it is yours"
         )
-
-
-def _left(found: Contents) -> Iterator[Finding]:
-    for name in found.left:
-        yield Finding(Kind.LEFT, f"segments/{name}", "replaced by another segment; sierra gc removes it")

@@ -179,7 +179,7 @@ TABLES = "SELECT count(DISTINCT sha256) FROM all_artifacts SEMI JOIN unneeded US
 def _plan(store: Store, *, raw: bool) -> _Plan:
     with store.snapshot() as snapshot:
         snapshot.views.make(("all_artifacts", "batch_runs", "sources", "images", "blobs"))
-        unneeded = {} if not _has(snapshot, "objects") else _unneeded(snapshot, raw=raw)
+        unneeded = _unneeded(snapshot, raw=raw)
         drop = {"objects": {"sha256": set(unneeded)}} if unneeded else {}
         holding = touched(snapshot, snapshot.segments, drop)
         small: dict[str, list[Segment]] = {}
@@ -194,14 +194,12 @@ def _plan(store: Store, *, raw: bool) -> _Plan:
         return _Plan(tuple(kept), drop, sum(unneeded.values()), raws, {segment.name for segment in snapshot.segments})
 
 
-def _has(snapshot: Snapshot, table: str) -> bool:
-    return any(table in segment.files for segment in snapshot.segments)
-
-
 def _unneeded(snapshot: Snapshot, *, raw: bool) -> dict[str, int]:
     """Return the size in bytes of each object that no record refers to; with `raw`, artifacts of kind `table` are ignored."""
     referred = REFERRED.format(which=RAW if raw else "")
     files = [segment.files["objects"] for segment in snapshot.segments if "objects" in segment.files]
+    if not files:
+        return {}
     statement = f"SELECT sha256, max(size) FROM {read_parquet(files)} o ANTI JOIN ({referred}) r USING (sha256) GROUP BY sha256"
     return dict(snapshot.run(statement))
 

@@ -38,6 +38,8 @@ from sierra.util.log_messages import Log
 
 log = Log(__name__)
 
+JUDGEMENTS = "SELECT judgement FROM judgements WHERE list_contains($e, execution)"
+
 
 @dataclass(frozen=True, slots=True)
 class Repair:
@@ -178,7 +180,7 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
                     loss.executions |= set() if finding.what == check_records.ORPHANS else set(finding.affected.executions)
                     if not finding.affected.executions:
                         loss.batches |= set(finding.affected.batches)
-        loss.executions |= _judgements_of(read, loss.executions)
+        loss.executions |= set(read.column(JUDGEMENTS, e=sorted(loss.executions)))
         readable = [segment for segment in contents.sound if segment.name not in broken]
         going = {segment.name for segment in touched(read.snapshot, readable, loss.drop)}
         loss.touched = [segment for segment in contents.sound if segment.name in broken or segment.name in going]
@@ -186,9 +188,3 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
         read.snapshot.__exit__()
         contents.broken = broken
     return loss
-
-
-def _judgements_of(read: Records, executions: AbstractSet[str]) -> set[str]:
-    """Return the ids of these executions' judgements."""
-    rows = read.each("SELECT judgement FROM judgements WHERE list_contains($e, execution)", e=sorted(executions))
-    return {row[0] for row in rows}

@@ -244,7 +244,9 @@ def of_texts(recorded: bytes, found: bytes, volatile: Sequence[str] = ()) -> Agr
     both = zip(ours, theirs, strict=False)
     differing = [row for row, (one, other) in enumerate(both) if one != other]
     row = differing[0] if differing else min(len(ours), len(theirs))
-    was, now = (_shown(lines[row]) if row < len(lines) else "nothing" for lines in (ours, theirs))
+    was, now = (
+        _cut(repr(lines[row].decode(errors="replace"))) if row < len(lines) else "nothing" for lines in (ours, theirs)
+    )
     count = len(differing) + abs(len(ours) - len(theirs))
     more = f"; {count} of {max(len(ours), len(theirs))} lines differ" if count > 1 else ""
     return Agreement(
@@ -411,10 +413,6 @@ def _differ(recorded: pa.ChunkedArray, found: pa.ChunkedArray) -> NDArray[np.boo
         neither = pc.and_(pc.fill_null(pc.is_nan(recorded), False), pc.fill_null(pc.is_nan(found), False))
         same = pc.or_(same, neither)
     return ~np.asarray(same.to_numpy())
-
-
-def _shown(line: bytes) -> str:
-    return _cut(repr(line.decode("utf-8", "replace")))
 
 
 def _cut(text: str) -> str:

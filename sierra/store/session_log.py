@@ -51,7 +51,8 @@ class _File(logging.Handler):
         try:
             line = f"{self.format(record)}\n".encode("utf-8", "backslashreplace")
             if self._file is not None and self._size + len(line) > LARGEST:
-                self._rotate()
+                self.close()
+                self._path.replace(old(self._path))
             if self._file is None:
                 self._open()
             self._size += os.write(self._file or -1, line)
@@ -73,10 +74,6 @@ class _File(logging.Handler):
             os.close(file)
             raise OSError(f"{self._path} is not a file")
         self._file, self._size = file, found.st_size
-
-    def _rotate(self) -> None:
-        self.close()
-        self._path.replace(old(self._path))
 
     def close(self) -> None:
         if self._file is not None:
