@@ -244,9 +244,7 @@ def of_texts(recorded: bytes, found: bytes, volatile: Sequence[str] = ()) -> Agr
     both = zip(ours, theirs, strict=False)
     differing = [row for row, (one, other) in enumerate(both) if one != other]
     row = differing[0] if differing else min(len(ours), len(theirs))
-    was, now = (
-        _cut(repr(lines[row].decode(errors="replace"))) if row < len(lines) else "nothing" for lines in (ours, theirs)
-    )
+    was, now = (_cut(repr(lines[row].decode(errors="replace"))) if row < len(lines) else "nothing" for lines in (ours, theirs))
     count = len(differing) + abs(len(ours) - len(theirs))
     more = f"; {count} of {max(len(ours), len(theirs))} lines differ" if count > 1 else ""
     return Agreement(
