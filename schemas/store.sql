@@ -181,7 +181,7 @@ CREATE TABLE sessions (
     "interrupted" BOOLEAN,  -- whether the user interrupted it
     "sierra" VARCHAR,  -- SIERRA's version
     "environment" VARCHAR,  -- the environment in which it ran
-    "source" VARCHAR,  -- the recorded state of the source; NULL if a batch was requested by its id and no earlier session named it
+    "source" VARCHAR,  -- the recorded state of the source; NULL if none is recorded
     "programs" VARCHAR,  -- fingerprint of the programs with which its runs were, or would have been, executed
     "ingest_rules" VARCHAR,  -- hash of the rules, as in executions
     "batch_rules" VARCHAR,  -- hash of the rules and of the allowed differences between runs of the batch (mismatch)

@@ -226,9 +226,7 @@ class SessionRow(NamedTuple):
     interrupted: Annotated[bool, "whether the user interrupted it"]
     sierra: Annotated[str, "SIERRA's version"]
     environment: Annotated[str, "the environment in which it ran"]
-    source: Annotated[
-        str | None, "the recorded state of the source; NULL if a batch was requested by its id and no earlier session named it"
-    ]
+    source: Annotated[str | None, "the recorded state of the source; NULL if none is recorded"]
     programs: Annotated[str, "fingerprint of the programs with which its runs were, or would have been, executed"]
     ingest_rules: Annotated[str, "hash of the rules, as in executions"]
     batch_rules: Annotated[str, "hash of the rules and of the allowed differences between runs of the batch (mismatch)"]
