@@ -39,7 +39,7 @@ class Result:
             raise AttributeError(name)
         return getattr(self.arrow, name)
 
-    def __getitem__(self, key: int | str) -> pa.ChunkedArray:
+    def __getitem__(self, key: int | str | slice) -> pa.ChunkedArray | pa.Table:
         return self.arrow[key]
 
     def __len__(self) -> int:
