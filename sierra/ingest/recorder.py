@@ -21,7 +21,6 @@ from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Judgement, doubted, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
 from sierra.model import OutputFile, Result, Status
-from sierra.store.answer import Cell
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.objects import Objects
 from sierra.store.records import ArtifactRow, DuplicateRow, ExecutionRow, IngestRulesRow
@@ -29,6 +28,7 @@ from sierra.store.segments import Writer
 from sierra.store.store import Store
 from sierra.util.fs import inside
 from sierra.util.hashing import merkle, short
+from sierra.util.json_types import Cell
 from sierra.worker import worker
 
 PENDING_RUNS = 4_000
