@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -20,6 +20,10 @@ from sierra.store.duckdb_file_io import steady
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
+    from sierra.store.answer import RawRow
+
+AT_A_TIME = 4096
+"""The number of rows that are read at a time."""
 Database: TypeAlias = "DuckDBPyConnection"
 """A connection to DuckDB, for packages that do not know DuckDB."""
 
@@ -63,6 +67,34 @@ class Connection:
     def close(self) -> None:
         self.cursor.close()
         self._database.close()
+
+
+class Rows:
+    """The rows of a statement, with a few thousand of them in memory at a time.
+
+    A connection has one result. If it is needed for another statement first, `finish` reads the rest of this one.
+    """
+
+    def __init__(self, result: DuckDBPyConnection) -> None:
+        self._result = result
+        self._rest: list[RawRow] | None = None
+
+    def __iter__(self) -> Iterator[RawRow]:
+        try:
+            while rows := self._next():
+                yield from rows
+        finally:
+            self._rest = []
+
+    def _next(self) -> list[RawRow]:
+        if self._rest is None:
+            return self._result.fetchmany(AT_A_TIME)
+        rows, self._rest = self._rest, []
+        return rows
+
+    def finish(self) -> None:
+        if self._rest is None:
+            self._rest = self._result.fetchall()
 
 
 _idle: dict[int, tuple[tuple[str, ...], DuckDBPyConnection]] = {}

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from sierra.errors import Damaged, Missing, NotFound, SqlError
 from sierra.store.answer import Answer, RawRow
-from sierra.store.connections import Connection
+from sierra.store.connections import Connection, Rows
 from sierra.store.duckdb_file_io import check_folder, plain, read_parquet
 from sierra.store.duckdb_messages import explain
 from sierra.store.layout import StorePaths
@@ -242,10 +242,18 @@ class Snapshot:
         """
         self._shared = shared
         self._opened = Connection(StorePaths(root).segments, *([beneath] if beneath else []))
-        self.connection = self._opened.cursor
+        self._reading: Rows | None = None
         self.segments = segments
-        self.views = Views(self.connection, segments, within)
+        self.views = Views(lambda: self.connection, segments, within)
         self._root = root
+
+    @property
+    def connection(self) -> duckdb.DuckDBPyConnection:
+        """The connection, free for a statement: rows that are still being read are kept in memory."""
+        if self._reading is not None:
+            self._reading.finish()
+            self._reading = None
+        return self._opened.cursor
 
     def __enter__(self) -> Snapshot:
         return self
@@ -324,9 +332,8 @@ class Snapshot:
     def each(self, statement: str, parameters: Mapping[str, object]) -> Iterator[RawRow]:
         """Yield the rows of one of SIERRA's own statements, with a few thousand rows in memory at a time."""
         with self._errors():
-            answer = self.connection.execute(statement, parameters)
-            while rows := answer.fetchmany(4096):
-                yield from rows
+            self._reading = rows = Rows(self.connection.execute(statement, parameters))
+            yield from rows
 
     def cells(self, batch: str) -> dict[int, dict[str, Value | None]]:
         """Return the recorded id and the original axis values of each experiment of a batch, by its position.

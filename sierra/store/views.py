@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -56,8 +56,11 @@ def outputs(segments: Iterable[Segment]) -> list[str]:
 class Views:
     """The views of one connection; each is created once."""
 
-    def __init__(self, connection: DuckDBPyConnection, segments: Sequence[Segment], within: str | None = None) -> None:
-        self._sql = connection
+    def __init__(
+        self, connection: Callable[[], DuckDBPyConnection], segments: Sequence[Segment], within: str | None = None
+    ) -> None:
+        """`connection` returns the connection, free for a statement."""
+        self._connection = connection
         self._within = within
         self._files: dict[str, list[str]] = {}
         self._outputs: dict[str, list[str]] = {}
@@ -82,7 +85,7 @@ class Views:
         import duckdb
 
         try:
-            return self._sql.execute(statement, parameters or {})
+            return self._connection().execute(statement, parameters or {})
         except duckdb.Error as error:
             raise Damaged(f"the store cannot be read: {first_line(error)}") from error
 
@@ -133,7 +136,7 @@ class Views:
         bodies = {"all_judgements": self._all_judgements, "all_artifacts": self._all_artifacts}
         body = bodies.get(name, partial(self._recorded, name))
         try:
-            self._sql.execute(view + body())
+            self._connection().execute(view + body())
         except duckdb.Error:
             self._execute(view + body(older=True))
         self.made.append(identifier(name))

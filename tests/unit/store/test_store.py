@@ -385,3 +385,17 @@ def test_a_damaged_object_is_detected(tmp_path: Path) -> None:
         store.object("a" * 64)
     with pytest.raises(NotFound, match="no recorded file"):
         store.object("b" * 64)
+
+
+def test_rows_are_complete_if_another_statement_runs_while_they_are_read(tmp_path: Path) -> None:
+    with Store.create(tmp_path / "store").snapshot() as snapshot:
+        found = []
+        for (number,) in snapshot.each("SELECT i FROM range(10000) t(i)", {}):
+            found.append(number)
+            if number in (5, 9000):
+                assert snapshot.run("SELECT 1") == [(1,)]
+                inner = snapshot.each("SELECT i FROM range(5000) t(i)", {})
+                assert len(list(inner)) == 5000
+            if number == 7:
+                next(snapshot.each("SELECT i FROM range(5000) t(i)", {}))
+        assert found == list(range(10000))
