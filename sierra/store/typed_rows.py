@@ -7,7 +7,7 @@ checked, so that a row has what its class says, whatever is in the store's files
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from operator import itemgetter
 from typing import NamedTuple, TypeVar
@@ -47,6 +47,13 @@ def typed(kind: type[R], answer: Answer) -> list[R]:
         if not annotation.endswith(OPTIONAL) and None in map(itemgetter(place), rows):
             raise Damaged(f"the store cannot be read: a record has no {name!r}; sierra fsck checks the store")
     return list(map(kind._make, rows))
+
+
+def of_fields(kind: type[R], fields: Mapping[str, object]) -> R:
+    """Return an instance of a row class from its fields by name. Raises TypeError if these are not exactly its fields."""
+    if fields.keys() != set(kind._fields):
+        raise TypeError(f"{kind.__name__} has the fields {kind._fields}, but these are {(*fields,)}")
+    return kind._make(fields[name] for name in kind._fields)
 
 
 def values(kind: type[V], answer: Answer) -> list[V]:
