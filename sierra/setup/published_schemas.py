@@ -21,12 +21,14 @@ from pydantic import BaseModel, TypeAdapter
 from sierra.config.plugin_registry import ENGINES, KINDS, PLATFORMS, READERS, RUNNERS, SCHEDULERS, TEMPLATES, Kind
 from sierra.config.project_file import ClusterTable, Project
 from sierra.errors import PluginError
+from sierra.execution.plan_preview import PlanPreview
 from sierra.query.query_input import QueryRequest, RequestFile
 from sierra.store.schema import DERIVED, RECORDED, Table, sql
 from sierra.util.json_types import Json
 
 TOML = "sierra.toml.schema.json"
 QUERY = "query.schema.json"
+PLAN = "plan.schema.json"
 STORE = "store.sql"
 WIDTH = 118
 INTRODUCTION = """\
@@ -87,8 +89,16 @@ def json_schema(note: Note | None = None) -> Schema:
 
 def query_schema() -> str:
     """Return the JSON Schema of the file that `sierra run FILE.json` takes: a request, alone or in the JSON of a dry run."""
-    either = TypeAdapter(QueryRequest | RequestFile).json_schema()
-    whole = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "query.json", **either}
+    return _schema_text("query.json", TypeAdapter(QueryRequest | RequestFile).json_schema())
+
+
+def plan_schema() -> str:
+    """Return the JSON Schema of the JSON of a dry run."""
+    return _schema_text("plan.json", PlanPreview.model_json_schema())
+
+
+def _schema_text(title: str, schema: Mapping[str, object]) -> str:
+    whole = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, **schema}
     return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
 
 
@@ -150,7 +160,7 @@ def tables() -> Mapping[str, Table]:
 
 def generated() -> Mapping[str, str]:
     """Return the content of the files of `schemas/`, by name."""
-    return {TOML: toml_schema(), QUERY: query_schema(), STORE: sql()}
+    return {TOML: toml_schema(), QUERY: query_schema(), PLAN: plan_schema(), STORE: sql()}
 
 
 def write(folder: Path) -> None:

@@ -170,3 +170,12 @@ def test_every_table_and_column_has_a_description() -> None:
     for table in published_schemas.tables().values():
         assert table.meaning
         assert all(column.meaning for column in table.columns), table.name
+
+
+@pytest.mark.parametrize("words", [(), ("--explain",), ("--on", "slurm")], ids=" ".join)
+def test_the_json_of_a_dry_run_is_valid_by_the_published_schema(tmp_path: Path, words: tuple[str, ...]) -> None:
+    root = projects.make(tmp_path / "project")
+    schema = json.loads((FOLDER / published_schemas.PLAN).read_text())
+    printed = json.loads(projects.quick(root, "run", "population_size=1,2", "--runs", "1", "-n", "--json", *words).stdout)
+    jsonschema.Draft202012Validator(schema).validate(printed)
+    assert set(schema["required"]) <= set(printed) <= set(schema["properties"])

@@ -1,0 +1,41 @@
+"""The preview of a plan as it is handed out: the JSON of `sierra run --dry-run --json`, published as `plan.schema.json`."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from sierra.execution.cluster_status import ClusterSession
+from sierra.query.query_input import QueryRequest
+from sierra.runners.cluster.estimate import Estimate
+
+
+class PlanPreview(BaseModel):
+    """What a query would execute. `sierra run FILE.json` accepts a file with this content."""
+
+    model_config = ConfigDict(frozen=True, title="plan.json")
+
+    request: QueryRequest = Field(description="the query, without settings that have their default")
+    batch: str = Field(description="id of the batch that the query expands to")
+    query: str = Field(description="the criteria, in full")
+    experiments: int = Field(description="number of experiments")
+    runs: int = Field(description="number of different runs")
+    to_execute: int = Field(description="number of runs that would execute")
+    reused: int = Field(description="number of runs with a recorded execution that would be reused, or evaluated again")
+    to_judge: int = Field(
+        description="number of these that would be evaluated again, because [outputs] or [success] have changed"
+    )
+    on_clusters: int = Field(description="number of runs that a cluster executes now; they would be followed")
+    clusters: tuple[ClusterSession, ...] = Field(description="the sessions on clusters with these runs")
+    reasons: dict[str, int] = Field(description="number of runs by the reason why they would execute or be reused")
+    notes: tuple[str, ...] = Field(description="messages about the plan")
+    new_because: tuple[str, ...] = Field(description="with --explain: why runs are new, one line each")
+    other_programs: tuple[str, ...] | None = Field(
+        None, description="with --explain: the programs that differ from those of the last execution, if runs execute for that"
+    )
+    proposal: Estimate | None = Field(description="what would be submitted to a cluster; null for a runner without one")
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the fields for JSON. Keys without a value are left out where the schema does not require them."""
+        names = [name for name in type(self).model_fields if name != "other_programs" or self.other_programs is not None]
+        request = self.request.model_dump(mode="json", exclude_defaults=True)
+        return {name: getattr(self, name) for name in names} | {"request": request}
