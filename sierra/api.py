@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sierra.config import find_project
 from sierra.errors import Missing, NotFound, UsageError
@@ -28,8 +28,10 @@ if TYPE_CHECKING:
     from sierra.containers.images.listing import Known
     from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.execute_missing import RunOptions
+    from sierra.execution.list_batches import ListedBatch
     from sierra.execution.observer import Observer
     from sierra.execution.resolve_plan import Plan
+    from sierra.execution.show_record import Shown, ShownSession
     from sierra.execution.summary import Summary
     from sierra.execution.takeover import Cancelled
     from sierra.explain.diff.compare import Comparison
@@ -38,12 +40,14 @@ if TYPE_CHECKING:
     from sierra.maintenance.gc import Collection
     from sierra.maintenance.remove import Removal
     from sierra.maintenance.repair import Repair
+    from sierra.provenance.commits_between import Known as CommitInRepository
     from sierra.provenance.source.share_refs import Shared
     from sierra.query.query_input import QueryRequest
     from sierra.replay.verdicts import Replay, Tolerances
     from sierra.runners.cluster.estimate import Estimate
     from sierra.store.export_recorded_files import Listing, Outcome
     from sierra.store.public_result import Result
+    from sierra.store.records import SourceRow
 
 
 class Project:
@@ -80,7 +84,7 @@ class Project:
         from sierra.util.hashing import short
 
         batches = self.batches[-html.ROWS :] if self.stored() else []
-        rows = ((short(row["batch"]), row["query"], row["runs"], row["failed"], row["missing"]) for row in batches)
+        rows = ((short(one.batch), one.query, one.runs, one.failed, one.missing) for one in batches)
         return html.page(f"SIERRA project {self.root}", ("batch", "query", "runs", "failed", "missing"), rows)
 
     def __repr__(self) -> str:
@@ -150,7 +154,7 @@ class Project:
         """
         from sierra.execution import resolve_plan
         from sierra.execution.observer import Observer
-        from sierra.explain.why_new_runs import respelled
+        from sierra.explain.respelled_numbers import respelled
 
         plan = resolve_plan.plan(self._loaded, request, engine=engine, report=(observer or Observer()).planning)
         store = self.stored()
@@ -234,7 +238,7 @@ class Project:
         summary = replace(summary, notes=(*probed, *summary.notes))
         return self._drawn(summary) if figures else summary
 
-    def sql(self, text: str, *, within: str | None = None, **parameters: Any) -> Result:
+    def sql(self, text: str, *, within: str | None = None, **parameters: object) -> Result:
         """Return the result of one SQL statement: an Arrow table that notebooks show (see `Result`).
 
         `$name` in the statement takes its value from the keyword `name`. `within` is a prefix of a batch's id: then the
@@ -249,7 +253,7 @@ class Project:
 
         return Result(self.store.sql(text, within=None if within is None else self.batch(within), **parameters))
 
-    def frame(self, table: str, *, within: str | None = None, **parameters: Any) -> pd.DataFrame:
+    def frame(self, table: str, *, within: str | None = None, **parameters: object) -> pd.DataFrame:
         """Return a table of the store, or the result of a SQL statement, as a pandas data frame.
 
         `table` is a name, as `SHOW TABLES` lists them, or a statement; the other arguments are those of `sql`. The frame has a
@@ -265,55 +269,59 @@ class Project:
         return self.sql(f'FROM "{table}"' if named else table, within=within, **parameters).frame()
 
     @property
-    def batches(self) -> list[dict[str, Any]]:
-        """All batches, the most recently requested last: a dictionary for each, with the columns of `sierra ls --json`.
+    def batches(self) -> list[ListedBatch]:
+        """All batches, the most recently requested last: see `sierra.execution.list_batches.ListedBatch`.
 
-        >>> project.batches[-1]["query"]
+        >>> project.batches[-1].query
         'population_size=1,2'
         """
-        from sierra.execution import browse
+        from sierra.execution import list_batches
 
-        return browse.batches(self.store)
+        return list_batches.batches(self.store)
 
-    def show(self, prefix: str) -> dict[str, Any]:
+    def show(self, prefix: str) -> Shown:
         """Return the record of a batch, an experiment, a run, an execution or a session, by a prefix of its id.
 
-        For a batch, `history` is the recorded commit as the repository has it now (`sierra.provenance.commits_between.Known`).
-        For a batch (its last session), an execution and a session, `log_file` is the path of the session's log file, or None.
+        Each kind has a class in `sierra.execution.show_record`; its `as_dict` returns what `sierra show --json` prints.
         Raises NotFound.
 
-        >>> project.show(summary.batch)["kind"]
+        >>> project.show(summary.batch).kind
         'batch'
         """
-        from sierra.execution import browse
+        from sierra.execution.show_record import ShownBatch, ShownExecution, show
 
         try:
-            shown = browse.show(self.store, prefix)
+            shown = show(self.store, prefix)
         except NotFound:
             if (session := self._session(prefix)) is None:
                 raise
             return session
-        if shown["kind"] == "batch":
-            last = next((self._log_file(row["session"]) for row in reversed(shown["sessions"])), None)
-            return shown | {"history": self._history(shown["source"]), "log_file": last}
-        return shown | {"log_file": self._log_file(shown["session"])} if shown["kind"] == "execution" else shown
+        match shown:
+            case ShownBatch():
+                last = next((self._log_file(session.session) for session in reversed(shown.sessions)), None)
+                return replace(shown, history=self._history(shown.source), log_file=last)
+            case ShownExecution():
+                return replace(shown, log_file=self._log_file(shown.row.session))
+            case _:
+                return shown
 
-    def _session(self, prefix: str) -> dict[str, Any] | None:
+    def _session(self, prefix: str) -> ShownSession | None:
         """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""
+        from sierra.execution.show_record import ShownSession
         from sierra.store import session_log
+        from sierra.store.records import SessionRow
         from sierra.store.store import PREFIX
 
         start = prefix.lower()
         if not PREFIX.fullmatch(start):
             return None
-        recorded = self.store.rows("SELECT * FROM sessions WHERE starts_with(session, $p)", p=start)
+        recorded = self.store.select(SessionRow, "SELECT * FROM sessions WHERE starts_with(session, $p)", p=start)
         logged = (path.stem for path in session_log.logs(self.store.paths) if path.stem.startswith(start))
-        found: dict[str, dict[str, Any]] = {session: {"session": session} for session in logged}
-        found |= {row["session"]: row for row in recorded}
+        found: dict[str, SessionRow | None] = {**dict.fromkeys(logged), **{row.session: row for row in recorded}}
         if len(found) != 1:
             return None
         [(session, row)] = found.items()
-        return {"kind": "session", **row, "log_file": self._log_file(session)}
+        return ShownSession(session, row, self._log_file(session))
 
     def _log_file(self, session: str) -> str | None:
         """Return the path of a session's log file; None if it has none any more."""
@@ -322,14 +330,13 @@ class Project:
         path = session_log.find(self.store.paths, session)
         return str(path) if path else None
 
-    def _history(self, source: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    def _history(self, source: SourceRow | None) -> CommitInRepository | None:
         """Return the recorded commit of a source as the repository has it now; None if the repository does not have it."""
-        if not (source and source["commit"]):
+        if not (source and source.commit):
             return None
         from sierra.provenance import commits_between
 
-        known = commits_between.known(self.root, source["commit"])
-        return asdict(known) if known else None
+        return commits_between.known(self.root, source.commit)
 
     def replay(
         self,
@@ -369,9 +376,9 @@ class Project:
         >>> print(project.proposal(project.plan("population_size=8"), "local"))
         None
         """
-        from sierra.execution import estimate_jobs
+        from sierra.execution import submission_proposal
 
-        return estimate_jobs.proposal(plan, self.stored(), runner, detach=detach)
+        return submission_proposal.proposal(plan, self.stored(), runner, detach=detach)
 
     def status(self, prefix: str | None = None, *, observer: Observer | None = None) -> list[ClusterSession]:
         """Return the state of cluster jobs, of all batches or of one. Record the runs that have finished there first.
@@ -660,8 +667,7 @@ class Project:
         known = self.batches
         if not known:
             raise Missing("no batch is recorded yet; record one with sierra run")
-        batch: str = known[-1]["batch"]
-        return batch
+        return known[-1].batch
 
     def _probe(self, plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
         from sierra.replay import determinism  # loads everything that a replay needs

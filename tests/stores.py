@@ -56,7 +56,7 @@ def ask(root: Path, *query: str, **more: Any) -> str:
     else:
         _asked(root, query, more)
         copy(root, kept)
-    return str(sierra.open(root).batches[-1]["batch"])
+    return str(sierra.open(root).batches[-1].batch)
 
 
 def _asked(root: Path, query: Sequence[str], more: Mapping[str, Any]) -> str:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from sierra.execution.list_batches import ListedBatch
 
 
 def ls(
@@ -26,16 +29,17 @@ def ls(
     if as_json:
         print_json(batches)
         return
-    columns = {
-        "batch": [row["batch"] if long else short(row["batch"]) for row in batches],
-        "submitted": [row["submitted"] or row["created"] for row in batches],
-        "query": [row["query"] for row in batches],
-        **_where_any("controller", [row["controller"] or "" for row in batches]),
-        **_where_any("scenario", [row["scenario"] or "" for row in batches]),
-        **_where_any("overrides", [" ".join(row["overrides"]) for row in batches]),
-        **_where_any("changed", [", ".join(row["changed"]) for row in batches]),
-        **{name: [row[name] for row in batches] for name in ("experiments", "runs")},
-        "state": [_state(row) for row in batches],
+    columns: dict[str, Sequence[object]] = {
+        "batch": [one.batch if long else short(one.batch) for one in batches],
+        "submitted": [one.submitted or one.created for one in batches],
+        "query": [one.query for one in batches],
+        **_where_any("controller", [one.controller or "" for one in batches]),
+        **_where_any("scenario", [one.scenario or "" for one in batches]),
+        **_where_any("overrides", [" ".join(one.overrides) for one in batches]),
+        **_where_any("changed", [", ".join(one.changed) for one in batches]),
+        "experiments": [one.experiments for one in batches],
+        "runs": [one.runs for one in batches],
+        "state": [_state(one) for one in batches],
     }
     table(tuple(columns), zip(*columns.values(), strict=True), right=("experiments", "runs"), width=0 if long else None)
 
@@ -45,11 +49,12 @@ def _where_any(name: str, texts: Sequence[str]) -> dict[str, Sequence[str]]:
     return {name: texts} if any(texts) else {}
 
 
-def _state(row: dict[str, Any]) -> str:
+def _state(one: ListedBatch) -> str:
     from sierra.cli import ask_detach
 
-    parts = [f"{row[name]} {name}" for name in ("failed", "missing") if row[name]] or ["complete"]
-    parts += [f"on {one['runner']} now ({ask_detach.named(one['jobs'])})" for one in row["clusters"]]
-    if row["nondeterministic"]:
-        parts.append(f"{row['nondeterministic']} not deterministic")
+    counts = {"failed": one.failed, "missing": one.missing}
+    parts = [f"{count} {name}" for name, count in counts.items() if count] or ["complete"]
+    parts += [f"on {session.runner} now ({ask_detach.named(session.jobs)})" for session in one.clusters]
+    if one.nondeterministic:
+        parts.append(f"{one.nondeterministic} not deterministic")
     return ", ".join(parts)

@@ -14,6 +14,8 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields as fields_of
+from dataclasses import is_dataclass
 from datetime import datetime
 from decimal import Decimal
 from typing import Any, TextIO
@@ -60,23 +62,37 @@ def guarded() -> Iterator[None]:
         sys.stdout, sys.stderr = before
 
 
-def raw(stream: Any) -> Any:
+def raw(stream: TextIO) -> TextIO:
     """Return the stream behind a safe one, for code that draws on the terminal itself."""
     return stream.raw if isinstance(stream, Safe) else stream
 
 
-def print_json(value: Any) -> None:
+def print_json(value: object) -> None:
     """Print one JSON value, as `as_json` writes it."""
     print(as_json(value))
 
 
-def as_json(value: Any) -> str:
-    """Return JSON that every reader accepts: times as ISO 8601, null for infinite floats and NaN."""
+def as_json(value: object) -> str:
+    """Return JSON that every reader accepts: times as ISO 8601, null for infinite floats and NaN.
+
+    Dataclasses and named tuples become objects.
+    """
     return json.dumps(_finite(value), indent=2, default=_plain, allow_nan=False)
 
 
+def members(value: object) -> Mapping[str, object] | None:
+    """Return the values by name of a mapping, a dataclass or a named tuple; None for any other value."""
+    if isinstance(value, Mapping):
+        return value
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: getattr(value, field.name) for field in fields_of(value)}
+    return (
+        dict(zip(names, value, strict=True)) if isinstance(value, tuple) and (names := getattr(value, "_fields", ())) else None
+    )
+
+
 def table(
-    columns: Sequence[str], rows: Iterable[Sequence[Any]], *, right: Iterable[str] = (), width: int | None = None
+    columns: Sequence[str], rows: Iterable[Sequence[object]], *, right: Iterable[str] = (), width: int | None = None
 ) -> None:
     """Print a table without lines. It is as wide as its content; on a terminal, long texts are cut so that it fits.
 
@@ -122,7 +138,7 @@ def _cut(text: str, width: int) -> str:
     return text if len(text) <= width else f"{text[: width - 1]}…"
 
 
-def cell(value: Any) -> str:
+def cell(value: object) -> str:
     """Return a value as text for a table: short numbers, times to the second, one line."""
     match value:
         case None:
@@ -137,15 +153,14 @@ def cell(value: Any) -> str:
             return safe(" ".join(str(value).split("\n")))
 
 
-def short_id(value: Any) -> Any:
+def short_id(value: object) -> object:
     """Return the prefix of an id that commands accept; return any other value unchanged."""
     from sierra.util.hashing import short
 
-    is_id = isinstance(value, str) and len(value) == 64 and not value.strip("0123456789abcdef")
-    return short(value) if is_id else value
+    return short(value) if isinstance(value, str) and len(value) == 64 and not value.strip("0123456789abcdef") else value
 
 
-def fitting(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> int:
+def fitting(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> int:
     """Return the number of columns of a table that fit the terminal, at least 1; all columns without a terminal."""
     if not sys.stdout.isatty():
         return len(columns)
@@ -162,7 +177,7 @@ def readable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def fields(record: Mapping[str, Any], indent: str = "") -> None:
+def fields(record: Mapping[str, object], indent: str = "") -> None:
     """Print names and values, a line each; on a terminal, long values are wrapped."""
     width = max((len(name) for name in record), default=0)
     for name, value in record.items():
@@ -186,7 +201,7 @@ def note(message: str) -> None:
     print(f"note: {message}", file=sys.stderr)
 
 
-def _finite(value: Any) -> Any:
+def _finite(value: object) -> object:
     """Return a value in which null replaces floats that JSON does not have, and numbers replace exact decimals.
 
     Sums of whole numbers are exact decimals.
@@ -196,15 +211,15 @@ def _finite(value: Any) -> Any:
             return value if math.isfinite(value) else None
         case Decimal():
             return int(value) if value == value.to_integral_value() else float(value)
-        case Mapping():
-            return {str(name): _finite(inner) for name, inner in value.items()}
+        case _ if (named := members(value)) is not None:
+            return {str(name): _finite(inner) for name, inner in named.items()}
         case list() | tuple():
             return [_finite(inner) for inner in value]
         case _:
             return value
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> str:
     if isinstance(value, datetime):
         return value.isoformat()
     if isinstance(value, bytes):

@@ -3,93 +3,98 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
-from sierra.util.text import few
+from sierra.util.text import counted, few
+
+if TYPE_CHECKING:
+    from sierra.execution.recorded_rows import RecordedProgram
+    from sierra.execution.show_record import ShownEnvironment, ShownImage, ShownIsolation
 
 SHOWN = 12
 LONGEST = 100
 
 
-def print_programs(rows: Sequence[Mapping[str, Any]]) -> None:
+def print_programs(programs: Sequence[RecordedProgram]) -> None:
     """Print programs, distributions and files, a line each, and libraries together."""
     from sierra.cli.output import readable, table
 
-    loaded = [row for row in rows if row["kind"] == "library"]
-    others = [row for row in rows if row["kind"] != "library"]
+    libraries = [program.name for program in programs if program.kind == "library"]
+    others = [program for program in programs if program.kind != "library"]
     print("\nprograms:")
     table(
         ("name", "version", "sha256", "path"),
-        [(readable(row["name"]), _version(row), row["sha256"][:10], readable(row["path"])) for row in others],
+        [(readable(one.name), _version(one.version or ""), one.sha256[:10], readable(one.path)) for one in others],
     )
-    if loaded:
-        print(f"libraries: {few([row['name'] for row in loaded], SHOWN)}")
+    if libraries:
+        print(f"libraries: {few(libraries, SHOWN)}")
 
 
-def _version(row: Mapping[str, Any]) -> str:
+def _version(version: str) -> str:
     from sierra.cli.output import readable
 
-    lines = (row["version"] or "").splitlines()
+    lines = version.splitlines()
     return f"{len(lines)} distributions" if lines[1:] else readable("".join(lines))[:LONGEST]
 
 
-def print_image(image: Mapping[str, Any], reach: Sequence[str]) -> None:
+def print_image(image: ShownImage, reach: Sequence[str]) -> None:
     """Print the image in which runs executed, and the host resources that they could access."""
     from sierra.cli.output import fields, readable
 
     print("\nimage:")
     fields({name: readable(str(value)) for name, value in _image(image, reach) if value not in (None, "")}, "  ")
-    lines = (image.get("recipe") or "").splitlines()
+    lines = ((image.row and image.row.recipe) or "").splitlines()
     for line in lines[:SHOWN]:
         print(f"    {_cut(readable(line.expandtabs()))}")
     if len(lines) > SHOWN:
         print(f"    … {len(lines) - SHOWN} more lines (--json has them all)")
 
 
-def _image(image: Mapping[str, Any], reach: Sequence[str]) -> Iterator[tuple[str, Any]]:
+def _image(image: ShownImage, reach: Sequence[str]) -> Iterator[tuple[str, object]]:
     from sierra.cli.output import size
 
-    yield "name", image.get("name", "not recorded")
-    yield "id", image["image"]
+    row = image.row
+    yield "name", row.name if row else "not recorded"
+    yield "id", image.image
     yield "host access", ", ".join(reach) or "none"
-    if "packages" in image:
-        counts = [f"{len(lines)} of {manager}" for manager, lines in image["packages"].items()]
-        yield "kind", image["kind"]
-        yield "architecture", image["architecture"]
+    if row:
+        counts = [f"{len(lines)} of {manager}" for manager, lines in image.packages.items()]
+        yield "kind", row.kind
+        yield "architecture", row.architecture
         yield "packages", ", ".join(counts) or "none found by a package manager"
-        yield "created", image["created"]
-        yield "size", size(image["size"])
-        yield "recipe", "" if not image["recipe"] else f"{len(image['recipe'].splitlines())} lines"
+        yield "created", row.created
+        yield "size", size(row.size)
+        yield "recipe", f"{len(row.recipe.splitlines())} lines" if row.recipe else ""
 
 
 MODES = {"run": "one for each run", "worker": "one for all runs of a slot (weaker isolation)"}
 
 
-def print_isolation(isolation: Mapping[str, Any]) -> None:
+def print_isolation(isolation: ShownIsolation) -> None:
     """Print the isolation of executions, with emphasis on requested features that were not available."""
     from sierra.cli.output import fields, readable
 
-    count = isolation.get("executions")
-    executions = f" of {count} execution{'s' * (count != 1)}" if count else ""
-    print(f"\nisolation {isolation['isolation'][:10]}{executions}:")
-    fields({name: readable(str(value)) for name, value in _isolation(isolation) if value}, "  ")
+    executions = f" of {counted(isolation.executions, 'execution')}" if isolation.executions else ""
+    print(f"\nisolation {isolation.isolation[:10]}{executions}:")
+    fields({name: readable(value) for name, value in _isolation(isolation) if value}, "  ")
 
 
-def _isolation(isolation: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    if "engine" not in isolation:
+def _isolation(isolation: ShownIsolation) -> Iterator[tuple[str, str]]:
+    row, limits = isolation.row, isolation.limits
+    if row is None:
         yield "engine", "not recorded"
         return
-    yield "engine", isolation["engine"]
-    yield "version", isolation["version"]
-    yield "containers", MODES.get(isolation["mode"], isolation["mode"])
-    yield "rootless", "yes" if isolation["rootless"] else "no"
-    yield "user on the host", isolation["user"]
-    yield "network", isolation["network"].upper() if isolation["network"] == "not isolated" else isolation["network"]
-    yield "devices", ", ".join(isolation["devices"])
-    yield "mounts", ", ".join(f"{target} from {source}" for target, source in isolation["mounts"].items())
-    yield "limits enforced", _limits(isolation["limits_enforced"]) or "none"
-    yield "limits monitored", _limits(isolation["limits_watched"])
-    yield "LIMITS IGNORED", _limits(isolation["limits_ignored"])
+    yield "engine", row.engine
+    yield "version", row.version or ""
+    yield "containers", MODES.get(row.mode, row.mode)
+    yield "rootless", "yes" if row.rootless else "no"
+    yield "user on the host", row.user or ""
+    yield "network", row.network.upper() if row.network == "not isolated" else row.network
+    yield "devices", ", ".join(row.devices)
+    yield "mounts", ", ".join(f"{target} from {source}" for target, source in isolation.mounts.items())
+    yield "limits enforced", _limits(limits["limits_enforced"]) or "none"
+    yield "limits monitored", _limits(limits["limits_watched"])
+    yield "LIMITS IGNORED", _limits(limits["limits_ignored"])
 
 
 def _limits(limits: Mapping[str, float]) -> str:
@@ -98,18 +103,18 @@ def _limits(limits: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {size(int(value)) if name == 'memory' else f'{value:g}'}" for name, value in limits.items())
 
 
-def print_environment(around: Mapping[str, Any]) -> None:
+def print_environment(environment: ShownEnvironment) -> None:
     """Print a line for each known fact of an environment."""
     from sierra.cli.output import fields
 
     print("\nenvironment:")
-    fields({name: value for name, value in _facts(around) if value not in (None, "", [])}, "  ")
+    fields({name: value for name, value in _facts(environment.as_dict()) if value not in (None, "", [])}, "  ")
 
 
-def _facts(around: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _facts(environment: Mapping[str, object]) -> Iterator[tuple[str, object]]:
     from sierra.cli.output import readable
 
-    for name, value in around.items():
+    for name, value in environment.items():
         match name, value:
             case "memory", int():
                 yield name, f"{value / 2**30:.1f} GiB"

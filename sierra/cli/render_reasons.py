@@ -5,14 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from sierra.execution.reasons import ChangeReason
+from sierra.explain.plan_changes import Aspect, Basis
 from sierra.util.hashing import short
-from sierra.util.text import counted
+from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from sierra.execution.reasons import Reason
+    from sierra.explain.plan_changes import NewRuns, PlanChange
     from sierra.explain.preview_repeat import NextRun
+    from sierra.explain.why_executed import NewSince
 
 PREVIEW = {
     ChangeReason.NEW: "new",
@@ -44,14 +47,65 @@ EFFECTIVE = {
 """Why an execution is effective, or none is."""
 
 
+BASES = {
+    Basis.EMPTY_STORE: "the store is still empty",
+    Basis.SAME_BATCH: "this batch is recorded; an earlier session ended before it executed these runs",
+    Basis.NOTHING: "no batch with these variables is recorded",
+    Basis.BATCH: "compared with batch {batch} ({query}):",
+}
+"""What a plan with new runs is compared with."""
+CHANGES = {
+    Aspect.QUERY: "{name} was {was!r} and is {now!r}",
+    Aspect.SET_ADDED: "--set {name} was added",
+    Aspect.SET_REMOVED: "--set {name} was removed",
+    Aspect.COMMAND: "the command was {was!r} and is {now!r}",
+    Aspect.VARIABLE: "the variable {name} was {was!r} and is {now!r}",
+    Aspect.PLATFORM: "the platform was {was} and is {now}",
+    Aspect.IMAGE: "the image was {was} and is {now}",
+    Aspect.PACKAGES: "the images differ in packages: {details}",
+    Aspect.FILES: "the images differ in files: {details}",
+    Aspect.SAME_CONTENT: "both images have the same packages and files",
+    Aspect.HOST_ACCESS: "the host access of runs has changed: {name}",
+    Aspect.SOURCE: "the source has changed: {details}",
+    Aspect.EXCLUSIONS: "{details}",
+    Aspect.TEMPLATE: "the template {name} has changed",
+    Aspect.SETTINGS: (
+        "sierra.toml changes the template differently (variables, changes, controllers, scenarios, seed, platforms)"
+    ),
+    Aspect.PROGRAM: "{details}",
+}
+"""How a plan differs from a recorded batch."""
+SHOWN = 10
+"""The largest number of details in a line."""
+
+
+def change(found: PlanChange) -> str:
+    """Return a difference between a plan and a recorded batch in words."""
+    words = CHANGES[found.aspect].format(name=found.name, was=found.was, now=found.now, details=few(found.details, SHOWN))
+    return words.removesuffix(": ")
+
+
+def new_runs(found: NewRuns) -> list[str]:
+    """Return the reasons why runs of a plan are new, one line each."""
+    return [BASES[found.basis].format(batch=short(found.batch), query=found.query), *map(change, found.changes)]
+
+
+def new_since(found: NewSince) -> list[str]:
+    """Return what made the runs of a recorded batch new, one line each."""
+    if found.batch is None:
+        return ["no batch with these variables was recorded before"]
+    return [f"compared with batch {short(found.batch)}:", *(one.line for one in found.differences)]
+
+
 def next_run(answer: NextRun) -> list[str]:
     """Return the effect of repeating a batch's query, one line each."""
     if answer.error:
         return [f"the query cannot be repeated as it is: {answer.error}"]
     if answer.other_batch:
         recorded = f"(sierra run {short(answer.batch)} executes this batch with the recorded code)"
-        return [f"different runs (batch {short(answer.other_batch)}), because:", *answer.differences, recorded]
-    return [*(f"{counted(count, 'run')}: {text(reason, PREVIEW)}" for count, reason in answer.reasons), *answer.differences]
+        return [f"different runs (batch {short(answer.other_batch)}), because:", *map(change, answer.differences), recorded]
+    reasons = (f"{counted(count, 'run')}: {text(reason, PREVIEW)}" for count, reason in answer.reasons)
+    return [*reasons, *map(change, answer.differences)]
 
 
 def text(reason: Reason, words: Mapping[ChangeReason, str]) -> str:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
-from dataclasses import asdict
+from collections.abc import Set as AbstractSet
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, TypedDict
 
 import typer
 
@@ -15,6 +14,7 @@ from sierra.cli import complete
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.execution.observer import Observer
+    from sierra.execution.plan_preview import PlanPreview
     from sierra.execution.resolve_plan import Plan
 
 STDERR = 2
@@ -90,42 +90,28 @@ def run(
       sierra run population_size.Log8 --on slurm --detach
       sierra run population_size.Log8 --on slurm --dry-run --explain
     """
-    from sierra.cli import open_project, render_estimate, render_summary
-    from sierra.cli.output import note, print_json
+    from sierra.cli import open_project, render_summary
+    from sierra.cli.output import print_json
     from sierra.cli.progress import Planning, watching
     from sierra.config import user
     from sierra.query.grammar import setting
-    from sierra.query.query_input import SUFFIX
 
     project = open_project.project()
-    asked: dict[str, Any] = {
-        "runs": runs,
-        "controller": controller,
-        "scenario": scenario,
-        "sets": [setting(text) for text in sets or ()],
-    }
     observer = Planning(agreed=yes, quiet=as_json)
-    if query[0].endswith(SUFFIX):
-        plan = _from_file(project, query, asked, engine=engine, observer=observer)
-    else:
-        plan = project.plan(*query, **asked, engine=engine, observer=observer)
+    settings = Settings(runs=runs, controller=controller, scenario=scenario, sets=[setting(text) for text in sets or ()])
+    plan = _plan(project, query, settings, engine=engine, observer=observer)
+    more: dict[str, object] = {}
     if not dry_run:
         _check_log(plan)
-    told: dict[str, Any] = {}
     if dry_run or explain:
-        told = _preview(project, plan, explain=explain, as_json=as_json)
-        proposed = project.proposal(plan, runner, detach=detach)
-        told |= {"proposal": proposed and asdict(proposed)}
-        if proposed and not as_json:
-            render_estimate.show(proposed, explain=explain, script=dry_run)
+        preview = _preview(project, plan, runner, detach=detach, explain=explain, dry_run=dry_run, quiet=as_json)
+        if dry_run and as_json:
+            print_json(preview.as_dict())
         if dry_run:
-            for text in (*plan.notes, *(proposed.notes if proposed else ())):
-                note(text)
-            if as_json:
-                print_json(told)
             return
-    else:
-        told = _again(project, plan)
+        more = {"reasons": preview.reasons, "new_because": preview.new_because, "proposal": preview.proposal}
+    elif why := _again(project, plan):
+        more = {"new_because": why}
     with watching(quiet=as_json) as display:
         summary = project.execute(
             plan,
@@ -136,18 +122,31 @@ def run(
             runner=runner,
             detach=detach,
         )
-    more: dict[str, Any] = {name: told[name] for name in ("reasons", "new_because", "proposal") if name in told}
     render_summary.tell(project, summary, more if as_json else None, detached=detach)
 
 
-def _from_file(project: Project, query: list[str], asked: dict[str, Any], *, engine: str | None, observer: Observer) -> Plan:
-    """Return the plan of the request in a file. Print a note if the file names a batch that the request no longer gives."""
+class Settings(TypedDict):
+    """The settings of a query that are given as options."""
+
+    runs: int | None
+    controller: str | None
+    scenario: str | None
+    sets: list[tuple[str, str]]
+
+
+def _plan(project: Project, query: list[str], settings: Settings, *, engine: str | None, observer: Observer) -> Plan:
+    """Return the plan of a query, or of the request in a file.
+
+    Prints a note if the file names a batch that the request no longer gives.
+    """
     from sierra.cli.output import note
     from sierra.errors import UsageError
     from sierra.query import query_input
     from sierra.util.hashing import short
 
-    if len(query) > 1 or any(asked.values()):
+    if not query[0].endswith(query_input.SUFFIX):
+        return project.plan(*query, **settings, engine=engine, observer=observer)
+    if len(query) > 1 or any(settings.values()):
         raise UsageError(
             f"{query[0]} is a complete request; leave out other criteria, --runs, --controller, --scenario and --set"
         )
@@ -160,68 +159,75 @@ def _from_file(project: Project, query: list[str], asked: dict[str, Any], *, eng
     return plan
 
 
-def _preview(project: Project, plan: Plan, *, explain: bool, as_json: bool) -> dict[str, Any]:
-    """Print the runs that would execute, and with `explain` the reasons."""
+def _preview(
+    project: Project, plan: Plan, runner: str, *, detach: bool, explain: bool, dry_run: bool, quiet: bool
+) -> PlanPreview:
+    """Return the preview of a plan, with `explain` also its reasons; print it unless `quiet`."""
+    from sierra.cli import render_estimate
+    from sierra.cli.output import note
+    from sierra.cli.render_reasons import PREVIEW, change, new_runs, text
+    from sierra.execution.cluster_status import seen
+    from sierra.execution.forecast import forecast
+    from sierra.execution.plan_preview import PlanPreview
+    from sierra.execution.reasons import ChangeReason, Reason
+    from sierra.explain.why_new_runs import other_programs, why_new
+
+    store = project.stored()
+    found = forecast(plan, store)
+    reasons = found.reasons
+    new = explain and reasons[Reason(ChangeReason.NEW)]
+    other = explain and store and reasons[Reason(ChangeReason.PROGRAMS)]
+    proposal = project.proposal(plan, runner, detach=detach)
+    preview = PlanPreview(
+        request=plan.request,
+        batch=plan.batch.id,
+        query=plan.text,
+        experiments=len(plan.batch.experiments),
+        runs=len(found.states),
+        to_execute=len(found.to_execute),
+        reused=len(found.states) - len(found.to_execute) - len(found.on_clusters),
+        to_judge=found.to_reevaluate,
+        on_clusters=len(found.on_clusters),
+        clusters=tuple(seen(store, found.on_clusters)) if store and found.on_clusters else (),
+        reasons={text(reason, PREVIEW): count for reason, count in reasons.most_common()},
+        notes=plan.notes,
+        new_because=tuple(new_runs(why_new(plan, store))) if new else (),
+        other_programs=tuple(map(change, other_programs(plan, store))) if other and store else None,
+        proposal=proposal,
+    )
+    if not quiet:
+        _print(plan, preview, found.to_execute, explain=explain)
+        if proposal:
+            render_estimate.show(proposal, explain=explain, script=dry_run)
+    for message in (*plan.notes, *(proposal.notes if proposal else ())) if dry_run else ():
+        note(message)
+    return preview
+
+
+def _print(plan: Plan, preview: PlanPreview, to_execute: AbstractSet[str], *, explain: bool) -> None:
     from sierra.cli import render_status
     from sierra.cli.output import table
-    from sierra.cli.render_reasons import PREVIEW, text
-    from sierra.execution import cluster_status
-    from sierra.execution.reasons import ChangeReason, Reason
-    from sierra.execution.reuse import foreseen
-    from sierra.execution.reuse import states as states_of
-    from sierra.explain.why_new_runs import other_programs, why_new
-    from sierra.query.query_input import KEY
     from sierra.util.hashing import short
     from sierra.util.text import counted
 
-    store = project.stored()
-    states = foreseen(plan, store, states_of(plan, store))
-    anew = sum(state.anew for state in states.values())
-    missing = {run for run, state in states.items() if not state.succeeded and not state.anew}
-    there = missing & cluster_status.claimed(store).keys() if store and missing else set()
-    now = cluster_status.seen(store, there) if store and there else []
-    todo = len(missing) - len(there)
-    on_cluster = Reason(ChangeReason.ON_CLUSTER)
-    reasons = Counter(on_cluster if run in there else state.change for run, state in states.items())
-    told: dict[str, Any] = {
-        KEY: plan.request.model_dump(mode="json", exclude_defaults=True),
-        "batch": plan.batch.id,
-        "query": plan.text,
-        "experiments": len(plan.batch.experiments),
-        "runs": len(states),
-        "to_execute": todo,
-        "reused": len(states) - len(missing),
-        "to_judge": anew,
-        "on_clusters": len(there),
-        "clusters": [asdict(one) for one in now],
-        "reasons": {text(reason, PREVIEW): count for reason, count in reasons.most_common()},
-        "notes": list(plan.notes),
-        "new_because": why_new(plan, store) if explain and reasons[Reason(ChangeReason.NEW)] else [],
-    }
-    if explain and store and reasons[Reason(ChangeReason.PROGRAMS)]:
-        told["other_programs"] = other_programs(plan, store)
-    if as_json:
-        return told
-    print(f"batch {short(plan.batch.id)}: {plan.text}")
-    axes = [axis.name for axis in plan.batch.axes]
-    here = missing - there
+    print(f"batch {short(preview.batch)}: {preview.query}")
     rows = [
-        [*experiment.values.values(), len(experiment.runs), sum(run.id in here for run in experiment.runs)]
+        [*experiment.values.values(), len(experiment.runs), sum(run.id in to_execute for run in experiment.runs)]
         for experiment in plan.batch.experiments
     ]
-    table([*axes, "runs", "to execute"], rows, right=["runs", "to execute"])
+    table([*(axis.name for axis in plan.batch.axes), "runs", "to execute"], rows, right=["runs", "to execute"])
     if explain:
-        for reason, number in told["reasons"].items():
+        for reason, number in preview.reasons.items():
             print(f"{counted(number, 'run')}: {reason}")
-        for line in (*told["new_because"], *told.get("other_programs", ())):
+        for line in (*preview.new_because, *(preview.other_programs or ())):
             print(f"  {line}")
     else:
-        beside = f", {len(there)} {'is' if len(there) == 1 else 'are'} on a cluster and would be followed" if there else ""
-        judged = f", {anew} would be evaluated again because [outputs] or [success] have changed" if anew else ""
-        print(f"{todo} of {counted(len(states), 'run')} would execute{judged}{beside}")
-    for line in render_status.lines(now):
+        followed, judged = preview.on_clusters, preview.to_judge
+        beside = f", {followed} {'is' if followed == 1 else 'are'} on a cluster and would be followed" if followed else ""
+        again = f", {judged} would be evaluated again because [outputs] or [success] have changed" if judged else ""
+        print(f"{preview.to_execute} of {counted(preview.runs, 'run')} would execute{again}{beside}")
+    for line in render_status.lines(preview.clusters):
         print(line)
-    return told
 
 
 def _check_log(plan: Plan) -> None:
@@ -239,12 +245,13 @@ def _check_log(plan: Plan) -> None:
         )
 
 
-def _again(project: Project, plan: Plan) -> dict[str, Any]:
+def _again(project: Project, plan: Plan) -> list[str]:
     """Print and return the reasons why runs execute again although the same query was run before."""
     from sierra.cli.output import note
+    from sierra.cli.render_reasons import change
     from sierra.explain.why_new_runs import why_again
 
-    why = why_again(plan, project.stored())
+    why = [change(one) for one in why_again(plan, project.stored())]
     if why:
         note(f"this query was submitted before, but its runs execute again: {'; '.join(why)}")
-    return {"new_because": why} if why else {}
+    return why

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import complete
 
+if TYPE_CHECKING:
+    from sierra.execution.show_record import Failed, ShownBatch, ShownExecution, ShownIsolation
+    from sierra.provenance.commits_between import Known
+
 SHOWN_REASONS = 10
 MORE = 4
 """The largest number of column names that are printed if the columns do not fit the terminal."""
+APART = ("failures", "programs", "environment", "image", "isolations", "isolation", "host_access", "history")
+"""The parts of a batch or an execution that are printed in forms of their own, after the others."""
 AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
 """The largest number of shown rows, for tables that may be as long as a batch."""
 
@@ -37,107 +43,116 @@ def show(
     """
     from sierra.cli.open_project import project
     from sierra.cli.output import print_json
-    from sierra.cli.render_environment import print_environment, print_image, print_isolation, print_programs
+    from sierra.execution.show_record import ShownBatch, ShownExecution, ShownRun
 
     shown = project().show(prefix)
+    record = shown.as_dict()
     if as_json:
-        print_json(shown)
+        print_json(record)
         return
-    if shown["kind"] == "session":
-        _print(shown, long=long)
-        return
-    failures, used, around = shown.pop("failures", []), shown.pop("programs", []), shown.pop("environment", None)
-    image, reach, isolations = _contained(shown)
-    commit = shown.pop("history", None)
-    _print(shown, long=long)
-    if commit:
-        _print_commit(commit)
-    if image:
-        print_image(image, reach)
+    match shown:
+        case ShownBatch():
+            record["spec"] = _without_parts(shown.spec._asdict())
+            _print_record(_without_parts(record), long=long)
+            if shown.history:
+                _print_commit(shown.history)
+            _print_host(shown, shown.spec.host_access, shown.isolations)
+            _print_failures(shown.failures)
+        case ShownExecution():
+            _print_record(_without_parts(record), long=long)
+            _print_host(shown, shown.host_access, [shown.isolation] if shown.isolation else [])
+        case _:
+            _print_record(record, long=long)
+    if isinstance(shown, ShownRun | ShownExecution):
+        print(f"\nsierra files {str(record[shown.kind])[:10]} PATH prints a recorded file; --to FOLDER writes all files")
+
+
+def _without_parts(record: Mapping[str, object]) -> dict[str, object]:
+    return {name: value for name, value in record.items() if name not in APART}
+
+
+def _print_host(shown: ShownBatch | ShownExecution, reach: Sequence[str], isolations: Sequence[ShownIsolation]) -> None:
+    """Print the image, isolation, programs and environment of executions."""
+    from sierra.cli.render_environment import print_environment, print_image, print_isolation, print_programs
+
+    if shown.image:
+        print_image(shown.image, reach)
         for one in isolations:
             print_isolation(one)
-        if not isolations and shown["kind"] == "execution":
+        if not isolations and shown.kind == "execution":
             print("\nisolation: none, executed directly on the host")
-    if used:
-        print_programs(used)
-    if around:
-        print_environment(around)
-    _print_failures(failures)
-    if shown["kind"] in ("run", "execution"):
-        print(f"\nsierra files {shown[shown['kind']][:10]} PATH prints a recorded file; --to FOLDER writes all files")
+    if shown.programs:
+        print_programs(shown.programs)
+    if shown.environment:
+        print_environment(shown.environment)
 
 
-def _print_commit(known: Mapping[str, Any]) -> None:
+def _print_commit(known: Known) -> None:
     """Print the recorded commit as the repository has it now."""
     from sierra.cli.output import fields
 
-    commit = known["commit"]
     print("\ncommit, as in the repository now:")
-    told = {
-        "subject": commit["subject"],
-        "author": f"{commit['author']}, {commit['date']:%Y-%m-%d}",
-        "described": known["described"],
-        "branches/tags": ", ".join(known["branches"]) or "none",
-        "remote": known["remote"] or "none",
+    facts = {
+        "subject": known.commit.subject,
+        "author": f"{known.commit.author}, {known.commit.date:%Y-%m-%d}",
+        "described": known.described,
+        "branches/tags": ", ".join(known.branches) or "none",
+        "remote": known.remote or "none",
     }
-    fields(told, "  ")
+    fields(facts, "  ")
 
 
-def _contained(shown: dict[str, Any]) -> tuple[dict[str, Any] | None, list[str], list[dict[str, Any]]]:
-    """Remove and return the image, the host access and the isolation of a batch or an execution."""
-    if shown["kind"] == "batch":
-        spec, isolations = shown["spec"], shown.pop("isolations")
-        del spec["image"]
-        return shown.pop("image"), spec.pop("host_access") or [], isolations
-    if shown["kind"] == "execution":
-        isolation = shown.pop("isolation", None)
-        return shown.pop("image"), shown.pop("host_access"), [isolation] if isolation else []
-    return None, [], []
-
-
-def _print_failures(failures: Sequence[Mapping[str, Any]]) -> None:
+def _print_failures(failures: Sequence[Failed]) -> None:
     """Print the reasons why runs failed, a line each."""
     from sierra.cli.output import cell, readable
+    from sierra.util.text import counted
 
     if failures:
         print("\nfailures:")
     for failure in failures[:SHOWN_REASONS]:
-        values = "".join(f"{name}={cell(value)}, " for name, value in failure["values"].items())
-        runs = "1 run" if failure["runs"] == 1 else f"{failure['runs']} runs"
-        example = f"run {failure['run'][:10]} ({values}number {failure['number']})"
-        print(f"  {runs}: {readable(failure['reason'])}, e.g. {example}")
+        values = "".join(f"{name}={cell(value)}, " for name, value in failure.values.items())
+        example = f"run {failure.run[:10]} ({values}number {failure.number})"
+        print(f"  {counted(failure.runs, 'run')}: {readable(failure.reason)}, e.g. {example}")
     if len(failures) > SHOWN_REASONS:
-        runs = sum(failure["runs"] for failure in failures[SHOWN_REASONS:])
+        runs = sum(failure.runs for failure in failures[SHOWN_REASONS:])
         print(f"  and {len(failures) - SHOWN_REASONS} more reasons, {runs} runs (--json has them all)")
 
 
-def _print(shown: dict[str, Any], *, long: bool) -> None:
+def _print_record(record: Mapping[str, object], *, long: bool) -> None:
     """Print plain values first, then tables and logs. Ids are short unless `long`, except the id of the shown record."""
-    from sierra.cli.output import fields, fitting, short_id, table
-    from sierra.util.text import few
+    from sierra.cli.output import fields, members, short_id
 
-    def told(value: Any) -> Any:
+    def cut(value: object) -> object:
         return value if long else short_id(value)
 
-    plain = {name: value for name, value in shown.items() if not isinstance(value, dict | list) and name != "log_tail"}
-    fields({name: value if name == shown["kind"] else told(value) for name, value in plain.items()})
-    for name, value in shown.items():
-        if isinstance(value, dict):
+    nested = {name: value for name, value in record.items() if isinstance(value, list | tuple) or members(value) is not None}
+    plain = {name: value for name, value in record.items() if name not in nested and name != "log_tail"}
+    fields({name: value if name == record["kind"] else cut(value) for name, value in plain.items()})
+    for name, value in nested.items():
+        if (inner := members(value)) is not None:
             print(f"\n{name}:")
-            fields({inner: told(one) for inner, one in value.items()}, "  ")
-        elif isinstance(value, list) and value:
+            fields({key: cut(one) for key, one in inner.items()}, "  ")
+        elif isinstance(value, list | tuple) and value:
             print(f"\n{name}:")
-            if isinstance(value[0], dict):
-                columns = list(dict.fromkeys(key for row in value for key in row if key != "log_tail"))
-                most = AT_MOST.get(name, len(value))
-                rows = [[told(row.get(column)) for column in columns] for row in value[:most]]
-                wide = len(columns) if long else fitting(columns, rows)
-                table(columns[:wide], [row[:wide] for row in rows], width=0 if long else None)
-                if wide < len(columns):
-                    print(f"(and {few(columns[wide:], MORE)}, in --json)")
-                if len(value) > most:
-                    print(f"and {len(value) - most} more (--json has them all)")
+            rows = [row for one in value if (row := members(one)) is not None]
+            if rows:
+                _print_rows(name, rows, cut, long=long)
             else:
                 print("  " + ", ".join(map(str, value)))
-    if shown.get("log_tail"):
-        print("\nlog:\n" + shown["log_tail"])
+    if record.get("log_tail"):
+        print(f"\nlog:\n{record['log_tail']}")
+
+
+def _print_rows(name: str, records: Sequence[Mapping[str, object]], cut: Callable[[object], object], *, long: bool) -> None:
+    from sierra.cli.output import fitting, table
+    from sierra.util.text import few
+
+    columns = list(dict.fromkeys(key for row in records for key in row if key != "log_tail"))
+    most = AT_MOST.get(name, len(records))
+    rows = [[cut(row.get(column)) for column in columns] for row in records[:most]]
+    wide = len(columns) if long else fitting(columns, rows)
+    table(columns[:wide], [row[:wide] for row in rows], width=0 if long else None)
+    if wide < len(columns):
+        print(f"(and {few(columns[wide:], MORE)}, in --json)")
+    if len(records) > most:
+        print(f"and {len(records) - most} more (--json has them all)")

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import complete
 
 if TYPE_CHECKING:
+    from sierra.execution.reasons import ChangeReason
     from sierra.explain.effective_executions import EffectiveRuns
-    from sierra.explain.history import Event
+    from sierra.explain.history import Cause, Event
     from sierra.explain.why_executed import Why
 
 LINES = 10
@@ -49,17 +50,26 @@ def why(
         _print(answer)
 
 
-def _answer(answer: Why) -> dict[str, Any]:
-    from sierra.cli.render_reasons import EFFECTIVE, HISTORY, next_run, text
+def _answer(answer: Why) -> dict[str, object]:
+    from sierra.cli.output import members
+    from sierra.cli.render_reasons import EFFECTIVE, HISTORY, new_since, next_run, text
 
-    shown = asdict(answer)
-    for event, told in zip(answer.history, shown["history"], strict=True):
-        for cause, row in zip(event.causes, told["causes"], strict=True):
-            row |= {"change": cause.reason.kind, "reason": text(cause.reason, HISTORY)}
-    for one, row in zip(answer.effective, shown["effective"], strict=True):
-        row |= {"change": one.reason.kind, "reason": text(one.reason, EFFECTIVE)}
-    found = shown.pop("found")
-    return {"kind": found["kind"], "id": found["id"], **shown, "next_run": next_run(answer.next_run)}
+    def with_reason(found: Cause | EffectiveRuns, words: Mapping[ChangeReason, str]) -> dict[str, object]:
+        return {**(members(found) or {}), "reason": text(found.reason, words), "change": found.reason.kind}
+
+    def with_causes(event: Event) -> dict[str, object]:
+        return {**(members(event) or {}), "causes": [with_reason(cause, HISTORY) for cause in event.causes]}
+
+    return {
+        "kind": answer.found.kind,
+        "id": answer.found.id,
+        "runs": answer.runs,
+        "history": [with_causes(event) for event in answer.history],
+        "new_because": {batch: new_since(found) for batch, found in answer.new_because.items()},
+        "effective": [with_reason(one, EFFECTIVE) for one in answer.effective],
+        "next_run": next_run(answer.next_run),
+        "clusters": answer.clusters,
+    }
 
 
 def _print(answer: Why) -> None:
@@ -113,7 +123,7 @@ def _standing(one: EffectiveRuns) -> str:
 
 def _print_event(event: Event, answer: Why, *, because: bool) -> None:
     from sierra.cli.output import cell, readable
-    from sierra.cli.render_reasons import HISTORY, text
+    from sierra.cli.render_reasons import HISTORY, new_since, text
     from sierra.util.hashing import short
 
     many = answer.runs > 1
@@ -131,7 +141,7 @@ def _print_event(event: Event, answer: Why, *, because: bool) -> None:
         )
         print(f"  {which}: {readable(text(cause.reason, HISTORY))}")
         if cause.new and because:
-            for line in answer.new_because.get(event.batch, ()):
+            for line in new_since(answer.new_because[event.batch]) if event.batch in answer.new_because else ():
                 print(f"    {readable(line)}")
     if event.reevaluated:
         print(readable(f"  {_runs(event.reevaluated)} evaluated again by other rules, not executed: {event.other_rules}"))

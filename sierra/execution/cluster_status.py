@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
+from typing import NamedTuple
 
 from sierra.errors import NotFound, SierraError
 from sierra.execution import sessions
@@ -147,7 +148,15 @@ def submitted(paths: SessionPaths) -> ClusterSession | None:
 def counted(store: Store, those: list[str]) -> dict[str, tuple[int, int]]:
     """Return for each session the number of runs that it executed, and how many of these failed."""
     counts = dict.fromkeys(those, (0, 0))
-    return counts | {row["session"]: (row["executed"], row["failed"]) for row in store.rows(COUNTS, s=those)}
+    return counts | {row.session: (row.executed, row.failed) for row in store.select(SessionCounts, COUNTS, s=those)}
+
+
+class SessionCounts(NamedTuple):
+    """Numbers of runs that a session executed, and of those that failed."""
+
+    session: str
+    executed: int
+    failed: int
 
 
 COUNTS = """
@@ -160,10 +169,10 @@ SELECT session, count(*) AS executed, count(*) FILTER (NOT good) AS failed FROM 
 
 def _query(paths: SessionPaths) -> str | None:
     try:
-        query: str = read_record(paths.asking)["query"]
-    except (FileNotFoundError, KeyError):
+        query = read_record(paths.asking).get("query")
+    except FileNotFoundError:
         return None
-    return query
+    return query if isinstance(query, str) else None
 
 
 def _recorded(store: Store, row: ClusterSession, observer: Observer) -> ClusterSession:

@@ -7,7 +7,6 @@ query executes only the runs without a successful execution.
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import partial
 
@@ -50,8 +49,10 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
         if not records.is_kept(plan, store):
             records.keep(plan, store, session)
         stays = make().stays
+        slots = None if stays else options.slots
+        prepared = records.prepared(plan, session, started=began, runner=options.runner, slots=slots)
         if stays:
-            records.prepare(plan, store, session, started=began, runner=options.runner)
+            records.prepare(plan, store, session, prepared)
         odd = find_odd(store, session.paths, context(plan, session.id, session.number))
         executor = Executor(plan, store, session, make, options)
         if executor.rules_changed:
@@ -60,8 +61,7 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
         summary = _sum_up(executor)
         log.info("%d runs: %d executed, %d failed, %d missing", summary.runs, summary.executed, summary.failed, summary.missing)
         if session.paths not in executor.left:
-            slots = None if stays else options.slots
-            records.close(plan, store, session, asdict(summary), started=began, runner=options.runner, slots=slots)
+            records.close(plan, store, session, summary, prepared)
         return summary
     finally:
         session.close()

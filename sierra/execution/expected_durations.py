@@ -70,7 +70,7 @@ def estimate(values: Mapping[str, Value], known: Sequence[Timed]) -> float:
 
 # no variable has a blank in its name
 TIMED = """
-SELECT {'controller': b.controller, 'scenario': b.scenario, 'overrides': b.overrides} AS "of batch", avg(e.wall_s) AS "took s",
+SELECT b.controller AS "of controller", b.scenario AS "of scenario", b.overrides AS "of overrides", avg(e.wall_s) AS "took s",
        x.* EXCLUDE (batch, ordinal, experiment)
 FROM executions e JOIN batch_runs m USING (batch, run) JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
      JOIN specs r ON r.spec = b.spec
@@ -88,11 +88,15 @@ def _timed(plan: Plan, store: Store) -> Iterator[Timed]:
     with store.snapshot() as snapshot:
         snapshot.views.make(("executions", "batch_runs", "experiments", "batches", "specs"))
         rows = snapshot.rows(TIMED, command=list(batch.spec.command))
-    sets = [f"{change.path}={change.value}" for change in query.sets]
-    asked = (query.controller or project.controller, query.scenario or project.scenario, sets)
-    alike = [row for row in rows if tuple(row["of batch"].values()) == asked]
+    settings = {
+        "of controller": query.controller or project.controller,
+        "of scenario": query.scenario or project.scenario,
+        "of overrides": [f"{change.path}={change.value}" for change in query.sets],
+    }
+    alike = [row for row in rows if {name: row[name] for name in settings} == settings]
     for row in alike or rows:
-        yield Timed({axis.name: _plain(row.get(axis.name), numeric=axis.numeric) for axis in batch.axes}, row["took s"])
+        if isinstance(seconds := row["took s"], float):
+            yield Timed({axis.name: _plain(row.get(axis.name), numeric=axis.numeric) for axis in batch.axes}, seconds)
 
 
 def _plain(value: object, *, numeric: bool) -> Value | None:

@@ -6,6 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from sierra.errors import Missing, SierraError
 from sierra.execution import recover
@@ -63,6 +64,13 @@ def follow(
         return Followed(following.left, bool(signals) and not detach, odd, tuple(recorder.notes()))
 
 
+class Executed(NamedTuple):
+    """A recorded execution, and the attempt at an array task that executed it."""
+
+    execution: str
+    attempt: str | None
+
+
 class _Following:
     """One runner and the recorder of its results."""
 
@@ -91,8 +99,9 @@ class _Following:
         """Follow jobs that another process has submitted, as `execute` does."""
         self._submitted = True
         with self._giving_up():
-            rows = self._store.rows("SELECT execution, attempt FROM executions WHERE session = $s", s=self._session.id)
-            self._runner.resume(self._session.paths, {row["execution"]: row["attempt"] for row in rows})
+            executed = "SELECT execution, attempt FROM executions WHERE session = $s"
+            recorded = dict(self._store.select(Executed, executed, s=self._session.id))
+            self._runner.resume(self._session.paths, recorded)
             self._follow(signals, lambda: False)
 
     def _follow(self, signals: Sequence[int], enough: Callable[[], bool]) -> None:

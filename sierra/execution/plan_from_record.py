@@ -10,7 +10,7 @@ import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 from sierra.config.plugin_registry import Tables
 from sierra.config.project_file import LoadedProject, Output, Success
@@ -19,26 +19,37 @@ from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
 from sierra.containers.images.image_contents import Contents
 from sierra.errors import Damaged, Missing, NotFound, UsageError
-from sierra.execution import commands
+from sierra.execution import commands, recorded_rows
 from sierra.execution.checkout import Checkout
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.recorded_rows import RecordedProgram, axis_values, required_row
+from sierra.execution.resolve_plan import Plan, this_environment
 from sierra.ingest.base import Used, described
 from sierra.ingest.recording_context import rules_of
 from sierra.model import Axis, Batch, Experiment, Query, Run, RunSpec
-from sierra.provenance import environment
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import NOTHING
 from sierra.query import grammar
 from sierra.query.query_input import repeated
-from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, contents, recorded
-from sierra.store.store import Snapshot, Store
+from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
+from sierra.store.records import BatchRow, ImageRow, IngestRulesRow, SourceRow, SpecRow
+from sierra.store.store import Store
 from sierra.templates.base import Files
 from sierra.util.fs import inside
 from sierra.util.hashing import short
-from sierra.version import __version__
 
 AT_A_TIME = 512
 """Number of runs whose input files are in memory at a time."""
+
+
+class Last(NamedTuple):
+    """Programs, rules, source and query that a batch used last, each None if none is recorded."""
+
+    programs: str | None
+    ingest_rules: str | None
+    source: str | None
+    query: str | None
+
+
 LAST = """
 WITH asked AS (
     SELECT programs, ingest_rules, source, query, lamport FROM sessions WHERE batch = $b
@@ -61,8 +72,8 @@ SELECT declared FROM ingest_rules WHERE ingest_rules = (SELECT arg_max(ingest_ru
 
 def last_outputs(store: Store) -> Mapping[str, Output]:
     """Return the output declarations that were used last."""
-    rows = store.rows(LAST_DECLARED)
-    return rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
+    declared = store.values(str, LAST_DECLARED)
+    return rules_of(json.loads(declared[0]))[0] if declared else {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +85,7 @@ class Recalled:
     manifest: bytes
     """Manifest of the source: the list of its files."""
     commit: str | None
-    programs: Sequence[Mapping[str, Any]]
-    """Rows of the table `programs`."""
+    programs: Sequence[RecordedProgram]
     fingerprint: str
     outputs: Mapping[str, Output]
     success: Success
@@ -84,7 +94,7 @@ class Recalled:
 
     def checkout(self, project: LoadedProject, store: Store) -> Checkout:
         """Return the checkout that restores the code."""
-        used = tuple((row["name"], row["kind"]) for row in self.programs)
+        used = tuple((program.name, program.kind) for program in self.programs)
         container = project.config.container if self.spec.image else None
         mounted = session_containers.data(NOTHING, container, project.root) if container else NOTHING
         return Checkout(project.root, self.spec, self.manifest, used, store.blob, mounted, self.commit)
@@ -93,20 +103,20 @@ class Recalled:
 def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recalled:
     """Return the recorded plan of a batch for one set of programs and one set of rules."""
     with store.snapshot() as snapshot:
-        made = _one(snapshot, "SELECT r.* FROM specs r JOIN batches b USING (spec) WHERE b.batch = $b", b=batch)
-        rules = _one(snapshot, "SELECT declared FROM ingest_rules WHERE ingest_rules = $r", r=ingest_rules)
-        used = snapshot.rows("SELECT * FROM programs WHERE programs = $p", p=programs)
-        code = snapshot.rows('SELECT files, "commit" FROM sources WHERE tree = $t LIMIT 1', t=made["source"])
-    outputs, success, readers = rules_of(json.loads(rules["declared"]))
+        row = required_row(SpecRow, snapshot, "SELECT r.* FROM specs r JOIN batches b USING (spec) WHERE b.batch = $b", b=batch)
+        rules = required_row(IngestRulesRow, snapshot, "SELECT * FROM ingest_rules WHERE ingest_rules = $r", r=ingest_rules)
+        used = recorded_rows.programs(snapshot, [programs])
+        code = snapshot.select(SourceRow, "SELECT * FROM sources WHERE tree = $t LIMIT 1", t=row.source)
+    outputs, success, readers = rules_of(json.loads(rules.declared))
     spec = RunSpec(
-        made["platform"],
-        tuple(made["command"]),
-        json.loads(made["variables"]),
-        made["source"],
-        made["image"],
-        tuple(made["host_access"] or ()),
+        row.platform,
+        tuple(row.command),
+        json.loads(row.variables),
+        row.source,
+        row.image,
+        tuple(row.host_access),
     )
-    manifest, commit = (store.object(code[0]["files"]), code[0]["commit"]) if code else (b"", None)
+    manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
     return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers))
 
 
@@ -131,10 +141,8 @@ def engine(store: Store, batch: str, spec: RunSpec, name: str | None, tables: Ta
             f"batch {short(batch)} was executed in an image, and its missing runs need it too; remove --engine none"
         )
     if name is None:
-        [row] = store.rows(
-            "SELECT arg_max(engine, lamport) AS engine FROM sessions WHERE batch = $b AND engine <> 'none'", b=batch
-        )
-        name = row["engine"] or "podman"
+        used = "SELECT engine FROM sessions WHERE batch = $b AND engine <> 'none' ORDER BY lamport DESC LIMIT 1"
+        name = next(iter(store.values(str, used, b=batch)), "podman")
     return engines.find(name, tables)
 
 
@@ -148,10 +156,10 @@ def image(project: LoadedProject, store: Store, spec: RunSpec) -> Image | None:
 
 def image_contents(store: Store, identity: str) -> Contents:
     """Return the record of an image. Raises Missing."""
-    rows = store.rows("SELECT * FROM images WHERE image = $i LIMIT 1", i=identity)
+    rows = store.select(ImageRow, "SELECT * FROM images WHERE image = $i LIMIT 1", i=identity)
     if not rows:
         raise Missing(f"the image {identity} is neither pinned nor recorded; import it with sierra image import, then pin it")
-    return Contents.of_row(rows[0], store.object(rows[0]["files"]))
+    return Contents.of_row(rows[0]._asdict(), store.object(rows[0].files or ""))
 
 
 def inputs(store: Store, runs: Iterable[ChosenExecution]) -> Iterator[tuple[ChosenExecution, Files]]:
@@ -162,7 +170,7 @@ def inputs(store: Store, runs: Iterable[ChosenExecution]) -> Iterator[tuple[Chos
     pending = iter(runs)
     with store.snapshot() as snapshot:
         while some := list(itertools.islice(pending, AT_A_TIME)):
-            files: dict[str, list[Any]] = {one.run: [] for one in some}
+            files: dict[str, list[Recorded]] = {one.run: [] for one in some}
             listed = recorded(snapshot, some, inputs=True)
             for name in {file.path.removeprefix(INPUT_FOLDER) for file in listed}:
                 inside(store.paths.work, name)
@@ -195,38 +203,38 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
         of = f": sierra run {short(found.batch)}" if found.batch else ""
         raise NotFound(f"{prefix!r} is a {found.kind}; missing runs can only be executed for a whole batch{of}")
     with store.snapshot() as snapshot:
-        row = _one(snapshot, "SELECT * FROM batches WHERE batch = $b", b=found.id)
-        last = _one(snapshot, LAST, b=found.id)
-    if last["ingest_rules"] is None:
-        raise Missing(f"batch {short(found.id)}: none of its sessions has finished; submit its query instead: {row['query']}")
-    recalled = recall(store, found.id, last["programs"], last["ingest_rules"])
+        row = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=found.id)
+        [last] = snapshot.select(Last, LAST, b=found.id)
+    if last.ingest_rules is None or last.programs is None:
+        raise Missing(f"batch {short(found.id)}: none of its sessions has finished; submit its query instead: {row.query}")
+    recalled = recall(store, found.id, last.programs, last.ingest_rules)
     checkout = recalled.checkout(project, store)
     used = checkout.programs()
     batch = _batch(store, row, recalled.spec)
-    text = last["query"] or row["query"]
+    text = last.query or row.query
     return Plan(
         project=project,
-        request=repeated(row, len(batch.experiments[0].runs)),
+        request=repeated(row._asdict(), len(batch.experiments[0].runs)),
         query=Query(
             grammar.parse_all(text.split()),
             len(batch.experiments[0].runs),
-            row["controller"],
-            row["scenario"],
+            row.controller,
+            row.scenario,
             (),
-            row["base_seed"],
+            row.base_seed,
         ),
         text=text,
         batch=batch,
         inputs=Inputs(store),
         source=None,
-        source_id=last["source"],
+        source_id=last.source,
         checkout=checkout,
         programs=used,
-        environment=environment.capture(__version__, project.config.environment.record),
+        environment=this_environment(project.config),
         engine=engine(store, found.id, recalled.spec, contained, project.config.engines, hosted=False),
         image=image(project, store, recalled.spec),
         limits=commands.limits(project.config),
-        template_sha256=row["template_sha256"],
+        template_sha256=row.template_sha256,
         outputs=recalled.outputs,
         success=recalled.success,
         readers=recalled.readers,
@@ -234,35 +242,22 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
     )
 
 
-def _batch(store: Store, row: Mapping[str, Any], spec: RunSpec) -> Batch:
+def _batch(store: Store, row: BatchRow, spec: RunSpec) -> Batch:
     """Return a batch as it is recorded."""
-    with store.snapshot(row["batch"]) as snapshot:
-        names = tuple(_one(snapshot, "SELECT files FROM specs WHERE spec = $r", r=row["spec"])["files"])
-        cells = snapshot.rows("SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", b=row["batch"])
+    with store.snapshot(row.batch) as snapshot:
+        names = tuple(required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=row.spec).files)
+        cells = snapshot.cells(row.batch)
         snapshot.views.make(("batch_runs",))
         runs: dict[int, list[Run]] = {}
-        for ordinal, number, run, seed, first, others in snapshot.each(MEMBERS, {"b": row["batch"]}):
+        for ordinal, number, run, seed, first, others in snapshot.each(MEMBERS, {"b": row.batch}):
             digests = bytes.fromhex("".join((first, *(others or ()))))
             runs.setdefault(ordinal, []).append(Run(run, ordinal, number, seed, names, digests))
     experiments = tuple(
-        Experiment(
-            cell["experiment"], cell["ordinal"], {axis: cell[axis] for axis in row["axes"]}, tuple(runs[cell["ordinal"]])
-        )
-        for cell in cells
+        Experiment(str(cell["experiment"]), ordinal, axis_values(row.axes, cell), tuple(runs[ordinal]))
+        for ordinal, cell in cells.items()
     )
-    axes = tuple(Axis(name, tuple(dict.fromkeys(one.values[name] for one in experiments))) for name in row["axes"])
-    return Batch(row["batch"], axes, experiments, spec, row["spec"])
+    axes = tuple(Axis(name, tuple(dict.fromkeys(one.values[name] for one in experiments))) for name in row.axes)
+    return Batch(row.batch, axes, experiments, spec, row.spec)
 
 
 MEMBERS = "SELECT ordinal, number, run, seed, input, other_inputs FROM batch_runs WHERE batch = $b ORDER BY ordinal, number"
-
-
-def _one(snapshot: Snapshot, statement: str, **parameters: Any) -> dict[str, Any]:
-    """Return the first row of a statement's result. Raises Damaged if there is none."""
-    rows: list[dict[str, Any]] = snapshot.rows(statement, **parameters)
-    if not rows:
-        table = statement.split(" FROM ")[1].split()[0]
-        raise Damaged(
-            f"the store's table {table} has no row for {', '.join(short(str(value)) for value in parameters.values())}"
-        )
-    return rows[0]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.containers import images
+from sierra.errors import Damaged
 from sierra.execution import sessions
 from sierra.execution.resolve_plan import Plan, context
 from sierra.execution.sessions import Session
@@ -17,17 +19,23 @@ from sierra.runners.cluster.submission_record import Submission
 from sierra.store.layout import SessionPaths
 from sierra.store.objects import Objects
 from sierra.store.order import stamp
+from sierra.store.records import BatchRow, BlobRow, ImageRow, ProgramRow, SessionRow, SourceRow, SpecRow
 from sierra.store.schema import arrow_schema
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
+from sierra.store.typed_rows import of_fields
 from sierra.util.fs import read_record, write_whole
 from sierra.util.hashing import sha256
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from sierra.execution.summary import Summary
+
 AT_A_TIME = 4_096
 """Number of members that are in memory as rows at a time."""
-THERE = "SELECT blob FROM blobs SEMI JOIN objects USING (sha256)"
+STORED_BLOBS = "SELECT blob FROM blobs SEMI JOIN objects USING (sha256)"
 """SQL: source files in the store with both their entry and their content; a repair may have removed the content."""
-COUNTS = ("executed", "reexecuted", "reused", "failed", "missing", "interrupted")
 
 
 def keep(plan: Plan, store: Store, session: Session) -> None:
@@ -41,7 +49,7 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     writer = store.writer(session.paths.segment, batch.id)
     with store.snapshot() as snapshot:
         known = _known_inputs(plan, snapshot)
-        blobs = {row["blob"] for row in snapshot.rows(THERE)} if code.vcs == "none" else set()
+        blobs = set(snapshot.values(str, STORED_BLOBS)) if code.vcs == "none" else set()
     objects = Objects(writer.path("objects"))
     for _, files in plan.inputs.files(batch, lambda run: run.id not in known):
         for _, content in files:
@@ -49,33 +57,16 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     listing = objects.add(code.manifest)
     if code.vcs == "none":  # git keeps its own
         files_of_source = source.contents(code, plan.project.root, blobs)
-        writer.rows("blobs", ({"blob": blob, "sha256": objects.add(content)} for blob, content in files_of_source))
+        writer.records(BlobRow(blob, objects.add(content)) for blob, content in files_of_source)
     if plan.image is not None:
         inside = images.examine(plan.project.root, store.paths, plan.image)
         objects.add(inside.listing)
-        writer.rows("images", [inside.row()])
+        writer.records([of_fields(ImageRow, inside.row())])
     objects.close()
-    spec = batch.spec
-    first = batch.experiments[0].runs[0]
-    writer.rows("batches", [{**batch_row(plan), "lamport": stamp(session.number, session.id)}])
-    writer.rows(
-        "specs",
-        [
-            {
-                "spec": batch.spec_id,
-                "platform": spec.platform,
-                "command": list(spec.command),
-                "variables": json.dumps(dict(spec.environment), sort_keys=True),
-                "source": spec.source,
-                "image": spec.image,
-                "host_access": list(spec.host_access),
-                "files": [name for name, _ in first.inputs],
-            }
-        ],
-    )
-    writer.rows("sources", [code.row(listing)])
-    writer.rows("environments", [plan.environment])
-    writer.rows("programs", plan.programs.rows())
+    writer.records([batch_row(plan, _lamport(session))])
+    writer.records([_spec_row(batch)])
+    writer.records([of_fields(SourceRow, code.row(listing))])
+    _write_host(plan, writer)
     writer.table("experiments", _experiments(batch))
     writer.tables("batch_runs", _members(batch))
     with sessions.exclusively(store.paths):
@@ -83,93 +74,173 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
             store.publish(writer)
 
 
-def close(
-    plan: Plan, store: Store, session: Session, counts: Mapping[str, Any], *, started: datetime, runner: str, slots: int | None
-) -> None:
-    """Record the result of a session, with its environment. `slots` is None if runs execute on a cluster."""
-    record = _row(plan, session, started, runner, slots or _allotted(session.paths))
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """The record of a session before its end; of a session on a cluster, it is also the file `asking`."""
+
+    session: str
+    batch: str
+    query: str
+    started: datetime
+    runner: str
+    engine: str
+    slots: int | None
+    sierra: str
+    environment: str
+    source: str | None
+    lamport: int
+    programs: str
+    ingest_rules: str
+    batch_rules: str
+    runs: int
+    """Number of runs of the batch."""
+
+    def save(self, paths: SessionPaths) -> None:
+        with disk_errors(paths.root):
+            write_whole(paths.asking, json.dumps(asdict(self), default=datetime.isoformat).encode())
+
+    @classmethod
+    def load(cls, paths: SessionPaths) -> Prepared:
+        """Load a saved record. Raises FileNotFoundError, and Damaged if the file is not such a record."""
+        fields = read_record(paths.asking)
+        try:
+            return cls(**{**fields, "started": datetime.fromisoformat(fields["started"])})
+        except (KeyError, TypeError, ValueError) as error:
+            raise Damaged(
+                f"{paths.asking}: was not written by this version of SIERRA; continue with the other version"
+            ) from error
+
+
+def close(plan: Plan, store: Store, session: Session, summary: Summary, prepared: Prepared) -> None:
+    """Record the result of a session, with its environment."""
     writer = store.writer(session.paths.segment, plan.batch.id)
-    writer.rows("sessions", [record | {"ended": datetime.now(UTC)} | {name: counts[name] for name in COUNTS}])
-    _write_around(plan, writer, executed=bool(counts["executed"]))
+    counts = Counts(summary.executed, summary.reexecuted, summary.failed)
+    writer.records([_session_row(session, prepared, counts, summary.reused, summary.missing, summary.interrupted)])
+    _write_source_and_host(plan, writer, executed=bool(summary.executed))
     store.publish(writer)
 
 
-def prepare(plan: Plan, store: Store, session: Session, *, started: datetime, runner: str) -> None:
+def prepare(plan: Plan, store: Store, session: Session, prepared: Prepared) -> None:
     """Prepare the record of a session whose process may end before its jobs do.
 
     Records everything except the result, which `finish` records.
     """
     writer = store.writer(session.paths.segment, plan.batch.id)
-    _write_around(plan, writer, executed=True)
+    _write_source_and_host(plan, writer, executed=True)
     store.publish(writer)
-    record = {"runs": len({run.id for run in plan.batch.runs}), **_row(plan, session, started, runner, None)}
-    with disk_errors(session.paths.root):
-        write_whole(session.paths.asking, json.dumps(record, default=datetime.isoformat).encode())
+    prepared.save(session.paths)
 
 
 def finish(store: Store, session: Session, *, interrupted: bool) -> None:
     """Record the result of a session that another process prepared; do nothing if none did."""
     if not session.paths.asking.exists():
         return
-    record = read_record(session.paths.asking)
-    runs, claimed = record.pop("runs"), len(sessions.claims(session.paths))
-    [went] = store.rows(WENT, s=session.id)
-    counts = {**went, "reused": runs - claimed, "missing": claimed - went["executed"], "interrupted": interrupted}
-    record |= {"started": datetime.fromisoformat(record["started"]), "ended": datetime.now(UTC)}
-    record["slots"] = _allotted(session.paths)
-    writer = store.writer(session.paths.segment, record["batch"])
-    writer.rows("sessions", [record | counts])
+    prepared = Prepared.load(session.paths)
+    claimed = len(sessions.claims(session.paths))
+    [counts] = store.select(Counts, COUNTS, s=session.id)
+    writer = store.writer(session.paths.segment, prepared.batch)
+    reused, missing = prepared.runs - claimed, claimed - counts.executed
+    writer.records([_session_row(session, prepared, counts, reused, missing, interrupted)])
     store.publish(writer)
 
 
-WENT = """
+class Counts(NamedTuple):
+    """Numbers of runs that a session executed, had executed again, and that failed."""
+
+    executed: int
+    reexecuted: int
+    failed: int
+
+
+COUNTS = """
 WITH mine AS (SELECT run, bool_or(status = 'ok') AS good, min(lamport) AS began FROM executions WHERE session = $s GROUP BY run)
-SELECT count(*) AS executed, count(*) FILTER (NOT good) AS failed, count(*) FILTER (
+SELECT count(*) AS executed, count(*) FILTER (
     EXISTS (SELECT 1 FROM executions e WHERE e.run = mine.run AND e.session <> $s AND e.lamport < mine.began)
-) AS reexecuted FROM mine
+) AS reexecuted, count(*) FILTER (NOT good) AS failed FROM mine
 """
 
 
-def _allotted(session: SessionPaths) -> int | None:
-    """Return how many runs of a submitted session execute at a time once all its elements run; None without a submission."""
+def _cores(session: SessionPaths) -> int | None:
+    """Return how many runs of a submitted session execute at a time once all its array tasks run; None without a submission."""
     try:
-        made = Submission.load(session)
+        submission = Submission.load(session)
     except FileNotFoundError:
         return None
-    return len(made.counts) * made.cluster.cpus
+    return len(submission.counts) * submission.cluster.cpus
 
 
-def _row(plan: Plan, session: Session, started: datetime, runner: str, slots: int | None) -> dict[str, Any]:
-    """Return the row of a session before it executes."""
+def prepared(plan: Plan, session: Session, *, started: datetime, runner: str, slots: int | None) -> Prepared:
+    """Return the record of a session before its end. `slots` is None if runs execute on a cluster."""
     now = context(plan)
-    return {
-        "session": session.id,
-        "batch": plan.batch.id,
-        "query": plan.text,
-        "started": started,
-        "runner": runner,
-        "engine": plan.engine.name,
-        "slots": slots,
-        "sierra": plan.environment["sierra"],
-        "environment": plan.environment["environment"],
-        "source": plan.source_id,
-        "lamport": stamp(session.number, session.id),
-        **{name: getattr(now, name) for name in ("programs", "ingest_rules", "batch_rules")},
-    }
+    return Prepared(
+        session=session.id,
+        batch=plan.batch.id,
+        query=plan.text,
+        started=started,
+        runner=runner,
+        engine=plan.engine.name,
+        slots=slots,
+        sierra=plan.environment.sierra,
+        environment=plan.environment.environment,
+        source=plan.source_id,
+        lamport=_lamport(session),
+        programs=now.programs,
+        ingest_rules=now.ingest_rules,
+        batch_rules=now.batch_rules,
+        runs=len({run.id for run in plan.batch.runs}),
+    )
 
 
-def _write_around(plan: Plan, writer: Writer, *, executed: bool) -> None:
+def _session_row(session: Session, begun: Prepared, counts: Counts, reused: int, missing: int, interrupted: bool) -> SessionRow:
+    return SessionRow(
+        session=begun.session,
+        batch=begun.batch,
+        query=begun.query,
+        started=begun.started,
+        ended=datetime.now(UTC),
+        runner=begun.runner,
+        engine=begun.engine,
+        slots=begun.slots or _cores(session.paths),
+        executed=counts.executed,
+        reexecuted=counts.reexecuted,
+        reused=reused,
+        failed=counts.failed,
+        missing=missing,
+        interrupted=interrupted,
+        sierra=begun.sierra,
+        environment=begun.environment,
+        source=begun.source,
+        programs=begun.programs,
+        ingest_rules=begun.ingest_rules,
+        batch_rules=begun.batch_rules,
+        lamport=begun.lamport,
+    )
+
+
+def _lamport(session: Session) -> int:
+    """Return the Lamport number of the batches and the end of a session, which has taken its number."""
+    lamport = stamp(session.number, session.id)
+    if lamport is None:
+        raise ValueError(f"session {session.id} has not taken a number")
+    return lamport
+
+
+def _write_host(plan: Plan, writer: Writer) -> None:
+    writer.records([plan.environment])
+    writer.records(of_fields(ProgramRow, row) for row in plan.programs.rows())
+
+
+def _write_source_and_host(plan: Plan, writer: Writer, *, executed: bool) -> None:
     """Record the source of a session, and its environment and programs if it executed runs."""
     if plan.source:
-        writer.rows("sources", [plan.source.row(sha256(plan.source.manifest))])
+        writer.records([of_fields(SourceRow, plan.source.row(sha256(plan.source.manifest)))])
     if executed:
-        writer.rows("environments", [plan.environment])
-        writer.rows("programs", plan.programs.rows())
+        _write_host(plan, writer)
 
 
 def is_kept(plan: Plan, store: Store) -> bool:
     """Check whether the store has the plan's batch."""
-    return bool(store.rows("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id))
+    return bool(store.values(str, "SELECT batch FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id))
 
 
 def _known_inputs(plan: Plan, snapshot: Snapshot) -> set[str]:
@@ -184,33 +255,49 @@ def _known_inputs(plan: Plan, snapshot: Snapshot) -> set[str]:
     return {row[0] for row in snapshot.run("SELECT DISTINCT run FROM batch_runs SEMI JOIN asked USING (run)")}
 
 
-def batch_row(plan: Plan) -> dict[str, Any]:
+def batch_row(plan: Plan, lamport: int = 0) -> BatchRow:
     """Return the row of the table `batches` for a plan."""
-    return {
-        "batch": plan.batch.id,
-        "created": datetime.now(UTC),
-        "query": plan.text,
-        "axes": (axes := [axis.name for axis in plan.batch.axes]),
-        "controller": None if "controller" in axes else plan.query.controller or plan.project.config.controller,
-        "scenario": None if "scenario" in axes else plan.query.scenario or plan.project.config.scenario,
-        "overrides": [f"{change.path}={change.value}" for change in plan.query.sets],
-        "platform": plan.batch.spec.platform,
-        "experiments": len(plan.batch.experiments),
-        "runs": len({run.id for run in plan.batch.runs}),
-        "base_seed": plan.query.base_seed,
-        "spec": plan.batch.spec_id,
-        "template": plan.project.config.template,
-        "template_sha256": plan.template_sha256,
-    }
+    axes = [axis.name for axis in plan.batch.axes]
+    return BatchRow(
+        batch=plan.batch.id,
+        created=datetime.now(UTC),
+        query=plan.text,
+        axes=axes,
+        controller=None if "controller" in axes else plan.query.controller or plan.project.config.controller,
+        scenario=None if "scenario" in axes else plan.query.scenario or plan.project.config.scenario,
+        overrides=[f"{change.path}={change.value}" for change in plan.query.sets],
+        platform=plan.batch.spec.platform,
+        experiments=len(plan.batch.experiments),
+        runs=len({run.id for run in plan.batch.runs}),
+        base_seed=plan.query.base_seed,
+        spec=plan.batch.spec_id,
+        template=plan.project.config.template,
+        template_sha256=plan.template_sha256,
+        lamport=lamport,
+    )
 
 
-def _experiments(batch: Batch) -> Any:
+def _spec_row(batch: Batch) -> SpecRow:
+    spec = batch.spec
+    return SpecRow(
+        spec=batch.spec_id,
+        platform=spec.platform,
+        command=list(spec.command),
+        variables=json.dumps(dict(spec.environment), sort_keys=True),
+        source=spec.source,
+        image=spec.image,
+        host_access=list(spec.host_access),
+        files=[name for name, _ in batch.experiments[0].runs[0].inputs],
+    )
+
+
+def _experiments(batch: Batch) -> pa.Table:
     import pyarrow as pa
 
-    columns: dict[str, Any] = {
-        "experiment": [experiment.id for experiment in batch.experiments],
-        "batch": [batch.id] * len(batch.experiments),
-        "ordinal": [experiment.ordinal for experiment in batch.experiments],
+    columns = {
+        "experiment": pa.array([experiment.id for experiment in batch.experiments]),
+        "batch": pa.array([batch.id] * len(batch.experiments)),
+        "ordinal": pa.array([experiment.ordinal for experiment in batch.experiments]),
     }
     for axis in batch.axes:
         values = [experiment.values[axis.name] for experiment in batch.experiments]
@@ -219,7 +306,7 @@ def _experiments(batch: Batch) -> Any:
     return pa.table(columns)
 
 
-def _members(batch: Batch) -> Iterator[Any]:
+def _members(batch: Batch) -> Iterator[pa.Table]:
     import pyarrow as pa
 
     schema = arrow_schema("batch_runs")

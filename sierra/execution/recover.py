@@ -55,8 +55,7 @@ def recover(store: Store, paths: SessionPaths) -> int:
     if not results:
         return 0
     context = Context.load(paths.context)
-    rows = store.rows("SELECT execution FROM executions WHERE session = $s", s=context.session)
-    recorded = {row["execution"] for row in rows}
+    recorded = set(store.values(str, "SELECT execution FROM executions WHERE session = $s", s=context.session))
     recorder = Recorder(store, paths, context)
     missing = [result for result in results if result.execution not in recorded]
     added = [recorder.add(result) for result in missing]

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from sierra import platforms, templates
 from sierra.config import plugin_registry
@@ -31,7 +31,9 @@ from sierra.provenance.dependency_model import Programs
 from sierra.query import grammar
 from sierra.query.query_input import QueryRequest
 from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
+from sierra.store.records import EnvironmentRow
 from sierra.store.schema import RESERVED, check_name
+from sierra.store.typed_rows import of_fields
 from sierra.templates.base import ARGUMENTS, Files
 from sierra.util import html
 from sierra.util.hashing import short
@@ -66,7 +68,7 @@ class Plan:
     checkout: Checkout | None
     """Checkout to execute instead of the project's current files; None to execute those."""
     programs: Programs
-    environment: Mapping[str, Any]
+    environment: EnvironmentRow
     engine: Engine
     image: Image | None
     """Image that runs execute in."""
@@ -189,7 +191,7 @@ def plan(
         source_id=code.id,
         checkout=checkout,
         programs=executed,
-        environment=environment.capture(__version__, config.environment.record),
+        environment=this_environment(config),
         engine=contained,
         image=image,
         limits=commands.limits(config),
@@ -208,6 +210,11 @@ def plan(
             *(f"{file} is named only by the query: changes of this file are not detected" for file in uncounted),
         ),
     )
+
+
+def this_environment(config: Project) -> EnvironmentRow:
+    """Return the record of this process's environment."""
+    return of_fields(EnvironmentRow, environment.capture(__version__, config.environment.record))
 
 
 def _contained(project: LoadedProject, name: str | None) -> tuple[Engine, Image | None]:
@@ -293,7 +300,7 @@ def context(plan: Plan, session: str = "", number: int | None = None) -> Context
         session=session,
         batch=plan.batch.id,
         purpose=Purpose.RUN,
-        environment=plan.environment["environment"],
+        environment=plan.environment.environment,
         programs=plan.programs.id,
         outputs=plan.outputs,
         success=plan.success,
@@ -325,7 +332,7 @@ WRITTEN = ("value", "xml", "per_run")
 def _written(config: Project) -> Iterator[str]:
     """Yield the texts that the project's changes may put into a template, for any query."""
     changes = config.model_dump(include={"variables", "changes", "run_changes", "per_run", "controllers", "scenarios"})
-    pending: list[tuple[bool, Any]] = [(False, changes)]
+    pending: list[tuple[bool, object]] = [(False, changes)]
     while pending:
         match pending.pop():
             case True, str() as text:

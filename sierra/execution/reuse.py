@@ -101,8 +101,8 @@ def foreseen(plan: Plan, store: Store | None, found: Mapping[str, State]) -> dic
 
 def rules_changed(plan: Plan, store: Store) -> bool:
     """Check whether the last session of the batch used other rules, including the rules for differences between siblings."""
-    [row] = store.rows("SELECT arg_max(batch_rules, lamport) AS batch_rules FROM sessions WHERE batch = $b", b=plan.batch.id)
-    return row["batch_rules"] not in (None, context(plan).batch_rules)
+    last = "SELECT batch_rules FROM sessions WHERE batch = $b ORDER BY lamport DESC LIMIT 1"
+    return any(rules != context(plan).batch_rules for rules in store.values(str, last, b=plan.batch.id))
 
 
 # Runs of one spec are executed only for batches of that spec. Some of these batches may have been removed.

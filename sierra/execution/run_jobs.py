@@ -5,10 +5,9 @@ Queries (`executor`) and replays (`sierra.replay`) execute through it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Engine
@@ -24,6 +23,7 @@ from sierra.model import Limits, Run, RunSpec, Times
 from sierra.provenance import environment
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner, Work, needed
+from sierra.store.records import EnvironmentRow
 from sierra.store.store import Store
 from sierra.templates.base import Files
 
@@ -39,8 +39,8 @@ class Setup:
     limits: Limits
     root: Path
     """Folder of the code."""
-    environment: Mapping[str, Any]
-    """Row of `environments` of this process."""
+    environment: EnvironmentRow
+    """Environment of this process."""
 
 
 class Service:
@@ -97,7 +97,7 @@ class Service:
             times,
             not detach,
             environment.recorded(record),
-            self._setup.environment,
+            self._setup.environment._asdict(),
         )
         recorder = Recorder(self._store, self._session.paths, context, kept, doubt)
         try:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
-from sierra.execution import browse
+from sierra.execution import show_record
 from sierra.execution.resolve_plan import Plan, out_of_reach
-from sierra.model import Batch
+from sierra.model import Batch, Value
 from sierra.store.store import Store
 from sierra.util import html
 from sierra.util.hashing import short
@@ -25,7 +25,7 @@ class Failure:
     status: str
     reason: str
     run: str
-    experiment: Mapping[str, Any]
+    experiment: Mapping[str, Value]
     number: int
     log: str | None
 
@@ -34,7 +34,7 @@ class Failure:
 class Counted:
     """One experiment of the batch: its values, and the numbers of its runs, successful runs and failed runs."""
 
-    values: Mapping[str, Any]
+    values: Mapping[str, Value]
     runs: int
     succeeded: int
     failed: int
@@ -170,32 +170,37 @@ def of_recorded(
 
     `executed` is the number of runs that ended meanwhile; `failed` of these failed.
     """
-    shown = browse.show(store, batch)
-    counts = tuple(
-        Counted({axis: row[axis] for axis in shown["axes"]}, row["runs"], row["succeeded"], row["failed"])
-        for row in shown["experiments"]
-    )
+    shown = show_record.batch(store, batch)
+    counts = tuple(Counted(one.values, one.runs, one.succeeded, one.failed) for one in shown.experiments)
     succeeded, unsuccessful = sum(one.succeeded for one in counts), sum(one.failed for one in counts)
     return Summary(
         batch=batch,
-        query=shown["sessions"][-1]["query"] if shown["sessions"] else shown["query"],
-        experiments=len(shown["experiments"]),
-        runs=shown["runs"],
+        query=shown.sessions[-1].query if shown.sessions else shown.row.query,
+        experiments=len(counts),
+        runs=shown.row.runs,
         executed=executed,
         reexecuted=0,
         reused=max(0, succeeded - executed + failed),
         failed=unsuccessful,
-        missing=max(0, shown["runs"] - succeeded - unsuccessful),
+        missing=max(0, shown.row.runs - succeeded - unsuccessful),
         interrupted=interrupted,
         detached=detached,
         counts=counts,
-        failures=tuple(_failure(store, row) for row in shown["failures"][:SHOWN_REASONS]),
+        failures=tuple(_failure(store, one) for one in shown.failures[:SHOWN_REASONS]),
         notes=tuple(dict.fromkeys(notes)),
     )
 
 
-def _failure(store: Store, row: Mapping[str, Any]) -> Failure:
-    [last] = store.rows("SELECT status, log_tail FROM executions WHERE run = $r ORDER BY lamport DESC LIMIT 1", r=row["run"])
-    return Failure(
-        row["runs"], last["status"], row["reason"], row["run"], row["values"], row["number"], last["log_tail"] or None
-    )
+class Last(NamedTuple):
+    """The last execution of a run: its status and the end of its log."""
+
+    status: str
+    log_tail: str | None
+
+
+LAST = "SELECT status, log_tail FROM executions WHERE run = $r ORDER BY lamport DESC LIMIT 1"
+
+
+def _failure(store: Store, failed: show_record.Failed) -> Failure:
+    [last] = store.select(Last, LAST, r=failed.run)
+    return Failure(failed.runs, last.status, failed.reason, failed.run, failed.values, failed.number, last.log_tail or None)

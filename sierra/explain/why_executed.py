@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sierra.config.project_file import LoadedProject
 from sierra.execution.cluster_status import ClusterSession as OnCluster
 from sierra.execution.cluster_status import seen
 from sierra.explain import diff
+from sierra.explain.diff.model import Difference
 from sierra.explain.effective_executions import EffectiveRuns, standings
 from sierra.explain.history import Event, tell
 from sierra.explain.preview_repeat import NextRun, next_run
 from sierra.store.recorded_files import where
 from sierra.store.store import Found, Snapshot, Store
-from sierra.util.hashing import short
 
 BATCHES = 10
 """Maximum number of batches in the answer."""
@@ -32,6 +32,15 @@ ORDER BY CASE WHEN s.asked < this.lamport THEN s.asked ELSE b.lamport END DESC L
 
 
 @dataclass(frozen=True, slots=True)
+class NewSince:
+    """What made the runs of a batch new in its first session."""
+
+    batch: str | None
+    """Id of the earlier batch that it is compared with; None if no batch with these variables was recorded before."""
+    differences: tuple[Difference, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Why:
     """Answer to `sierra why`."""
 
@@ -39,8 +48,8 @@ class Why:
     runs: int
     history: tuple[Event, ...]
     """Events in order; for an execution, only the event of that execution."""
-    new_because: Mapping[str, tuple[str, ...]]
-    """Lines by batch with new runs: the batch that it is compared with, and the differences."""
+    new_because: Mapping[str, NewSince]
+    """By batch with new runs, what made them new."""
     effective: tuple[EffectiveRuns, ...]
     next_run: NextRun
     """Effect of repeating the query on these runs."""
@@ -63,7 +72,10 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
         only = None if found.kind == "batch" else these
         firsts = dict.fromkeys(event.batch for event in history if any(cause.new for cause in event.causes))
         before = {batch: _before(snapshot, batch) for batch in list(firsts)[:BATCHES]}
-    because = {batch: tuple(_because(project, store, batch, earlier)) for batch, earlier in before.items()}
+    because = {
+        batch: NewSince(earlier, diff.made_other(project, store, earlier, batch)) if earlier else NewSince(None)
+        for batch, earlier in before.items()
+    }
     return Why(
         found,
         wanted,
@@ -96,22 +108,8 @@ def _runs(snapshot: Snapshot, found: Found) -> list[str]:
 
 
 def _session(snapshot: Snapshot, execution: str) -> str:
-    session: str = snapshot.run("SELECT session FROM executions WHERE execution = $e", {"e": execution})[0][0]
-    return session
+    return snapshot.values(str, "SELECT session FROM executions WHERE execution = $e", e=execution)[0]
 
 
 def _before(snapshot: Snapshot, batch: str) -> str | None:
-    rows = snapshot.run(EARLIER, {"b": batch})
-    return rows[0][0] if rows else None
-
-
-def _because(project: LoadedProject, store: Store, batch: str, before: str | None) -> Iterator[str]:
-    """Yield the reasons why the runs of a batch were new in its first session."""
-    if before is None:
-        yield "no batch with these variables was recorded before"
-        return
-    yield f"compared with batch {short(before)}:"
-    yield from diff.made_other(project, store, before, batch)
-
-
-__all__ = ["Why", "why"]
+    return next(iter(snapshot.values(str, EARLIER, b=batch)), None)

@@ -42,6 +42,7 @@ from sierra.store.samples import like
 from sierra.store.sql_names import column_names
 from sierra.store.store import Found, Store
 from sierra.store.table_layout import TableLayout
+from sierra.store.typed_rows import of_fields
 from sierra.templates.base import Files
 from sierra.util.hashing import short
 from sierra.util.json_types import JsonView
@@ -124,7 +125,7 @@ def replay(
         now = reported_versions.with_versions(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)
         limits = commands.limits(project.config)
-        setup = Setup(project, record.of.spec, engine, image, limits, root, around)
+        setup = Setup(project, record.of.spec, engine, image, limits, root, of_fields(EnvironmentRow, around))
         service = Service(setup, store, session, stays=runner.stays)
         notes = (
             *record.notes,
@@ -331,7 +332,10 @@ def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
     """Yield a line for each program that differs from the record; the code is in `root`."""
     if now.id != of.fingerprint:
         words = mentioned(of.spec.command, root)
-        yield from (f"different programs: {line}" for line in fingerprint_programs.differences(of.programs, now, words))
+        yield from (
+            f"different programs: {line}"
+            for line in fingerprint_programs.differences([one._asdict() for one in of.programs], now, words)
+        )
 
 
 def _other_machine(store: Store, record: _Record, around: Mapping[str, JsonView]) -> Iterator[str]:

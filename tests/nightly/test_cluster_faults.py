@@ -57,7 +57,7 @@ with open({log!r}, "a") as log:
 
 def why(gated: Gated) -> str:
     """Return the output of `sierra why` for the last batch."""
-    done = projects.sierra(gated.root, "why", gated.project.batches[-1]["batch"])
+    done = projects.sierra(gated.root, "why", gated.project.batches[-1].batch)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -190,7 +190,7 @@ def test_new_version_of_a_reader_reads_recorded_files_again(plain: Path, tmp_pat
         told.append((done.returncode, done.stdout.splitlines()[-1].partition(" (")[0]))
         assert {(row["length"], row["version"]) for row in rows(plain, "SELECT * FROM notes")} == {(4, int(version))}
     assert told == [(0, "2 runs: 2 executed, 0 reused"), *[(0, "2 runs: 0 executed, 2 reused")] * 2]
-    assert "unknown reader 'text'" in refused(plain, "replay", sierra.open(plain).batches[-1]["batch"])
+    assert "unknown reader 'text'" in refused(plain, "replay", sierra.open(plain).batches[-1].batch)
 
 
 def test_damaged_file_of_a_plugin_format_fails_only_its_own_run(project: Path) -> None:
@@ -510,7 +510,7 @@ def test_template_may_render_arguments_and_several_files(plain: Path, tmp_path: 
     assert [(row["count"], row["label"]) for row in found] == [(3, "two words")] * 2 + [(4, "two words")] * 2
     assert all(row["notes"].startswith(f"--count {row['count']} --seed ") for row in found)
     assert len({row["notes"] for row in found}) == 4
-    assert "identical" in succeed(plain, "replay", sierra.open(plain).batches[-1]["batch"])
+    assert "identical" in succeed(plain, "replay", sierra.open(plain).batches[-1].batch)
 
 
 def test_arguments_placeholder_needs_a_suitable_template_and_must_be_a_whole_word(plain: Path) -> None:

@@ -66,10 +66,10 @@ FOLLOWING = ("as asked", "the seed")
 """Names of differences in inputs that other kinds report already."""
 
 
-def made_other(project: LoadedProject, store: Store, before: str, after: str) -> list[str]:
-    """Return the differences that make the runs of two batches different, one line each. Both arguments are batch ids."""
+def made_other(project: LoadedProject, store: Store, before: str, after: str) -> tuple[Difference, ...]:
+    """Return the differences that make the runs of two batches different. Both arguments are batch ids."""
     compared = compare(project, store, before, after, results_too=False)
-    return [one.line for one in compared.differences if one.kind in MADE and one.name not in FOLLOWING]
+    return tuple(one for one in compared.differences if one.kind in MADE and one.name not in FOLLOWING)
 
 
 Part = tuple[tuple[str, ...], Iterable[Difference]]

@@ -447,7 +447,7 @@ def test_local_runs_replay_identically_on_slurm_and_vice_versa(tmp_path: Path, s
     there = projects.quick(root, "run", "population_size=4,8", "--on", "slurm")
     assert there.returncode == 0, there.stderr
     project = sierra.open(root)
-    first, second = (one["batch"] for one in project.batches)
+    first, second = (one.batch for one in project.batches)
     assert str(project.replay(first, runner="slurm").verdict) == "identical"
     assert str(project.replay(second, runner="local").verdict) == "identical"
     at_rest(slurm, project)
@@ -460,7 +460,7 @@ def test_a_cluster_job_can_attach_and_record_a_batch(gated: Gated) -> None:
     [batch] = gated.project.batches
     gated.open()
     log = gated.root.with_name("attach.log")
-    wrapped = f"cd {gated.root} && SLURM_CONF={os.environ['SLURM_CONF']} {projects.SIERRA} attach {batch['batch']}"
+    wrapped = f"cd {gated.root} && SLURM_CONF={os.environ['SLURM_CONF']} {projects.SIERRA} attach {batch.batch}"
     gated.slurm.command("sbatch", "--wait", "-o", str(log), "--wrap", wrapped)
     assert "8 executed" in log.read_text()
     is_whole(gated.project)

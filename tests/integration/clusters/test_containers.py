@@ -33,7 +33,7 @@ def test_a_batch_in_apptainer_on_nodes_replays_identically_here(project: Path) -
     nodes = "SELECT count(*) AS n FROM executions e JOIN attempts a USING (attempt) JOIN isolations i USING (isolation)"
     assert store.sql(f"{nodes} WHERE e.status = 'ok' AND i.engine = 'apptainer' AND e.host = a.node").to_pylist() == [{"n": 4}]
     [batch] = store.batches
-    assert str(store.replay(batch["batch"]).verdict) == "identical"
+    assert str(store.replay(batch.batch).verdict) == "identical"
 
 
 @pytest.mark.nightly

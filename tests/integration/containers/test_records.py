@@ -54,7 +54,7 @@ def succeed(root: Path, *words: str) -> str:
 
 def ask(root: Path, *words: str) -> str:
     succeed(root, "run", *words, "--runs", "1", "--no-figures")
-    return str(sierra.open(root).batches[-1]["batch"])
+    return str(sierra.open(root).batches[-1].batch)
 
 
 def make(folder: Path) -> Path:

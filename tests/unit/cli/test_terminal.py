@@ -87,8 +87,8 @@ def test_ids_are_completed_after_4_digits(root: Path, kind: str) -> None:
 def test_batch_and_session_ids_are_completed_without_a_prefix(root: Path) -> None:
     [batch] = sierra.open(root).batches
     [log] = (root / ".sierra" / "logs").iterdir()
-    assert completed(root, "sierra show ") == [batch["batch"][:10], log.stem]
-    assert completed(root, "sierra sql -b ") == [batch["batch"][:10]]
+    assert completed(root, "sierra show ") == [batch.batch[:10], log.stem]
+    assert completed(root, "sierra sql -b ") == [batch.batch[:10]]
     assert completed(root, f"sierra show {log.stem[:5]}") == [log.stem]
 
 
@@ -121,7 +121,7 @@ def test_tables_fit_the_terminal_unless_long_is_given(root: Path, terminal: None
 
 
 def test_ids_are_short_unless_long_or_json_is_given(root: Path) -> None:
-    batch = sierra.open(root).batches[0]["batch"]
+    batch = sierra.open(root).batches[0].batch
     shown = json.loads(projects.quick(root, "show", batch, "--json").stdout)
     assert len(shown["spec"]["spec"]) == 64
     short, long = projects.quick(root, "show", batch).stdout, projects.quick(root, "show", batch, "--long").stdout

@@ -78,7 +78,7 @@ def test_files_are_listed_in_numeric_order(tmp_path: Path) -> None:
     assert isinstance(listed, sierra.store.export_recorded_files.Listing)
     assert [file.path for file in listed.files if file.kind == "table"] == [f"output/{name}" for name in names]
     execution = project.sql("SELECT execution FROM executions").column(0)[0].as_py()
-    shown = [one["path"] for one in project.show(execution)["artifacts"]]
+    shown = [one.path for one in project.show(execution).artifacts]
     assert shown == names
 
 

@@ -34,8 +34,8 @@ def half(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str]:
 
 
 def state(root: Path, batch: str) -> tuple[int, int]:
-    [row] = [row for row in sierra.open(root).batches if row["batch"] == batch]
-    return row["failed"], row["missing"]
+    [row] = [row for row in sierra.open(root).batches if row.batch == batch]
+    return row.failed, row.missing
 
 
 @pytest.mark.integration

@@ -402,7 +402,7 @@ def test_only_lost_executions_are_executed_again_after_repair(root: Path, tables
     project = sierra.open(root)
     executed = "SELECT batch, count(*) AS n, count_if(purpose = 'run') AS most FROM executions GROUP BY batch"
     before = {row["batch"]: row for row in project.sql(executed).to_pylist()}
-    batches = [row["batch"] for row in project.batches]
+    batches = [row.batch for row in project.batches]
     purposes = {path: pq.read_table(path)["purpose"][0].as_py() for path in root.glob(".sierra/segments/*/executions.parquet")}
     of_runs = [path.parent for path, purpose in purposes.items() if purpose == "run"]
     folders = [next(folder for folder in of_runs if folder.name.startswith(batch[:12])) for batch in batches]

@@ -25,7 +25,7 @@ def root(recorded: Path, tmp_path: Path) -> Path:
 
 
 def batches(root: Path) -> dict[str, str]:
-    return {row["query"]: row["batch"] for row in sierra.open(root).batches}
+    return {row.query: row.batch for row in sierra.open(root).batches}
 
 
 def rows(root: Path, text: str, **more: Any) -> list[dict[str, Any]]:
@@ -59,8 +59,8 @@ def test_removed_run_is_missing_from_the_remaining_batch(root: Path) -> None:
     batch = batches(root)["noise=0.5"]
     [run, *_] = sierra.open(root).sql("SELECT run FROM batch_runs", within=batch).column("run").to_pylist()
     projects.quick(root, "rm", run, "--yes")
-    [told] = [row for row in sierra.open(root).batches if row["batch"] == batch]
-    assert (told["failed"], told["missing"]) == (0, 1)
+    [told] = [row for row in sierra.open(root).batches if row.batch == batch]
+    assert (told.failed, told.missing) == (0, 1)
     assert "1 missing" in projects.quick(root, "ls").stdout
 
 

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import sierra
+from sierra.cli.render_reasons import new_runs
 from sierra.errors import ConfigError, Missing
 from sierra.execution import reuse
 from sierra.execution.reasons import ChangeReason, Reason
@@ -357,7 +358,7 @@ def test_a_changed_source_file_is_named(tmp_path: Path) -> None:
     (project.root / "sim.sh").write_text("exit 0\n")
     project.run("n=1", figures=False)
     (project.root / "sim.sh").write_text("exit 0 # changed\n")
-    assert "the source has changed: sim.sh" in why_new_runs.why_new(project.plan("n=1"), project.store)
+    assert "the source has changed: sim.sh" in new_runs(why_new_runs.why_new(project.plan("n=1"), project.store))
 
 
 def test_the_advice_for_changed_notes_says_how_to_exclude_them_from_the_source(tmp_path: Path) -> None:
@@ -366,7 +367,7 @@ def test_the_advice_for_changed_notes_says_how_to_exclude_them_from_the_source(t
     (project.root / "README.md").write_text("before\n")
     project.run("n=1", figures=False)
     (project.root / "README.md").write_text("after\n")
-    told = why_new_runs.why_new(project.plan("n=1"), project.store)
+    told = new_runs(why_new_runs.why_new(project.plan("n=1"), project.store))
     assert told[1] == "the source has changed: README.md"
     assert 'write paths = ["sim.sh"] under [source] in sierra.toml' in told[2]
 

@@ -22,13 +22,13 @@ def make(folder: Path, simulator: str, more: str = "") -> sierra.Project:
 def test_ls_and_show_report_runs_whose_output_changed_in_a_replay(tmp_path: Path) -> None:
     project = make(tmp_path, NOISY)
     batch = project.run("population_size=1,2", figures=False).batch
-    assert [row["nondeterministic"] for row in project.batches] == [0]
+    assert [row.nondeterministic for row in project.batches] == [0]
     [first] = [run.taken.run for run in project.replay(batch, runs=1).runs][:1]
-    assert [row["nondeterministic"] for row in project.batches] == [2]
+    assert [row.nondeterministic for row in project.batches] == [2]
     assert "2 not deterministic" in projects.quick(project.root, "ls").stdout
-    shown = project.show(first)["nondeterminism"]
-    assert [(row["executions"], row["results"], row["verdict"]) for row in shown] == [(2, 2, "different")]
-    assert len(project.show(batch)["nondeterminism"]) == 2
+    shown = project.show(first).nondeterminism
+    assert [(row.executions, row.results, row.verdict) for row in shown] == [(2, 2, "different")]
+    assert len(project.show(batch).nondeterminism) == 2
     assert "nondeterminism:" in projects.quick(project.root, "show", first).stdout
 
 
@@ -36,11 +36,11 @@ def test_ls_and_show_report_runs_whose_output_changed_in_a_replay(tmp_path: Path
 def test_equal_outputs_and_declared_differences_are_not_reported(tmp_path: Path) -> None:
     project = make(tmp_path, projects.SIMULATOR)
     project.replay(project.run("population_size=1", figures=False).batch)
-    assert [row["nondeterministic"] for row in project.batches] == [0]
+    assert [row.nondeterministic for row in project.batches] == [0]
     declared = '[outputs.swarm]\nfile = "swarm.csv"\nvolatile = ["coverage"]\n'
     other = make(tmp_path / "other", NOISY, declared)
     assert other.replay(other.run("population_size=1", figures=False).batch).verdict == "equal"
-    assert [row["nondeterministic"] for row in other.batches] == [0]
+    assert [row.nondeterministic for row in other.batches] == [0]
     assert other.sql("SELECT DISTINCT verdict FROM nondeterminism").to_pylist() == [{"verdict": "equal"}]
 
 
@@ -54,8 +54,8 @@ def test_nondeterminism_is_detected_in_runs_executed_again_without_a_replay(tmp_
     config.write_text(config.read_text().replace("[outputs.swarm]", "[outputs.other]"))
     again = sierra.open(project.root).run("population_size=1", figures=False)
     assert (again.batch, again.executed, again.reexecuted) == (batch, 2, 2)
-    assert [row["nondeterministic"] for row in project.batches] == [2]
-    assert [row["verdict"] for row in project.show(batch)["nondeterminism"]] == [None, None]
+    assert [row.nondeterministic for row in project.batches] == [2]
+    assert [row.verdict for row in project.show(batch).nondeterminism] == [None, None]
 
 
 @pytest.mark.integration
@@ -68,7 +68,7 @@ def test_changed_programs_are_not_reported_as_nondeterminism(tmp_path: Path) -> 
     project.run("population_size=1", figures=False)
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,2\\n' > out.csv\n")
     assert project.run("population_size=1", figures=False).reexecuted == 2
-    assert [row["nondeterministic"] for row in project.batches] == [0]
+    assert [row.nondeterministic for row in project.batches] == [0]
 
 
 @pytest.mark.integration

@@ -620,7 +620,7 @@ def test_booleans_are_a_rate_with_wilsons_interval_and_this_is_reported(simulate
     assert found == [(0, 0, 0.4345, "Wilson"), (1, 0.5655, 1, "Wilson")]
     assert said.stderr.count("all values of good are 0 or 1: low and high are Wilson's 95 % interval of a rate") == 1
     assert {row["interval"] for row in json.loads(project.quick("stats", "swarm", "n", "--json").stdout)} == {"Wilson"}
-    batch = sierra.open(project.folder).batches[-1]["batch"]
+    batch = sierra.open(project.folder).batches[-1].batch
     assert project.quick("figures", batch, "swarm_good_summary").returncode == 0
 
 

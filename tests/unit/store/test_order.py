@@ -103,11 +103,11 @@ def found(root: Path) -> set[Any]:
     """Return the values that statistics, SQL and other outputs report, as one set."""
     project = sierra.open(root)
     [batch] = project.batches
-    [statistics] = project.statistics(batch["batch"], "out", "v").to_pylist()
+    [statistics] = project.statistics(batch.batch, "out", "v").to_pylist()
     values = {row["v"] for row in project.sql("SELECT v FROM out").to_pylist()}
-    within = {row["v"] for row in project.sql("SELECT v FROM out", within=batch["batch"]).to_pylist()}
+    within = {row["v"] for row in project.sql("SELECT v FROM out", within=batch.batch).to_pylist()}
     assert {row["status"] for row in project.sql("SELECT status FROM runs").to_pylist()} == {"ok"}
-    assert project.show(batch["batch"])["experiments"][0]["succeeded"] == 2
+    assert project.show(batch.batch).experiments[0].succeeded == 2
     return {statistics["mean"], *values, *within}
 
 
@@ -117,8 +117,8 @@ def test_the_later_session_is_effective_for_any_time_of_its_clock(root: Path, nu
     rewrite(root, later(number, by))
     assert found(root) == {2}
     assert ask(root).executed == 0
-    [old, new] = sierra.open(root).show(sierra.open(root).batches[0]["batch"])["sessions"]
-    assert old["started"] > new["started"], "times stay as they were recorded"
+    [old, new] = sierra.open(root).show(sierra.open(root).batches[0].batch).sessions
+    assert old.started > new.started, "times stay as they were recorded"
     install(root, 3)
     assert ask(root).executed == 2
     assert found(root) == {3}
@@ -181,9 +181,9 @@ def test_a_column_that_older_segments_lack_is_null(root: Path, monkeypatch: pyte
 def test_batches_are_listed_in_the_order_of_their_submission(root: Path) -> None:
     rewrite(root, later(2, DAYS))
     last = sierra.open(root).run("population_size=2", figures=False).batch
-    assert sierra.open(root).batches[-1]["batch"] == last
+    assert sierra.open(root).batches[-1].batch == last
     assert ask(root).executed == 0
-    assert sierra.open(root).batches[-1]["batch"] != last
+    assert sierra.open(root).batches[-1].batch != last
 
 
 @pytest.mark.integration
@@ -195,7 +195,7 @@ def test_a_session_has_a_greater_number_than_all_visible_ones(root: Path) -> Non
     assert (one.number, two.number) == (3, 4), "also of those that live"
     one.close()
     two.close()
-    batch = sierra.open(root).batches[0]["batch"]
+    batch = sierra.open(root).batches[0].batch
     sierra.open(root).replay(batch)
     assert numbers(root, "replays") == [3]
     (store / "numbers").write_text("nonsense")

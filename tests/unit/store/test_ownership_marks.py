@@ -45,7 +45,7 @@ def test_a_work_folder_that_links_to_somebody_elses_folder_is_refused(
     root = stores.copy(recorded, tmp_path / "project")
     shutil.rmtree(root / ".sierra" / "work")
     (root / ".sierra" / "work").symlink_to(target.format(tmp=tmp_path))
-    batch = sierra.open(root).batches[0]["batch"]
+    batch = sierra.open(root).batches[0].batch
     before = files(theirs)
     ended = projects.quick(root, *(word.format(batch=batch) for word in words))
     assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
@@ -256,7 +256,7 @@ def test_two_projects_may_share_one_external_work_folder(tmp_path: Path, theirs:
         assert projects.quick(root, "run", "population_size=1,2", "--no-figures").returncode == 0
         assert projects.quick(root, "gc", "--yes").returncode == 0
         assert projects.quick(root, "fsck").returncode == 0
-        assert projects.quick(root, "replay", sierra.open(root).batches[0]["batch"][:8]).returncode == 0
+        assert projects.quick(root, "replay", sierra.open(root).batches[0].batch[:8]).returncode == 0
     more = sorted(set(files(theirs)) - set(before))
     ids = sorted((root / ".sierra" / "id").read_text().strip() for root in roots)
     assert more == sorted([*ids, *(f"{one}/mark" for one in ids)])
@@ -307,7 +307,7 @@ def test_the_external_work_folder_may_be_on_another_disk_and_a_link_may_not(
     other = disk(tmp_path / "other", "16m")
     root = scratch(tmp_path, "project", other / "made")
     assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode == 0
-    batch = sierra.open(root).batches[0]["batch"]
+    batch = sierra.open(root).batches[0].batch
     left = files(other)
     assert [Path(path).name for path in left if not (other / path).is_dir()] == ["mark"]
     for more in ((), ("--no-record",), ("--keep",)):

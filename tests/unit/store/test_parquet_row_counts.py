@@ -23,7 +23,7 @@ SAYS = projects.SIMULATOR + "print('fine' if seed % 2 else 'not so')\n"
 
 
 def good(project: Project, batch: str) -> list[int]:
-    return [row["succeeded"] for row in project.show(batch)["experiments"]]
+    return [row.succeeded for row in project.show(batch).experiments]
 
 
 @pytest.mark.integration
@@ -37,7 +37,7 @@ def test_a_stricter_success_rule_applies_everywhere(tmp_path: Path) -> None:
     passed = second.runs - second.failed
     assert 0 < second.failed < 8
     assert good(project, second.batch) == [passed]
-    assert project.batches[-1]["failed"] == second.failed
+    assert project.batches[-1].failed == second.failed
     assert project.sql("SELECT count(*) AS c FROM runs WHERE status = 'ok'").to_pylist() == [{"c": passed}]
     assert project.sql("SELECT count(DISTINCT run) AS c FROM swarm").to_pylist() == [{"c": passed}]
     assert project.statistics(second.batch, "swarm", "coverage").to_pylist()[0]["n"] == passed

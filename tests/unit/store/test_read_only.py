@@ -25,7 +25,7 @@ READING = [
 
 
 def filled(root: Path, words: tuple[str, ...]) -> tuple[str, ...]:
-    batches = [row["batch"] for row in sierra.open(root).batches]
+    batches = [row.batch for row in sierra.open(root).batches]
     return tuple(word.format(batch=batches[0], other=batches[1]) for word in words)
 
 
@@ -52,7 +52,7 @@ def test_a_read_only_store_can_be_read(readonly: Path, words: tuple[str, ...]) -
 
 @pytest.mark.integration
 def test_a_replay_of_a_read_only_store_needs_the_option_no_record(readonly: Path) -> None:
-    batch = sierra.open(readonly).batches[0]["batch"]
+    batch = sierra.open(readonly).batches[0].batch
     refused = projects.quick(readonly, "replay", batch)
     assert (refused.returncode, refused.stderr.count("\n")) == (3, 1)
     assert "--no-record" in refused.stderr
@@ -70,11 +70,11 @@ def test_a_replay_without_a_record_leaves_the_store_unchanged(
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
     before = stores.state(root)
     project = sierra.open(root)
-    answer = project.replay(project.batches[0]["batch"], runs=1, record=False)
+    answer = project.replay(project.batches[0].batch, runs=1, record=False)
     assert (answer.verdict, len(answer.runs)) == ("identical", 2)
     assert stores.state(root) == before
     assert not [path for path in (tmp_path / "tmp").iterdir() if path.name.startswith("sierra-beside")]
-    refused = projects.quick(root, "replay", project.batches[0]["batch"], "--no-record", "--keep")
+    refused = projects.quick(root, "replay", project.batches[0].batch, "--no-record", "--keep")
     assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
 
 

@@ -58,10 +58,10 @@ def test_a_session_has_a_log_file_that_show_names(root: Path) -> None:
     text = file.read_text()
     [batch] = sierra.open(root).batches
     assert f"session {file.stem} started" in text
-    assert f"batch {batch['batch']} on local with none" in text
+    assert f"batch {batch.batch} on local with none" in text
     assert "2 runs: 2 executed, 0 failed, 0 missing" in text
     assert text.endswith(f"session {file.stem} ended\n")
-    shown = json.loads(projects.quick(root, "show", batch["batch"], "--json").stdout)
+    shown = json.loads(projects.quick(root, "show", batch.batch, "--json").stdout)
     assert shown["log_file"] == str(file)
     session = json.loads(projects.quick(root, "show", file.stem[:8], "--json").stdout)
     assert (session["kind"], session["session"], session["executed"]) == ("session", file.stem, 2)

@@ -94,8 +94,8 @@ def test_axes_of_a_batch_keep_their_type_if_another_batch_has_texts(tmp_path: Pa
     numbers, texts = (project.run(query, figures=False).batch for query in ("name=5,10", "name=low,high"))
     rows = project.sql("SELECT DISTINCT name FROM swarm ORDER BY 1", within=numbers)
     assert rows.column(0).to_pylist() == [5, 10]
-    assert [row["name"] for row in project.show(numbers)["experiments"]] == [5, 10]
-    assert [row["name"] for row in project.show(texts)["experiments"]] == ["low", "high"]
+    assert [row.values["name"] for row in project.show(numbers).experiments] == [5, 10]
+    assert [row.values["name"] for row in project.show(texts).experiments] == ["low", "high"]
     table = project.statistics(numbers, "swarm", "coverage")
     assert table.column("name").to_pylist() == [5, 10]
     everywhere = project.sql("SELECT DISTINCT name, name_text FROM runs ORDER BY ALL").to_pylist()

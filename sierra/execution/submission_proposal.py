@@ -1,30 +1,38 @@
-"""Estimate of the jobs that a plan would submit to a cluster; nothing is submitted or written."""
+"""Proposal for the submission of a plan's missing runs to a cluster, from records; nothing is submitted or written."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 from sierra import runners
 from sierra.execution import expected_durations
-from sierra.execution.cluster_status import claimed
+from sierra.execution.forecast import forecast
 from sierra.execution.resolve_plan import Plan
-from sierra.execution.reuse import foreseen, states
 from sierra.provenance import source
 from sierra.runners.cluster.estimate import Estimate, propose
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
 
 OF_JOB = 200.0
-"""Approximate bytes that one run adds to the job list of its element, without the parts that runs share."""
+"""Approximate bytes that one run adds to the job list of its array task, without the parts that runs share."""
 OF_RECORD = 600.0
 """Approximate bytes of the records of one run, without its files."""
+
+
+class Written(NamedTuple):
+    """The mean size of what successful runs wrote; None without such runs."""
+
+    bytes: float | None
+
+
 WROTE = """
 WITH those AS (
     SELECT execution FROM executions e JOIN batches b USING (batch) JOIN specs r USING (spec)
     WHERE e.status = 'ok' AND e.purpose = 'run' AND r.command = $command
 )
-SELECT sum(size) / (SELECT count(*) FROM those) AS bytes FROM artifacts SEMI JOIN those USING (execution)
+SELECT sum(size)::DOUBLE / (SELECT count(*) FROM those) AS bytes FROM artifacts SEMI JOIN those USING (execution)
 """
 
 
@@ -35,8 +43,7 @@ def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> E
     would follow the jobs. Raises ConfigError.
     """
     found = runners.scheduler_of(runner, plan.project.config.runners)
-    missing = {run for run, state in foreseen(plan, store, states(plan, store)).items() if not (state.succeeded or state.anew)}
-    wanted = missing - (claimed(store).keys() if store and missing else set())
+    wanted = forecast(plan, store).to_execute
     count = len(wanted)
     if found is None or not count:
         return None
@@ -57,8 +64,8 @@ def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> E
 
 def _wrote(plan: Plan, store: Store) -> float | None:
     """Return the mean bytes that successful runs with the same command wrote; None without such runs."""
-    [row] = store.rows(WROTE, command=list(plan.batch.spec.command))
-    return None if row["bytes"] is None else float(row["bytes"])
+    [written] = store.select(Written, WROTE, command=list(plan.batch.spec.command))
+    return written.bytes
 
 
 def _code(plan: Plan) -> tuple[int, int]:

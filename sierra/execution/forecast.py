@@ -1,0 +1,43 @@
+"""Forecast of a session: which runs of a plan it would execute, follow on a cluster, evaluate again or reuse now."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Container, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+
+from sierra.execution.cluster_status import claimed
+from sierra.execution.reasons import ChangeReason, Reason
+from sierra.execution.resolve_plan import Plan
+from sierra.execution.reuse import State, foreseen, states
+from sierra.store.store import Store
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """States of the runs, by run id, and what would happen to the runs without a successful execution."""
+
+    states: Mapping[str, State]
+    to_execute: AbstractSet[str]
+    on_clusters: AbstractSet[str]
+    """Runs that a cluster executes now; they would be followed."""
+
+    @property
+    def to_reevaluate(self) -> int:
+        """Return the number of runs that would be evaluated again from the record."""
+        return sum(state.anew for state in self.states.values())
+
+    @property
+    def reasons(self) -> Counter[Reason]:
+        """Return the numbers of runs by the reason why they would be executed or reused."""
+        followed = Reason(ChangeReason.ON_CLUSTER)
+        return Counter(followed if run in self.on_clusters else state.change for run, state in self.states.items())
+
+
+def forecast(plan: Plan, store: Store | None, runs: Container[str] | None = None) -> Forecast:
+    """Return the forecast for these runs of a plan (None: all). Executes nothing."""
+    found = {run: state for run, state in foreseen(plan, store, states(plan, store)).items() if runs is None or run in runs}
+    missing = {run for run, state in found.items() if not (state.succeeded or state.anew)}
+    on_clusters = missing & claimed(store).keys() if store and missing else set()
+    return Forecast(found, missing - on_clusters, on_clusters)
