@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 from sierra.execution.reasons import ChangeReason, Reason
 from sierra.explain.diff.environment import other_programs, other_rules
 from sierra.explain.diff.load_sides import make_runs
+from sierra.explain.diff.model import Difference
 from sierra.store.recorded_files import Place
 from sierra.store.store import Snapshot
 from sierra.store.views import LATEST
@@ -34,7 +35,28 @@ class EffectiveRuns:
     """Effective execution of that run, or else its last one."""
 
 
-ASKED = f"{LATEST} SELECT programs, ingest_rules FROM latest WHERE batch = $b"  # noqa: S608 - of our own parts
+class Latest(NamedTuple):
+    """Programs and rules of the last session of a batch."""
+
+    programs: str | None
+    ingest_rules: str | None
+
+
+class Standing(NamedTuple):
+    """Runs in the same situation; programs and rules are those of their last execution, if that was successful."""
+
+    counts: bool
+    tried: bool
+    good: bool
+    reason: str | None
+    programs: str | None
+    ingest_rules: str | None
+    runs: int
+    run: str
+    execution: str | None
+
+
+OF_LAST_SESSION = f"{LATEST} SELECT programs, ingest_rules FROM latest WHERE batch = $b"  # noqa: S608 - of our own parts
 STANDINGS = """
 SELECT t.counts, t.execution IS NOT NULL AS tried, coalesce(t.status = 'ok', false) AS good, e.reason, e.programs,
        e.ingest_rules, count(*) AS runs, min(t.run) AS run, arg_min(t.own, t.run) AS execution
@@ -52,29 +74,29 @@ def standings(snapshot: Snapshot, batches: list[str]) -> Iterator[EffectiveRuns]
     snapshot.views.make(("batch_runs", "sessions", "all_judgements", "batches"))
     for batch in batches:
         make_runs(snapshot, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
-        latest = snapshot.rows(ASKED, b=batch) or [{"programs": None, "ingest_rules": None}]
-        for row in snapshot.rows(STANDINGS):
-            told = {**row, "now_programs": latest[0]["programs"], "now_rules": latest[0]["ingest_rules"]}
-            yield EffectiveRuns(batch, row["runs"], row["counts"], _why(snapshot, told), row["run"], row["execution"])
+        latest = next(iter(snapshot.select(Latest, OF_LAST_SESSION, b=batch)), Latest(None, None))
+        for row in snapshot.select(Standing, STANDINGS):
+            yield EffectiveRuns(batch, row.runs, row.counts, _why(snapshot, row, latest), row.run, row.execution)
         snapshot.run("DROP TABLE standing")
 
 
-def _why(snapshot: Snapshot, row: dict[str, Any]) -> Reason:
-    if row["counts"]:
+def _why(snapshot: Snapshot, row: Standing, latest: Latest) -> Reason:
+    if row.counts:
         return Reason(ChangeReason.REUSED)
-    if not row["tried"]:
+    if not row.tried:
         return Reason(ChangeReason.NEVER)
-    if not row["good"]:
-        return Reason(ChangeReason.FAILED, row["reason"] or "")
-    return Reason(ChangeReason.STALE, _other(snapshot, row))
+    if not row.good:
+        return Reason(ChangeReason.FAILED, row.reason or "")
+    differences = [one.line for one in _differences(snapshot, row, latest)]
+    return Reason(ChangeReason.STALE, few(differences, SHOWN) or "the differing programs or rules are not recorded")
 
 
-def _other(snapshot: Snapshot, row: dict[str, Any]) -> str:
-    return few([*_differences(snapshot, row)], SHOWN) or "the differing programs or rules are not recorded"
+def _differences(snapshot: Snapshot, row: Standing, latest: Latest) -> Iterator[Difference]:
+    if row.programs != latest.programs:
+        yield from other_programs(snapshot, _ids(row.programs), _ids(latest.programs))
+    if row.ingest_rules != latest.ingest_rules:
+        yield from other_rules(snapshot, _ids(row.ingest_rules), _ids(latest.ingest_rules))
 
 
-def _differences(snapshot: Snapshot, row: dict[str, Any]) -> Iterator[str]:
-    if row["programs"] != row["now_programs"]:
-        yield from (one.line for one in other_programs(snapshot, [row["programs"]], [row["now_programs"]]))
-    if row["ingest_rules"] != row["now_rules"]:
-        yield from (one.line for one in other_rules(snapshot, [row["ingest_rules"]], [row["now_rules"]]))
+def _ids(identity: str | None) -> list[str]:
+    return [identity] if identity else []

@@ -7,14 +7,16 @@ other rules, other programs, successful.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import NamedTuple
 
 from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
 from sierra.explain.diff.environment import other_programs, other_rules
+from sierra.explain.diff.model import Difference
 from sierra.model import Purpose
+from sierra.store.records import SessionRow
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
 from sierra.util.text import counted, few
@@ -93,6 +95,33 @@ SELECT m.*, b.worth, b.best, EXISTS (
 ) AS beside
 FROM first m LEFT JOIN best b USING (execution)
 """
+
+
+class Executions(NamedTuple):
+    """Executions of one session for the same reason, and the best earlier execution of their runs."""
+
+    session: str
+    batch: str
+    purpose: str
+    worth: int | None
+    """Place of that earlier execution in `WORTH`; None without one."""
+    beside: bool
+    """True if another session executed the runs at the same time."""
+    doubted: bool | None
+    reason: str | None
+    was_rules: str | None
+    was_programs: str | None
+    ingest_rules: str | None
+    programs: str | None
+    executions: int
+    failed: int
+    started: datetime
+    lamport: int
+    execution: str
+    run: str
+    prior: str | None
+
+
 CAUSES = """
 SELECT session, batch, purpose, worth, beside, best.doubted AS doubted, CASE WHEN worth = 0 THEN best.reason END AS reason,
        CASE WHEN worth = 1 THEN best.ingest_rules END AS was_rules, CASE WHEN worth = 2 THEN best.programs END AS was_programs,
@@ -102,25 +131,71 @@ SELECT session, batch, purpose, worth, beside, best.doubted AS doubted, CASE WHE
        arg_min(best.prior, lamport) AS prior
 FROM happened GROUP BY ALL ORDER BY executions DESC, execution
 """
+
+
+class Cut(NamedTuple):
+    """Attempts of a session that were cut off, with the number of runs that they had started."""
+
+    session: str
+    times: int
+    interrupted: int
+    errors: list[str]
+
+
 CUT = """
 WITH mine AS (
     SELECT DISTINCT a.session, a.array_task FROM attempts a JOIN executions e USING (attempt) SEMI JOIN wanted USING (run)
 )
-SELECT session, count(*) AS times, sum(interrupted_runs)::INT AS interrupted, list(DISTINCT error ORDER BY error) AS errors
+SELECT session, count(*) AS times, sum(interrupted_runs)::INT AS interrupted,
+       coalesce(list(DISTINCT error ORDER BY error) FILTER (error <> ''), []) AS errors
 FROM attempts SEMI JOIN mine USING (session, array_task) WHERE state = 'cut off' AND interrupted_runs > 0 GROUP BY session
 """
+
+
+class Copies(NamedTuple):
+    """Executions of a session that were executed twice."""
+
+    session: str
+    copies: int
+    other: int
+    execution: str
+
+
 COPIED = """
 SELECT e.session, count(*) AS copies, count(*) FILTER (NOT same) AS other, min(execution) AS execution
 FROM duplicates JOIN executions e USING (execution) WHERE e.run IN (SELECT run FROM wanted) GROUP BY e.session
 """
-ASKINGS = """
-SELECT * FROM sessions WHERE list_contains($b, batch) OR list_contains($s, session)
-"""
+SESSIONS = "SELECT * FROM sessions WHERE list_contains($b, batch) OR list_contains($s, session)"
+
+
+class Reevaluated(NamedTuple):
+    """Runs whose executions a session evaluated again, with the rules before and after."""
+
+    session: str
+    batch: str
+    runs: int
+    judged_at: datetime
+    lamport: int
+    ingest_rules: list[str]
+    was_rules: list[str]
+
+
 JUDGED = """
 SELECT j.session, any_value(j.batch) AS batch, count(DISTINCT j.run) AS runs, min(j.judged_at) AS judged_at,
        min(j.lamport) AS lamport, list(DISTINCT j.ingest_rules) AS ingest_rules, list(DISTINCT e.ingest_rules) AS was_rules
 FROM judgements j SEMI JOIN wanted USING (run) JOIN all_judgements e ON e.judgement = j.execution GROUP BY j.session
 """
+
+
+class Replay(NamedTuple):
+    """A replay, and what it replayed."""
+
+    replay: str
+    kind: str
+    target: str
+    verdict: str
+
+
 REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains($s, replay)"
 
 
@@ -130,99 +205,103 @@ def tell(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
         ("executions", "all_judgements", "findings", "sessions", "replays", "batch_runs", "attempts", "duplicates")
     )
     snapshot.run(EXECUTED, {"failed": FAILED, "rules": RULES, "programs": PROGRAMS, "good": REUSED})
-    rows = snapshot.rows(CAUSES)
-    judged = {row["session"]: row for row in snapshot.rows(JUDGED)}
-    sessions_of = [*(row["session"] for row in rows), *judged]
+    rows = snapshot.select(Executions, CAUSES)
+    reevaluated = {row.session: row for row in snapshot.select(Reevaluated, JUDGED)}
     snapshot.run("DROP TABLE happened")
-    sessions = {row["session"]: row for row in snapshot.rows(ASKINGS, b=list(batches), s=sessions_of)}
-    by_session: dict[str, list[dict[str, Any]]] = {session: [] for session in sessions}
+    executed: dict[str, list[Executions]] = {}
     for row in rows:
-        by_session.setdefault(row["session"], []).append(row)
-    for session in judged:
-        by_session.setdefault(session, [])
-    replays = {row["replay"]: row for row in snapshot.rows(REPLAYS, s=list(by_session))}
-    more = _more(snapshot)
-    places = {
-        key: min(row["lamport"] for row in (*those, *(named[key] for named in (sessions, judged) if key in named)))
-        for key, those in by_session.items()
-    }
+        executed.setdefault(row.session, []).append(row)
+    found = snapshot.select(SessionRow, SESSIONS, b=list(batches), s=[*executed, *reevaluated])
+    sessions = {row.session: row for row in found}
+    keys = list(dict.fromkeys((*sessions, *executed, *reevaluated)))
+    replays = {row.replay: row for row in snapshot.select(Replay, REPLAYS, s=keys)}
+    notes = _notes(snapshot)
+
+    def place(key: str) -> int:
+        numbers = [row.lamport for row in executed.get(key, ())]
+        numbers += [row.lamport for row in (sessions.get(key), reevaluated.get(key)) if row is not None]
+        return min(numbers)
+
     return [
-        _event(snapshot, key, by_session[key], sessions.get(key), replays.get(key), more.get(key, []), judged.get(key))
-        for key in sorted(places, key=lambda key: places[key])
+        _event(
+            snapshot, key, executed.get(key, []), sessions.get(key), replays.get(key), reevaluated.get(key), notes.get(key, [])
+        )
+        for key in sorted(keys, key=place)
     ]
 
 
 def _event(
     snapshot: Snapshot,
     session: str,
-    rows: Sequence[Mapping[str, Any]],
-    asking: Mapping[str, Any] | None,
-    replay: Mapping[str, Any] | None,
-    more: Sequence[str],
-    judged: Mapping[str, Any] | None,
+    rows: Sequence[Executions],
+    submission: SessionRow | None,
+    replay: Replay | None,
+    reevaluated: Reevaluated | None,
+    notes: Sequence[str],
 ) -> Event:
-    executed = sum(row["executions"] for row in rows)
-    failed = sum(row["failed"] for row in rows)
-    purpose = rows[0]["purpose"] if rows else "run"
+    rules = other_rules(snapshot, reevaluated.was_rules, reevaluated.ingest_rules) if reevaluated else None
+    first = next(one for one in (submission, *rows, reevaluated) if one is not None)
+    purpose = rows[0].purpose if rows else "run"
     return Event(
         session=session,
-        when=asking["started"] if asking else _began(rows, judged),
+        when=submission.started if submission else _began(rows, reevaluated),
         kind="session" if purpose == "run" else purpose,
-        batch=(asking or (*rows, judged or {})[0])["batch"],
-        query=asking["query"] if asking else "",
-        executed=executed,
-        failed=failed,
-        reevaluated=judged["runs"] if judged else 0,
-        other_rules=_lines(other_rules(snapshot, judged["was_rules"], judged["ingest_rules"])) if judged else "",
-        reused=asking["reused"] if asking else None,
-        ended=asking is not None or replay is not None,
+        batch=first.batch,
+        query=submission.query if submission else "",
+        executed=sum(row.executions for row in rows),
+        failed=sum(row.failed for row in rows),
+        reevaluated=reevaluated.runs if reevaluated else 0,
+        other_rules="" if rules is None else _lines(rules),
+        reused=submission.reused if submission else None,
+        ended=submission is not None or replay is not None,
         causes=tuple(_cause(snapshot, row, replay) for row in rows),
-        notes=tuple(more),
+        notes=tuple(notes),
     )
 
 
-def _began(rows: Sequence[Mapping[str, Any]], judged: Mapping[str, Any] | None) -> datetime | None:
+def _began(rows: Sequence[Executions], reevaluated: Reevaluated | None) -> datetime | None:
     """Return the time of the first action of a session without a record."""
-    return min((row["started"] for row in rows), default=judged["judged_at"] if judged else None)
+    return min((row.started for row in rows), default=reevaluated.judged_at if reevaluated else None)
 
 
-def _more(snapshot: Snapshot) -> dict[str, list[str]]:
+def _notes(snapshot: Snapshot) -> dict[str, list[str]]:
     """Return, by session, lines about runs that were started or executed more often than requested, and the reasons."""
-    told: dict[str, list[str]] = {}
-    for row in snapshot.rows(CUT):
-        why = few([trouble for trouble in row["errors"] if trouble], SHOWN) or "unknown cause"
-        which = f"array tasks were interrupted {row['times']} times" if row["times"] > 1 else "an array task was interrupted"
-        line = f"{which} while {counted(row['interrupted'], 'run')} executed; these runs were started again: {why}"
-        told.setdefault(row["session"], []).append(line)
-    for row in snapshot.rows(COPIED):
-        other = f"{row['other']} of them with different results" if row["other"] else "with the same results"
-        which = f"{row['copies']} (for example, {short(row['execution'])}), {other}"
+    notes: dict[str, list[str]] = {}
+    for cut in snapshot.select(Cut, CUT):
+        why = few(cut.errors, SHOWN) or "unknown cause"
+        which = f"array tasks were interrupted {cut.times} times" if cut.times > 1 else "an array task was interrupted"
+        line = f"{which} while {counted(cut.interrupted, 'run')} executed; these runs were started again: {why}"
+        notes.setdefault(cut.session, []).append(line)
+    for copied in snapshot.select(Copies, COPIED):
+        other = f"{copied.other} of them with different results" if copied.other else "with the same results"
+        which = f"{copied.copies} (for example, {short(copied.execution)}), {other}"
         line = f"executed twice, because two copies of an array task ran at the same time: {which}"
-        told.setdefault(row["session"], []).append(line)
-    return told
+        notes.setdefault(copied.session, []).append(line)
+    return notes
 
 
-def _cause(snapshot: Snapshot, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> Cause:
-    new = row["worth"] is None and row["purpose"] == "run" and not row["beside"]
-    return Cause(row["executions"], _why(snapshot, row, replay), row["execution"], row["run"], new)
+def _cause(snapshot: Snapshot, row: Executions, replay: Replay | None) -> Cause:
+    new = row.worth is None and row.purpose == "run" and not row.beside
+    return Cause(row.executions, _why(snapshot, row, replay), row.execution, row.run, new)
 
 
-def _why(snapshot: Snapshot, row: Mapping[str, Any], replay: Mapping[str, Any] | None) -> Reason:
-    if row["purpose"] != Purpose.RUN:
-        of = f" of {replay['kind']} {short(replay['target'])}: {replay['verdict']}" if replay else " that did not end"
+def _why(snapshot: Snapshot, row: Executions, replay: Replay | None) -> Reason:
+    if row.purpose != Purpose.RUN:
+        of = f" of {replay.kind} {short(replay.target)}: {replay.verdict}" if replay else " that did not end"
         return Reason(ChangeReason.REPLAY, of)
-    if row["worth"] is None:
-        return Reason(ChangeReason.CONCURRENT if row["beside"] else ChangeReason.NEW)
-    match WORTH[row["worth"]]:
+    if row.worth is None:
+        return Reason(ChangeReason.CONCURRENT if row.beside else ChangeReason.NEW)
+    match WORTH[row.worth]:
         case ChangeReason.FAILED:
-            return Reason(ChangeReason.FINDING if row["doubted"] else ChangeReason.FAILED, row["reason"] or "")
+            return Reason(ChangeReason.FINDING if row.doubted else ChangeReason.FAILED, row.reason or "")
         case ChangeReason.RULES:
-            return Reason(ChangeReason.RULES, _lines(other_rules(snapshot, [row["was_rules"]], [row["ingest_rules"]])))
+            return Reason(ChangeReason.RULES, _lines(other_rules(snapshot, [row.was_rules or ""], [row.ingest_rules or ""])))
         case ChangeReason.PROGRAMS:
-            return Reason(ChangeReason.PROGRAMS, _lines(other_programs(snapshot, [row["was_programs"]], [row["programs"]])))
+            programs = other_programs(snapshot, [row.was_programs or ""], [row.programs or ""])
+            return Reason(ChangeReason.PROGRAMS, _lines(programs))
         case _:
-            return Reason(ChangeReason.JUST_EXECUTED, short(row["prior"]))
+            return Reason(ChangeReason.JUST_EXECUTED, short(row.prior or ""))
 
 
-def _lines(changes: Iterator[Any]) -> str:
+def _lines(changes: Iterator[Difference]) -> str:
     return few([change.line for change in changes], SHOWN) or "the differences are not recorded"

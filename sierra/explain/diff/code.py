@@ -19,7 +19,7 @@ SHOWN = 8
 
 def source(store: Store, root: Path, before: Side, after: Side) -> Iterator[Difference]:
     """Yield the difference of the two recorded sources."""
-    was, now = before.spec["source"], after.spec["source"]
+    was, now = before.spec.source, after.spec.source
     if was == now:
         return
     if was is None or now is None:
@@ -30,11 +30,11 @@ def source(store: Store, root: Path, before: Side, after: Side) -> Iterator[Diff
 
 
 def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
-    was, now = before.spec["source"], after.spec["source"]
+    was, now = before.spec.source, after.spec.source
     try:
-        old, new = (State(side.spec["source"], store.object(side.source["files"])) for side in (before, after))
-    except (KeyError, NotFound, Damaged) as error:
-        why = "the list of files is not in the store" if isinstance(error, KeyError | NotFound) else error
+        old, new = (_state(store, side) for side in (before, after))
+    except (NotFound, Damaged) as error:
+        why = "the list of files is not in the store" if isinstance(error, NotFound) else error
         return Difference("source", "tree", f"source: the files differ; {why}", was, now)
     found = recorded_source_diff.between(old, new, root, lambda blob: _blob(store, blob))
     commits = _commits(root, before, after)
@@ -44,6 +44,13 @@ def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
     unknown = [f"{path}: its content is neither in git nor in the store" for path in found.unknown]
     more = files if len(files) > SHOWN else ()
     return Difference("source", "tree", line, was, now, (*more, *_logs(commits), *unknown, *found.lines))
+
+
+def _state(store: Store, side: Side) -> State:
+    """Return the recorded source of a side. Raises NotFound, Damaged."""
+    if side.spec.source is None or side.source is None:
+        raise NotFound("the source is not recorded")
+    return State(side.spec.source, store.object(side.source.files))
 
 
 def _file(file: File, *, known: bool) -> str:
@@ -68,7 +75,7 @@ def _blob(store: Store, blob: str) -> bytes | None:
 
 
 def _commits(root: Path, before: Side, after: Side) -> Commits:
-    was, now = (side.source.get("commit") for side in (before, after))
+    was, now = (_commit(side) for side in (before, after))
     return commits_between.between(root, was, now) if was and now and was != now else Commits()
 
 
@@ -81,7 +88,7 @@ def _how(commits: Commits, after: Side) -> str:
         told.append(f"{commits.back} commit{'s' * (commits.back > 1)} behind")
     if commits.missing:
         told.append(f"commit {' and '.join(commit[:10] for commit in commits.missing)} not in this repository")
-    if after.source.get("dirty"):
+    if after.source and after.source.dirty:
         told.append("with uncommitted changes")
     return f"; {', '.join(told)}" if told else ""
 
@@ -106,18 +113,22 @@ def _relation(commits: Commits) -> str:
 
 def has_commits(before: Side, after: Side) -> bool:
     """Check whether the commits of both sides are recorded and their sources are the same."""
-    return bool(before.source and after.source) and before.spec["source"] == after.spec["source"]
+    return bool(before.source and after.source) and before.spec.source == after.spec.source
 
 
 def commit(root: Path, before: Side, after: Side) -> Iterator[Difference]:
     """Yield a difference if the commits differ although the sources are the same."""
-    was, now = (side.source.get("commit") for side in (before, after))
+    was, now = (_commit(side) for side in (before, after))
     if was != now:
         commits = _commits(root, before, after)
-        names = [f"{(side.source.get('commit') or 'none')[:10]}{_branch(side)}" for side in (before, after)]
+        names = [f"{(_commit(side) or 'none')[:10]}{_branch(side)}" for side in (before, after)]
         line = f"commit: {names[0]} {ARROW} {names[1]}, the same files{_how(commits, after)}"
         yield Difference("commit", "commit", line, was, now, tuple(_logs(commits)))
 
 
+def _commit(side: Side) -> str | None:
+    return side.source.commit if side.source else None
+
+
 def _branch(side: Side) -> str:
-    return f" ({side.source['branch']})" if side.source.get("branch") else ""
+    return f" ({side.source.branch})" if side.source and side.source.branch else ""

@@ -103,7 +103,7 @@ def _parts(
                 yield (kind,), compared(snapshot, before, after)
             else:
                 notes.append(Note(NOT_EXECUTED.format(kind=kind), kind))
-        if any(side.spec["image"] for side in (before, after)):
+        if any(side.spec.image for side in (before, after)):
             if all(environment.executed(snapshot, side) for side in (before, after)):
                 yield ("isolation",), environment.isolations(snapshot, before, after)
             else:

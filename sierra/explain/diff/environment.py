@@ -1,7 +1,6 @@
 """Differences of the environment of executions: programs, machines, and the rules that evaluated them.
 
-If a side's runs were executed with several of them, the values of all are compared. Rows are used with the columns that the
-store has.
+If a side's runs were executed with several of them, the values of all are compared.
 """
 
 from __future__ import annotations
@@ -9,16 +8,16 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from sierra.containers import session_containers
 from sierra.explain.diff.load_sides import Side
-from sierra.explain.diff.model import ARROW, Difference, changed, shown
+from sierra.explain.diff.model import ARROW, Compared, Difference, changed, shown
 from sierra.provenance.dependency_model import INSTALLED, by_likelihood, called, mentioned, versions
+from sierra.store.records import EnvironmentRow, IsolationRow, ProgramRow
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
 
-Rows = Sequence[Mapping[str, Any]]
+Facts = Mapping[str, Compared]
 USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN all_judgements e ON e.judgement = t.execution"
 
 
@@ -27,7 +26,7 @@ def programs(snapshot: Snapshot, before: Side, after: Side, root: Path) -> Itera
 
     Versions that the command or its scripts in `root` name come first.
     """
-    words = mentioned((*before.spec["command"], *after.spec["command"]), root)
+    words = mentioned((*before.spec.command, *after.spec.command), root)
     was, now = (_used(snapshot, side, "programs") for side in (before, after))
     yield from other_programs(snapshot, was, now, words)
 
@@ -36,81 +35,82 @@ def other_programs(
     snapshot: Snapshot, before: Sequence[str], after: Sequence[str], words: frozenset[str] = frozenset()
 ) -> Iterator[Difference]:
     """Yield differences of two groups of program sets, by the ids of the sets."""
-    old, new = (_programs(_rows(snapshot, ids, "programs")) for ids in (before, after))
+    old, new = (_programs(snapshot.select(ProgramRow, PROGRAMS, i=list(ids))) for ids in (before, after))
     names = dict.fromkeys((*old, *new))
     for name in sorted(names, key=lambda name: (name[1].endswith(INSTALLED), KINDS.get(name[0], len(KINDS)))):
         was, now = old.get(name, []), new.get(name, [])
-        if {row["sha256"] for row in was} != {row["sha256"] for row in now}:
+        if {row.sha256 for row in was} != {row.sha256 for row in now}:
             line = f"{name[1]}: {_which(was)} {ARROW} {_which(now)}"
             yield Difference("programs", name[1], line, list(was), list(now), tuple(_versions(was, now, words)))
 
 
-KINDS = {None: 0, "program": 0, "file": 1, "distributions": 2, "library": 3}
+PROGRAMS = "SELECT programs, name, kind, version, path, sha256 FROM programs WHERE list_contains($i, programs)"
+KINDS = {"program": 0, "file": 1, "distributions": 2, "library": 3}
 """Order of kinds; distributions of a Python come after all of them."""
 
 
-def _programs(rows: Rows) -> dict[tuple[str | None, str], list[Mapping[str, Any]]]:
+def _programs(rows: Sequence[ProgramRow]) -> dict[tuple[str, str], list[ProgramRow]]:
     """Return the rows of programs by kind and name, independent of their paths."""
-    found: dict[tuple[str | None, str], list[Mapping[str, Any]]] = {}
+    found: dict[tuple[str, str], list[ProgramRow]] = {}
     for row in rows:
-        found.setdefault((row.get("kind"), called(row["name"])), []).append(row)
+        found.setdefault((row.kind, called(row.name)), []).append(row)
     return found
 
 
-def _which(rows: Rows) -> str:
+def _which(rows: Sequence[ProgramRow]) -> str:
     return " and ".join(dict.fromkeys(map(_one, rows))) or "not present"
 
 
-def _one(row: Mapping[str, Any]) -> str:
-    version = row.get("version") or ""
-    return f"{shown(version)} ({short(row['sha256'])})" if version and "\n" not in version else short(row["sha256"])
+def _one(row: ProgramRow) -> str:
+    version, digest = row.version or "", short(row.sha256 or "")
+    return f"{shown(version)} ({digest})" if version and "\n" not in version else digest
 
 
-def _versions(was: Rows, now: Rows, words: frozenset[str]) -> Iterator[str]:
+def _versions(was: Sequence[ProgramRow], now: Sequence[ProgramRow], words: frozenset[str]) -> Iterator[str]:
     """Yield the differing versions of a list of versions, such as distributions, and the paths if they differ."""
     if len(was) == len(now) == 1:
-        listed = [row[0].get("version") or "" for row in (was, now)]
+        listed = [rows[0].version or "" for rows in (was, now)]
         if any("\n" in text for text in listed):
             old, new = map(versions, listed)
             for name in by_likelihood(old.keys() | new.keys(), words):
                 if old.get(name) != new.get(name):
                     yield f"{name} {old.get(name) or 'not present'} {ARROW} {new.get(name) or 'not present'}"
-        if was[0]["path"] != now[0]["path"]:
-            yield f"{was[0]['path']} {ARROW} {now[0]['path']}"
+        if was[0].path != now[0].path:
+            yield f"{was[0].path} {ARROW} {now[0].path}"
 
 
 def environments(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
     """Yield differences of the machines by column, and of the runner, which is unknown for a killed session."""
     old, new = (
-        _facts(_rows(snapshot, _used(snapshot, side, "environment"), "environment"), _runners(snapshot, side))
-        for side in (before, after)
+        _facts([row._asdict() for row in _environments(snapshot, side)], _runners(snapshot, side)) for side in (before, after)
     )
     for name in (name for name in old if name in new):
         yield from changed("environment", name, old[name], new[name])
 
 
-def _facts(environments: Rows, runners: Rows) -> dict[str, Any]:
-    """Return the value of each column; a list of values if there are several."""
-    found: dict[str, Any] = {}
-    for rows in (environments, runners):
-        for name in (name for name in (rows[0] if rows else {}) if name != "environment"):
-            values = list(dict.fromkeys(_hashable(row[name]) for row in rows))
-            found[name] = values[0] if len(values) == 1 else sorted(values, key=str)
-    return found
+def _facts(rows: Sequence[Facts], runners: Sequence[str] = ()) -> dict[str, Compared]:
+    """Return the value of each column, and the runner; a list of values if there are several."""
+    columns = {name: [row[name] for row in rows] for name in (rows[0] if rows else ()) if name != "environment"}
+    return {name: _common(values) for name, values in (*columns.items(), *([("runner", runners)] if runners else []))}
 
 
-def _hashable(value: Any) -> Any:
-    return "\n".join(map(str, value)) if isinstance(value, list) else value
+def _common(values: Sequence[Compared]) -> Compared:
+    different = list(dict.fromkeys("\n".join(map(str, value)) if isinstance(value, list) else value for value in values))
+    return different[0] if len(different) == 1 else sorted(different, key=str)
 
 
-def _runners(snapshot: Snapshot, side: Side) -> Rows:
+def _environments(snapshot: Snapshot, side: Side) -> list[EnvironmentRow]:
+    statement = "SELECT * FROM environments WHERE list_contains($i, environment)"
+    return snapshot.select(EnvironmentRow, statement, i=_used(snapshot, side, "environment"))
+
+
+def _runners(snapshot: Snapshot, side: Side) -> list[str]:
     statement = (
         f"WITH used AS (SELECT DISTINCT e.session FROM {side.table} t JOIN all_judgements e ON e.judgement = t.execution) "  # noqa: S608
         "SELECT DISTINCT s.runner FROM sessions s JOIN used USING (session) UNION "
         "SELECT DISTINCT r.runner FROM replays r JOIN used ON used.session = r.replay"
     )
-    rows: list[dict[str, Any]] = snapshot.rows(statement)
-    return rows
+    return snapshot.values(str, statement)
 
 
 ISOLATION = {
@@ -130,8 +130,9 @@ NOT_CONTAINED = "none (on the host)"
 
 def isolations(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
     """Yield differences of the isolation. An execution without a container has the engine `none`."""
+    statement = "SELECT * FROM isolations WHERE list_contains($i, isolation)"
     old, new = (
-        _facts([_isolation(row) for row in _rows(snapshot, _used(snapshot, side, "isolation"), "isolation")], ())
+        _facts([_isolation(row) for row in snapshot.select(IsolationRow, statement, i=_used(snapshot, side, "isolation"))])
         for side in (before, after)
     )
     if bool(old) != bool(new):
@@ -142,9 +143,9 @@ def isolations(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Differ
         yield from changed("isolation", name, old.get(name), new.get(name), called=words)
 
 
-def _isolation(row: Mapping[str, Any]) -> dict[str, Any]:
-    facts = {**row, **{name: json.dumps(limits) for name, limits in session_containers.limits(row).items()}}
-    return {name: facts[name] for name in ISOLATION}
+def _isolation(row: IsolationRow) -> Facts:
+    limits = session_containers.limits(row._asdict())
+    return {name: json.dumps(limits[name]) if name in limits else getattr(row, name) for name in ISOLATION}
 
 
 def executed(snapshot: Snapshot, side: Side) -> bool:
@@ -169,8 +170,7 @@ def other_rules(snapshot: Snapshot, before: Sequence[str], after: Sequence[str])
 
 
 def _declared(snapshot: Snapshot, ids: Sequence[str]) -> list[str]:
-    rows = snapshot.rows("SELECT declared FROM ingest_rules WHERE list_contains($i, ingest_rules)", i=list(ids))
-    return [row["declared"] for row in rows]
+    return snapshot.values(str, "SELECT declared FROM ingest_rules WHERE list_contains($i, ingest_rules)", i=list(ids))
 
 
 def known(snapshot: Snapshot, side: Side, what: str) -> bool:
@@ -181,12 +181,5 @@ def known(snapshot: Snapshot, side: Side, what: str) -> bool:
 def _used(snapshot: Snapshot, side: Side, what: str) -> list[str]:
     """Return the ids of `what` that a side's executions used; for a batch without executions, that of the last session."""
     found = [row[0] for row in snapshot.run(USED.format(what=what, table=side.table)) if row[0]]
-    known = None if side.is_one else side.session.get(what)
+    known = None if side.is_one or what == "isolation" else side.session and getattr(side.session, what)
     return found or ([known] if known else [])
-
-
-def _rows(snapshot: Snapshot, ids: Sequence[str], what: str) -> list[dict[str, Any]]:
-    table = {"environment": "environments", "isolation": "isolations"}.get(what, what)
-    statement = f"SELECT * FROM {table} WHERE list_contains($i, {what})"  # noqa: S608 - our own names
-    rows: list[dict[str, Any]] = snapshot.rows(statement, i=list(ids))
-    return rows

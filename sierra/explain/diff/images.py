@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from sierra.containers import images
 from sierra.containers.images.diff import Change, files, packages
@@ -14,6 +13,7 @@ from sierra.errors import Damaged, NotFound
 from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference, changed
 from sierra.provenance.dependency_model import mentioned
+from sierra.store.records import ImageRow
 from sierra.store.store import Snapshot, Store
 from sierra.util.text import few
 
@@ -24,46 +24,45 @@ DETAILS = 1000
 
 def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Path) -> Iterator[Difference]:
     """Yield differences of the image (its id, packages, variables and files) and of the host access of runs."""
-    was, now = (side.spec["image"] for side in (before, after))
+    was, now = (side.spec.image for side in (before, after))
     if was != now:
         old, new = (_row(snapshot, identity) for identity in (was, now))
         yield Difference("image", "image", f"image: {_called(was, old)} {ARROW} {_called(now, new)}", was, now)
         if old and new:
-            yield from _inside(store, old, new, mentioned(after.spec["command"], root))
-    before_reach, reach = (side.spec["host_access"] or [] for side in (before, after))
+            yield from _inside(store, old, new, mentioned(after.spec.command, root))
+    before_reach, reach = (side.spec.host_access for side in (before, after))
     if told := other_host_access(before_reach, reach):
         yield Difference("image", "host_access", f"host access of runs: {', '.join(told)}", before_reach, reach)
 
 
-def _row(snapshot: Snapshot, identity: str | None) -> Mapping[str, Any] | None:
-    rows: list[dict[str, Any]] = snapshot.rows("SELECT * FROM images WHERE image = $i", i=identity)
-    return rows[0] if rows else None
+def _row(snapshot: Snapshot, identity: str | None) -> ImageRow | None:
+    return next(iter(snapshot.select(ImageRow, "SELECT * FROM images WHERE image = $i", i=identity)), None)
 
 
-def _called(identity: str | None, row: Mapping[str, Any] | None) -> str:
+def _called(identity: str | None, row: ImageRow | None) -> str:
     if identity is None:
         return "none"
-    return f"{row['name']} ({images.short(identity)})" if row else f"{images.short(identity)} (not recorded)"
+    return f"{row.name} ({images.short(identity)})" if row else f"{images.short(identity)} (not recorded)"
 
 
-def _inside(store: Store, old: Mapping[str, Any], new: Mapping[str, Any], words: frozenset[str]) -> Iterator[Difference]:
+def _inside(store: Store, old: ImageRow, new: ImageRow, words: frozenset[str]) -> Iterator[Difference]:
     """Yield differences of the contents of two images, the most important first."""
-    yield from changed("image", "architecture", old["architecture"], new["architecture"])
-    was, now = (json.loads(row["packages"]) for row in (old, new))
+    yield from changed("image", "architecture", old.architecture, new.architecture)
+    was, now = (json.loads(row.packages or "{}") for row in (old, new))
     for manager, changes in packages(was, now, words).items():
         yield _told(manager, f"{manager} packages of the image", changes)
-    yield from changed("image", "variables", old["variables"], new["variables"], called="variables of the image")
+    yield from changed("image", "variables", old.variables, new.variables, called="variables of the image")
     yield _files(store, old, new)
 
 
-def _files(store: Store, old: Mapping[str, Any], new: Mapping[str, Any]) -> Difference:
+def _files(store: Store, old: ImageRow, new: ImageRow) -> Difference:
     called = "files of the image"
     try:
-        changes = files(*(store.object(row["files"]) for row in (old, new)))
+        changes = files(*(store.object(row.files or "") for row in (old, new)))
     except (NotFound, Damaged):
-        return Difference("image", "files", f"{called}: the list of files is not in the store", old["files"], new["files"])
+        return Difference("image", "files", f"{called}: the list of files is not in the store", old.files, new.files)
     if not changes:
-        return Difference("image", "files", f"{called}: no differences", old["files"], new["files"])
+        return Difference("image", "files", f"{called}: no differences", old.files, new.files)
     return _told("files", called, changes)
 
 

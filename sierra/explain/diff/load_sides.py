@@ -9,10 +9,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from sierra.errors import UsageError
+from sierra.execution.recorded_rows import axis_values, required_row
+from sierra.model import Value
 from sierra.store.recorded_files import ChosenExecution, Place, where
+from sierra.store.records import BatchRow, SessionRow, SourceRow, SpecRow
 from sierra.store.store import Found, Snapshot
 from sierra.store.views import COUNTS, LATEST, ORDER
 from sierra.util.hashing import short
@@ -35,15 +37,17 @@ class Side:
     `result` are 128-bit numbers that replace the digests.
     """
     runs: int
-    batch: Mapping[str, Any]
-    spec: Mapping[str, Any]
-    session: Mapping[str, Any]
-    """Session of this side: for a batch or an experiment the last one. Empty if it is not recorded."""
-    source: Mapping[str, Any]
-    """State of the code that this session recorded, or else any other session. Empty without a recorded source."""
+    batch: BatchRow
+    spec: SpecRow
+    variables: Mapping[str, str]
+    """Declared variables of the spec."""
+    session: SessionRow | None
+    """Session of this side: for a batch or an experiment the last one. None if it is not recorded."""
+    source: SourceRow | None
+    """State of the code that this session recorded, or else any other session. None without a recorded source."""
     experiments: Mapping[int, str]
     """Ids of the experiments, by their places in the batch."""
-    cells: Mapping[int, Mapping[str, Any]]
+    cells: Mapping[int, Mapping[str, Value]]
     """Values of each experiment, by its place in the batch, including the controller or scenario of the whole batch."""
 
     @property
@@ -110,10 +114,10 @@ def gather(snapshot: Snapshot, found: Found, table: str) -> Side:
     batch_id = place.batch
     snapshot.views.make(("specs", "sources", "replays"))
     make_runs(snapshot, place, table)
-    [batch] = _rows(snapshot, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
-    [spec] = _rows(snapshot, "SELECT * FROM specs WHERE spec = $r", r=batch["spec"])
-    spec["variables"] = json.loads(spec["variables"])
-    experiments = _experiments(snapshot, batch_id, table)
+    batch = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
+    spec = required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=batch.spec)
+    cells = _cells_of_runs(snapshot, batch_id, table)
+    whole = {name: value for name in ("controller", "scenario") if (value := getattr(batch, name)) is not None}
     session = _session(snapshot, found, batch_id)
     return Side(
         found=found,
@@ -121,43 +125,34 @@ def gather(snapshot: Snapshot, found: Found, table: str) -> Side:
         runs=snapshot.run(f"SELECT count(*) FROM {table}")[0][0],  # noqa: S608
         batch=batch,
         spec=spec,
+        variables=json.loads(spec.variables),
         session=session,
-        source=_source(snapshot, spec["source"], session.get("source")),
-        experiments={row["ordinal"]: row["experiment"] for row in experiments},
-        cells=_cells(batch, experiments),
+        source=_source(snapshot, spec.source, session.source if session else None),
+        experiments={ordinal: str(cell["experiment"]) for ordinal, cell in cells.items()},
+        cells={ordinal: {**whole, **axis_values(batch.axes, cell)} for ordinal, cell in cells.items()},
     )
 
 
-def _rows(snapshot: Snapshot, text: str, **parameters: Any) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = snapshot.rows(text, **parameters)
-    return rows
-
-
-def _session(snapshot: Snapshot, found: Found, batch: str) -> dict[str, Any]:
+def _session(snapshot: Snapshot, found: Found, batch: str) -> SessionRow | None:
     if found.kind == "execution":
         of = "session = (SELECT session FROM executions WHERE execution = $i)"
         identity = found.id
     else:
         of, identity = "batch = $i", batch
-    rows = _rows(snapshot, f"SELECT * FROM sessions WHERE {of} ORDER BY lamport DESC LIMIT 1", i=identity)  # noqa: S608
-    return rows[0] if rows else {}
+    statement = f"SELECT * FROM sessions WHERE {of} ORDER BY lamport DESC LIMIT 1"  # noqa: S608 - of our own parts
+    return next(iter(snapshot.select(SessionRow, statement, i=identity)), None)
 
 
-def _source(snapshot: Snapshot, tree: str | None, known: str | None) -> dict[str, Any]:
-    rows = _rows(
-        snapshot, "SELECT * FROM sources WHERE tree = $t ORDER BY source <> $s NULLS LAST LIMIT 1", t=tree, s=known or ""
-    )
-    return rows[0] if rows else {}
+SOURCE = "SELECT * FROM sources WHERE tree = $t ORDER BY source <> $s NULLS LAST LIMIT 1"
 
 
-def _experiments(snapshot: Snapshot, batch: str, table: str) -> list[dict[str, Any]]:
-    places = {row["ordinal"] for row in _rows(snapshot, f"SELECT ordinal FROM {table}")}  # noqa: S608 - our own names
-    return [row for place, row in snapshot.cells(batch).items() if place in places]
+def _source(snapshot: Snapshot, tree: str | None, known: str | None) -> SourceRow | None:
+    return next(iter(snapshot.select(SourceRow, SOURCE, t=tree, s=known or "")), None)
 
 
-def _cells(batch: Mapping[str, Any], experiments: Sequence[Mapping[str, Any]]) -> dict[int, dict[str, Any]]:
-    whole = {name: batch[name] for name in ("controller", "scenario") if batch[name] is not None}
-    return {row["ordinal"]: {**whole, **{name: row[name] for name in batch["axes"]}} for row in experiments}
+def _cells_of_runs(snapshot: Snapshot, batch: str, table: str) -> dict[int, Mapping[str, Value | None]]:
+    places = set(snapshot.values(int, f"SELECT DISTINCT ordinal FROM {table}"))  # noqa: S608 - our own names
+    return {place: cell for place, cell in snapshot.cells(batch).items() if place in places}
 
 
 BOTH = """
@@ -194,7 +189,7 @@ def pair(snapshot: Snapshot, before: Side, after: Side) -> list[tuple[int, int]]
 
 def _telling(before: Side, after: Side) -> Iterator[str]:
     """Yield the axes that distinguish experiments."""
-    for name in dict.fromkeys((*before.batch["axes"], *after.batch["axes"])):
+    for name in dict.fromkeys((*before.batch.axes, *after.batch.axes)):
         values = [{cell.get(name) for cell in side.cells.values()} for side in (before, after)]
         if {None} not in values or any(len(several) > 1 for several in values):
             yield name

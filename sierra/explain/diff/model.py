@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from datetime import datetime
+from typing import TypeAlias
+
+from sierra.util.json_types import Json
+
+Compared: TypeAlias = "bool | int | float | str | datetime | Sequence[Compared] | Mapping[str, Compared] | None"
+"""A value that is compared. JSON texts are compared by their parts."""
 
 ORDER = (
     "query",
@@ -64,8 +70,8 @@ class Difference:
     """Name of the thing that differs: a variable, a program, a path in an input, a column."""
     line: str
     """Description in one line."""
-    was: Any = None
-    now: Any = None
+    was: Compared = None
+    now: Compared = None
     details: tuple[str, ...] = ()
     """Details, for example a patch."""
 
@@ -84,7 +90,7 @@ class Note:
     kind: str | None = None
 
 
-def changed(kind: str, name: str, was: Any, now: Any, *, called: str = "") -> Iterator[Difference]:
+def changed(kind: str, name: str, was: Compared, now: Compared, *, called: str = "") -> Iterator[Difference]:
     """Yield the difference between two values of one thing, if there is one; structured values are compared by their parts."""
     if was == now:
         return
@@ -95,7 +101,7 @@ def changed(kind: str, name: str, was: Any, now: Any, *, called: str = "") -> It
     yield Difference(kind, name, f"{called}: {line}", was, now, parts if len(parts) > 1 else ())
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Return a value for a line."""
     match value:
         case None | "":
@@ -111,7 +117,7 @@ def shown(value: Any) -> str:
             return str(value)
 
 
-def _parts(was: Any, now: Any) -> Iterator[str]:
+def _parts(was: Compared, now: Compared) -> Iterator[str]:
     """Yield the differing keys of two objects; for two long lists, the items that only one of them has."""
     match was, now:
         case dict(), dict():
@@ -126,7 +132,7 @@ def _parts(was: Any, now: Any) -> Iterator[str]:
                 yield " ".join(told) if len(told) <= 12 else f"{len(more)} added and {len(less)} removed"
 
 
-def flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+def flat(value: Compared, path: str = "") -> Iterator[tuple[str, Compared]]:
     """Yield an object's values by their paths, such as `outputs.swarm.file`."""
     if isinstance(value, Mapping) and (value or not path):
         for key, inner in value.items():
@@ -135,14 +141,15 @@ def flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield path, value
 
 
-def _parsed(value: Any) -> Any:
+def _parsed(value: Compared) -> Compared:
     """Return JSON text as the value that it encodes; the lines of a text, or the words of a long line, as a list."""
     if not isinstance(value, str):
         return value
     if value[:1] in ("{", "["):
         try:
-            return json.loads(value)
+            parsed: Json = json.loads(value)
         except ValueError:
             return value
+        return parsed
     lines = value.splitlines()
     return lines if len(lines) > 1 else value.split() if value.count(" ") > 12 else value

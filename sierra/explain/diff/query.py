@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference, changed, shown
+from sierra.model import Value
 from sierra.store.store import Snapshot
 from sierra.util.text import few
 
@@ -16,7 +16,7 @@ SHOWN = 8
 def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterator[Difference]:
     """Yield differences of axes, values, number of runs, controller, scenario and --set."""
     if before.found.kind == "batch":
-        yield from changed("query", "axes", before.batch["axes"], after.batch["axes"])
+        yield from changed("query", "axes", before.batch.axes, after.batch.axes)
         yield from _values(before, after)
         yield from _cells(before, after, pairs)
     else:
@@ -28,7 +28,7 @@ def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterat
         yield from changed("query", name, _whole(before, name), _whole(after, name))
     if not before.is_one:
         yield from changed("query", "runs", _runs(before), _runs(after), called="runs per experiment")
-    old_sets, new_sets = before.batch["overrides"], after.batch["overrides"]
+    old_sets, new_sets = before.batch.overrides, after.batch.overrides
     for change in (*old_sets, *new_sets):
         if (change in old_sets) != (change in new_sets):
             what = "was removed" if change in old_sets else "was added"
@@ -36,7 +36,7 @@ def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterat
             yield Difference("query", "set", f"--set {change} {what}", was, now)
 
 
-def _whole(side: Side, name: str) -> Any:
+def _whole(side: Side, name: str) -> Value | None:
     """Return a controller or a scenario if it is the same in all experiments, else None."""
     values = {cell.get(name) for cell in side.cells.values()}
     return values.pop() if len(values) == 1 else None
@@ -49,8 +49,8 @@ def _runs(side: Side) -> int | float:
 
 def _values(before: Side, after: Side) -> Iterator[Difference]:
     """Yield differences of the values of the axes that both sides have."""
-    for axis in before.batch["axes"]:
-        if axis in after.batch["axes"]:
+    for axis in before.batch.axes:
+        if axis in after.batch.axes:
             old, new = (list(dict.fromkeys(cell[axis] for cell in side.cells.values())) for side in (before, after))
             for difference in changed("query", axis, old, new):
                 line = f"{axis}: {few([shown(v) for v in old], SHOWN)} {ARROW} {few([shown(v) for v in new], SHOWN)}"
@@ -63,38 +63,38 @@ def _cells(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Itera
         [_called(side, ordinal) for ordinal in side.cells if ordinal not in shared]
         for side, shared in zip((before, after), map(set, zip(*pairs, strict=True)) if pairs else ((), ()), strict=True)
     ]
-    if any(only) and (len(before.batch["axes"]) > 1 or before.batch["axes"] != after.batch["axes"]):
+    if any(only) and (len(before.batch.axes) > 1 or before.batch.axes != after.batch.axes):
         line = f"experiments: {len(before.cells)} {ARROW} {len(after.cells)}, {len(pairs)} of them in both"
         details = (*(f"removed: {name}" for name in only[0]), *(f"added: {name}" for name in only[1])) if pairs else ()
         yield Difference("query", "experiments", line, only[0], only[1], details)
 
 
 def _called(side: Side, ordinal: int) -> str:
-    return " ".join(f"{name}={shown(side.cells[ordinal][name])}" for name in side.batch["axes"])
+    return " ".join(f"{name}={shown(side.cells[ordinal][name])}" for name in side.batch.axes)
 
 
 def spec(before: Side, after: Side) -> Iterator[Difference]:
     """Yield differences of the spec, without source and image, and for batches of the template."""
     old, new = before.spec, after.spec
-    yield from changed("platform", "platform", old["platform"], new["platform"])
-    yield from changed("command", "command", " ".join(old["command"]), " ".join(new["command"]))
-    for name in sorted(old["variables"].keys() | new["variables"].keys()):
-        yield from changed("variables", name, old["variables"].get(name), new["variables"].get(name))
+    yield from changed("platform", "platform", old.platform, new.platform)
+    yield from changed("command", "command", " ".join(old.command), " ".join(new.command))
+    for name in sorted(before.variables.keys() | after.variables.keys()):
+        yield from changed("variables", name, before.variables.get(name), after.variables.get(name))
     if before.found.kind == "batch":
-        yield from changed("template", "template", before.batch["template"], after.batch["template"])
+        yield from changed("template", "template", before.batch.template, after.batch.template)
         yield from _template(before, after)
 
 
 def _template(before: Side, after: Side) -> Iterator[Difference]:
-    was, now = (side.batch["template_sha256"] for side in (before, after))
+    was, now = (side.batch.template_sha256 for side in (before, after))
     if was != now:
-        yield Difference("template", "sha256", f"template: {after.batch['template']} has changed", was, now)
+        yield Difference("template", "sha256", f"template: {after.batch.template} has changed", was, now)
 
 
 def seeds(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
     """Yield differences of the base seed, and of the seeds of paired runs."""
     if not before.is_one:
-        yield from changed("seed", "base", before.batch["base_seed"], after.batch["base_seed"], called="base seed")
+        yield from changed("seed", "base", before.batch.base_seed, after.batch.base_seed, called="base seed")
     [(count, others, was, now)] = snapshot.run(
         "SELECT count(*), count(*) FILTER (was_seed <> now_seed), "
         "arg_min(was_seed, (ordinal, number)) FILTER (was_seed <> now_seed), "

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import hypot, isfinite, sqrt
-from typing import Any
+from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.config.project_file import LoadedProject, Output
 from sierra.deliverables import render
@@ -27,6 +27,9 @@ from sierra.store.samples import Frame
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
 from sierra.util.text import few
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 LOOKED_AT = 5
 """Number of runs with changed results whose outputs are compared."""
@@ -52,10 +55,20 @@ def of_one(
     yield from _outputs(snapshot, store, project, was, now, notes)
 
 
-def _execution(snapshot: Snapshot, side: Side) -> dict[str, Any] | None:
-    statement = f"SELECT e.* FROM all_judgements e JOIN {side.table} t ON t.execution = e.judgement"  # noqa: S608 - our own names
-    rows: list[dict[str, Any]] = snapshot.rows(statement)
-    return rows[0] if rows else None
+class Judged(NamedTuple):
+    """A judgement of an execution."""
+
+    judgement: str
+    ingest_rules: str
+    status: str
+    reason: str | None
+
+
+JUDGED = "SELECT e.judgement, e.ingest_rules, e.status, e.reason FROM all_judgements e"
+
+
+def _execution(snapshot: Snapshot, side: Side) -> Judged | None:
+    return next(iter(snapshot.select(Judged, f"{JUDGED} JOIN {side.table} t ON t.execution = e.judgement")), None)
 
 
 def good(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
@@ -69,24 +82,23 @@ def good(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
         yield Difference("status", "good", line, was, now)
 
 
-def _ended(execution: Mapping[str, Any]) -> str:
-    status: str = execution["status"]
-    return status if status == "ok" else f"{status} ({execution['reason']})"
+def _ended(execution: Judged) -> str:
+    return execution.status if execution.status == "ok" else f"{execution.status} ({execution.reason})"
 
 
 def _outputs(
     snapshot: Snapshot,
     store: Store,
     project: LoadedProject,
-    was: Mapping[str, Any],
-    now: Mapping[str, Any],
+    was: Judged,
+    now: Judged,
     notes: list[Note],
     run: str = "",
 ) -> Iterator[Difference]:
     """Yield the outputs in which two executions differ; equal values in different bytes only give a note."""
     try:
-        declared = _declared(snapshot, now["ingest_rules"], project)
-        compared = compare_outputs.compare(snapshot, was["judgement"], now["judgement"], declared)
+        declared = _declared(snapshot, now.ingest_rules, project)
+        compared = compare_outputs.compare(snapshot, was.judgement, now.judgement, declared)
     except SierraError as error:
         notes.append(Note(f"{run}results cannot be compared: {error}", "results"))
         return
@@ -97,16 +109,14 @@ def _outputs(
             notes.append(Note(f"{run}{path}: {agreement.reason}"))
         elif agreement.verdict is not Verdict.IDENTICAL:
             line = f"results: {run}{path}: {agreement.verdict}: {agreement.reason}"
-            told = asdict(agreement)
-            yield Difference(
-                "results", str(path), line, told["recorded_value"], told["replayed_value"], tuple(_growth(agreement))
-            )
+            was_value, now_value = agreement.recorded_value, agreement.replayed_value
+            yield Difference("results", str(path), line, was_value, now_value, tuple(_growth(agreement)))
 
 
 def _declared(snapshot: Snapshot, rules: str, project: LoadedProject) -> dict[str, Output]:
     """Return the declared outputs with volatile parts and tolerances; the project's current ones override the recorded ones."""
-    rows = snapshot.rows("SELECT declared FROM ingest_rules WHERE ingest_rules = $r", r=rules)
-    recorded = rules_of(json.loads(rows[0]["declared"]))[0] if rows else {}
+    found = snapshot.values(str, "SELECT declared FROM ingest_rules WHERE ingest_rules = $r", r=rules)
+    recorded = rules_of(json.loads(found[0]))[0] if found else {}
     return {**recorded, **project.config.outputs}
 
 
@@ -125,6 +135,18 @@ WITH shared AS (
 SELECT count(*), count(*) FILTER (was <> now AND was_result IS DISTINCT FROM now_result), count(*) FILTER (was = now)
 FROM shared
 """
+
+
+class Other(NamedTuple):
+    """A run that both sides have, with its effective executions and its place."""
+
+    run: str
+    was: str
+    now: str
+    ordinal: int
+    number: int
+
+
 OTHERS = """
 SELECT DISTINCT run, b.execution AS was, a.execution AS now, b.ordinal, b.number FROM before b JOIN after a USING (run)
 WHERE b.execution <> a.execution AND b.result IS DISTINCT FROM a.result ORDER BY b.ordinal, b.number LIMIT $most
@@ -140,12 +162,10 @@ def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: l
         return
     details: list[str] = []
     differing = 0
-    looked = snapshot.rows(OTHERS, most=LOOKED_AT)
+    looked = snapshot.select(Other, OTHERS, most=LOOKED_AT)
     for row in looked:
-        was, now = (
-            snapshot.rows("SELECT * FROM all_judgements WHERE judgement = $e", e=row[name])[0] for name in ("was", "now")
-        )
-        found = list(_outputs(snapshot, store, project, was, now, notes, f"run {short(row['run'])}: "))
+        [was, now] = (snapshot.select(Judged, f"{JUDGED} WHERE judgement = $e", e=one)[0] for one in (row.was, row.now))
+        found = list(_outputs(snapshot, store, project, was, now, notes, f"run {short(row.run)}: "))
         differing += bool(found)
         details += [difference.line.removeprefix("results: ") for difference in found]
     if differing or others > len(looked):
@@ -229,7 +249,7 @@ def _columns(store: Store, project: LoadedProject, before: Side, after: Side) ->
     """Return the numeric columns that both sides wrote, by output, without time columns."""
     found = []
     for side in (before, after):
-        with Frame(store, side.batch["batch"]) as frame:
+        with Frame(store, side.batch.batch) as frame:
             found.append({table.name: table.columns for table in frame.outputs()})
     times = {name: output.time for name, output in project.config.outputs.items()}
     return {
@@ -245,7 +265,7 @@ def _is_time(column: str, declared: str | None) -> bool:
 
 def _means(project: LoadedProject, store: Store, side: Side, output: str, column: str) -> dict[int, Mean]:
     """Return the statistics of a column by the experiment's place."""
-    table = render.statistics(project, store, side.batch["batch"], output, column, "final")
+    table = render.statistics(project, store, side.batch.batch, output, column, "final")
     names = _names(table, "experiment", "n", "mean", "sd", "low", "high", "interval")
     rows = zip(*(table.column(name).to_pylist() for name in names), strict=True)
     return {
@@ -255,7 +275,7 @@ def _means(project: LoadedProject, store: Store, side: Side, output: str, column
     }
 
 
-def _names(table: Any, *names: str) -> list[str]:
+def _names(table: pa.Table, *names: str) -> list[str]:
     """Return the names of columns of statistics, which end with `_` if an axis has the name."""
     return [f"{name}_" if f"{name}_" in table.column_names else name for name in names]
 
@@ -285,7 +305,7 @@ def _apart(
 
 
 def _where(side: Side, place: int) -> str:
-    values = {name: value for name, value in side.cells[place].items() if name in side.batch["axes"]}
+    values = {name: value for name, value in side.cells[place].items() if name in side.batch.axes}
     return " ".join(f"{name}={shown(value)}" for name, value in values.items())
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from sierra.errors import Damaged
 from sierra.explain.diff.load_sides import Side, takens
 from sierra.explain.diff.model import ARROW, Difference, Note, shown
+from sierra.model import Value
 from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
 from sierra.store.store import Snapshot
 from sierra.templates.diff import Spot, differing
@@ -30,7 +30,7 @@ class _Pair:
     """Pair of runs, and their files by name."""
 
     seeds: tuple[int, int]
-    values: tuple[Mapping[str, Any], Mapping[str, Any]]
+    values: tuple[Mapping[str, Value], Mapping[str, Value]]
     files: tuple[Mapping[str, Recorded], Mapping[str, Recorded]]
 
 
@@ -144,6 +144,6 @@ def _is_asked(pair: _Pair, spot: Spot, before: Side, after: Side) -> bool:
     for name in was.keys() & now.keys():
         if was[name] != now[name] and (spot.was, spot.now) == (str(was[name]), str(now[name])):
             return True
-    old, new = before.batch["overrides"], after.batch["overrides"]
+    old, new = before.batch.overrides, after.batch.overrides
     values = {text.rpartition("=")[2]: text in new for text in (*old, *new) if (text in old) != (text in new)}
     return any(value == (spot.now if later else spot.was) for value, later in values.items())
