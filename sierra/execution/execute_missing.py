@@ -190,8 +190,8 @@ class Executor:
 
     def _doubt(self) -> str | None:
         """Return the reason why results do not belong to the plan (files have changed, even if only for a while); else None."""
-        service = self._service
-        self._doubted = self._doubted or self.plan.seen.doubt() or (service.isolation.doubt() if service else None)
+        if self._doubted is None and self._service is not None:
+            self._doubted = self._service.doubt(self.plan.seen)
         return self._doubted
 
     def _is_enough(self) -> bool:

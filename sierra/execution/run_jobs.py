@@ -21,6 +21,7 @@ from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
 from sierra.model import Limits, Run, RunSpec, Times
 from sierra.provenance import environment
+from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner, Work, needed
 from sierra.store.records import EnvironmentRow
@@ -64,6 +65,10 @@ class Service:
             session=session.id,
             elsewhere=stays,
         )
+
+    def doubt(self, files: ChangeGuard) -> str | None:
+        """Return why results cannot be attributed to the programs or the image at the start; None if nothing has changed."""
+        return files.doubt() or self.isolation.doubt()
 
     def execute(
         self,

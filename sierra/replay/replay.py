@@ -160,7 +160,7 @@ def replay(
             now,
             tally,
             times=expected_durations.recorded(store, [one.run for one in record.runs]) if runner.stays else None,
-            doubt=lambda: source_guard.doubt() or service.isolation.doubt(),
+            doubt=lambda: service.doubt(source_guard),
             kept=kept,
         )
         failed = {run: tally.statuses[run] for run in tally.failed}
