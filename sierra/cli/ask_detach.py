@@ -5,7 +5,10 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sierra.execution.cluster_status import ClusterSession
 
 
 def asked() -> bool:
@@ -26,11 +29,8 @@ def asked() -> bool:
             signal.signal(number, handler)
 
 
-def lines(left: Sequence[Any], batch: str) -> list[str]:
-    """Return a line for each session that continues on a cluster, and one with the commands to attach or cancel.
-
-    `left` has the form of `sierra.execution.cluster_status.ClusterSession`.
-    """
+def lines(left: Sequence[ClusterSession], batch: str) -> list[str]:
+    """Return a line for each session that continues on a cluster, and one with the commands to attach or cancel."""
     from sierra.util.hashing import short
     from sierra.util.text import counted
 

@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
-
-from sierra.cli import complete
+from sierra.cli.arguments import AsJson, ClusterId, DrawFigures
 
 
 def attach(
-    prefix: Annotated[
-        str,
-        typer.Argument(
-            metavar="HASH",
-            autocompletion=complete.sessions,
-            help="Batch id, or session id from `sierra status`; a prefix is enough.",
-        ),
-    ],
-    figures: Annotated[bool | None, typer.Option("--figures/--no-figures", help="Draw the figures (default) or not.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    prefix: ClusterId,
+    figures: DrawFigures = None,
+    as_json: AsJson = False,
 ) -> None:
     """Reattach to a detached batch and wait for it.
 

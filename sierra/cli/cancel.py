@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from sierra.cli import complete
+from sierra.cli.arguments import AsJsonList, ClusterId
 
 if TYPE_CHECKING:
     from sierra.execution.takeover import Cancelled
 
 
 def cancel(
-    prefix: Annotated[
-        str,
-        typer.Argument(
-            metavar="HASH",
-            autocompletion=complete.sessions,
-            help="Batch id, or session id from `sierra status`; a prefix is enough.",
-        ),
-    ],
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of text.")] = False,
+    prefix: ClusterId,
+    as_json: AsJsonList = False,
 ) -> None:
     """Cancel cluster jobs. Finished runs are recorded.
 
@@ -36,7 +26,7 @@ def cancel(
 
     done = open_project.project().cancel(prefix, observer=Display())
     if as_json:
-        print_json([asdict(one) for one in done])
+        print_json(done)
         return
     for one in done:
         print(_cancelled(one))

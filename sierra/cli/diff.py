@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import groupby
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -68,7 +68,7 @@ def diff(
         raise typer.Exit(1)
 
 
-def _answer(answer: Comparison) -> dict[str, Any]:
+def _answer(answer: Comparison) -> dict[str, object]:
     return {
         "before": {"kind": answer.before.kind, "id": answer.before.id},
         "after": {"kind": answer.after.kind, "id": answer.after.id},

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import typer
+
+from sierra.cli.arguments import AsJsonList
 
 
 def doctor(
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of text.")] = False,
+    as_json: AsJsonList = False,
 ) -> None:
     """Show what is installed, what is missing, and how to fix it.
 
@@ -16,14 +16,12 @@ def doctor(
     Example:
       sierra doctor
     """
-    from dataclasses import asdict
-
     from sierra.cli.output import print_json
     from sierra.setup import doctor
 
     found = doctor.all_checks()
     if as_json:
-        print_json([asdict(check) for check in found])
+        print_json(found)
     else:
         for check in found:
             print(f"{check.state:8} {check.name}: {check.found}{f' -> {check.remedy}' if check.remedy else ''}")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import complete
+from sierra.cli.arguments import AsJson
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def files(
         list[str] | None, typer.Argument(metavar="PATH", show_default=False, help="Listed paths, or glob patterns.")
     ] = None,
     to: Annotated[Path | None, typer.Option("--to", metavar="FOLDER", help="Write the files into this folder.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """List recorded files, or write them out.
 
@@ -133,7 +134,7 @@ def _print(listed: Listing) -> None:
         [run] = listed.runs
         fields({"run": run.run, "experiment": run.experiment, "number": run.number, "files from": _execution(run)})
         print()
-    rows: list[Sequence[Any]] = []
+    rows: list[Sequence[object]] = []
     for file in listed.files:
         run = file.taken
         mine = (short(run.experiment), run.number, short(run.run), short(run.execution or ""), run.status) if several else ()
@@ -188,16 +189,15 @@ def _summary(listed: Listing, outcomes: Sequence[Outcome], folder: Path) -> None
         print(line)
 
 
-def _as_json(listed: Listing, outcomes: dict[int, Outcome] | None = None) -> dict[str, Any]:
+def _as_json(listed: Listing, outcomes: dict[int, Outcome] | None = None) -> dict[str, object]:
     names = ("experiment", "ordinal", "number", "run", "execution", "status", "which")
-    runs: dict[ChosenExecution, dict[str, Any]] = {
-        run: {**{name: getattr(run, name) for name in names}, "files": []} for run in listed.runs
-    }
+    files: dict[ChosenExecution, list[object]] = {run: [] for run in listed.runs}
     for file in listed.files:
         told = {name: getattr(file, name) for name in ("path", "kind", "bytes", "kept", "sha256", "output", "rows", "remark")}
         if outcomes is not None:
             outcome = outcomes[id(file)]
             told |= {"written": None if outcome.failure else outcome.path, "failure": outcome.failure}
             told |= {"identical": None if outcome.failure else outcome.identical}
-        runs[file.taken]["files"].append(told)
-    return {"kind": listed.kind, "id": listed.id, "runs": list(runs.values())}
+        files[file.taken].append(told)
+    runs = [{**{name: getattr(run, name) for name in names}, "files": files[run]} for run in files]
+    return {"kind": listed.kind, "id": listed.id, "runs": runs}

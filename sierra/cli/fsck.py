@@ -6,9 +6,11 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from sierra.cli.arguments import AsJson
 
 if TYPE_CHECKING:
     from sierra.maintenance.fsck import Report
@@ -19,7 +21,7 @@ SHOWN = 20
 def fsck(
     repair: Annotated[bool, typer.Option("--repair", help="Repair what can be repaired; move damaged segments aside.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="With --repair: only show what would be done.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Check the whole store, and report all damage.
 
@@ -57,7 +59,7 @@ def fsck(
         raise typer.Exit(1)
 
 
-def _report(report: Report) -> dict[str, Any]:
+def _report(report: Report) -> dict[str, object]:
     told = {name: getattr(report, name) for name in ("sound", "segments", "files", "bytes", "objects", "executions", "seconds")}
     findings = [
         {"kind": one.kind, "path": one.path, "what": one.what, **asdict(one.affected), "damage": not one.kind.fine}

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sierra.cli.arguments import AsJson, Yes
+
 if TYPE_CHECKING:
     from sierra.maintenance.gc import Collection
 
 
 def gc(
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+    yes: Yes = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only show what would be done.")] = False,
     damaged: Annotated[
         bool, typer.Option("--damaged", help="Also remove segments that sierra fsck --repair moved aside.")
@@ -20,7 +22,7 @@ def gc(
     raw: Annotated[
         bool, typer.Option("--raw", help="Also remove the bytes of files that became tables; the rows stay.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Remove unneeded files, and merge small ones.
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import quick_start
 
 if TYPE_CHECKING:
-    from sierra.containers.images.image import Image
     from sierra.containers.images.image_contents import Contents
 
 app = typer.Typer(
@@ -56,7 +56,7 @@ def build(
     opened, built = project(), []
     for name in recipes or (None,):
         image = opened.build_image(name, network=network)
-        built.append(_image(image))
+        built.append(image)
         if not as_json:
             called = str(tag(opened.root, image.name))
             print(f"{image.id}  {image.name}, tagged {called}")
@@ -113,7 +113,7 @@ def export(
 
     image = project().export_image(name, file)
     if as_json:
-        print_json({**_image(image), "written": str(file)})
+        print_json({**asdict(image), "written": str(file)})
     else:
         print(f"{image.id}  {file}")
 
@@ -185,15 +185,13 @@ def ls(as_json: AsJson = False) -> None:
     Example:
       sierra image ls
     """
-    from dataclasses import asdict
-
     from sierra.cli.open_project import project
     from sierra.cli.output import print_json, readable, size, table
     from sierra.containers.images.image import short
 
     known = project().images()
     if as_json:
-        print_json([asdict(one) for one in known])
+        print_json(known)
         return
     rows = [
         (
@@ -210,42 +208,38 @@ def ls(as_json: AsJson = False) -> None:
     table(("name", "image", "state", "current", "architecture", "stored in", "size"), rows, right=("size",))
 
 
-def _image(image: Image) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return asdict(image)
-
-
-def _contents(found: Contents) -> dict[str, Any]:
+def _contents(found: Contents) -> dict[str, object]:
     """Return everything about an image except the list of its files."""
-    row = {**_image(found.image), "squashfs": found.squashfs, "created": found.created, "size": found.size}
+    row = {**asdict(found.image), "squashfs": found.squashfs, "created": found.created, "size": found.size}
     more = {"labels": found.labels, "packages": found.packages, "recipe": found.recipe, "manifests": found.manifests}
     return {**row, **more, "files": len(found.files)}
 
 
-def _program(found: Contents, word: str) -> dict[str, Any] | None:
+def _program(found: Contents, word: str) -> dict[str, str | None] | None:
     path = found.program(word)
     return None if path is None else {"path": path, "real": found.real(path), "sha256": found.sha256(path)}
 
 
-def _print_part(name: str, part: Any) -> None:
+def _print_part(name: str, part: object) -> None:
     """Print a list, a table or a text of an image in a few lines."""
     from sierra.cli.output import readable
 
-    if not part:
-        return
-    print(f"\n{name}:")
     match part:
         case dict():
-            for key, value in part.items():
-                print(f"  {readable(f'{key}: {_short(value)}')}")
+            lines = [f"{key}: {_short(value)}" for key, value in part.items()]
         case str():
-            print("\n".join(f"  {readable(line)}" for line in part.splitlines()))
+            lines = part.splitlines()
+        case list() | tuple():
+            lines = [str(one) for one in part]
         case _:
-            print("\n".join(f"  {one}" for one in part))
+            lines = []
+    if lines:
+        print(f"\n{name}:")
+    for line in lines:
+        print(f"  {readable(line)}")
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     match value:
         case None:
             return "not found"

@@ -6,7 +6,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -104,7 +104,7 @@ def _say(folder: Path, path: Path, guess: Guess, *, as_json: bool) -> None:
         print(f'next: add a variable to {path}, under [variables]: name = "XPATH"')
 
 
-def _answer(path: Path, guess: Guess) -> dict[str, Any]:
+def _answer(path: Path, guess: Guess) -> dict[str, object]:
     return {
         "written": str(path),
         "template": guess.template,

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
+from sierra.cli.arguments import AsJsonList, Long
 
 if TYPE_CHECKING:
     from sierra.execution.list_batches import ListedBatch
 
 
 def ls(
-    long: Annotated[bool, typer.Option("--long", help="Show full ids, and do not shorten text to fit the terminal.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of text.")] = False,
+    long: Long = False,
+    as_json: AsJsonList = False,
 ) -> None:
     """List batches, most recent last.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Any, NoReturn
+from typing import NoReturn, Protocol, runtime_checkable
 
 from sierra.cli.app import app
 from sierra.cli.output import guarded
@@ -43,7 +43,7 @@ def _ended() -> object:
 
 def _other(error: Exception) -> int:
     """Report an error that typer raised by itself, or an unexpected one; return the exit code."""
-    if hasattr(error, "format_message") and hasattr(error, "exit_code"):
+    if isinstance(error, WrongArguments):
         return _usage(error)
     if type(error).__name__ == "Abort":
         return _say("interrupted", INTERRUPTED)
@@ -53,12 +53,24 @@ def _other(error: Exception) -> int:
     return _unforeseen(error)
 
 
-def _usage(error: Any) -> int:
+@runtime_checkable
+class WrongArguments(Protocol):
+    """Typer's error about arguments; `ctx` has the command, if it is known."""
+
+    exit_code: int
+
+    def format_message(self) -> str: ...
+
+    def show(self) -> None: ...
+
+
+def _usage(error: WrongArguments) -> int:
     """Report typer's error about arguments in one line, or print the help if no command was given; return the exit code."""
     if type(error).__name__ == "NoArgsIsHelpError":
         error.show()
-        return int(error.exit_code)
-    command = error.ctx.command_path if getattr(error, "ctx", None) else "sierra"
+        return error.exit_code
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context else "sierra"
     message = error.format_message().rstrip(".").replace("Value error, ", "").replace("Input should", "should")
     return _say(f"{message[:1].lower()}{message[1:]}; see {command} --help", error.exit_code)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Sequence
 from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
-from typing import Any
 
 from sierra.api import Project
 
@@ -28,7 +28,7 @@ def project() -> Project:
 class _LeanArrow:
     """An importer of pyarrow that loads it without pandas."""
 
-    def find_spec(self, name: str, path: Any = None, target: ModuleType | None = None) -> ModuleSpec | None:
+    def find_spec(self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
         if name != "pyarrow":
             return None
         sys.meta_path.remove(self)
@@ -39,7 +39,7 @@ class _LeanArrow:
         return spec
 
 
-def _load(module: ModuleType, load: Any) -> None:
+def _load(module: ModuleType, load: Callable[[ModuleType], None]) -> None:
     """Load pyarrow without pandas and with the system's allocator.
 
     An environment variable selects the allocator, because the C++ code of pyarrow obeys nothing else; it reads it once.

@@ -6,7 +6,6 @@ import contextlib
 import sys
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import typer
 
@@ -105,14 +104,13 @@ class _Bar(Display):
         from rich.progress import Progress as Bars
 
         self._began = time.monotonic()
-        self._bars: Any = Bars(
+        self._bars = Bars(
             BarColumn(bar_width=24), TextColumn("{task.description}"), console=Console(file=raw(sys.stderr)), transient=True
         )
-        self._task: Any = None
+        self._task = self._bars.add_task("", total=None)
 
     def __enter__(self) -> _Bar:
         self._bars.start()
-        self._task = self._bars.add_task("", total=None)
         return self
 
     def __exit__(self, *_: object) -> None:

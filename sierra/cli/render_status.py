@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sierra.execution.cluster_status import ClusterSession
@@ -61,7 +61,7 @@ def state(one: ClusterSession) -> str:
     return ", ".join([*words, *(["cannot start"] if one.stuck else [])])
 
 
-def _row(one: ClusterSession, *, long: bool) -> Sequence[Any]:
+def _row(one: ClusterSession, *, long: bool) -> Sequence[object]:
     from sierra.cli.output import readable
     from sierra.util.hashing import short
     from sierra.util.text import few

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 COUNTED = ("runs", "succeeded", "failed")
 
 
-def tell(project: Project, summary: Summary, more: Mapping[str, Any] | None, *, detached: bool = False) -> None:
+def tell(project: Project, summary: Summary, more: Mapping[str, object] | None, *, detached: bool = False) -> None:
     """Print a summary, as JSON together with `more` if that is not None; then exit with the code for this result."""
     from sierra.cli.output import note, print_json
 
@@ -37,12 +37,12 @@ def tell(project: Project, summary: Summary, more: Mapping[str, Any] | None, *, 
         raise Missing(summary.figure_error)
 
 
-def _left(one: ClusterSession) -> dict[str, Any]:
+def _left(one: ClusterSession) -> dict[str, object]:
     names = ("session", "runner", "scheduler", "jobs", "array_tasks", "runs", "since")
     return {name: getattr(one, name) for name in names}
 
 
-def _answer(summary: Summary) -> dict[str, Any]:
+def _answer(summary: Summary) -> dict[str, object]:
     names = (
         "batch",
         "query",
@@ -57,7 +57,7 @@ def _answer(summary: Summary) -> dict[str, Any]:
         "missing",
         "interrupted",
     )
-    answer: dict[str, Any] = {name: getattr(summary, name) for name in names}
+    answer: dict[str, object] = {name: getattr(summary, name) for name in names}
     answer["figures"] = list(summary.figures)
     answer["counts"] = [{**counted.values, **{name: getattr(counted, name) for name in COUNTED}} for counted in summary.counts]
     answer["failures"] = [asdict(failure) for failure in summary.failures]

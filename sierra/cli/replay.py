@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sierra.cli import complete
+from sierra.cli.arguments import AsJson, Jobs, Runner, ShownId
 from sierra.errors import Missing, UsageError
 
 if TYPE_CHECKING:
@@ -21,23 +21,12 @@ SHOWN = 3
 
 
 def replay(
-    prefix: Annotated[
-        str,
-        typer.Argument(
-            metavar="HASH",
-            autocompletion=complete.ids,
-            help="Id of a batch, experiment, run or execution; a prefix is enough.",
-        ),
-    ],
+    prefix: ShownId,
     runs: Annotated[
         int | None, typer.Option("--runs", metavar="K", min=1, help="Only the first K runs of each experiment.")
     ] = None,
-    jobs: Annotated[
-        int | None, typer.Option("-j", "--jobs", metavar="N", help="Number of parallel runs (default: number of cores).")
-    ] = None,
-    runner: Annotated[
-        str, typer.Option("--on", metavar="RUNNER", help="Where runs execute: local, slurm, pbs, or a cluster of sierra.toml.")
-    ] = "local",
+    jobs: Jobs = None,
+    runner: Runner = "local",
     engine: Annotated[
         str | None,
         typer.Option("--engine", metavar="ENGINE", help="Container engine: podman, apptainer, none (default: as recorded)."),
@@ -53,7 +42,7 @@ def replay(
         bool, typer.Option("--keep", help="Keep the restored source and the runs' folders, and print their path.")
     ] = False,
     no_record: Annotated[bool, typer.Option("--no-record", help="Write nothing to the store, which may be read-only.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    as_json: AsJson = False,
     junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Also write the verdicts as JUnit XML.")] = None,
 ) -> None:
     """Execute recorded runs again, and compare the results.
@@ -123,7 +112,7 @@ def tolerances(texts: Iterable[str]) -> dict[str, dict[str, Tolerance]]:
     return found
 
 
-def _answer(answer: Replay) -> dict[str, Any]:
+def _answer(answer: Replay) -> dict[str, object]:
     return {
         "replay": answer.id,
         "kind": answer.found.kind,
@@ -141,7 +130,7 @@ def _answer(answer: Replay) -> dict[str, Any]:
     }
 
 
-def _experiment(experiment: OfExperiment) -> dict[str, Any]:
+def _experiment(experiment: OfExperiment) -> dict[str, object]:
     return {
         "experiment": experiment.id,
         "values": dict(experiment.values),
@@ -160,7 +149,7 @@ def _experiment(experiment: OfExperiment) -> dict[str, Any]:
     }
 
 
-def _output(run: Compared, path: str | None, found: Agreement) -> dict[str, Any]:
+def _output(run: Compared, path: str | None, found: Agreement) -> dict[str, object]:
     return {
         "run": run.taken.run,
         "experiment": run.taken.experiment,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import complete
+from sierra.cli.arguments import AsJson, Yes
 
 if TYPE_CHECKING:
     from sierra.maintenance.remove import Removal
@@ -22,9 +23,9 @@ def rm(
             help="Ids of batches, experiments, runs or executions; prefixes are enough.",
         ),
     ],
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+    yes: Yes = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only show what would be deleted.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Delete recorded batches, experiments, runs or executions.
 

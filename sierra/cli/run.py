@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypedDict
 import typer
 
 from sierra.cli import complete
+from sierra.cli.arguments import AsJson, DrawFigures, Jobs, Runner
 
 if TYPE_CHECKING:
     from sierra.api import Project
@@ -40,18 +41,8 @@ def run(
     sets: Annotated[
         list[str] | None, typer.Option("--set", metavar="XPATH=VALUE", help="Change the template in all runs. May be repeated.")
     ] = None,
-    jobs: Annotated[
-        int | None, typer.Option("-j", "--jobs", metavar="N", help="Number of parallel runs (default: number of cores).")
-    ] = None,
-    runner: Annotated[
-        str,
-        typer.Option(
-            "--on",
-            metavar="RUNNER",
-            autocompletion=complete.runners,
-            help="Where runs execute: local, slurm, pbs, or a cluster of sierra.toml.",
-        ),
-    ] = "local",
+    jobs: Jobs = None,
+    runner: Runner = "local",
     detach: Annotated[bool, typer.Option("--detach", help="Submit to a cluster, and return without waiting.")] = False,
     engine: Annotated[
         str | None,
@@ -60,8 +51,8 @@ def run(
     dry_run: Annotated[bool, typer.Option("-n", "--dry-run", help="Show what would execute, and execute nothing.")] = False,
     explain: Annotated[bool, typer.Option("--explain", help="Show why runs execute or are reused.")] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failed run.")] = False,
-    figures: Annotated[bool | None, typer.Option("--figures/--no-figures", help="Draw the figures (default) or not.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    figures: DrawFigures = None,
+    as_json: AsJson = False,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation of many runs.")] = False,
 ) -> None:
     """Run a query's experiments and reuse finished runs.

@@ -25,8 +25,6 @@ def schema(
       sierra schema --toml
       sierra schema --toml --json > sierra.toml.schema.json
     """
-    from dataclasses import asdict
-
     from sierra.cli.output import note, print_json, table
     from sierra.errors import NotFound
     from sierra.setup import published_schemas
@@ -42,7 +40,7 @@ def schema(
         raise NotFound(f"unknown table {name!r}; the store's own tables are {', '.join(tables)} (sierra sql 'SHOW TABLES')")
     chosen = [tables[name]] if name else list(tables.values())
     if as_json:
-        print_json([asdict(one) for one in chosen])
+        print_json(chosen)
         return
     for one in chosen:
         print(f"{one.name}: {one.meaning}")

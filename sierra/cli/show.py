@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import complete
+from sierra.cli.arguments import AsJson, Long
 
 if TYPE_CHECKING:
     from sierra.execution.show_record import Failed, ShownBatch, ShownExecution, ShownIsolation
@@ -29,8 +30,8 @@ def show(
             metavar="HASH", autocompletion=complete.anything, help="Id, as `sierra ls` prints it; a prefix is enough."
         ),
     ],
-    long: Annotated[bool, typer.Option("--long", help="Show full ids, and do not shorten text to fit the terminal.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    long: Long = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show a batch, experiment, run, execution or session.
 

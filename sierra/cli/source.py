@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -66,7 +65,7 @@ def _tell(shared: list[Shared], what: str, *, as_json: bool) -> None:
     from sierra.util.text import counted
 
     if as_json:
-        print_json([asdict(one) for one in shared])
+        print_json(shared)
         return
     for one in shared:
         print(f"{one.repository}: {counted(one.sources, 'source')} {what} {one.remote}, {one.new} of them new")

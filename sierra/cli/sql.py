@@ -7,18 +7,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import complete
+from sierra.cli.arguments import Long
 from sierra.errors import UsageError
 from sierra.util.fs import write_whole
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sierra.store.answer import Answer
+    from sierra.store.answer import Answer, Cell
     from sierra.store.store import Store
 
 SHOWN_ROWS = 200
@@ -50,7 +51,7 @@ def sql(
             help="Query only the runs and outputs of this batch.",
         ),
     ] = None,
-    long: Annotated[bool, typer.Option("--long", help="Show full ids, and do not shorten text to fit the terminal.")] = False,
+    long: Long = False,
     output: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the result to a file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Same as --format json.")] = False,
 ) -> None:
@@ -108,7 +109,7 @@ class Result:
     """The result of a statement: rows, or for Parquet an Arrow table."""
 
     columns: list[str]
-    rows: Sequence[tuple[Any, ...]]
+    rows: Sequence[tuple[Cell, ...]]
     numeric: list[str]
     notes: str
     table: pa.Table | None = None

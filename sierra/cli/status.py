@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
 from sierra.cli import complete
+from sierra.cli.arguments import AsJsonList, Long
 
 
 def status(
@@ -19,8 +19,8 @@ def status(
             help="Batch id or session id; a prefix is enough (default: all).",
         ),
     ] = None,
-    long: Annotated[bool, typer.Option("--long", help="Show full ids, and do not shorten text to fit the terminal.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of text.")] = False,
+    long: Long = False,
+    as_json: AsJsonList = False,
 ) -> None:
     """Show the state of cluster jobs.
 
@@ -39,7 +39,7 @@ def status(
 
     found = open_project.project().status(prefix, observer=Display())
     if as_json:
-        print_json([asdict(one) for one in found])
+        print_json(found)
     elif found:
         render_status.show(found, long=long)
     else:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from sierra.cli import complete
+from sierra.cli.arguments import AsJson, ShownId
 
 if TYPE_CHECKING:
     from sierra.execution.reasons import ChangeReason
@@ -19,15 +17,8 @@ LINES = 10
 
 
 def why(
-    prefix: Annotated[
-        str,
-        typer.Argument(
-            metavar="HASH",
-            autocompletion=complete.ids,
-            help="Id of a batch, experiment, run or execution; a prefix is enough.",
-        ),
-    ],
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+    prefix: ShownId,
+    as_json: AsJson = False,
 ) -> None:
     """Explain why runs were executed or not.
 

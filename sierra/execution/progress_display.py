@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Protocol
 
 from sierra.execution.observer import Observer, Progress
 from sierra.util.text import counted
@@ -30,20 +30,26 @@ def observer(wanted: bool | None = None) -> Observer:
     return _Line(_display() if in_notebook() else _print)
 
 
+class Handle(Protocol):
+    """IPython's handle of something that is displayed."""
+
+    def update(self, data: dict[str, str], *, raw: bool) -> None: ...
+
+
 def _display() -> Callable[[str], None]:
     """Return a function that shows a text in the place of the one before."""
-    display: Any = getattr(sys.modules.get("IPython.display"), "display", None)
+    display: Callable[..., Handle] | None = getattr(sys.modules.get("IPython.display"), "display", None)
     if display is None:
         return _print
-    handle: Any = None
+    handle: Handle | None = None
 
     def show(text: str) -> None:
         nonlocal handle
-        told = {"text/plain": text}
+        data = {"text/plain": text}
         if handle is None:
-            handle = display(told, raw=True, display_id=True)
+            handle = display(data, raw=True, display_id=True)
         else:
-            handle.update(told, raw=True)
+            handle.update(data, raw=True)
 
     return show
 

@@ -29,7 +29,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from sierra.errors import Missing
 from sierra.store import ownership_marks, session_numbers
@@ -357,13 +357,22 @@ def _is_silent(owner: Path) -> bool:
         return False
 
 
-def _process(pid: int) -> dict[str, Any]:
-    """Return a record that identifies one process for ever; `born` is None if the process cannot be found."""
+class Process(TypedDict):
+    """A record that identifies one process for ever."""
+
+    pid: int
+    born: int | None
+    """Its start time in clock ticks since boot; None if the process cannot be found."""
+    boot: str | None
+    where: list[str]
+
+
+def _process(pid: int) -> Process:
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:
         boot = None
-    return {"pid": pid, "born": boot and worker.birth(pid), "boot": boot, "where": _where()}
+    return {"pid": pid, "born": worker.birth(pid) if boot else None, "boot": boot, "where": _where()}
 
 
 def _where() -> list[str]:
