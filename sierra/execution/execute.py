@@ -50,9 +50,9 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
             records.keep(plan, store, session)
         stays = make().stays
         slots = None if stays else options.slots
-        prepared = records.prepared(plan, session, started=began, runner=options.runner, slots=slots)
+        begun = records.begun(plan, session, started=began, runner=options.runner, slots=slots)
         if stays:
-            records.prepare(plan, store, session, prepared)
+            records.prepare(plan, store, session, begun)
         odd = find_odd(store, session.paths, context(plan, session.id, session.number))
         executor = Executor(plan, store, session, make, options)
         if executor.rules_changed:
@@ -61,7 +61,7 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
         summary = _sum_up(executor)
         log.info("%d runs: %d executed, %d failed, %d missing", summary.runs, summary.executed, summary.failed, summary.missing)
         if session.paths not in executor.left:
-            records.close(plan, store, session, summary, prepared)
+            records.close(plan, store, session, summary, begun)
         return summary
     finally:
         session.close()

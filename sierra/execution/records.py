@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -74,53 +73,16 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
             store.publish(writer)
 
 
-@dataclass(frozen=True, slots=True)
-class Prepared:
-    """The record of a session before its end; of a session on a cluster, it is also the file `asking`."""
-
-    session: str
-    batch: str
-    query: str
-    started: datetime
-    runner: str
-    engine: str
-    slots: int | None
-    sierra: str
-    environment: str
-    source: str | None
-    lamport: int
-    programs: str
-    ingest_rules: str
-    batch_rules: str
-    runs: int
-    """Number of runs of the batch."""
-
-    def save(self, paths: SessionPaths) -> None:
-        with disk_errors(paths.root):
-            write_whole(paths.asking, json.dumps(asdict(self), default=datetime.isoformat).encode())
-
-    @classmethod
-    def load(cls, paths: SessionPaths) -> Prepared:
-        """Load a saved record. Raises FileNotFoundError, and Damaged if the file is not such a record."""
-        fields = read_record(paths.asking)
-        try:
-            return cls(**{**fields, "started": datetime.fromisoformat(fields["started"])})
-        except (KeyError, TypeError, ValueError) as error:
-            raise Damaged(
-                f"{paths.asking}: was not written by this version of SIERRA; continue with the other version"
-            ) from error
-
-
-def close(plan: Plan, store: Store, session: Session, summary: Summary, prepared: Prepared) -> None:
+def close(plan: Plan, store: Store, session: Session, summary: Summary, begun: SessionRow) -> None:
     """Record the result of a session, with its environment."""
     writer = store.writer(session.paths.segment, plan.batch.id)
     counts = Counts(summary.executed, summary.reexecuted, summary.failed)
-    writer.records([_session_row(session, prepared, counts, summary.reused, summary.missing, summary.interrupted)])
+    writer.records([_ended(session, begun, counts, summary.reused, summary.missing, interrupted=summary.interrupted)])
     _write_source_and_host(plan, writer, executed=bool(summary.executed))
     store.publish(writer)
 
 
-def prepare(plan: Plan, store: Store, session: Session, prepared: Prepared) -> None:
+def prepare(plan: Plan, store: Store, session: Session, begun: SessionRow) -> None:
     """Prepare the record of a session whose process may end before its jobs do.
 
     Records everything except the result, which `finish` records.
@@ -128,19 +90,28 @@ def prepare(plan: Plan, store: Store, session: Session, prepared: Prepared) -> N
     writer = store.writer(session.paths.segment, plan.batch.id)
     _write_source_and_host(plan, writer, executed=True)
     store.publish(writer)
-    prepared.save(session.paths)
+    known = {name: value for name, value in begun._asdict().items() if name not in RESULT}
+    record = {"runs": len({run.id for run in plan.batch.runs}), **known}
+    with disk_errors(session.paths.root):
+        write_whole(session.paths.asking, json.dumps(record, default=datetime.isoformat).encode())
 
 
 def finish(store: Store, session: Session, *, interrupted: bool) -> None:
     """Record the result of a session that another process prepared; do nothing if none did."""
     if not session.paths.asking.exists():
         return
-    prepared = Prepared.load(session.paths)
+    fields = read_record(session.paths.asking)
+    try:
+        runs = int(fields.pop("runs"))
+        started = datetime.fromisoformat(fields["started"])
+        begun = of_fields(SessionRow, {**fields, **NO_RESULT, "started": started, "ended": started})
+    except (KeyError, TypeError, ValueError) as error:
+        raise Damaged(f"{session.paths.asking}: was not written by this version of SIERRA; use the other version") from error
     claimed = len(sessions.claims(session.paths))
     [counts] = store.select(Counts, COUNTS, s=session.id)
-    writer = store.writer(session.paths.segment, prepared.batch)
-    reused, missing = prepared.runs - claimed, claimed - counts.executed
-    writer.records([_session_row(session, prepared, counts, reused, missing, interrupted)])
+    writer = store.writer(session.paths.segment, begun.batch)
+    reused, missing = runs - claimed, claimed - counts.executed
+    writer.records([_ended(session, begun, counts, reused, missing, interrupted=interrupted)])
     store.publish(writer)
 
 
@@ -158,6 +129,43 @@ SELECT count(*) AS executed, count(*) FILTER (
     EXISTS (SELECT 1 FROM executions e WHERE e.run = mine.run AND e.session <> $s AND e.lamport < mine.began)
 ) AS reexecuted, count(*) FILTER (NOT good) AS failed FROM mine
 """
+NO_RESULT = {**dict.fromkeys((*Counts._fields, "reused", "missing"), 0), "interrupted": False}
+RESULT = ("ended", *NO_RESULT)
+"""Columns of a session that are known at its end."""
+
+
+def begun(plan: Plan, session: Session, *, started: datetime, runner: str, slots: int | None) -> SessionRow:
+    """Return the record of a session without a result. `slots` is None if runs execute on a cluster."""
+    now = context(plan)
+    fields = {
+        "session": session.id,
+        "batch": plan.batch.id,
+        "query": plan.text,
+        "started": started,
+        "ended": started,
+        "runner": runner,
+        "engine": plan.engine.name,
+        "slots": slots,
+        "sierra": plan.environment.sierra,
+        "environment": plan.environment.environment,
+        "source": plan.source_id,
+        "lamport": _lamport(session),
+        "programs": now.programs,
+        "ingest_rules": now.ingest_rules,
+        "batch_rules": now.batch_rules,
+    }
+    return of_fields(SessionRow, fields | NO_RESULT)
+
+
+def _ended(session: Session, begun: SessionRow, counts: Counts, reused: int, missing: int, *, interrupted: bool) -> SessionRow:
+    return begun._replace(
+        **counts._asdict(),
+        ended=datetime.now(UTC),
+        slots=begun.slots or _cores(session.paths),
+        reused=reused,
+        missing=missing,
+        interrupted=interrupted,
+    )
 
 
 def _cores(session: SessionPaths) -> int | None:
@@ -167,54 +175,6 @@ def _cores(session: SessionPaths) -> int | None:
     except FileNotFoundError:
         return None
     return len(submission.counts) * submission.cluster.cpus
-
-
-def prepared(plan: Plan, session: Session, *, started: datetime, runner: str, slots: int | None) -> Prepared:
-    """Return the record of a session before its end. `slots` is None if runs execute on a cluster."""
-    now = context(plan)
-    return Prepared(
-        session=session.id,
-        batch=plan.batch.id,
-        query=plan.text,
-        started=started,
-        runner=runner,
-        engine=plan.engine.name,
-        slots=slots,
-        sierra=plan.environment.sierra,
-        environment=plan.environment.environment,
-        source=plan.source_id,
-        lamport=_lamport(session),
-        programs=now.programs,
-        ingest_rules=now.ingest_rules,
-        batch_rules=now.batch_rules,
-        runs=len({run.id for run in plan.batch.runs}),
-    )
-
-
-def _session_row(session: Session, begun: Prepared, counts: Counts, reused: int, missing: int, interrupted: bool) -> SessionRow:
-    return SessionRow(
-        session=begun.session,
-        batch=begun.batch,
-        query=begun.query,
-        started=begun.started,
-        ended=datetime.now(UTC),
-        runner=begun.runner,
-        engine=begun.engine,
-        slots=begun.slots or _cores(session.paths),
-        executed=counts.executed,
-        reexecuted=counts.reexecuted,
-        reused=reused,
-        failed=counts.failed,
-        missing=missing,
-        interrupted=interrupted,
-        sierra=begun.sierra,
-        environment=begun.environment,
-        source=begun.source,
-        programs=begun.programs,
-        ingest_rules=begun.ingest_rules,
-        batch_rules=begun.batch_rules,
-        lamport=begun.lamport,
-    )
 
 
 def _lamport(session: Session) -> int:
