@@ -7,11 +7,13 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from sierra.util.text import counted, few
+
 if TYPE_CHECKING:
     from sierra.execution.cluster_status import ClusterSession
 
 
-def asked() -> bool:
+def wants_detach() -> bool:
     """Return whether to detach instead of cancelling: the answer on a terminal, or true without a terminal."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return True
@@ -32,17 +34,15 @@ def asked() -> bool:
 def lines(left: Sequence[ClusterSession], batch: str) -> list[str]:
     """Return a line for each session that continues on a cluster, and one with the commands to attach or cancel."""
     from sierra.util.hashing import short
-    from sierra.util.text import counted
 
-    told = [
+    texts = [
         f"session {one.session}: {counted(one.array_tasks, 'array task')} in {named(one.jobs)} on {one.runner}" for one in left
     ]
-    return [*told, f"sierra attach {short(batch)} waits for it, sierra cancel {short(batch)} cancels it"]
+    return [*texts, f"sierra attach {short(batch)} waits for it, sierra cancel {short(batch)} cancels it"]
 
 
 def named(jobs: Sequence[str]) -> str:
     """Return a phrase that names jobs by their ids."""
-    from sierra.util.text import few
 
     match jobs:
         case []:

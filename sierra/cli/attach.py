@@ -27,4 +27,4 @@ def attach(
     drawn = user.load().figures if figures is None else figures
     with watching(quiet=as_json) as display:
         summary = project.attach(prefix, figures=drawn, observer=display)
-    render_summary.tell(project, summary, {} if as_json else None)
+    render_summary.print_and_exit(project, summary, {} if as_json else None)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from sierra.cli.arguments import AsJsonList, ClusterId
+from sierra.cli.output import print_json
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.execution.takeover import Cancelled
@@ -21,7 +23,6 @@ def cancel(
       sierra cancel 774d
     """
     from sierra.cli import open_project
-    from sierra.cli.output import print_json
     from sierra.cli.progress import Display
 
     done = open_project.project().cancel(prefix, observer=Display())
@@ -33,8 +34,6 @@ def cancel(
 
 
 def _cancelled(one: Cancelled) -> str:
-    from sierra.util.text import counted
-
     ending = f"; {one.ending} is still cancelling its jobs" if one.ending else ""
     failed = f" ({one.failed} of them failed)" if one.failed else ""
     return f"session {one.session}: {counted(one.kept, 'run')} kept{failed}, {one.missing} not executed{ending}"

@@ -44,7 +44,7 @@ def batches(incomplete: str) -> list[str]:
 
 def ids(incomplete: str) -> list[str]:
     """Return prefixes of batches' ids; if there are none, and 4 digits are given, those of experiments, runs and executions."""
-    return batches(incomplete) or (_asked(IDS, p=incomplete.lower()) if DIGITS.fullmatch(incomplete.lower()) else [])
+    return batches(incomplete) or (_from_store(IDS, p=incomplete.lower()) if DIGITS.fullmatch(incomplete.lower()) else [])
 
 
 def sessions(incomplete: str) -> list[str]:
@@ -98,7 +98,7 @@ def runners(incomplete: str) -> list[str]:
 def columns(context: typer.Context, incomplete: str) -> list[str]:
     """Return the columns of the table that precedes in the command line."""
     table = context.params.get("output")
-    return _beginning(_asked(COLUMNS, t=table), incomplete) if table in tables("") else []
+    return _beginning(_from_store(COLUMNS, t=table), incomplete) if table in tables("") else []
 
 
 def tables(incomplete: str) -> list[str]:
@@ -113,7 +113,7 @@ def tables(incomplete: str) -> list[str]:
     return _beginning(found, incomplete)
 
 
-def _asked(statement: str, **parameters: str) -> list[str]:
+def _from_store(statement: str, **parameters: str) -> list[str]:
     """Return the ids or names that a statement finds in the store."""
     with contextlib.suppress(*IGNORED):
         from sierra.cli.open_project import project

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import complete
+from sierra.cli.output import note, print_json, readable
 
 if TYPE_CHECKING:
     from sierra.explain.diff.compare import Comparison
@@ -55,7 +56,6 @@ def diff(
       sierra diff 774d 0cdc --patch
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import note, print_json
 
     answer = project().diff(before, after)
     if as_json:
@@ -99,13 +99,11 @@ def _print(answer: Comparison, *, everything: bool) -> None:
             _print_one(one, everything=everything)
         if len(differences) > LINES and not everything:
             print(f"  and {len(differences) - LINES} more of the kind {differences[0].kind} (--patch shows them)")
-    told = ", ".join(answer.same)
-    print(f"the same: {told}" if answer.differences else f"no difference in {told}")
+    names = ", ".join(answer.same)
+    print(f"the same: {names}" if answer.differences else f"no difference in {names}")
 
 
 def _print_one(one: Difference, *, everything: bool) -> None:
-    from sierra.cli.output import readable
-
     print(readable(one.line))
     details = one.details if everything else [text for text in one.details if not text.startswith(HEADS)]
     for text in details if everything else details[:DETAILS]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from sierra.cli.arguments import AsJsonList
+from sierra.cli.output import print_json
 
 
 def doctor(
@@ -16,7 +17,6 @@ def doctor(
     Example:
       sierra doctor
     """
-    from sierra.cli.output import print_json
     from sierra.setup import doctor
 
     found = doctor.all_checks()

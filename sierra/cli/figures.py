@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from sierra.cli import complete
+from sierra.cli.output import note, print_json
 
 
 def figures(
@@ -31,7 +32,6 @@ def figures(
       sierra figures 3f9a1c swarm_coverage_summary
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import note, print_json
 
     paths, notes = project().draw(prefix, name)
     for text in notes:

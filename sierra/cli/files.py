@@ -11,7 +11,9 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson
+from sierra.cli.output import fields, note, print_json, readable, table
 from sierra.errors import UsageError
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.api import Project
@@ -57,7 +59,6 @@ def files(
       sierra files 774d "*.csv" stderr --to recorded
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import print_json
     from sierra.store.export_recorded_files import extract, listing
 
     opened = project()
@@ -65,7 +66,7 @@ def files(
     if to is not None:
         outcomes = list(extract(opened.store, listed, to))
         _doubt(opened, to)
-        _told(listed, outcomes, to, as_json=as_json)
+        _print_outcomes(listed, outcomes, to, as_json=as_json)
     elif as_json:
         print_json(_as_json(listed))
     elif paths:
@@ -79,7 +80,6 @@ def _print_one(opened: Project, listed: Listing) -> None:
     import shutil
     import tempfile
 
-    from sierra.cli.output import note, readable
     from sierra.errors import Damaged
     from sierra.store.export_recorded_files import content
 
@@ -109,7 +109,6 @@ def _other(file: Recorded) -> str:
 
 def _doubt(opened: Project, folder: Path) -> None:
     """Print a note if files in the project become part of its source, which would make all runs new."""
-    from sierra.cli.output import note
 
     target = folder.resolve()
     if target.is_relative_to(opened.root) and not opened.config.source.paths:
@@ -125,7 +124,6 @@ def _execution(run: ChosenExecution) -> str:
 
 
 def _print(listed: Listing) -> None:
-    from sierra.cli.output import fields, readable, table
     from sierra.util.hashing import short
 
     several = len(listed.runs) > 1
@@ -145,8 +143,6 @@ def _print(listed: Listing) -> None:
 
 
 def _doubtful(runs: Iterable[ChosenExecution]) -> Iterable[str]:
-    from sierra.util.text import counted
-
     which = [run.which for run in runs]
     if count := which.count("last"):
         yield f"{counted(count, 'run')} without an effective execution: files of the last execution"
@@ -154,9 +150,8 @@ def _doubtful(runs: Iterable[ChosenExecution]) -> Iterable[str]:
         yield f"{counted(count, 'run')} never executed: only the input is recorded"
 
 
-def _told(listed: Listing, outcomes: Sequence[Outcome], folder: Path, *, as_json: bool) -> None:
+def _print_outcomes(listed: Listing, outcomes: Sequence[Outcome], folder: Path, *, as_json: bool) -> None:
     """Print the files that were written, and the failures. Exit with code 1 if there are failures."""
-    from sierra.cli.output import print_json, readable
 
     failures = [outcome for outcome in outcomes if outcome.failure]
     if as_json:
@@ -172,8 +167,6 @@ def _told(listed: Listing, outcomes: Sequence[Outcome], folder: Path, *, as_json
 
 
 def _summary(listed: Listing, outcomes: Sequence[Outcome], folder: Path) -> None:
-    from sierra.util.text import counted
-
     written = [outcome for outcome in outcomes if not outcome.failure]
     tables = [outcome for outcome in written if outcome.file.kind == "table"]
     identical = sum(outcome.identical for outcome in tables)
@@ -193,11 +186,11 @@ def _as_json(listed: Listing, outcomes: dict[int, Outcome] | None = None) -> dic
     names = ("experiment", "ordinal", "number", "run", "execution", "status", "which")
     files: dict[ChosenExecution, list[object]] = {run: [] for run in listed.runs}
     for file in listed.files:
-        told = {name: getattr(file, name) for name in ("path", "kind", "bytes", "kept", "sha256", "output", "rows", "remark")}
+        entry = {name: getattr(file, name) for name in ("path", "kind", "bytes", "kept", "sha256", "output", "rows", "remark")}
         if outcomes is not None:
             outcome = outcomes[id(file)]
-            told |= {"written": None if outcome.failure else outcome.path, "failure": outcome.failure}
-            told |= {"identical": None if outcome.failure else outcome.identical}
-        files[file.taken].append(told)
+            entry |= {"written": None if outcome.failure else outcome.path, "failure": outcome.failure}
+            entry |= {"identical": None if outcome.failure else outcome.identical}
+        files[file.taken].append(entry)
     runs = [{**{name: getattr(run, name) for name in names}, "files": files[run]} for run in files]
     return {"kind": listed.kind, "id": listed.id, "runs": runs}

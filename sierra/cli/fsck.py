@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli.arguments import AsJson
+from sierra.cli.output import print_json, readable, size
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.maintenance.fsck import Report
@@ -38,9 +40,8 @@ def fsck(
       sierra fsck --repair --dry-run
     """
     from sierra.cli import open_project
-    from sierra.cli.output import print_json
 
-    project, tell = open_project.project(), _telling(quiet=as_json)
+    project, tell = open_project.project(), _progress_printer(quiet=as_json)
     done: tuple[str, ...] = ()
     if repair or dry_run:
         repaired = project.repair(dry_run=dry_run, tell=tell)
@@ -60,18 +61,17 @@ def fsck(
 
 
 def _report(report: Report) -> dict[str, object]:
-    told = {name: getattr(report, name) for name in ("sound", "segments", "files", "bytes", "objects", "executions", "seconds")}
+    facts = {
+        name: getattr(report, name) for name in ("sound", "segments", "files", "bytes", "objects", "executions", "seconds")
+    }
     findings = [
         {"kind": one.kind, "path": one.path, "what": one.what, **asdict(one.affected), "damage": not one.kind.fine}
         for one in report.findings
     ]
-    return {**told, "findings": findings}
+    return {**facts, "findings": findings}
 
 
 def _print(report: Report) -> None:
-    from sierra.cli.output import readable, size
-    from sierra.util.text import counted
-
     for finding in report.findings[:SHOWN]:
         print(readable(str(finding)))
     if len(report.findings) > SHOWN:
@@ -84,7 +84,7 @@ def _print(report: Report) -> None:
     )
 
 
-def _telling(*, quiet: bool) -> Callable[[str], None]:
+def _progress_printer(*, quiet: bool) -> Callable[[str], None]:
     """Return a function that writes the progress of the check to standard error, at most every 5 seconds."""
     said = time.monotonic()
 

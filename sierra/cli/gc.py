@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli.arguments import AsJson, Yes
+from sierra.cli.output import print_json
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.maintenance.gc import Collection
@@ -37,9 +39,7 @@ def gc(
     """
     from sierra.cli import open_project
     from sierra.cli.confirm import agreed
-    from sierra.cli.output import print_json
     from sierra.maintenance.gc import text
-    from sierra.util.text import counted
 
     project = open_project.project()
     if dry_run:

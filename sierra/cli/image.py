@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import quick_start
+from sierra.cli.output import cell, fields, note, print_json, readable, size, table
 
 if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents
@@ -50,7 +51,6 @@ def build(
       sierra image build containers/python containers/swarm
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import print_json
     from sierra.containers.images.resolve import tag
 
     opened, built = project(), []
@@ -82,7 +82,6 @@ def import_(
       sierra image import sim.tar --name localhost/sim:1
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import print_json
 
     opened = project()
     found = opened.import_image(file, name)
@@ -109,7 +108,6 @@ def export(
       sierra image export localhost/sim:1 sim.tar
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import print_json
 
     image = project().export_image(name, file)
     if as_json:
@@ -131,7 +129,6 @@ def pin(name: Name = None, as_json: AsJson = False) -> None:
       sierra image pin localhost/sim:1
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import note, print_json
 
     found = project().pin(name)
     if Path(found.image.name).is_absolute():
@@ -162,7 +159,6 @@ def show(
       sierra image show localhost/sim:1 --program python3
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import cell, fields, print_json, readable
 
     found = project().image(name)
     shown = {**_contents(found), "programs": {word: _program(found, word) for word in programs or ()}}
@@ -186,7 +182,6 @@ def ls(as_json: AsJson = False) -> None:
       sierra image ls
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import print_json, readable, size, table
     from sierra.containers.images.image import short
 
     known = project().images()
@@ -222,7 +217,6 @@ def _program(found: Contents, word: str) -> dict[str, str | None] | None:
 
 def _print_part(name: str, part: object) -> None:
     """Print a list, a table or a text of an image in a few lines."""
-    from sierra.cli.output import readable
 
     match part:
         case dict():

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from sierra.cli.output import note, print_json
 from sierra.util.text import one_line
 
 if TYPE_CHECKING:
@@ -84,8 +85,6 @@ def _ask(question: Question, check: Callable[[str], T]) -> T:
 
 
 def _say(folder: Path, path: Path, guess: Guess, *, as_json: bool) -> None:
-    from sierra.cli.output import note, print_json
-
     command = f"{_there(folder)}sierra run {guess.next} -n" if guess.next else None
     if as_json:
         print_json(_answer(path, guess) | {"next": command})
@@ -118,8 +117,6 @@ def _answer(path: Path, guess: Guess) -> dict[str, object]:
 
 
 def _say_example(folder: Path, files: list[str], *, as_json: bool) -> None:
-    from sierra.cli.output import print_json
-
     command = f"{_there(folder)}sierra run population_size.Log8"
     if as_json:
         print_json({"written": [str(folder / file) for file in files], "first": _absent(folder), "next": command})

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
+from sierra.cli.output import readable
+
 if TYPE_CHECKING:
     from sierra.replay.verdicts import Compared, OfExperiment, Replay
 
@@ -37,8 +39,6 @@ def called(experiment: OfExperiment) -> str:
 
 
 def _lines(run: Compared, experiment: OfExperiment) -> Iterator[str]:
-    from sierra.cli.output import readable
-
     for path, agreement in run.outputs.items():
         yield readable(f"{path or 'run'}: {agreement.verdict}{f': {agreement.reason}' if agreement.reason else ''}")
     for metric in experiment.metrics:

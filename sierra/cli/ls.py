@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from sierra.cli.arguments import AsJsonList, Long
+from sierra.cli.output import print_json, table
 
 if TYPE_CHECKING:
     from sierra.execution.list_batches import ListedBatch
@@ -22,7 +23,6 @@ def ls(
       sierra ls
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import print_json, table
     from sierra.util.hashing import short
 
     batches = project().batches

@@ -82,11 +82,11 @@ def _unforeseen(error: Exception) -> int:
 
     theirs = culprit(error)
     message = f"a fault in {theirs or 'SIERRA itself'}: {type(error).__name__}: {error}"
-    told = "please report it to its authors" if theirs else "please report it"
+    request = "please report it to its authors" if theirs else "please report it"
     try:
-        return _say(f"{message}; {told} with {_report(error)}", 1)
+        return _say(f"{message}; {request} with {_report(error)}", 1)
     except OSError:
-        return _say(f"{message}; {told} (SIERRA_DEBUG=1 shows the traceback)", 1)
+        return _say(f"{message}; {request} (SIERRA_DEBUG=1 shows the traceback)", 1)
 
 
 def _report(error: Exception) -> str:

@@ -185,14 +185,14 @@ def fields(record: Mapping[str, object], indent: str = "") -> None:
         print(label + ("\n" + " " * len(label)).join(_lines(cell(value), len(label))))
 
 
-def _lines(text: str, beside: int) -> list[str]:
+def _lines(text: str, indent: int) -> list[str]:
     """Return a text as lines that fit the terminal, or as one line without a terminal.
 
     Words stay whole, so that users can copy them.
     """
     if not sys.stdout.isatty():
         return [text]
-    room = max(shutil.get_terminal_size().columns - beside, 20)
+    room = max(shutil.get_terminal_size().columns - indent, 20)
     return textwrap.wrap(text, room, break_long_words=False, break_on_hyphens=False) or [""]
 
 

@@ -32,7 +32,7 @@ class Display(Observer):
 
     def leave(self) -> bool:
         """Return whether cluster jobs continue when the user interrupts: see `sierra.cli.ask_detach`."""
-        return ask_detach.asked()
+        return ask_detach.wants_detach()
 
 
 @contextlib.contextmanager
@@ -71,10 +71,10 @@ class Planning(Observer):
 
 def _ask(experiments: int, runs: int) -> None:
     """Ask the user to confirm a large number of runs."""
-    told = f"{counted(experiments, 'experiment')} are {runs} runs"
+    message = f"{counted(experiments, 'experiment')} are {runs} runs"
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        raise UsageError(f"{told}, which take long to plan; use --yes to confirm")
-    print(f"{told}, which take long to plan; continue? [y/N] ", end="", file=sys.stderr, flush=True)
+        raise UsageError(f"{message}, which take long to plan; use --yes to confirm")
+    print(f"{message}, which take long to plan; continue? [y/N] ", end="", file=sys.stderr, flush=True)
     if not sys.stdin.readline().strip().lower().startswith("y"):
         raise typer.Exit(2)
 
@@ -119,7 +119,7 @@ class _Bar(Display):
     def leave(self) -> bool:
         self._bars.stop()
         try:
-            return ask_detach.asked()
+            return ask_detach.wants_detach()
         finally:
             self._bars.start()
 

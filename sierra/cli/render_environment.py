@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from sierra.cli.output import fields, readable, size, table
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ LONGEST = 100
 
 def print_programs(programs: Sequence[RecordedProgram]) -> None:
     """Print programs, distributions and files, a line each, and libraries together."""
-    from sierra.cli.output import readable, table
 
     libraries = [program.name for program in programs if program.kind == "library"]
     others = [program for program in programs if program.kind != "library"]
@@ -31,15 +31,12 @@ def print_programs(programs: Sequence[RecordedProgram]) -> None:
 
 
 def _version(version: str) -> str:
-    from sierra.cli.output import readable
-
     lines = version.splitlines()
     return f"{len(lines)} distributions" if lines[1:] else readable("".join(lines))[:LONGEST]
 
 
 def print_image(image: ShownImage, reach: Sequence[str]) -> None:
     """Print the image in which runs executed, and the host resources that they could access."""
-    from sierra.cli.output import fields, readable
 
     print("\nimage:")
     fields({name: readable(str(value)) for name, value in _image(image, reach) if value not in (None, "")}, "  ")
@@ -51,8 +48,6 @@ def print_image(image: ShownImage, reach: Sequence[str]) -> None:
 
 
 def _image(image: ShownImage, reach: Sequence[str]) -> Iterator[tuple[str, object]]:
-    from sierra.cli.output import size
-
     row = image.row
     yield "name", row.name if row else "not recorded"
     yield "id", image.image
@@ -72,7 +67,6 @@ MODES = {"run": "one for each run", "worker": "one for all runs of a slot (weake
 
 def print_isolation(isolation: ShownIsolation) -> None:
     """Print the isolation of executions, with emphasis on requested features that were not available."""
-    from sierra.cli.output import fields, readable
 
     executions = f" of {counted(isolation.executions, 'execution')}" if isolation.executions else ""
     print(f"\nisolation {isolation.isolation[:10]}{executions}:")
@@ -98,22 +92,17 @@ def _isolation(isolation: ShownIsolation) -> Iterator[tuple[str, str]]:
 
 
 def _limits(limits: Mapping[str, float]) -> str:
-    from sierra.cli.output import size
-
     return ", ".join(f"{name} {size(int(value)) if name == 'memory' else f'{value:g}'}" for name, value in limits.items())
 
 
 def print_environment(environment: ShownEnvironment) -> None:
     """Print a line for each known fact of an environment."""
-    from sierra.cli.output import fields
 
     print("\nenvironment:")
     fields({name: value for name, value in _facts(environment.as_dict()) if value not in (None, "", [])}, "  ")
 
 
 def _facts(environment: Mapping[str, object]) -> Iterator[tuple[str, object]]:
-    from sierra.cli.output import readable
-
     for name, value in environment.items():
         match name, value:
             case "memory", int():

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from sierra.cli.output import size, table
+from sierra.util.text import counted
+
 if TYPE_CHECKING:
     from sierra.runners.cluster.estimate import Estimate
 
 
 def show(proposal: Estimate, *, explain: bool, script: bool) -> None:
     """Print an estimate; with `explain` also the reasons for its settings, with `script` also the submission script."""
-    from sierra.cli.output import table
 
     for line in _lines(proposal):
         print(line)
@@ -26,9 +28,7 @@ def show(proposal: Estimate, *, explain: bool, script: bool) -> None:
 
 
 def _lines(proposal: Estimate) -> Iterator[str]:
-    from sierra.cli.output import size
     from sierra.execution.progress_display import duration
-    from sierra.util.text import counted
 
     tasks, runs = counted(proposal.array_tasks, "array task"), counted(proposal.longest, "run")
     cores = counted(proposal.cpus, "core")

@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from sierra.cli.output import readable, table
+from sierra.util.hashing import short
+from sierra.util.text import few
+
 if TYPE_CHECKING:
     from sierra.execution.cluster_status import ClusterSession
 
@@ -17,8 +21,6 @@ SESSION = 8
 
 def show(found: Sequence[ClusterSession], *, long: bool = False) -> None:
     """Print a line for each session on a cluster, and explanations below."""
-    from sierra.cli.output import readable, table
-    from sierra.util.hashing import short
 
     rows = [dict(zip(COLUMNS, _row(one, long=long), strict=True)) for one in found]
     columns = [name for name in COLUMNS if any(row[name] != "" for row in rows)]
@@ -33,20 +35,18 @@ def show(found: Sequence[ClusterSession], *, long: bool = False) -> None:
 def lines(found: Sequence[ClusterSession]) -> list[str]:
     """Return a line for each session of a batch on clusters."""
     from sierra.cli.ask_detach import named
-    from sierra.cli.output import readable
 
-    told = []
+    texts = []
     for one in found:
         follower = f", followed by {one.attended}" if one.attended else ""
         stuck = f": {readable(one.stuck)}" if one.stuck else ""
         how = "the jobs are gone; sierra status records the finished runs" if one.is_gone else state(one)
-        told.append(f"on {one.runner} now, {named(one.jobs)} (session {one.session[:SESSION]}): {how}{follower}{stuck}")
-    return told
+        texts.append(f"on {one.runner} now, {named(one.jobs)} (session {one.session[:SESSION]}): {how}{follower}{stuck}")
+    return texts
 
 
 def state(one: ClusterSession) -> str:
     """Return the state of a session's array job in a few words."""
-    from sierra.cli.output import readable
 
     if one.ended:
         return "ended"
@@ -62,10 +62,6 @@ def state(one: ClusterSession) -> str:
 
 
 def _row(one: ClusterSession, *, long: bool) -> Sequence[object]:
-    from sierra.cli.output import readable
-    from sierra.util.hashing import short
-    from sierra.util.text import few
-
     query = readable(one.query or "(a replay)")
     return (
         one.batch if long else short(one.batch),

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from sierra.cli.output import note, print_json, table
 from sierra.errors import Missing
+from sierra.util.hashing import short
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.api import Project
@@ -18,9 +21,8 @@ if TYPE_CHECKING:
 COUNTED = ("runs", "succeeded", "failed")
 
 
-def tell(project: Project, summary: Summary, more: Mapping[str, object] | None, *, detached: bool = False) -> None:
+def print_and_exit(project: Project, summary: Summary, more: Mapping[str, object] | None, *, detached: bool = False) -> None:
     """Print a summary, as JSON together with `more` if that is not None; then exit with the code for this result."""
-    from sierra.cli.output import note, print_json
 
     left = project.left(summary)
     for text in summary.notes:
@@ -69,9 +71,6 @@ def _answer(summary: Summary) -> dict[str, object]:
 def _print(summary: Summary, left: Sequence[ClusterSession]) -> None:
     from sierra.cli import ask_detach
     from sierra.cli.figures import from_here
-    from sierra.cli.output import table
-    from sierra.util.hashing import short
-    from sierra.util.text import counted
 
     print(f"batch {short(summary.batch)}: {summary.query}")
     axes = list(summary.counts[0].values)
@@ -96,8 +95,6 @@ def _print(summary: Summary, left: Sequence[ClusterSession]) -> None:
 
 
 def _print_failures(summary: Summary) -> None:
-    from sierra.util.hashing import short
-
     for failure in summary.failures:
         values = ", ".join(f"{name}={value}" for name, value in failure.experiment.items())
         several = f"{failure.count} runs failed, e.g." if failure.count > 1 else "failed:"

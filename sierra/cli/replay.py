@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli.arguments import AsJson, Jobs, Runner, ShownId
+from sierra.cli.output import cell, print_json, readable, table
 from sierra.errors import Missing, UsageError
 
 if TYPE_CHECKING:
@@ -63,10 +64,9 @@ def replay(
     """
     from sierra.cli import junit as junit_file
     from sierra.cli import open_project
-    from sierra.cli.output import print_json
     from sierra.cli.progress import watching
 
-    asked = tolerances(set_tolerance or ())
+    requested = tolerances(set_tolerance or ())
     project = open_project.project()
     if junit is not None and not junit.parent.is_dir():
         raise Missing(f"{junit}: the folder {junit.parent} does not exist")
@@ -77,7 +77,7 @@ def replay(
             jobs=jobs,
             runner=runner,
             engine=engine,
-            tolerances=asked,
+            tolerances=requested,
             keep=keep,
             record=not no_record,
             observer=None if as_json else display,
@@ -160,7 +160,6 @@ def _output(run: Compared, path: str | None, found: Agreement) -> dict[str, obje
 
 
 def _print(answer: Replay) -> None:
-    from sierra.cli.output import table
     from sierra.util.hashing import short
 
     if answer.interrupted:
@@ -210,7 +209,6 @@ def _alike(answer: Replay) -> dict[tuple[Verdict, str | None], list[tuple[Compar
 
 def _print_outputs(verdict: Verdict, path: str | None, found: Sequence[tuple[Compared, Agreement]]) -> None:
     """Print some runs in which one output has the same verdict; one run is enough if the verdict is fine."""
-    from sierra.cli.output import readable
     from sierra.util.hashing import short
 
     shown = found[: 1 if verdict.fine else SHOWN]
@@ -227,7 +225,6 @@ def _grown(agreement: Agreement) -> str:
     """Return a description of the growth of a difference, from where it begins."""
     from itertools import dropwhile
 
-    from sierra.cli.output import cell
     from sierra.replay.compare_values import distance
 
     apart = list(dropwhile(lambda part: part[1] == 0, agreement.growth))

@@ -9,6 +9,8 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson, Yes
+from sierra.cli.output import print_json, size
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.maintenance.remove import Removal
@@ -42,8 +44,6 @@ def rm(
     """
     from sierra.cli import open_project
     from sierra.cli.confirm import agreed
-    from sierra.cli.output import print_json
-    from sierra.util.text import counted
 
     def agree(found: Removal) -> bool:
         return found.nothing or agreed(_lines(found), yes, as_json, "to be deleted permanently")
@@ -69,7 +69,6 @@ def rm(
 
 
 def _lines(removal: Removal) -> list[str]:
-    from sierra.cli.output import size
     from sierra.maintenance.remove import text
 
     found = [*text(removal), *([f"{size(removal.bytes)} of their output"] if removal.bytes else [])]

@@ -11,6 +11,8 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson, DrawFigures, Jobs, Runner
+from sierra.cli.output import note, print_json, table
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.api import Project
@@ -82,7 +84,6 @@ def run(
       sierra run population_size.Log8 --on slurm --dry-run --explain
     """
     from sierra.cli import open_project, render_summary
-    from sierra.cli.output import print_json
     from sierra.cli.progress import Planning, watching
     from sierra.config import user
     from sierra.query.grammar import setting
@@ -113,7 +114,7 @@ def run(
             runner=runner,
             detach=detach,
         )
-    render_summary.tell(project, summary, more if as_json else None, detached=detach)
+    render_summary.print_and_exit(project, summary, more if as_json else None, detached=detach)
 
 
 class Settings(TypedDict):
@@ -130,7 +131,6 @@ def _plan(project: Project, query: list[str], settings: Settings, *, engine: str
 
     Prints a note if the file names a batch that the request no longer gives.
     """
-    from sierra.cli.output import note
     from sierra.errors import UsageError
     from sierra.query import query_input
     from sierra.util.hashing import short
@@ -155,7 +155,6 @@ def _preview(
 ) -> PlanPreview:
     """Return the preview of a plan, with `explain` also its reasons; print it unless `quiet`."""
     from sierra.cli import render_estimate
-    from sierra.cli.output import note
     from sierra.cli.render_reasons import PREVIEW, change, new_runs, text
     from sierra.execution.cluster_status import seen
     from sierra.execution.forecast import forecast
@@ -197,9 +196,7 @@ def _preview(
 
 def _print(plan: Plan, preview: PlanPreview, to_execute: AbstractSet[str], *, explain: bool) -> None:
     from sierra.cli import render_status
-    from sierra.cli.output import table
     from sierra.util.hashing import short
-    from sierra.util.text import counted
 
     print(f"batch {short(preview.batch)}: {preview.query}")
     rows = [
@@ -214,9 +211,9 @@ def _print(plan: Plan, preview: PlanPreview, to_execute: AbstractSet[str], *, ex
             print(f"  {line}")
     else:
         followed, judged = preview.on_clusters, preview.to_judge
-        beside = f", {followed} {'is' if followed == 1 else 'are'} on a cluster and would be followed" if followed else ""
+        follow_up = f", {followed} {'is' if followed == 1 else 'are'} on a cluster and would be followed" if followed else ""
         again = f", {judged} would be evaluated again because [outputs] or [success] have changed" if judged else ""
-        print(f"{preview.to_execute} of {counted(preview.runs, 'run')} would execute{again}{beside}")
+        print(f"{preview.to_execute} of {counted(preview.runs, 'run')} would execute{again}{follow_up}")
     for line in render_status.lines(preview.clusters):
         print(line)
 
@@ -238,7 +235,6 @@ def _check_log(plan: Plan) -> None:
 
 def _again(project: Project, plan: Plan) -> list[str]:
     """Print and return the reasons why runs execute again although the same query was run before."""
-    from sierra.cli.output import note
     from sierra.cli.render_reasons import change
     from sierra.explain.why_new_runs import why_again
 

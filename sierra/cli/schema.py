@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from sierra.cli.output import note, print_json, table
+
 
 def schema(
     name: Annotated[str | None, typer.Argument(metavar="TABLE", help="A table of the store (default: all).")] = None,
@@ -25,7 +27,6 @@ def schema(
       sierra schema --toml
       sierra schema --toml --json > sierra.toml.schema.json
     """
-    from sierra.cli.output import note, print_json, table
     from sierra.errors import NotFound
     from sierra.setup import published_schemas
 

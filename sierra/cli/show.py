@@ -9,6 +9,8 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson, Long
+from sierra.cli.output import cell, fields, fitting, members, print_json, readable, short_id, table
+from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
     from sierra.execution.show_record import Failed, ShownBatch, ShownExecution, ShownIsolation
@@ -43,7 +45,6 @@ def show(
       sierra show 3f9a1c --long
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import print_json
     from sierra.execution.show_record import ShownBatch, ShownExecution, ShownRun
 
     shown = project().show(prefix)
@@ -90,7 +91,6 @@ def _print_host(shown: ShownBatch | ShownExecution, reach: Sequence[str], isolat
 
 def _print_commit(known: Known) -> None:
     """Print the recorded commit as the repository has it now."""
-    from sierra.cli.output import fields
 
     print("\ncommit, as in the repository now:")
     facts = {
@@ -105,8 +105,6 @@ def _print_commit(known: Known) -> None:
 
 def _print_failures(failures: Sequence[Failed]) -> None:
     """Print the reasons why runs failed, a line each."""
-    from sierra.cli.output import cell, readable
-    from sierra.util.text import counted
 
     if failures:
         print("\nfailures:")
@@ -121,7 +119,6 @@ def _print_failures(failures: Sequence[Failed]) -> None:
 
 def _print_record(record: Mapping[str, object], *, long: bool) -> None:
     """Print plain values first, then tables and logs. Ids are short unless `long`, except the id of the shown record."""
-    from sierra.cli.output import fields, members, short_id
 
     def cut(value: object) -> object:
         return value if long else short_id(value)
@@ -145,9 +142,6 @@ def _print_record(record: Mapping[str, object], *, long: bool) -> None:
 
 
 def _print_rows(name: str, records: Sequence[Mapping[str, object]], cut: Callable[[object], object], *, long: bool) -> None:
-    from sierra.cli.output import fitting, table
-    from sierra.util.text import few
-
     columns = list(dict.fromkeys(key for row in records for key in row if key != "log_tail"))
     most = AT_MOST.get(name, len(records))
     rows = [[cut(row.get(column)) for column in columns] for row in records[:most]]

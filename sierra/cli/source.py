@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import quick_start
+from sierra.cli.output import print_json
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.provenance.source.share_refs import Shared
@@ -61,9 +63,6 @@ def fetch(remote: Remote = None, as_json: AsJson = False) -> None:
 
 
 def _tell(shared: list[Shared], what: str, *, as_json: bool) -> None:
-    from sierra.cli.output import print_json
-    from sierra.util.text import counted
-
     if as_json:
         print_json(shared)
         return

@@ -13,6 +13,7 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import Long
+from sierra.cli.output import as_json, cell, note, short_id, table, terminal_width
 from sierra.errors import UsageError
 from sierra.util.fs import write_whole
 
@@ -134,7 +135,6 @@ class Result:
 
 def write(answer: Result, format: Format, output: Path | None, *, long: bool = False) -> None:
     """Write a result in a format to a file or to standard output, and its notes to standard error."""
-    from sierra.cli.output import note
 
     if answer.notes:
         note(answer.notes)
@@ -158,8 +158,6 @@ def _table(answer: Result, *, brief: bool = False) -> bytes:
     import contextlib
     import io
 
-    from sierra.cli.output import short_id, table, terminal_width
-
     text, width = io.StringIO(), terminal_width() if brief else 0
     rows = [[short_id(value) if brief else value for value in row] for row in answer.rows[:SHOWN_ROWS]]
     with contextlib.redirect_stdout(text):
@@ -181,14 +179,10 @@ def _csv(answer: Result) -> bytes:
 
 
 def _json(answer: Result) -> bytes:
-    from sierra.cli.output import as_json
-
     return as_json([dict(zip(answer.columns, row, strict=True)) for row in answer.rows]).encode() + b"\n"
 
 
 def _markdown(answer: Result) -> bytes:
-    from sierra.cli.output import cell
-
     lines = [answer.columns, ["---"] * len(answer.columns)]
     lines += [[cell(value).replace("|", "\\|") for value in row] for row in answer.rows]
     return "".join("| " + " | ".join(line) + " |\n" for line in lines).encode()

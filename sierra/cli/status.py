@@ -8,6 +8,7 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJsonList, Long
+from sierra.cli.output import print_json
 
 
 def status(
@@ -34,7 +35,6 @@ def status(
       sierra status 774d --json
     """
     from sierra.cli import open_project, render_status
-    from sierra.cli.output import print_json
     from sierra.cli.progress import Display
 
     found = open_project.project().status(prefix, observer=Display())

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from sierra.cli.arguments import AsJson, ShownId
+from sierra.cli.output import cell, members, print_json, readable
 
 if TYPE_CHECKING:
     from sierra.execution.reasons import ChangeReason
@@ -32,7 +33,6 @@ def why(
       sierra why 292ca7e4 --json
     """
     from sierra.cli.open_project import project
-    from sierra.cli.output import print_json
 
     answer = project().why(prefix)
     if as_json:
@@ -42,7 +42,6 @@ def why(
 
 
 def _answer(answer: Why) -> dict[str, object]:
-    from sierra.cli.output import members
     from sierra.cli.render_reasons import EFFECTIVE, HISTORY, new_since, next_run, text
 
     def with_reason(found: Cause | EffectiveRuns, words: Mapping[ChangeReason, str]) -> dict[str, object]:
@@ -65,14 +64,13 @@ def _answer(answer: Why) -> dict[str, object]:
 
 def _print(answer: Why) -> None:
     from sierra.cli import render_status
-    from sierra.cli.output import readable
     from sierra.cli.render_reasons import EFFECTIVE, next_run, text
     from sierra.util.hashing import short
 
     many = f": {_runs(answer.runs)}" if answer.found.kind in ("batch", "experiment") else ""
     print(f"{answer.found.kind} {short(answer.found.id)}{many}")
     idle = 0
-    told: set[str] = set()
+    explained: set[str] = set()
     for event in answer.history:
         if (
             event.kind == "session"
@@ -82,8 +80,8 @@ def _print(answer: Why) -> None:
         ):
             idle += 1
             continue
-        _print_event(event, answer, because=event.batch not in told)
-        told.add(event.batch)
+        _print_event(event, answer, because=event.batch not in explained)
+        explained.add(event.batch)
     if idle:
         print(f"submitted again {idle} time{'s' * (idle > 1)}: no run was executed")
     if not answer.history:
@@ -113,7 +111,6 @@ def _standing(one: EffectiveRuns) -> str:
 
 
 def _print_event(event: Event, answer: Why, *, because: bool) -> None:
-    from sierra.cli.output import cell, readable
     from sierra.cli.render_reasons import HISTORY, new_since, text
     from sierra.util.hashing import short
 
