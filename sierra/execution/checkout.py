@@ -75,7 +75,7 @@ class Checkout:
         for name, _ in self.used:
             path = Path(name.removeprefix(INSIDE))
             if name.startswith(INSIDE) and not path.is_absolute() and ".." not in path.parts:
-                _bring(self.project / path, root, path)
+                _copy_in(self.project / path, root, path)
 
     def left_out(self) -> str:
         """Return a short text about the project files that git ignores and nothing names, so that the checkout lacks them.
@@ -108,28 +108,28 @@ def _leads_out(link: Path, root: Path) -> bool:
         return True
 
 
-def _bring(there: Path, root: Path, name: Path) -> None:
+def _copy_in(original: Path, root: Path, name: Path) -> None:
     """Copy one project file that was not restored, or that was restored as a link that leads out of the project.
 
     Writes nothing outside `root`. For a program in a folder of a virtual environment, links the whole environment.
     Raises Missing if the file does not exist.
     """
-    here = root / name
-    if here.exists() and not here.is_symlink():
+    copy = root / name
+    if copy.exists() and not copy.is_symlink():
         return
-    if not there.is_file():
+    if not original.is_file():
         raise Missing(
-            f"{there} does not exist; runs need it, and the recorded source does not contain it: build or fetch it again"
+            f"{original} does not exist; runs need it, and the recorded source does not contain it: build or fetch it again"
         )
-    if len(name.parts) > 2 and (there.parent.parent / VENV).is_file():
-        there, name = there.parent.parent, name.parent.parent
+    if len(name.parts) > 2 and (original.parent.parent / VENV).is_file():
+        original, name = original.parent.parent, name.parent.parent
     for folder in reversed(name.parents):
         if (root / folder).is_symlink() and _leads_out(root / folder, root):
             (root / folder).unlink()
-    here = inside(root, str(name), link=True)
-    here.parent.mkdir(parents=True, exist_ok=True)
-    here.unlink(missing_ok=True)
-    if there.is_dir():
-        here.symlink_to(there)
+    copy = inside(root, str(name), link=True)
+    copy.parent.mkdir(parents=True, exist_ok=True)
+    copy.unlink(missing_ok=True)
+    if original.is_dir():
+        copy.symlink_to(original)
     else:
-        shutil.copy2(there, here)
+        shutil.copy2(original, copy)

@@ -78,7 +78,7 @@ def standing(store: Store, prefix: str | None = None, observer: Observer | None 
     found = [row for paths in named(store, prefix) if (row := submitted(paths))]
     rows = [_recorded(store, row, observer) for row in found]
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        rows = list(pool.map(partial(_asked, store), rows))
+        rows = list(pool.map(partial(_with_report, store), rows))
     rows = [
         _recorded(store, row, observer) if row.is_gone else row for row in rows
     ]  # sessions that ended between the two queries
@@ -89,10 +89,10 @@ def standing(store: Store, prefix: str | None = None, observer: Observer | None 
 
 def seen(store: Store, runs: AbstractSet[str]) -> list[ClusterSession]:
     """Return the status of all submissions with some of these runs; record nothing. `done` counts runs that are recorded."""
-    those = (paths for paths in sessions.submitted(store.paths) if not runs.isdisjoint(sessions.claims(paths)))
-    found = [row for paths in those if (row := submitted(paths))]
+    chosen = (paths for paths in sessions.submitted(store.paths) if not runs.isdisjoint(sessions.claims(paths)))
+    found = [row for paths in chosen if (row := submitted(paths))]
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        rows = list(pool.map(partial(_asked, store), found))
+        rows = list(pool.map(partial(_with_report, store), found))
     counts = counted(store, [row.session for row in rows])
     return [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
 
@@ -145,10 +145,10 @@ def submitted(paths: SessionPaths) -> ClusterSession | None:
     )
 
 
-def counted(store: Store, those: list[str]) -> dict[str, tuple[int, int]]:
+def counted(store: Store, chosen: list[str]) -> dict[str, tuple[int, int]]:
     """Return for each session the number of runs that it executed, and how many of these failed."""
-    counts = dict.fromkeys(those, (0, 0))
-    return counts | {row.session: (row.executed, row.failed) for row in store.select(SessionCounts, COUNTS, s=those)}
+    counts = dict.fromkeys(chosen, (0, 0))
+    return counts | {row.session: (row.executed, row.failed) for row in store.select(SessionCounts, COUNTS, s=chosen)}
 
 
 class SessionCounts(NamedTuple):
@@ -194,7 +194,7 @@ def _recorded(store: Store, row: ClusterSession, observer: Observer) -> ClusterS
     return replace(row, ended=not attached.left)
 
 
-def _asked(store: Store, row: ClusterSession) -> ClusterSession:
+def _with_report(store: Store, row: ClusterSession) -> ClusterSession:
     """Return the status with the scheduler's report on the elements."""
     if row.ended:
         return replace(row, queued=0, running=0)
@@ -215,10 +215,10 @@ def _asked(store: Store, row: ClusterSession) -> ClusterSession:
     queued, running = (len(submission_record.elements(paths, by[state])) for state in (State.QUEUED, State.RUNNING))
     stuck = [task for task in (*tasks, *probing) if task.state is State.STUCK]
     never = "; ".join(dict.fromkeys(scheduler.explain(task.reason or "no reason given") for task in stuck)) or None
-    return replace(row, queued=queued, running=running, waits=_waits(tasks, probing), stuck=never)
+    return replace(row, queued=queued, running=running, waits=_reason_to_wait(tasks, probing), stuck=never)
 
 
-def _waits(tasks: tuple[Task, ...], probing: tuple[Task, ...]) -> str:
+def _reason_to_wait(tasks: tuple[Task, ...], probing: tuple[Task, ...]) -> str:
     """Return the reason why elements wait: the probe of nodes while its task lives (it may wait too), else the scheduler's."""
     if any(task.state is State.RUNNING for task in probing):
         return PROBED

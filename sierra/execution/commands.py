@@ -72,8 +72,8 @@ def command(platform: Platform, root: Path, *, contained: bool = False) -> tuple
         for _, name in PLACEHOLDER.findall(word):
             if name and name not in KNOWN:
                 known = ", ".join("{" + known + "}" for known in KNOWN)
-                told = f"known are {known}; write {{{{{name}}}}} for the text {{{name}}}"
-                raise ConfigError(f"command: unknown placeholder {{{name}}} in {word!r}; {told}")
+                hint = f"known are {known}; write {{{{{name}}}}} for the text {{{name}}}"
+                raise ConfigError(f"command: unknown placeholder {{{name}}} in {word!r}; {hint}")
     return words
 
 
@@ -258,7 +258,7 @@ def _in_project(word: str, root: Path) -> str:
     if "{" in word or not word or word.startswith(("/", "-")):
         return word
     try:
-        there = (root / word).is_file()
+        exists = (root / word).is_file()
     except (OSError, ValueError):
         return word
-    return "{project}/" + word.removeprefix("./") if there else word
+    return "{project}/" + word.removeprefix("./") if exists else word

@@ -141,17 +141,17 @@ class Executor:
         if not fresh:
             return wanted
         self._context.save(self.session.paths.context)
-        anew = reevaluate(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
-        for lack, count in Counter(anew.unread.values()).most_common(NOTED):
+        evaluated = reevaluate(self.store, self.session.paths, self._context, fresh, mismatched=self.rules_changed)
+        for lack, count in Counter(evaluated.unread.values()).most_common(NOTED):
             self._options.observer.notice(
                 f"executing {counted(count, 'run')} again; their records cannot be evaluated by the changed rules: {lack}"
             )
-        if anew.judged:
+        if evaluated.judged:
             find_odd(self.store, self.session.paths, self._context)
-        self.reevaluated |= anew.judged
-        self._tally.reused += len(anew.judged)
-        self.notes += tuple(anew.notes)
-        return wanted - anew.judged
+        self.reevaluated |= evaluated.judged
+        self._tally.reused += len(evaluated.judged)
+        self.notes += tuple(evaluated.notes)
+        return wanted - evaluated.judged
 
     def _execute(self, wanted: AbstractSet[str]) -> set[str]:
         """Execute these runs; return those with an execution, new or old, that is inconsistent with other executions."""

@@ -44,7 +44,7 @@ def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> Times |
     seconds = {ordinal: found if found is not None else estimate(values[ordinal], known) for ordinal, found in exact.items()}
     each = tuple(seconds[run.experiment] for run in order)
     new = tuple(place for place, run in enumerate(order) if exact[run.experiment] is None)
-    return Times(each, new, _how(sum(found is not None for found in exact.values()), len(exact), plan.batch.axes))
+    return Times(each, new, _description(sum(found is not None for found in exact.values()), len(exact), plan.batch.axes))
 
 
 def recorded(store: Store, runs: Sequence[str]) -> Times | None:
@@ -118,14 +118,14 @@ def _measured(values: Mapping[str, Value], known: Iterable[Timed]) -> float | No
 
 def _is_near(name: str, value: Value, one: Timed, known: Sequence[Timed]) -> bool:
     """Check whether a timed run has the same value of a variable, or a neighbouring one."""
-    there = one.values[name]
-    if there is None or there == value:
+    timed = one.values[name]
+    if timed is None or timed == value:
         return True
-    if isinstance(value, str) or isinstance(there, str):
+    if isinstance(value, str) or isinstance(timed, str):
         return value not in {other.values[name] for other in known}
     numbers = _numbers(name, known)
     below, above = [each for each in numbers if each <= value], [each for each in numbers if each >= value]
-    return there in (*below[-1:], *above[:1])
+    return timed in (*below[-1:], *above[:1])
 
 
 def _growth(name: str, value: Value, known: Sequence[Timed]) -> float:
@@ -158,7 +158,7 @@ def _numbers(name: str, known: Iterable[Timed]) -> list[float]:
     return sorted({value for one in known if (value := one.values[name]) is not None and not isinstance(value, str)})
 
 
-def _how(timed: int, of: int, axes: Sequence[object]) -> str:
+def _description(timed: int, of: int, axes: Sequence[object]) -> str:
     if timed == of:
         return "runs with the same values were timed"
     if timed == 0:

@@ -105,7 +105,7 @@ class _Following:
             self._follow(signals, lambda: False)
 
     def _follow(self, signals: Sequence[int], enough: Callable[[], bool]) -> None:
-        alive, told = True, 0
+        alive, handled = True, 0
         while alive:
             look = self._look()
             self._take(look)
@@ -113,8 +113,8 @@ class _Following:
                 self._flush()
             self._tally.report(look.running, look.queued, look.waits)
             self._session.beat()
-            if len(signals) > told or (enough() and not told):
-                if self._runner.stays and len(signals) > told and self._tally.observer.leave():
+            if len(signals) > handled or (enough() and not handled):
+                if self._runner.stays and len(signals) > handled and self._tally.observer.leave():
                     self._runner.leave()
                     look = self._look()
                     self._take(look)
@@ -123,7 +123,7 @@ class _Following:
                         self._take(look)
                     self.left = look.alive
                     break
-                told = max(len(signals), 1)
+                handled = max(len(signals), 1)
                 self._runner.stop()
             alive = look.alive
             if alive and len(look.results) < MANY:

@@ -26,7 +26,7 @@ class Forecast:
     @property
     def to_reevaluate(self) -> int:
         """Return the number of runs that would be evaluated again from the record."""
-        return sum(state.anew for state in self.states.values())
+        return sum(state.reevaluated for state in self.states.values())
 
     @property
     def reasons(self) -> Counter[Reason]:
@@ -38,6 +38,6 @@ class Forecast:
 def forecast(plan: Plan, store: Store | None, runs: Container[str] | None = None) -> Forecast:
     """Return the forecast for these runs of a plan (None: all). Executes nothing."""
     found = {run: state for run, state in foreseen(plan, store, states(plan, store)).items() if runs is None or run in runs}
-    missing = {run for run, state in found.items() if not (state.succeeded or state.anew)}
+    missing = {run for run, state in found.items() if not (state.succeeded or state.reevaluated)}
     on_clusters = missing & claimed(store).keys() if store and missing else set()
     return Forecast(found, missing - on_clusters, on_clusters)

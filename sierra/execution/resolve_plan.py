@@ -271,11 +271,11 @@ def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
         where = "it is" if len(meant) == 1 else "they are"
         yield (
             f"the template names {few([repr(word) for word in meant], 3)} by a relative path: "
-            f"{where} in the project, but runs execute in other folders; {_reached(plan, first)}"
+            f"{where} in the project, but runs execute in other folders; {_how_to_reach(plan, first)}"
         )
 
 
-def _reached(plan: Plan, path: str) -> str:
+def _how_to_reach(plan: Plan, path: str) -> str:
     """Return a hint how a template can name a file of the project."""
     if plan.image is not None:
         return f"use its path in the container: {PROJECT}/{path}"
@@ -348,8 +348,8 @@ def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
     mentioned = " ".join(command)
     seeded = any(mentions(change, "seed") for change in designed.per_run)
     if designed.query.runs > 1 and not seeded and "{seed}" not in mentioned:
-        told = 'set seed = "XPATH", or use {seed} in the command (SIERRA_SEED also has it)'
-        yield f"neither inputs nor command contain the seed: {told}"
+        hint = 'set seed = "XPATH", or use {seed} in the command (SIERRA_SEED also has it)'
+        yield f"neither inputs nor command contain the seed: {hint}"
     for name, values in designed.lists.items():
         if len(values) < designed.query.runs:
             yield f"[per_run] {name} has {len(values)} items for {designed.query.runs} runs: run {len(values)} uses the first"
@@ -408,8 +408,8 @@ def _check_names(project: LoadedProject) -> None:
         if not check_name(name):
             raise ConfigError(f"{project.file}: [outputs.{name}]: the store itself has a table {name!r}; use another name")
         if output.columns and output.header:
-            told = "columns is only for a CSV without header; set header = false too, or remove columns"
-            raise ConfigError(f"{project.file}: [outputs.{name}]: {told}")
+            hint = "columns is only for a CSV without header; set header = false too, or remove columns"
+            raise ConfigError(f"{project.file}: [outputs.{name}]: {hint}")
     for name in project.config.variables:
         if name.lower() in RESERVED:
             raise ConfigError(

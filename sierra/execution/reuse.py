@@ -26,7 +26,7 @@ class State:
     """Place of that execution in the order of executions."""
     executions: int = 0
     """Number of executions, and of repeated evaluations."""
-    anew: bool = False
+    reevaluated: bool = False
     """True if a recorded execution would be evaluated again. Only `foreseen` sets this and `lack`."""
     lack: str | None = None
     """Reason why it cannot be evaluated again although the rules have changed."""
@@ -38,7 +38,7 @@ class State:
     @property
     def change(self) -> Reason:
         """Return the reason why the run is executed or reused."""
-        if self.anew:
+        if self.reevaluated:
             return Reason(ChangeReason.REEVALUATED)
         if self.worth is None:
             return Reason(ChangeReason.NEW)
@@ -70,14 +70,14 @@ def is_answered(plan: Plan, store: Store) -> bool:
         return same and all(state.succeeded for state in states(plan, snapshot).values())
 
 
-def states(plan: Plan, asked: Store | Snapshot | None) -> dict[str, State]:
+def states(plan: Plan, records: Store | Snapshot | None) -> dict[str, State]:
     """Return the recorded state of each run of the batch, by run id."""
     new = State()
     runs = dict.fromkeys((run.id for run in plan.batch.runs), new)
-    if asked is None:
+    if records is None:
         return runs
     same: dict[State, State] = {}
-    with asked.snapshot() if isinstance(asked, Store) else contextlib.nullcontext(asked) as snapshot:
+    with records.snapshot() if isinstance(records, Store) else contextlib.nullcontext(records) as snapshot:
         snapshot.run("SET threads = 1")  # each thread would hold its own copy of 100,000 runs
         for run, worth, reason, failed, judgements in snapshot.each(*_statement(plan, snapshot, list(runs))):
             if run in runs:
@@ -92,11 +92,11 @@ def foreseen(plan: Plan, store: Store | None, found: Mapping[str, State]) -> dic
     if store is None or not bad:
         return dict(found)
     now = context(plan)
-    told = dict(found)
-    for there in foresee(store, now, bad, mismatched=rules_changed(plan, store)):
-        told |= {run: replace(found[run], anew=True) for run in there.possible}
-        told |= {run: replace(found[run], lack=lack) for run, lack in there.lacking.items()}
-    return told
+    result = dict(found)
+    for evaluation in foresee(store, now, bad, mismatched=rules_changed(plan, store)):
+        result |= {run: replace(found[run], reevaluated=True) for run in evaluation.possible}
+        result |= {run: replace(found[run], lack=lack) for run, lack in evaluation.lacking.items()}
+    return result
 
 
 def rules_changed(plan: Plan, store: Store) -> bool:
@@ -106,7 +106,7 @@ def rules_changed(plan: Plan, store: Store) -> bool:
 
 
 # Runs of one spec are executed only for batches of that spec. Some of these batches may have been removed.
-THOSE = (
+OF_SPEC = (
     "FROM {judged} WHERE purpose = 'run' AND (batch IN (SELECT batch FROM batches WHERE spec = $spec) "
     "OR batch NOT IN (SELECT batch FROM batches))"
 )
@@ -114,9 +114,9 @@ EACH = f"""
 SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN ingest_rules <> $ingest_rules THEN {RULES}
     WHEN programs <> $programs THEN {PROGRAMS} ELSE {REUSED} END AS worth,
     CASE WHEN worth = {FAILED} THEN reason END, CASE WHEN worth = {FAILED} THEN lamport ELSE 0 END, {{count}}
-{THOSE}
+{OF_SPEC}
 """
-ANEW = """(
+REEVALUATED = """(
 SELECT run, batch, purpose, programs, lamport, judgements, j.status AS status, j.reason AS reason,
        j.ingest_rules AS ingest_rules
 FROM (
@@ -133,9 +133,11 @@ def _statement(plan: Plan, snapshot: Snapshot, runs: list[str]) -> tuple[str, di
     """Return the statement for the executions that may belong to these runs, and its parameters."""
     spec = {"spec": plan.batch.spec_id}
     snapshot.views.make(("all_judgements", "batches"))
-    [(count,)] = snapshot.run(f"SELECT count(*) {THOSE.format(judged='all_judgements')}", spec)
-    anew = any("judgements" in segment.files for segment in snapshot.segments)
-    statement = EACH.format(judged=ANEW, count="judgements") if anew else EACH.format(judged="all_judgements", count="1")
+    [(count,)] = snapshot.run(f"SELECT count(*) {OF_SPEC.format(judged='all_judgements')}", spec)
+    reevaluated = any("judgements" in segment.files for segment in snapshot.segments)
+    statement = (
+        EACH.format(judged=REEVALUATED, count="judgements") if reevaluated else EACH.format(judged="all_judgements", count="1")
+    )
     if count > MANY * len(runs):
         import pyarrow as pa
 

@@ -74,9 +74,11 @@ class Summary:
         names = ("runs", "succeeded", "failed")
         axes = list(self.counts[0].values) if self.counts else []
         rows = ([*one.values.values(), one.runs, one.succeeded, one.failed] for one in self.counts)
-        told = f"{self.runs} runs: {self.executed} executed, {self.reused} reused, {self.failed} failed, {self.missing} missing"
+        counts = (
+            f"{self.runs} runs: {self.executed} executed, {self.reused} reused, {self.failed} failed, {self.missing} missing"
+        )
         title = f"batch {short(self.batch)}: {self.query}"
-        return html.page(title, (*axes, *names), rows, (told, *self.notes), total=len(self.counts))
+        return html.page(title, (*axes, *names), rows, (counts, *self.notes), total=len(self.counts))
 
 
 def of_session(

@@ -44,12 +44,12 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
 
     Raises NotFound if none is on a cluster, SierraError if other processes follow all of them.
     """
-    rows = found(store, prefix)
-    told: list[Attached] = []
+    rows = on_clusters(store, prefix)
+    attached: list[Attached] = []
     left: list[str] = []
     busy: list[str] = []
     for row in rows:
-        if told and told[-1].interrupted:
+        if attached and attached[-1].interrupted:
             left.append(row.session)
             continue
         session = Session.adopted(store.paths, store.paths.session(row.session))
@@ -60,18 +60,18 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
             observer.notice(
                 f"session {row.session} belongs to a replay that has ended: its runs are recorded, but not compared"
             )
-        told.append(attach(store, session, _tally(store, row, observer)))
-        left += [row.session] if told[-1].left else []
-    if not told:
+        attached.append(attach(store, session, _tally(store, row, observer)))
+        left += [row.session] if attached[-1].left else []
+    if not attached:
         raise SierraError("; ".join(busy))
     return summary.of_recorded(
         store,
         rows[0].batch,
-        executed=sum(one.executed for one in told),
-        failed=sum(one.failed for one in told),
-        interrupted=told[-1].interrupted,
+        executed=sum(one.executed for one in attached),
+        failed=sum(one.failed for one in attached),
+        interrupted=attached[-1].interrupted,
         detached=tuple(left),
-        notes=(*busy, *(note for one in told for note in one.notes)),
+        notes=(*busy, *(note for one in attached for note in one.notes)),
     )
 
 
@@ -81,14 +81,14 @@ def cancel(store: Store, prefix: str, observer: Observer) -> list[Cancelled]:
     Raises the same errors as `follow`, and Missing if a scheduler cannot be reached. The sessions stay marked as cancelled, so
     that the next `sierra` command that looks at them cancels the jobs.
     """
-    rows = found(store, prefix)
+    rows = on_clusters(store, prefix)
     for row in rows:
         with contextlib.suppress(FileNotFoundError):  # it has been closed
             store.paths.session(row.session).cancelled.touch()
     return [_cancel(store, row, observer) for row in rows]
 
 
-def found(store: Store, prefix: str) -> list[ClusterSession]:
+def on_clusters(store: Store, prefix: str) -> list[ClusterSession]:
     """Return the sessions on clusters for this id prefix, attended or not. Raises NotFound if there are none."""
     rows = [row for paths in named(store, prefix) if (row := submitted(paths))]
     if not rows:
@@ -113,14 +113,14 @@ def _cancel(store: Store, row: ClusterSession, observer: Observer) -> Cancelled:
     paths = store.paths.session(row.session)
     session, ending = Session.adopted(store.paths, paths), None
     if session is None and paths.submission.exists():
-        session, ending = _asked_to_end(store, paths)
+        session, ending = _request_end(store, paths)
     if session is not None:
         attach(store, session, Tally(Relay(observer, leave=False), row.runs), detach=True)
     done, failed = counted(store, [row.session])[row.session]
     return Cancelled(row.session, row.batch, done, failed, row.runs - done, ending)
 
 
-def _asked_to_end(store: Store, paths: SessionPaths) -> tuple[Session | None, str | None]:
+def _request_end(store: Store, paths: SessionPaths) -> tuple[Session | None, str | None]:
     """Let the process that follows a session end it.
 
     Returns the session if that process has left it, or the name of the process if it has not ended the session in time.

@@ -199,7 +199,7 @@ class Replay(NamedTuple):
 REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains($s, replay)"
 
 
-def tell(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
+def events(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
     """Return all events of the runs in the table `wanted`, and all sessions of these batches, in order."""
     snapshot.views.make(
         ("executions", "all_judgements", "findings", "sessions", "replays", "batch_runs", "attempts", "duplicates")

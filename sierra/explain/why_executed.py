@@ -11,7 +11,7 @@ from sierra.execution.cluster_status import seen
 from sierra.explain import diff
 from sierra.explain.diff.model import Difference
 from sierra.explain.effective_executions import EffectiveRuns, standings
-from sierra.explain.history import Event, tell
+from sierra.explain.history import Event, events
 from sierra.explain.preview_repeat import NextRun, next_run
 from sierra.store.recorded_files import where
 from sierra.store.store import Found, Snapshot, Store
@@ -19,7 +19,7 @@ from sierra.store.store import Found, Snapshot, Store
 BATCHES = 10
 """Maximum number of batches in the answer."""
 
-ASKED_LAST = """
+BATCHES_OF_RUN = """
 SELECT b.batch FROM batches b LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
 WHERE b.batch IN (SELECT batch FROM batch_runs WHERE run = $r) ORDER BY coalesce(s.asked, b.lamport) DESC
 """
@@ -63,7 +63,7 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
     with store.snapshot() as snapshot:
         snapshot.run("SET threads = 1")
         batches = _runs(snapshot, found)
-        history = tell(snapshot, batches)
+        history = events(snapshot, batches)
         if found.kind == "execution":
             history = [event for event in history if event.session == _session(snapshot, found.id)]
         stands = tuple(standings(snapshot, batches))
@@ -100,7 +100,7 @@ def _runs(snapshot: Snapshot, found: Found) -> list[str]:
     statement = f"CREATE TEMP TABLE wanted AS SELECT DISTINCT m.run FROM batch_runs m WHERE m.batch = $b {place.only}"  # noqa: S608
     snapshot.run(statement, place.parameters)
     [(run,), *_] = snapshot.run("SELECT run FROM wanted LIMIT 1")
-    batches = [row[0] for row in snapshot.run(ASKED_LAST, {"r": run})]
+    batches = [row[0] for row in snapshot.run(BATCHES_OF_RUN, {"r": run})]
     if found.kind == "experiment":
         having = {row[0] for row in snapshot.run("SELECT batch FROM experiments WHERE experiment = $x", {"x": found.id})}
         batches = [batch for batch in batches if batch in having]

@@ -23,8 +23,8 @@ def source(store: Store, root: Path, before: Side, after: Side) -> Iterator[Diff
     if was == now:
         return
     if was is None or now is None:
-        told = "not part of the identity before" if was is None else "no longer part of the identity"
-        yield Difference("source", "tree", f"source: {told}", was, now)
+        parts = "not part of the identity before" if was is None else "no longer part of the identity"
+        yield Difference("source", "tree", f"source: {parts}", was, now)
     else:
         yield _tree(store, root, before, after)
 
@@ -40,7 +40,7 @@ def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
     commits = _commits(root, before, after)
     files = [_file(file, known=file.path not in found.unknown) for file in found.files]
     count = "1 file differs" if len(files) == 1 else f"{len(files)} files differ"
-    line = f"source: {count}: {few(files, SHOWN)}{_how(commits, after)}"
+    line = f"source: {count}: {few(files, SHOWN)}{_relation_text(commits, after)}"
     unknown = [f"{path}: its content is neither in git nor in the store" for path in found.unknown]
     more = files if len(files) > SHOWN else ()
     return Difference("source", "tree", line, was, now, (*more, *_logs(commits), *unknown, *found.lines))
@@ -63,8 +63,8 @@ def _file(file: File, *, known: bool) -> str:
             return f"{file.path} (mode {file.was} {ARROW} {file.now})"
         case what:
             counts = f"+{file.added} −{file.removed}" if file.added is not None else ""
-            told = ", ".join(filter(None, ("" if what == "changed" else what, counts)))
-            return f"{file.path} ({told or ('binary' if known else 'content lost')})"
+            parts = ", ".join(filter(None, ("" if what == "changed" else what, counts)))
+            return f"{file.path} ({parts or ('binary' if known else 'content lost')})"
 
 
 def _blob(store: Store, blob: str) -> bytes | None:
@@ -79,18 +79,18 @@ def _commits(root: Path, before: Side, after: Side) -> Commits:
     return commits_between.between(root, was, now) if was and now and was != now else Commits()
 
 
-def _how(commits: Commits, after: Side) -> str:
+def _relation_text(commits: Commits, after: Side) -> str:
     """Return a text about the commits between both sides, and about uncommitted changes of the later one."""
-    told = []
+    parts = []
     if commits.on:
-        told.append(f"{commits.on} commit{'s' * (commits.on > 1)} ahead")
+        parts.append(f"{commits.on} commit{'s' * (commits.on > 1)} ahead")
     if commits.back:
-        told.append(f"{commits.back} commit{'s' * (commits.back > 1)} behind")
+        parts.append(f"{commits.back} commit{'s' * (commits.back > 1)} behind")
     if commits.missing:
-        told.append(f"commit {' and '.join(commit[:10] for commit in commits.missing)} not in this repository")
+        parts.append(f"commit {' and '.join(commit[:10] for commit in commits.missing)} not in this repository")
     if after.source and after.source.dirty:
-        told.append("with uncommitted changes")
-    return f"; {', '.join(told)}" if told else ""
+        parts.append("with uncommitted changes")
+    return f"; {', '.join(parts)}" if parts else ""
 
 
 def _logs(commits: Commits) -> Iterator[str]:
@@ -122,7 +122,7 @@ def commit(root: Path, before: Side, after: Side) -> Iterator[Difference]:
     if was != now:
         commits = _commits(root, before, after)
         names = [f"{(_commit(side) or 'none')[:10]}{_branch(side)}" for side in (before, after)]
-        line = f"commit: {names[0]} {ARROW} {names[1]}, the same files{_how(commits, after)}"
+        line = f"commit: {names[0]} {ARROW} {names[1]}, the same files{_relation_text(commits, after)}"
         yield Difference("commit", "commit", line, was, now, tuple(_logs(commits)))
 
 

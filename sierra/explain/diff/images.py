@@ -31,8 +31,8 @@ def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Pat
         if old and new:
             yield from _inside(store, old, new, mentioned(after.spec.command, root))
     before_reach, reach = (side.spec.host_access for side in (before, after))
-    if told := other_host_access(before_reach, reach):
-        yield Difference("image", "host_access", f"host access of runs: {', '.join(told)}", before_reach, reach)
+    if changes := other_host_access(before_reach, reach):
+        yield Difference("image", "host_access", f"host access of runs: {', '.join(changes)}", before_reach, reach)
 
 
 def _row(snapshot: Snapshot, identity: str | None) -> ImageRow | None:
@@ -50,7 +50,7 @@ def _inside(store: Store, old: ImageRow, new: ImageRow, words: frozenset[str]) -
     yield from changed("image", "architecture", old.architecture, new.architecture)
     was, now = (json.loads(row.packages or "{}") for row in (old, new))
     for manager, changes in packages(was, now, words).items():
-        yield _told(manager, f"{manager} packages of the image", changes)
+        yield _difference(manager, f"{manager} packages of the image", changes)
     yield from changed("image", "variables", old.variables, new.variables, called="variables of the image")
     yield _files(store, old, new)
 
@@ -63,10 +63,10 @@ def _files(store: Store, old: ImageRow, new: ImageRow) -> Difference:
         return Difference("image", "files", f"{called}: the list of files is not in the store", old.files, new.files)
     if not changes:
         return Difference("image", "files", f"{called}: no differences", old.files, new.files)
-    return _told("files", called, changes)
+    return _difference("files", called, changes)
 
 
-def _told(name: str, called: str, changes: Sequence[Change]) -> Difference:
+def _difference(name: str, called: str, changes: Sequence[Change]) -> Difference:
     texts = [change.text for change in changes]
     count = "1 differs" if len(changes) == 1 else f"{len(changes)} differ"
     details = (*texts[:DETAILS], *([f"and {len(texts) - DETAILS} more"] if len(texts) > DETAILS else []))

@@ -195,7 +195,7 @@ def _telling(before: Side, after: Side) -> Iterator[str]:
             yield name
 
 
-def takens(snapshot: Snapshot, side: Side, places: Sequence[tuple[int, int]]) -> list[ChosenExecution]:
+def chosen_executions(snapshot: Snapshot, side: Side, places: Sequence[tuple[int, int]]) -> list[ChosenExecution]:
     """Return some of a side's runs, by their experiments' places and their numbers, in that order."""
     statement = f"SELECT run, own, status, execution FROM {side.table} WHERE ordinal = $o AND number = $n"  # noqa: S608
     found = []

@@ -127,9 +127,9 @@ def _parts(was: Compared, now: Compared) -> Iterator[str]:
                     yield f"{key} {shown(old.get(key))} {ARROW} {shown(new.get(key))}"
         case list(), list() if len(was) + len(now) > 6:
             more, less = ([one for one in a if one not in b] for a, b in ((now, was), (was, now)))
-            told = [*(f"+{shown(one)}" for one in more), *(f"−{shown(one)}" for one in less)]
-            if told:
-                yield " ".join(told) if len(told) <= 12 else f"{len(more)} added and {len(less)} removed"
+            items = [*(f"+{shown(one)}" for one in more), *(f"−{shown(one)}" for one in less)]
+            if items:
+                yield " ".join(items) if len(items) <= 12 else f"{len(more)} added and {len(less)} removed"
 
 
 def flat(value: Compared, path: str = "") -> Iterator[tuple[str, Compared]]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from sierra.errors import Damaged
-from sierra.explain.diff.load_sides import Side, takens
+from sierra.explain.diff.load_sides import Side, chosen_executions
 from sierra.explain.diff.model import ARROW, Difference, Note, shown
 from sierra.model import Value
 from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
@@ -49,8 +49,8 @@ def inputs(snapshot: Snapshot, before: Side, after: Side, notes: list[Note]) -> 
                 found.setdefault((name, spot.path), []).append((pair, spot))
     read = f"{len(looked)} runs" if len(looked) == others else f"{len(looked)} runs that were read"
     several = any(len(files) > 1 for pair in pairs for files in pair.files)
-    for (name, _), those in found.items():
-        yield _told(f"{name}: " if several else "", those, len(looked), read, before, after)
+    for (name, _), occurrences in found.items():
+        yield _difference(f"{name}: " if several else "", occurrences, len(looked), read, before, after)
     if len(looked) < others:
         text = f"inputs differ in {others} of the {runs} compared runs; {len(looked)} of them were read"
         notes.append(Note(text, "inputs"))
@@ -58,11 +58,11 @@ def inputs(snapshot: Snapshot, before: Side, after: Side, notes: list[Note]) -> 
 
 def _sample(snapshot: Snapshot, before: Side, after: Side) -> list[_Pair]:
     rows = snapshot.run(SAMPLE, {"most": LOOKED_AT})
-    olds = _files(snapshot, takens(snapshot, before, [(row[0], row[1]) for row in rows]))
-    news = _files(snapshot, takens(snapshot, after, [(row[2], row[3]) for row in rows]))
+    old_files = _files(snapshot, chosen_executions(snapshot, before, [(row[0], row[1]) for row in rows]))
+    new_files = _files(snapshot, chosen_executions(snapshot, after, [(row[2], row[3]) for row in rows]))
     return [
         _Pair((row[4], row[5]), (before.cells[row[0]], after.cells[row[2]]), (old, new))
-        for row, old, new in zip(rows, olds, news, strict=True)
+        for row, old, new in zip(rows, old_files, new_files, strict=True)
     ]
 
 
@@ -104,18 +104,22 @@ def _spots(name: str, pair: _Pair, content: Mapping[str | None, bytes]) -> Itera
         yield from differing(name, content[old.sha256], content[new.sha256])
 
 
-def _told(name: str, those: Sequence[tuple[_Pair, Spot]], looked: int, read: str, before: Side, after: Side) -> Difference:
+def _difference(
+    name: str, occurrences: Sequence[tuple[_Pair, Spot]], looked: int, read: str, before: Side, after: Side
+) -> Difference:
     """Return the difference at one place of the input, in all pairs of runs in which it differs."""
-    first = those[0][1]
-    values = {(spot.what, spot.was, spot.now) for _, spot in those}
-    where = "" if before.is_one else f" (in {'all' if len(those) == looked else f'{len(those)} of'} {read})"
+    first = occurrences[0][1]
+    values = {(spot.what, spot.was, spot.now) for _, spot in occurrences}
+    where = "" if before.is_one else f" (in {'all' if len(occurrences) == looked else f'{len(occurrences)} of'} {read})"
     varying = f", and {len(values) - 1} different pairs of values" if len(values) > 1 else ""
     line = f"{name}{_line(first)}{varying}{where}"
-    if all(_is_seed(pair, spot) for pair, spot in those):
+    if all(_is_seed(pair, spot) for pair, spot in occurrences):
         return Difference("inputs", "the seed", f"input, the seed: {line}", first.was, first.now)
-    asked = all(_is_asked(pair, spot, before, after) for pair, spot in those)
-    kind = "as asked" if asked else first.path
-    return Difference("inputs", kind, f"input{', as requested' if asked else ''}: {line}", first.was, first.now, first.lines)
+    requested = all(_is_requested(pair, spot, before, after) for pair, spot in occurrences)
+    kind = "as asked" if requested else first.path
+    return Difference(
+        "inputs", kind, f"input{', as requested' if requested else ''}: {line}", first.was, first.now, first.lines
+    )
 
 
 def _line(spot: Spot) -> str:
@@ -138,7 +142,7 @@ def _is_seed(pair: _Pair, spot: Spot) -> bool:
     return pair.seeds[0] != pair.seeds[1] and (spot.was, spot.now) == tuple(map(str, pair.seeds))
 
 
-def _is_asked(pair: _Pair, spot: Spot, before: Side, after: Side) -> bool:
+def _is_requested(pair: _Pair, spot: Spot, before: Side, after: Side) -> bool:
     """Check whether a difference follows from the values of the two experiments, or from a --set that only one side has."""
     was, now = pair.values
     for name in was.keys() & now.keys():

@@ -12,7 +12,7 @@ import pytest
 
 import sierra
 from sierra.errors import Damaged
-from sierra.execution.checkout import _bring
+from sierra.execution.checkout import _copy_in
 from sierra.execution.sessions import Session
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
@@ -362,6 +362,6 @@ def test_a_checkout_writes_nothing_through_a_link_out_of_it(tmp_path: Path, thei
     root.mkdir()
     (root / "out").symlink_to(theirs)
     before = files(theirs)
-    _bring(project / "out" / "new", root, Path("out", "new"))
+    _copy_in(project / "out" / "new", root, Path("out", "new"))
     assert files(theirs) == before
     assert ((root / "out").is_symlink(), (root / "out" / "new").read_text()) == (False, "stranger's\n")
