@@ -118,7 +118,7 @@ def _from_store(statement: str, **parameters: str) -> list[str]:
     with contextlib.suppress(*IGNORED):
         from sierra.cli.open_project import project
 
-        return [row["id"] for row in project().store.rows(statement, most=MOST, **parameters)]
+        return project().store.values(str, statement, most=MOST, **parameters)
     return []
 
 

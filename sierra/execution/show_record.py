@@ -68,22 +68,7 @@ class Failed:
 
 
 class Attempt(NamedTuple):
-    """An attempt at an array task of a batch; see the table `attempts`."""
-
-    session: str
-    array_task: int
-    job: str | None
-    node: str
-    started: datetime
-    ended: datetime
-    runs: int
-    interrupted_runs: int
-    state: str
-    error: str | None
-
-
-class AttemptAtRun(NamedTuple):
-    """An attempt at an array task with a run, and whether it executed that run."""
+    """An attempt at an array task; see the table `attempts`."""
 
     session: str
     array_task: int
@@ -96,6 +81,7 @@ class AttemptAtRun(NamedTuple):
     state: str
     error: str | None
     executed: bool | None
+    """Whether it executed the shown run; None if a batch is shown."""
 
 
 class Nondeterminism(NamedTuple):
@@ -220,7 +206,8 @@ class ShownBatch:
     """Log file of the last session."""
 
     def as_dict(self) -> Record:
-        return {"kind": self.kind} | self.row._asdict() | _members(self)
+        attempts = [_without(attempt._asdict(), "executed") for attempt in self.attempts]
+        return {"kind": self.kind, **self.row._asdict(), **_members(self), "attempts": attempts}
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +235,7 @@ class ShownRun:
     spec: SpecRow
     executions: Sequence[ExecutionRow]
     batches: Sequence[str]
-    attempts: Sequence[AttemptAtRun]
+    attempts: Sequence[Attempt]
     nondeterminism: Sequence[Nondeterminism]
     verdicts: Sequence[VerdictOnRun]
     files: Sequence[RecordedFile]
@@ -264,7 +251,7 @@ class ShownExecution:
 
     kind: ClassVar[str] = "execution"
     row: ExecutionRow
-    attempts: Sequence[AttemptAtRun]
+    attempts: Sequence[Attempt]
     artifacts: Sequence[ArtifactRow]
     image: ShownImage | None
     host_access: Sequence[str]
@@ -383,7 +370,7 @@ WHERE run = $r OR run IN (SELECT run FROM batch_runs WHERE batch = $b) ORDER BY 
 """
 ATTEMPT = "session, a.array_task, a.job, a.node, a.started, a.ended, a.runs, a.interrupted_runs, a.state, a.error"
 ATTEMPTS_OF_BATCH = f"""
-SELECT {ATTEMPT} FROM attempts a WHERE batch = $b ORDER BY state = 'finished', array_task, started
+SELECT {ATTEMPT}, NULL::BOOLEAN AS executed FROM attempts a WHERE batch = $b ORDER BY state = 'finished', array_task, started
 """  # noqa: S608 - of our own parts
 """Attempts at the array tasks of a batch on clusters; those that were cut off come first."""
 ATTEMPTS_AT_RUN = f"""
@@ -498,7 +485,7 @@ def _run(snapshot: Snapshot, found: Found) -> ShownRun:
         spec=required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=str(row["spec"])),
         executions=snapshot.select(ExecutionRow, "SELECT * FROM executions WHERE run = $r ORDER BY lamport", r=found.id),
         batches=snapshot.values(str, BATCHES, r=found.id),
-        attempts=snapshot.select(AttemptAtRun, ATTEMPTS_AT_RUN, r=found.id, e=None),
+        attempts=snapshot.select(Attempt, ATTEMPTS_AT_RUN, r=found.id, e=None),
         nondeterminism=snapshot.select(Nondeterminism, NONDETERMINISM, b=None, r=found.id),
         verdicts=snapshot.select(VerdictOnRun, VERDICTS, r=found.id),
         files=[RecordedFile(file.path, file.kind, file.bytes, file.sha256) for file in files],
@@ -514,7 +501,7 @@ def _execution(snapshot: Snapshot, identity: str) -> ShownExecution:
     spec = required_row(SpecRow, snapshot, SPEC_OF_RUN, r=row.run)
     return ShownExecution(
         row=row,
-        attempts=snapshot.select(AttemptAtRun, ATTEMPTS_AT_RUN, r=row.run, e=identity),
+        attempts=snapshot.select(Attempt, ATTEMPTS_AT_RUN, r=row.run, e=identity),
         artifacts=sorted(artifacts, key=lambda artifact: natural(artifact.path)),
         image=_image(snapshot, spec.image),
         host_access=spec.host_access,
