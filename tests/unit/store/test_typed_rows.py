@@ -11,6 +11,7 @@ import pytest
 from sierra.errors import Damaged
 from sierra.store.records import ROWS, BlobRow, FindingRow
 from sierra.store.store import Store
+from sierra.store.typed_rows import of_fields
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
@@ -63,3 +64,10 @@ def test_a_statement_that_does_not_fit_its_class_is_refused(store: Store) -> Non
         store.select(Row, "SELECT 1 AS blob, sha256 FROM blobs")
     with pytest.raises(TypeError, match="annotated int"):
         store.values(int, "SELECT blob FROM blobs")
+
+
+def test_rows_are_made_from_exactly_their_fields() -> None:
+    assert of_fields(Row, {"sha256": None, "blob": "b1"}) == Row("b1", None)
+    for wrong in ({"blob": "b1"}, {"blob": "b1", "sha256": None, "other": 1}):
+        with pytest.raises(TypeError, match="Row has the fields"):
+            of_fields(Row, wrong)
