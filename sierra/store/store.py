@@ -13,10 +13,10 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from sierra.errors import Damaged, Missing, NotFound, SqlError
-from sierra.store.answer import Answer, RawRow
+from sierra.store.answer import Answer, Cell, RawRow
 from sierra.store.connections import Connection, Rows
 from sierra.store.duckdb_file_io import check_folder, plain, read_parquet
 from sierra.store.duckdb_messages import explain
@@ -152,7 +152,7 @@ class Store:
             shared.close()
             raise
 
-    def rows(self, text: str, **parameters: object) -> list[dict[str, Any]]:
+    def rows(self, text: str, **parameters: object) -> list[dict[str, Cell]]:
         """Return the result of one statement as a list of rows by column."""
         with self.snapshot() as snapshot:
             return snapshot.rows(text, **parameters)
@@ -283,7 +283,7 @@ class Snapshot:
         """Return the values of a statement that only reads and has one column, none of them NULL. Raises SqlError."""
         return self.ask(text, parameters, partial(values, kind))
 
-    def rows(self, text: str, **parameters: object) -> list[dict[str, Any]]:
+    def rows(self, text: str, **parameters: object) -> list[dict[str, Cell]]:
         """Return the result of one statement that only reads, as rows by column. Raises SqlError."""
         return self.ask(text, parameters, lambda found: [dict(zip(found.columns, row, strict=True)) for row in found.rows()])
 
