@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from sierra.provenance.source.share_refs import Shared
     from sierra.query.query_input import QueryRequest
     from sierra.replay.verdicts import Replay, Tolerances
-    from sierra.runners.cluster.estimate import Estimate
+    from sierra.runners.cluster.job_request import Estimate
     from sierra.store.export_recorded_files import Listing, Outcome
     from sierra.store.public_result import Result
     from sierra.store.records import SourceRow
@@ -369,7 +369,7 @@ class Project:
         return execute(self._loaded, self.store, prefix, options, observer or _observer(progress))
 
     def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Estimate | None:
-        """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.estimate`.
+        """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.job_request`.
 
         Return None if the runner is not a cluster, or if there is no run to submit.
 

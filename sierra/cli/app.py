@@ -17,8 +17,8 @@ from sierra.cli import (
     gc,
     image,
     init,
+    lazy_parameters,
     ls,
-    quick_start,
     replay,
     rm,
     run,
@@ -38,7 +38,7 @@ EXIT_CODES = (
 
 app = typer.Typer(
     name="sierra",
-    cls=quick_start.Group,
+    cls=lazy_parameters.Group,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -112,7 +112,7 @@ for command in (
     doctor.doctor,
     schema.schema,
 ):
-    app.command(cls=quick_start.Command)(command)
+    app.command(cls=lazy_parameters.Command)(command)
 
 for group in (image.app, source.app):
     app.add_typer(group)

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sierra.cli import quick_start
+from sierra.cli import lazy_parameters
 from sierra.cli.output import cell, fields, note, print_json, readable, size, table
 
 if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents
 
 app = typer.Typer(
-    cls=quick_start.Group,
+    cls=lazy_parameters.Group,
     name="image",
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -31,7 +31,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text
 PACKAGES = 12
 
 
-@app.command(cls=quick_start.Command)
+@app.command(cls=lazy_parameters.Command)
 def build(
     recipes: Annotated[
         list[str] | None, typer.Argument(metavar="RECIPE", help="Folders with a Containerfile (default: [container] image).")
@@ -65,7 +65,7 @@ def build(
         print_json(built)
 
 
-@app.command("import", cls=quick_start.Command)
+@app.command("import", cls=lazy_parameters.Command)
 def import_(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A docker-archive or oci-archive file.")],
     name: Annotated[
@@ -93,7 +93,7 @@ def import_(
     print(f"pinned already: {', '.join(pinned)}" if pinned else f"next: sierra image pin {found.image.name}")
 
 
-@app.command(cls=quick_start.Command)
+@app.command(cls=lazy_parameters.Command)
 def export(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A tag, a file, or a recipe's folder.")],
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The archive to write.")],
@@ -116,7 +116,7 @@ def export(
         print(f"{image.id}  {file}")
 
 
-@app.command(cls=quick_start.Command)
+@app.command(cls=lazy_parameters.Command)
 def pin(name: Name = None, as_json: AsJson = False) -> None:
     """Pin the image that a name refers to now.
 
@@ -141,7 +141,7 @@ def pin(name: Name = None, as_json: AsJson = False) -> None:
         print(f"{found.image.id}  {found.image.name}: pinned in sierra.lock")
 
 
-@app.command(cls=quick_start.Command)
+@app.command(cls=lazy_parameters.Command)
 def show(
     name: Name = None,
     programs: Annotated[
@@ -171,7 +171,7 @@ def show(
         _print_part(key, shown[key])
 
 
-@app.command(cls=quick_start.Command)
+@app.command(cls=lazy_parameters.Command)
 def ls(as_json: AsJson = False) -> None:
     """List the project's images, and where they are stored.
 

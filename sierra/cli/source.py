@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sierra.cli import quick_start
+from sierra.cli import lazy_parameters
 from sierra.cli.output import print_json
 from sierra.util.text import counted
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sierra.provenance.source.share_refs import Shared
 
 app = typer.Typer(
-    cls=quick_start.Group,
+    cls=lazy_parameters.Group,
     name="source",
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -29,7 +29,7 @@ Remote = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 
 
-@app.command(cls=quick_start.Command)
+@app.command(cls=lazy_parameters.Command)
 def push(remote: Remote = None, as_json: AsJson = False) -> None:
     """Push the recorded code to a git remote.
 
@@ -46,7 +46,7 @@ def push(remote: Remote = None, as_json: AsJson = False) -> None:
     _tell(project().push_sources(remote), "pushed to", as_json=as_json)
 
 
-@app.command(cls=quick_start.Command)
+@app.command(cls=lazy_parameters.Command)
 def fetch(remote: Remote = None, as_json: AsJson = False) -> None:
     """Fetch the recorded code that others pushed with sierra source push.
 

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sierra.execution.cluster_status import ClusterSession
 from sierra.query.query_input import QueryRequest
-from sierra.runners.cluster.estimate import Estimate
+from sierra.runners.cluster.job_request import Estimate
 
 
 class PlanPreview(BaseModel):

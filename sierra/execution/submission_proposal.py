@@ -11,7 +11,7 @@ from sierra.execution import expected_durations
 from sierra.execution.forecast import forecast
 from sierra.execution.resolve_plan import Plan
 from sierra.provenance import source
-from sierra.runners.cluster.estimate import Estimate, propose
+from sierra.runners.cluster.job_request import Estimate, propose
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
 
