@@ -386,10 +386,14 @@ class Project:
         >>> project.status()
         []
         """
-        from sierra.execution import cluster_status as status
+        from sierra.execution import sessions
 
         store = self.stored()
-        return status.standing(store, prefix, observer) if store else []
+        if store is None or (prefix is None and not sessions.submitted(store.paths)):
+            return []
+        from sierra.execution import cluster_status
+
+        return cluster_status.standing(store, prefix, observer)
 
     def left(self, summary: Summary) -> list[ClusterSession]:
         """Return the state of the cluster jobs that the summary's session left running.

@@ -42,7 +42,7 @@ def test_help_imports_only_the_command_line_library(root: Path) -> None:
     assert imported(root, "--help") == set()
 
 
-@pytest.mark.parametrize("words", [("ls",), ("sql", "SELECT 1")], ids=" ".join)
+@pytest.mark.parametrize("words", [("ls",), ("status",), ("sql", "SELECT 1")], ids=" ".join)
 def test_commands_that_read_a_few_rows_import_only_duckdb(root: Path, words: tuple[str, ...]) -> None:
     assert imported(root, *words) <= {"duckdb", "logging"}
 
