@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
     from sierra.execution.cluster_status import ClusterSession
-    from sierra.execution.execute_missing import RunOptions
     from sierra.execution.list_batches import ListedBatch
     from sierra.execution.observer import Observer
     from sierra.execution.resolve_plan import Plan
+    from sierra.execution.run_options import RunOptions
     from sierra.execution.show_record import Shown, ShownSession
     from sierra.execution.summary import Summary
     from sierra.execution.takeover import Cancelled
@@ -131,7 +131,6 @@ class Project:
         >>> len(plan.batch.experiments), len(plan.batch.runs)
         (3, 9)
         """
-        from sierra.execution import plan_from_record
         from sierra.query import query_input
         from sierra.store.store import PREFIX
 
@@ -141,6 +140,8 @@ class Project:
                 raise UsageError(
                     f"batch {word} is executed as it was recorded; leave out --runs, --controller, --scenario and --set"
                 )
+            from sierra.execution import plan_from_record
+
             return plan_from_record.plan(self._loaded, self.store, word, contained=engine)
         request = query_input.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets)
         return self.resolve(request, engine=engine, observer=observer)
@@ -218,7 +219,7 @@ class Project:
         """
         from sierra import runners
         from sierra.execution import execute
-        from sierra.execution.execute_missing import RunOptions
+        from sierra.execution.run_options import RunOptions
 
         stays = runners.find(runner, self.config.runners)(1).stays
         if detach and not stays:
@@ -401,9 +402,11 @@ class Project:
         >>> project.left(summary)
         []
         """
-        from sierra.execution import cluster_status as status
+        if not summary.detached:
+            return []
+        from sierra.execution import cluster_status
 
-        found = (status.submitted(self.store.paths.session(session)) for session in summary.detached)
+        found = (cluster_status.submitted(self.store.paths.session(session)) for session in summary.detached)
         return [one for one in found if one is not None]
 
     def attach(
@@ -496,7 +499,7 @@ class Project:
         from sierra.containers import images
 
         name = self._image(name)
-        image = images.pins(self.root).get(name) or images.named(self.root, name)
+        image = images.all_pinned(self.root).get(name) or images.named(self.root, name)
         return images.examine(self.root, Store.create(self.paths.store).paths, image)
 
     def images(self) -> list[Known]:

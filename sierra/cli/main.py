@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from typing import NoReturn, Protocol, runtime_checkable
@@ -16,6 +17,7 @@ INTERRUPTED = 130
 
 def main() -> NoReturn:
     """Run the program `sierra`, and exit with the codes of `sierra.errors`; users never see a traceback."""
+    gc.set_threshold(50_000, 20, 20)  # by default, Python collects dozens of times while modules load, and frees nothing
     signals.handle()
     with guarded():
         code = _ended()

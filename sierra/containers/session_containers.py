@@ -8,14 +8,12 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
 from sierra.config.project_file import Container
 from sierra.containers import images
 from sierra.containers.engines.base import PROJECT, PYTHON, Capabilities, ContainerSpec, Engine, Mount, Process
-from sierra.containers.images import oci
 from sierra.containers.images.image import Image
-from sierra.containers.images.image_contents import Contents
 from sierra.errors import ConfigError, Missing
 from sierra.model import Limits, Requirement, RunSpec
 from sierra.provenance.change_guard import ChangeGuard, guard_file
@@ -25,6 +23,9 @@ from sierra.store.layout import StorePaths
 from sierra.store.records import IsolationRow
 from sierra.util.hashing import digest, sha256
 from sierra.util.json_types import Cell
+
+if TYPE_CHECKING:
+    from sierra.containers.images.image_contents import Contents
 
 NETWORK, GPU, DEVICE, MOUNT = "network", "gpu", "device ", "mount "
 MOUNTS = "{mount}"
@@ -271,6 +272,8 @@ def _check_devices(spec: RunSpec) -> None:
 
 def _check_variables(image: Image, inside: Contents) -> None:
     """Check that the pinned variables are the image's, because only its id is in the identity. Raises Missing."""
+    from sierra.containers.images import oci
+
     if inside.config and dict(image.variables) != oci.variables(inside.config):
         differs = f"the variables of {image.name} in sierra.lock differ from the image's"
         raise Missing(f"{differs}; run: sierra image pin {image.name}")

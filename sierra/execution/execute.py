@@ -9,20 +9,21 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from functools import partial
+from typing import TYPE_CHECKING
 
-from sierra import runners
 from sierra.errors import Missing
 from sierra.execution import records, recover
-from sierra.execution.execute_missing import Executor, RunOptions
 from sierra.execution.reasons import FAILED
 from sierra.execution.resolve_plan import Plan, context, versioned
 from sierra.execution.reuse import is_answered, states
+from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary, of_session
-from sierra.ingest.consistency import find_odd
-from sierra.provenance import required_packages
 from sierra.store.store import Store
 from sierra.util.log_messages import Log
+
+if TYPE_CHECKING:
+    from sierra.execution.execute_missing import Executor
 
 log = Log(__name__)
 
@@ -36,6 +37,15 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
     began = datetime.now(UTC)
     if is_answered(plan, store):
         return of_session(plan, store, len({run.id for run in plan.batch.runs}))
+    return _execute(plan, store, options, began)
+
+
+def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> Summary:
+    from sierra import runners  # these modules are not needed if all runs are reused
+    from sierra.execution.execute_missing import Executor
+    from sierra.ingest.consistency import find_odd
+    from sierra.provenance import required_packages
+
     if absent := required_packages.missing(plan.project.config, contained=plan.engine.name != "none"):
         raise Missing(
             f"runs need Python packages that are not installed ({', '.join(absent)}): {required_packages.remedy(absent)}"

@@ -6,16 +6,16 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.execution import expected_durations, recover, sessions
 from sierra.execution.attach import attach
-from sierra.execution.observer import Observer, Relay, Tally
+from sierra.execution.observer import Relay, Tally
 from sierra.execution.resolve_plan import Plan, context
 from sierra.execution.reuse import rules_changed, states
 from sierra.execution.run_jobs import Service, Setup
+from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
 from sierra.ingest.consistency import find_odd
 from sierra.ingest.rejudge import reevaluate
@@ -31,20 +31,6 @@ from sierra.util.text import counted, few
 JOIN_S = 0.2
 NOTED = 4
 """Maximum number of reported reasons why runs cannot be evaluated again."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunOptions:
-    """Options of an execution: where runs execute, and callbacks for progress and notices."""
-
-    slots: int
-    runner: str = "local"
-    fail_fast: bool = False
-    only: AbstractSet[str] | None = None
-    """Ids of the runs to execute; None for all."""
-    observer: Observer = field(default_factory=Observer)
-    detach: bool = False
-    """True to leave jobs on a cluster without waiting for them."""
 
 
 class Executor:

@@ -150,7 +150,7 @@ def image(project: LoadedProject, store: Store, spec: RunSpec) -> Image | None:
     """Return the image of a spec: the pinned one with this id, under any name, or the recorded one. Raises Missing."""
     if spec.image is None:
         return None
-    found = next((one for one in images.pins(project.root).values() if one.id == spec.image), None)
+    found = next((one for one in images.all_pinned(project.root).values() if one.id == spec.image), None)
     return found or image_contents(store, spec.image).image
 
 

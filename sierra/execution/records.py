@@ -14,7 +14,6 @@ from sierra.execution.resolve_plan import Plan, context
 from sierra.execution.sessions import Session
 from sierra.model import Batch
 from sierra.provenance import source
-from sierra.runners.cluster.submission_record import Submission
 from sierra.store.layout import SessionPaths
 from sierra.store.objects import Objects
 from sierra.store.order import stamp
@@ -171,6 +170,8 @@ def _ended(session: Session, begun: SessionRow, counts: Counts, reused: int, mis
 def _cores(session: SessionPaths) -> int | None:
     """Return how many runs of a submitted session execute at a time once all its array tasks run; None without a submission."""
     try:
+        from sierra.runners.cluster.submission_record import Submission
+
         submission = Submission.load(session)
     except FileNotFoundError:
         return None

@@ -7,14 +7,10 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from sierra.containers import engines
 from sierra.errors import Damaged, SierraError
 from sierra.execution import sessions
-from sierra.ingest.consistency import find_odd
-from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
 from sierra.model import Result, Status
-from sierra.runners import local
 from sierra.runners.journal_reader import Journal
 from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
@@ -29,6 +25,8 @@ def finish_dead(store: Store) -> int:
     recovered = 0
     with sessions.dead(store.paths) as found:
         if found:
+            from sierra.runners import local  # what recovers sessions is loaded only if one has died
+
             local.end_orphans(found)
         for paths in found:
             _sweep(paths)
@@ -40,6 +38,8 @@ def finish_dead(store: Store) -> int:
 
 def _sweep(paths: SessionPaths) -> None:
     """Remove the containers that a session has left."""
+    from sierra.containers import engines
+
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError, SierraError):  # it died before anything was started
         context = Context.load(paths.context)
         engines.find(context.engine, context.engines).sweep([paths.root.name])
@@ -50,6 +50,9 @@ def recover(store: Store, paths: SessionPaths) -> int:
 
     Returns the number of recorded executions that were not interrupted.
     """
+    from sierra.ingest.consistency import find_odd
+    from sierra.ingest.recorder import Recorder
+
     events = [event for event in Journal(paths.journal).read() if isinstance(event, Result)]
     results = [result for result in (_own(paths, event) for event in events) if result is not None]
     if not results:

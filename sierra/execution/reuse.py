@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
 from sierra.execution.resolve_plan import Plan, context
-from sierra.ingest.rejudge import foresee
 from sierra.store.store import Snapshot, Store
 
 MANY = 4
@@ -91,6 +90,8 @@ def foreseen(plan: Plan, store: Store | None, found: Mapping[str, State]) -> dic
     bad = [run for run, state in found.items() if state.worth in (FAILED, RULES)]
     if store is None or not bad:
         return dict(found)
+    from sierra.ingest.rejudge import foresee
+
     now = context(plan)
     result = dict(found)
     for evaluation in foresee(store, now, bad, mismatched=rules_changed(plan, store)):

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from sierra.execution import show_record
 from sierra.execution.resolve_plan import Plan, out_of_reach
 from sierra.model import Batch, Value
 from sierra.store.store import Store
 from sierra.util import html
 from sierra.util.hashing import short
+
+if TYPE_CHECKING:
+    from sierra.execution import show_record
 
 SHOWN_REASONS = 10
 
@@ -172,6 +174,8 @@ def of_recorded(
 
     `executed` is the number of runs that ended meanwhile; `failed` of these failed.
     """
+    from sierra.execution import show_record
+
     shown = show_record.batch(store, batch)
     counts = tuple(Counted(one.values, one.runs, one.succeeded, one.failed) for one in shown.experiments)
     succeeded, unsuccessful = sum(one.succeeded for one in counts), sum(one.failed for one in counts)

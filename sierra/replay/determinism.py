@@ -9,10 +9,10 @@ from dataclasses import replace as replaced
 
 from sierra.errors import Missing
 from sierra.execution import execute
-from sierra.execution.execute_missing import RunOptions
 from sierra.execution.observer import Observer
 from sierra.execution.resolve_plan import Plan
 from sierra.execution.reuse import states
+from sierra.execution.run_options import RunOptions
 from sierra.replay import replay
 from sierra.replay.compare_values import Verdict
 from sierra.replay.verdicts import Compared

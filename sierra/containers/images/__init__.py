@@ -7,10 +7,29 @@
 
 from __future__ import annotations
 
-from sierra.containers.images.image import Image, machine, short
-from sierra.containers.images.image_contents import contents, examine, outdated, rootfs
-from sierra.containers.images.pins import pin, pinned, pins
-from sierra.containers.images.resolve import named, verify
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-__all__ = ["Image", "contents", "examine", "machine", "named", "outdated", "pin", "pinned", "pins", "rootfs", "short"]
+from sierra.containers.images.image import Image, machine, short
+
+if TYPE_CHECKING:
+    from sierra.containers.images.image_contents import contents, examine, outdated, rootfs
+    from sierra.containers.images.pins import all_pinned, pin, pinned
+    from sierra.containers.images.resolve import named, verify
+
+HOMES = {
+    **dict.fromkeys(("contents", "examine", "outdated", "rootfs"), "image_contents"),
+    **dict.fromkeys(("all_pinned", "pin", "pinned"), "pins"),
+    **dict.fromkeys(("named", "verify"), "resolve"),
+}
+"""The modules of names that are loaded when they are used: most projects have no image."""
+
+
+def __getattr__(name: str) -> object:
+    if name not in HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{HOMES[name]}"), name)
+
+
+__all__ = ["Image", "all_pinned", "contents", "examine", "machine", "named", "outdated", "pin", "pinned", "rootfs", "short"]
 __all__ += ["verify"]

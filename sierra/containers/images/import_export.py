@@ -10,7 +10,7 @@ from pathlib import Path
 from sierra.containers.images import image_contents, oci, podman_images, sif_format
 from sierra.containers.images.image import Image, Kind, short
 from sierra.containers.images.image_contents import Contents
-from sierra.containers.images.pins import pins
+from sierra.containers.images.pins import all_pinned
 from sierra.containers.images.resolve import named, tag
 from sierra.errors import Damaged, Missing, UsageError
 from sierra.store.layout import StorePaths
@@ -53,7 +53,7 @@ def export(root: Path, name: str, file: Path) -> Image:
         raise UsageError(f"{file} is a folder; name the file to write, for example {file / 'image.tar'}")
     if not file.parent.is_dir():
         raise UsageError(f"the folder {file.parent} for {file.name} does not exist")
-    image = pins(root).get(name) or named(root, name)
+    image = all_pinned(root).get(name) or named(root, name)
     unfinished = file.with_name(f".{file.name}.{os.getpid()}")
     try:
         _write(root, image, unfinished)

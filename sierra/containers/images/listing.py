@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sierra.containers.images import image_contents, podman_images
 from sierra.containers.images.image import Image, Kind
-from sierra.containers.images.pins import pins
+from sierra.containers.images.pins import all_pinned
 from sierra.containers.images.resolve import named
 from sierra.errors import SierraError
 from sierra.store.layout import StorePaths
@@ -52,7 +52,7 @@ class Known:
 
 def listing(root: Path, store: StorePaths, names: Iterable[str] = ()) -> list[Known]:
     """Return all images that are pinned or in `names`, by name, and then the described images without a name."""
-    pinned = pins(root)
+    pinned = all_pinned(root)
     found = [_named(root, store, name, pinned.get(name)) for name in sorted({*pinned, *names})]
     ids = {identity for one in found for identity in (one.id, one.now)}
     others = (one.image for one in image_contents.known(store) if one.image.id not in ids)

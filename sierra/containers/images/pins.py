@@ -25,7 +25,7 @@ def pin(root: Path, store: StorePaths, name: str) -> Contents:
 
     An archive may have the right configuration and damaged layers, so it is read completely before it is pinned the first time.
     """
-    image, before = named(root, name), pins(root).get(name)
+    image, before = named(root, name), all_pinned(root).get(name)
     unread = image.file and not squashfs_file(root / image.file) and (before is None or before.sha256 != image.sha256)
     found = examine_again(root, store, image) if unread or (image.file and not image.sha256) else examine(root, store, image)
     _write(root, found.image)
@@ -34,7 +34,7 @@ def pin(root: Path, store: StorePaths, name: str) -> Contents:
 
 def pinned(root: Path, name: str) -> Image:
     """Return the image that a name is pinned to. Raises Missing if it is not pinned, ConfigError for a broken `sierra.lock`."""
-    known = pins(root)
+    known = all_pinned(root)
     if name not in known:
         raise Missing(f"the image {name!r} is not pinned, {_why(root, name)} run: sierra image pin {name}")
     return known[name]
@@ -49,7 +49,7 @@ def _why(root: Path, name: str) -> str:
     return "so no run can use it;"
 
 
-def pins(root: Path) -> dict[str, Image]:
+def all_pinned(root: Path) -> dict[str, Image]:
     """Return all pinned images, by name. Raises ConfigError for a broken `sierra.lock`."""
     path = ProjectPaths(root).lock
     try:
@@ -68,7 +68,7 @@ def pins(root: Path) -> dict[str, Image]:
 
 def _write(root: Path, image: Image) -> None:
     """Write the image of a name to `sierra.lock`, replacing the previous pin. Raises Missing if the file cannot be written."""
-    known = pins(root) | {image.name: image}
+    known = all_pinned(root) | {image.name: image}
     fields = {name: {key: value for key, value in asdict(one).items() if key != "name"} for name, one in known.items()}
     text = json.dumps({"format": FORMAT, "images": fields}, indent=2, sort_keys=True, ensure_ascii=False)
     path = ProjectPaths(root).lock

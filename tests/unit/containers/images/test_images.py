@@ -385,7 +385,7 @@ def test_damaged_layers_are_noticed_even_if_the_image_is_already_known(project: 
     made.docker_archive(project.root / "bad.tar", [BASE, TOP], layer1=BASE)
     with pytest.raises(Damaged, match="layer 2 of 2"):
         project.pin("bad.tar")
-    assert list(images.pins(project.root)) == ["good.tar"]
+    assert list(images.all_pinned(project.root)) == ["good.tar"]
 
 
 # ---------------------------------------------------------------- SIF and squashfs
@@ -464,7 +464,7 @@ def test_paths_within_the_project_are_pinned_relative_and_others_get_a_note(proj
     made.docker_archive(project.root / "sim.tar", [BASE])
     for name in (str(project.root / "sim.tar"), "./sim.tar", f"{project.root}/./sim.tar"):
         assert quick(project.root, "image", "pin", name).returncode == 0
-    assert list(images.pins(project.root)) == ["sim.tar"]
+    assert list(images.all_pinned(project.root)) == ["sim.tar"]
     there = made.docker_archive(project.root.parent / "there.tar", [TOP])
     said = quick(project.root, "image", "pin", str(there))
     assert f"note: {there} exists only on this machine; " in said.stderr
@@ -518,7 +518,7 @@ def test_lock_file_with_an_invalid_id_is_refused(project: Project) -> None:
     lock = project.root / "sierra.lock"
     lock.write_text(re.sub(r"sha256:[0-9a-f]{64}", "sha256:../../escape", lock.read_text()))
     with pytest.raises(SierraError, match="broken"):
-        images.pins(project.root)
+        images.all_pinned(project.root)
 
 
 def test_changed_image_file_fails_verification_even_with_the_same_time(project: Project) -> None:
