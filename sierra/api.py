@@ -42,12 +42,12 @@ if TYPE_CHECKING:
     from sierra.maintenance.repair import Repair
     from sierra.provenance.commits_between import Known as CommitInRepository
     from sierra.provenance.source.share_refs import Shared
-    from sierra.query.query_input import QueryRequest
+    from sierra.query.query_request import QueryRequest
     from sierra.replay.verdicts import Replay, Tolerances
-    from sierra.runners.cluster.job_request import Estimate
+    from sierra.runners.cluster.resource_estimate import Estimate
     from sierra.store.export_recorded_files import Listing, Outcome
     from sierra.store.public_result import Result
-    from sierra.store.records import SourceRow
+    from sierra.store.row_types import SourceRow
 
 
 class Project:
@@ -131,7 +131,7 @@ class Project:
         >>> len(plan.batch.experiments), len(plan.batch.runs)
         (3, 9)
         """
-        from sierra.query import query_input
+        from sierra.query import query_request
         from sierra.store.store import PREFIX
 
         [word] = query if len(query) == 1 else ("",)
@@ -143,13 +143,13 @@ class Project:
             from sierra.execution import plan_from_record
 
             return plan_from_record.plan(self._loaded, self.store, word, contained=engine)
-        request = query_input.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets)
+        request = query_request.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets)
         return self.resolve(request, engine=engine, observer=observer)
 
     def resolve(self, request: QueryRequest, *, engine: str | None = None, observer: Observer | None = None) -> Plan:
         """Return the plan of a query request: see `plan`.
 
-        >>> from sierra.query.query_input import request
+        >>> from sierra.query.query_request import request
         >>> len(project.resolve(request(["population_size=1,2"], runs=2)).batch.runs)
         4
         """
@@ -309,15 +309,15 @@ class Project:
     def _session(self, prefix: str) -> ShownSession | None:
         """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""
         from sierra.execution.show_record import ShownSession
-        from sierra.store import session_log
-        from sierra.store.records import SessionRow
+        from sierra.store import session_log_file
+        from sierra.store.row_types import SessionRow
         from sierra.store.store import PREFIX
 
         start = prefix.lower()
         if not PREFIX.fullmatch(start):
             return None
         recorded = self.store.select(SessionRow, "SELECT * FROM sessions WHERE starts_with(session, $p)", p=start)
-        logged = (path.stem for path in session_log.logs(self.store.paths) if path.stem.startswith(start))
+        logged = (path.stem for path in session_log_file.logs(self.store.paths) if path.stem.startswith(start))
         found: dict[str, SessionRow | None] = {**dict.fromkeys(logged), **{row.session: row for row in recorded}}
         if len(found) != 1:
             return None
@@ -326,9 +326,9 @@ class Project:
 
     def _log_file(self, session: str) -> str | None:
         """Return the path of a session's log file; None if it has none any more."""
-        from sierra.store import session_log
+        from sierra.store import session_log_file
 
-        path = session_log.find(self.store.paths, session)
+        path = session_log_file.find(self.store.paths, session)
         return str(path) if path else None
 
     def _history(self, source: SourceRow | None) -> CommitInRepository | None:
@@ -370,7 +370,7 @@ class Project:
         return execute(self._loaded, self.store, prefix, options, observer or _observer(progress))
 
     def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Estimate | None:
-        """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.job_request`.
+        """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.resource_estimate`.
 
         Return None if the runner is not a cluster, or if there is no run to submit.
 

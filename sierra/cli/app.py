@@ -58,10 +58,10 @@ def _version(wanted: bool) -> None:
 def _listen(context: typer.Context, level: int) -> int:
     """Print messages to standard error until the command has ended: events at level 1, also details at level 2."""
     if level:
-        from sierra.util import log_messages
+        from sierra.util import lazy_logger
         from sierra.util.log_handlers import Stderr, listen
 
-        context.call_on_close(listen(Stderr(log_messages.INFO if level == 1 else log_messages.DEBUG)))
+        context.call_on_close(listen(Stderr(lazy_logger.INFO if level == 1 else lazy_logger.DEBUG)))
     return level
 
 

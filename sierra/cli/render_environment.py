@@ -9,7 +9,7 @@ from sierra.cli.output import fields, readable, size, table
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
-    from sierra.execution.recorded_rows import RecordedProgram
+    from sierra.execution.row_queries import RecordedProgram
     from sierra.execution.show_record import ShownEnvironment, ShownImage, ShownIsolation
 
 SHOWN = 12

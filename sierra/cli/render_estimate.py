@@ -9,7 +9,7 @@ from sierra.cli.output import size, table
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
-    from sierra.runners.cluster.job_request import Estimate
+    from sierra.runners.cluster.resource_estimate import Estimate
 
 
 def show(proposal: Estimate, *, explain: bool, script: bool) -> None:

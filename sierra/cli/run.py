@@ -17,7 +17,7 @@ from sierra.util.text import counted
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.execution.observer import Observer
-    from sierra.execution.plan_preview import PlanPreview
+    from sierra.execution.plan_json import PlanPreview
     from sierra.execution.resolve_plan import Plan
 
 STDERR = 2
@@ -132,16 +132,16 @@ def _plan(project: Project, query: list[str], settings: Settings, *, engine: str
     Prints a note if the file names a batch that the request no longer gives.
     """
     from sierra.errors import UsageError
-    from sierra.query import query_input
+    from sierra.query import query_request
     from sierra.util.hashing import short
 
-    if not query[0].endswith(query_input.SUFFIX):
+    if not query[0].endswith(query_request.SUFFIX):
         return project.plan(*query, **settings, engine=engine, observer=observer)
     if len(query) > 1 or any(settings.values()):
         raise UsageError(
             f"{query[0]} is a complete request; leave out other criteria, --runs, --controller, --scenario and --set"
         )
-    found = query_input.read(Path(query[0]))
+    found = query_request.read(Path(query[0]))
     plan = project.resolve(found.request, engine=engine, observer=observer)
     if found.batch not in (None, plan.batch.id):
         inside = Path(query[0]).resolve().is_relative_to(project.root)
@@ -157,8 +157,8 @@ def _preview(
     from sierra.cli import render_estimate
     from sierra.cli.render_reasons import PREVIEW, change, new_runs, text
     from sierra.execution.cluster_status import seen
-    from sierra.execution.forecast import forecast
-    from sierra.execution.plan_preview import PlanPreview
+    from sierra.execution.dry_run import forecast
+    from sierra.execution.plan_json import PlanPreview
     from sierra.execution.reasons import ChangeReason, Reason
     from sierra.explain.why_new_runs import other_programs, why_new
 

@@ -20,7 +20,7 @@ from sierra.util.fs import write_whole
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sierra.store.answer import Answer, Cell
+    from sierra.store.sql_result import Answer, Cell
     from sierra.store.store import Store
 
 SHOWN_ROWS = 200

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.config.project_file import Figure, LoadedProject
-from sierra.deliverables.figures.base import Drawing, draw
+from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.model import Axis
 from sierra.stats import aggregate as stats

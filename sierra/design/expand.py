@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from sierra.design import seeds
-from sierra.design.experiments import PlanningProgress, ignore_progress
+from sierra.design.factorial_design import PlanningProgress, ignore_progress
 from sierra.errors import QueryError
 from sierra.model import Batch, Cell, Design, Experiment, Run, RunSpec, Value
 from sierra.platforms.base import Platform

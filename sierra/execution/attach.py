@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sierra import runners
-from sierra.execution import records
+from sierra.execution import session_records
 from sierra.execution.follow import follow
 from sierra.execution.observer import Tally
 from sierra.execution.sessions import Session
@@ -41,7 +41,7 @@ def attach(store: Store, session: Session, tally: Tally, *, detach: bool = False
         context, runner = _submitted(session)
         followed = follow(runner, Recorder(store, session.paths, context), store, session, tally, None, detach=detach)
         if not followed.left:
-            records.finish(store, session, interrupted=session.paths.cancelled.exists())
+            session_records.finish(store, session, interrupted=session.paths.cancelled.exists())
         ended = not (cancelled or followed.left) and session.paths.cancelled.exists()  # by others, or on the cluster
         interrupted = followed.interrupted or ended
         return Attached(context.batch, len(tally.statuses), len(tally.failed), followed.left, interrupted, followed.notes)

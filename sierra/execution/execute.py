@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from sierra.errors import Missing
-from sierra.execution import records, recover
+from sierra.execution import recover, session_records
 from sierra.execution.reasons import FAILED
 from sierra.execution.resolve_plan import Plan, context, versioned
 from sierra.execution.reuse import is_answered, states
@@ -20,7 +20,7 @@ from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary, of_session
 from sierra.store.store import Store
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 
 if TYPE_CHECKING:
     from sierra.execution.execute_missing import Executor
@@ -56,13 +56,13 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
     try:
         session.take_number()
         log.info("query %s: batch %s on %s with %s", plan.text, plan.batch.id, options.runner, plan.engine.name)
-        if not records.is_kept(plan, store):
-            records.keep(plan, store, session)
+        if not session_records.is_kept(plan, store):
+            session_records.keep(plan, store, session)
         stays = make().stays
         slots = None if stays else options.slots
-        begun = records.begun(plan, session, started=began, runner=options.runner, slots=slots)
+        begun = session_records.begun(plan, session, started=began, runner=options.runner, slots=slots)
         if stays:
-            records.prepare(plan, store, session, begun)
+            session_records.prepare(plan, store, session, begun)
         odd = find_odd(store, session.paths, context(plan, session.id, session.number))
         executor = Executor(plan, store, session, make, options)
         if executor.rules_changed:
@@ -71,7 +71,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         summary = _sum_up(executor)
         log.info("%d runs: %d executed, %d failed, %d missing", summary.runs, summary.executed, summary.failed, summary.missing)
         if session.paths not in executor.left:
-            records.close(plan, store, session, summary, begun)
+            session_records.close(plan, store, session, summary, begun)
         return summary
     finally:
         session.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sierra.model import Status
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 
 log = Log(__name__)
 

@@ -14,24 +14,24 @@ from typing import NamedTuple
 
 from sierra.config.plugin_registry import Tables
 from sierra.config.project_file import LoadedProject, Output, Success
-from sierra.containers import engines, images, session_containers
+from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
 from sierra.containers.images.image_contents import Contents
 from sierra.errors import Damaged, Missing, NotFound, UsageError
-from sierra.execution import commands, recorded_rows
+from sierra.execution import commands, row_queries
 from sierra.execution.checkout import Checkout
-from sierra.execution.recorded_rows import RecordedProgram, axis_values, required_row
 from sierra.execution.resolve_plan import Plan, this_environment
+from sierra.execution.row_queries import RecordedProgram, axis_values, required_row
 from sierra.ingest.base import Used, described
 from sierra.ingest.recording_context import rules_of
 from sierra.model import Axis, Batch, Experiment, Query, Run, RunSpec
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import NOTHING
 from sierra.query import grammar
-from sierra.query.query_input import repeated
+from sierra.query.query_request import repeated
 from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
-from sierra.store.records import BatchRow, ImageRow, IngestRulesRow, SourceRow, SpecRow
+from sierra.store.row_types import BatchRow, ImageRow, IngestRulesRow, SourceRow, SpecRow
 from sierra.store.store import Store
 from sierra.templates.base import Files
 from sierra.util.fs import inside
@@ -96,7 +96,7 @@ class Recalled:
         """Return the checkout that restores the code."""
         used = tuple((program.name, program.kind) for program in self.programs)
         container = project.config.container if self.spec.image else None
-        mounted = session_containers.data(NOTHING, container, project.root) if container else NOTHING
+        mounted = container_setup.data(NOTHING, container, project.root) if container else NOTHING
         return Checkout(project.root, self.spec, self.manifest, used, store.blob, mounted, self.commit)
 
 
@@ -105,7 +105,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
     with store.snapshot() as snapshot:
         row = required_row(SpecRow, snapshot, "SELECT r.* FROM specs r JOIN batches b USING (spec) WHERE b.batch = $b", b=batch)
         rules = required_row(IngestRulesRow, snapshot, "SELECT * FROM ingest_rules WHERE ingest_rules = $r", r=ingest_rules)
-        used = recorded_rows.programs(snapshot, [programs])
+        used = row_queries.programs(snapshot, [programs])
         code = snapshot.select(SourceRow, "SELECT * FROM sources WHERE tree = $t LIMIT 1", t=row.source)
     outputs, success, readers = rules_of(json.loads(rules.declared))
     spec = RunSpec(

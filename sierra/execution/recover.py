@@ -15,7 +15,7 @@ from sierra.runners.journal_reader import Journal
 from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
 from sierra.util.fs import inside
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 
 log = Log(__name__)
 

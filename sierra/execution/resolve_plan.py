@@ -13,11 +13,11 @@ from typing import Protocol
 from sierra import platforms, templates
 from sierra.config import plugin_registry
 from sierra.config.project_file import LoadedProject, Output, Project, Success
-from sierra.containers import engines, images, session_containers
+from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import PROJECT, Engine
 from sierra.containers.images.image import Image
 from sierra.design.expand import Expansion
-from sierra.design.experiments import PlanningProgress, design, ignore_progress, mentions
+from sierra.design.factorial_design import PlanningProgress, design, ignore_progress, mentions
 from sierra.errors import ConfigError, Missing, QueryError
 from sierra.execution import commands
 from sierra.execution.checkout import Checkout, programs_in
@@ -29,11 +29,11 @@ from sierra.provenance import environment, referenced_files, reported_versions, 
 from sierra.provenance.change_guard import ChangeGuard, guard
 from sierra.provenance.dependency_model import Programs
 from sierra.query import grammar
-from sierra.query.query_input import QueryRequest
+from sierra.query.query_request import QueryRequest
 from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
-from sierra.store.records import EnvironmentRow
+from sierra.store.row_mapper import of_fields
+from sierra.store.row_types import EnvironmentRow
 from sierra.store.schema import RESERVED, check_name
-from sierra.store.typed_rows import of_fields
 from sierra.templates.base import ARGUMENTS, Files
 from sierra.util import html
 from sierra.util.hashing import short
@@ -93,9 +93,7 @@ class Plan:
         """Return a checkout of the current code; `content` returns a file that git does not have, by git's hash."""
         manifest = self.source.manifest if self.source else b""
         used = tuple((program.name, program.kind) for program in self.programs.all)
-        mounted = Programs(
-            tuple(program for program in self.programs.all if program.name.startswith(session_containers.MOUNTS))
-        )
+        mounted = Programs(tuple(program for program in self.programs.all if program.name.startswith(container_setup.MOUNTS)))
         return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted)
 
 
@@ -165,9 +163,9 @@ def plan(
     held = source.paths(code.manifest)
     data = referenced_files.data(root / config.template, _written(config), root, held, own)
     if box:
-        data = session_containers.data(data, box, root)
+        data = container_setup.data(data, box, root)
     spec = RunSpec(
-        config.platform, command, variables, code.tree, image.id if image else None, session_containers.host_access(box)
+        config.platform, command, variables, code.tree, image.id if image else None, container_setup.host_access(box)
     )
     designed = design(query, config, platform, template, report)
     expansion = Expansion(designed, template, platform, spec)

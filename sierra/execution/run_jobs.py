@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
+from sierra.containers.container_setup import contain
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
-from sierra.containers.session_containers import contain
 from sierra.execution import commands
 from sierra.execution.follow import Followed, follow
 from sierra.execution.observer import Tally
@@ -24,7 +24,7 @@ from sierra.provenance import environment
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner, Work, needed
-from sierra.store.records import EnvironmentRow
+from sierra.store.row_types import EnvironmentRow
 from sierra.store.store import Store
 from sierra.templates.base import Files
 

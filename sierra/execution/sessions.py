@@ -35,7 +35,7 @@ from sierra.errors import Missing
 from sierra.store import ownership_marks, session_numbers
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.store.segments import disk_errors
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 from sierra.version import __version__
 from sierra.worker import worker
 
@@ -51,7 +51,7 @@ class Session:
     def __init__(self, store: StorePaths, elsewhere: Path | None = None, *, logged: bool = True) -> None:
         """Start a session. Its runs execute in a folder below `elsewhere`, if that is given. Raises Missing.
 
-        If `logged`, it has a log file: see `sierra.store.session_log`.
+        If `logged`, it has a log file: see `sierra.store.session_log_file`.
         """
         self.id = os.urandom(8).hex()
         self.paths: SessionPaths = store.session(self.id)
@@ -100,7 +100,7 @@ class Session:
         self._end_log: Callable[[], None] = lambda: None
         if what is None:
             return
-        from sierra.store.session_log import open_log
+        from sierra.store.session_log_file import open_log
 
         self._end_log = open_log(self.store, self.id)
         python, host = platform.python_version(), socket.gethostname()
@@ -123,7 +123,7 @@ class Session:
             raise Missing(f"[store] work_folder: {error}") from error
 
     def take_number(self) -> None:
-        """Take a Lamport number. Call this before anything is recorded (see `sierra.store.order`)."""
+        """Take a Lamport number. Call this before anything is recorded (see `sierra.store.lamport_clock`)."""
         with exclusively(self.store), disk_errors(self.paths.root):
             living = [_number(paths) or 0 for paths in all_of(self.store)]
             self.number = session_numbers.following(self.store, living)

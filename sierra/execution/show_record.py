@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 
 from sierra.errors import Damaged
 from sierra.execution.list_batches import OnCluster, on_clusters, whole
-from sierra.execution.recorded_rows import RecordedProgram, axis_values, programs, required_row
+from sierra.execution.row_queries import RecordedProgram, axis_values, programs, required_row
 from sierra.model import Value
-from sierra.store.answer import Cell
 from sierra.store.layout import STORE, WORK
 from sierra.store.recorded_files import recorded, take
-from sierra.store.records import (
+from sierra.store.row_types import (
     ArtifactRow,
     BatchRow,
     EnvironmentRow,
@@ -29,6 +28,7 @@ from sierra.store.records import (
     SourceRow,
     SpecRow,
 )
+from sierra.store.sql_result import Cell
 from sierra.store.store import Found, Snapshot, Store
 from sierra.util.json_types import Json
 from sierra.util.text import natural
@@ -534,7 +534,7 @@ def _isolation_of(snapshot: Snapshot, identity: str | None) -> ShownIsolation | 
 
 
 def _isolation(snapshot: Snapshot, identity: str, executions: int | None = None) -> ShownIsolation:
-    from sierra.containers.session_containers import limits
+    from sierra.containers.container_setup import limits
 
     rows = snapshot.select(IsolationRow, "SELECT * FROM isolations WHERE isolation = $i", i=identity)
     if not rows:

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 from sierra import runners
 from sierra.execution import expected_durations
-from sierra.execution.forecast import forecast
+from sierra.execution.dry_run import forecast
 from sierra.execution.resolve_plan import Plan
 from sierra.provenance import source
-from sierra.runners.cluster.job_request import Estimate, propose
+from sierra.runners.cluster.resource_estimate import Estimate, propose
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.store import Store
 

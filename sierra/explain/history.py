@@ -16,7 +16,7 @@ from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, Cha
 from sierra.explain.diff.environment import other_programs, other_rules
 from sierra.explain.diff.model import Difference
 from sierra.model import Purpose
-from sierra.store.records import SessionRow
+from sierra.store.row_types import SessionRow
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
 from sierra.util.text import counted, few

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError
 from sierra.execution import resolve_plan
-from sierra.execution.forecast import forecast
+from sierra.execution.dry_run import forecast
 from sierra.execution.reasons import ChangeReason, Reason
 from sierra.execution.resolve_plan import Plan
 from sierra.explain.plan_changes import PlanChange
 from sierra.explain.why_new_runs import other_programs, why_other
-from sierra.query.query_input import repeated
-from sierra.store.records import BatchRow
+from sierra.query.query_request import repeated
+from sierra.store.row_types import BatchRow
 from sierra.store.store import Store
 
 

@@ -9,14 +9,14 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from sierra.containers import images
+from sierra.containers.container_setup import other_host_access
 from sierra.containers.images.diff import files, packages
 from sierra.containers.images.image_contents import Contents
-from sierra.containers.session_containers import other_host_access
 from sierra.errors import Damaged, Missing, NotFound
 from sierra.execution import plan_from_record
-from sierra.execution.recorded_rows import RecordedProgram
-from sierra.execution.records import batch_row, is_kept
 from sierra.execution.resolve_plan import Plan
+from sierra.execution.row_queries import RecordedProgram
+from sierra.execution.session_records import batch_row, is_kept
 from sierra.explain.plan_changes import Aspect, Basis, NewRuns, PlanChange
 from sierra.provenance import fingerprint_programs, source
 from sierra.provenance.dependency_model import mentioned

@@ -15,7 +15,7 @@ from sierra.ingest.model import Group, Siblings
 from sierra.ingest.recording_context import Context
 from sierra.model import Status
 from sierra.store.layout import SessionPaths
-from sierra.store.records import FindingRow
+from sierra.store.row_types import FindingRow
 from sierra.store.store import Store
 from sierra.store.table_layout import Columns, TableLayout
 from sierra.store.type_inference import AS_TEXT, own_kind, right_kind

@@ -14,7 +14,7 @@ from sierra.ingest.independent_row_count import any_size, count_records, csv_rea
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Found, Part, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE
-from sierra.ingest.text_formats import Text
+from sierra.ingest.text_table_reader import Text
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import csv_given
 

@@ -11,7 +11,7 @@ from sierra.ingest.independent_row_count import count_lines, lines_of
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Part, Written
 from sierra.ingest.shipped_reader_base import FILE
-from sierra.ingest.text_formats import Text
+from sierra.ingest.text_table_reader import Text
 from sierra.store.duckdb_file_io import objects_given
 from sierra.store.duckdb_messages import first_line
 from sierra.store.sql_names import identifier, quote

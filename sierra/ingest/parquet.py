@@ -12,7 +12,7 @@ from sierra.ingest import base
 from sierra.ingest.base import Columns, OutputReader, UnreadableError
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
 from sierra.ingest.shipped_reader_base import FILE, TableReader
-from sierra.ingest.text_formats import alike
+from sierra.ingest.text_table_reader import alike
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import parquet_given, parquet_schema
 from sierra.store.duckdb_messages import first_line

@@ -17,7 +17,7 @@ from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Judgement
 from sierra.model import OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT
-from sierra.store.records import ArtifactRow
+from sierra.store.row_types import ArtifactRow
 from sierra.store.segments import OUTPUT, Writer
 from sierra.store.store import Store
 from sierra.store.table_layout import TableLayout

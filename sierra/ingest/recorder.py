@@ -23,7 +23,7 @@ from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
 from sierra.model import OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.objects import Objects
-from sierra.store.records import ArtifactRow, DuplicateRow, ExecutionRow, IngestRulesRow
+from sierra.store.row_types import ArtifactRow, DuplicateRow, ExecutionRow, IngestRulesRow
 from sierra.store.segments import Writer
 from sierra.store.store import Store
 from sierra.util.fs import inside

@@ -14,8 +14,8 @@ from sierra.config.plugin_registry import Tables
 from sierra.config.project_file import Output, Success
 from sierra.errors import Damaged
 from sierra.ingest.base import Used
-from sierra.store.order import stamp
-from sierra.store.records import IsolationRow
+from sierra.store.lamport_clock import stamp
+from sierra.store.row_types import IsolationRow
 from sierra.store.segments import disk_errors
 from sierra.util.fs import read_record, write_whole
 from sierra.util.hashing import digest

@@ -45,11 +45,11 @@ from sierra.model import OutputFile, Result, Status
 from sierra.store.copy_rejudged_rows import write_again
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.recorded_files import ChosenExecution, Recorded, contents
-from sierra.store.records import ArtifactRow, IngestRulesRow, JudgementRow
+from sierra.store.row_types import ArtifactRow, IngestRulesRow, JudgementRow
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
+from sierra.util.chunking import by_weight
 from sierra.util.fs import inside
-from sierra.util.grouping import by_weight
 from sierra.util.hashing import digest_plain
 from sierra.worker import worker
 

@@ -12,12 +12,12 @@ from sierra.config.project_file import Table
 from sierra.errors import Missing
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
-from sierra.store.answer import RawRow
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import copy, parquet_metadata, read_parquet
 from sierra.store.duckdb_messages import duckdb_error, first_line
 from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.sql_names import column_names, identifier
+from sierra.store.sql_result import RawRow
 
 FILE = "# file"
 """DuckDB's name for the column with a row's file; real columns are unlikely to have this name."""

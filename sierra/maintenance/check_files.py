@@ -20,7 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from sierra.maintenance.findings import Finding, Kind
-from sierra.store import ownership_marks, session_log
+from sierra.store import ownership_marks, session_log_file
 from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import WORK, StorePaths
 from sierra.store.objects import GROUP, ROWS
@@ -134,7 +134,7 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
             yield Finding(
                 Kind.FOREIGN, _shown(paths, path), "is not a segment, so SIERRA does not touch it; move it away if it is yours"
             )
-    known = set(session_log.logs(paths))
+    known = set(session_log_file.logs(paths))
     for entry in _entries(paths.logs):
         path = Path(entry.path)
         if path not in known:

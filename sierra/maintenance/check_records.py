@@ -27,14 +27,14 @@ from sierra.maintenance.findings import Affected, Finding, Kind, of
 from sierra.model import RunSpec, Value
 from sierra.provenance import source
 from sierra.provenance.dependency_model import fingerprint
-from sierra.store.answer import RawRow
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import StorePaths
 from sierra.store.parquet_row_counts import rows_by_file
-from sierra.store.records import TABLES as TABLE_NAMES
-from sierra.store.records import EnvironmentRow, IngestRulesRow, IsolationRow, SourceRow, SpecRow
+from sierra.store.row_types import TABLES as TABLE_NAMES
+from sierra.store.row_types import EnvironmentRow, IngestRulesRow, IsolationRow, SourceRow, SpecRow
 from sierra.store.schema import RECORDED
+from sierra.store.sql_result import RawRow
 from sierra.store.store import Snapshot
 from sierra.store.views import records as records_of
 from sierra.util.hashing import canonical_plain, digest, merkle, sha256, short

@@ -22,13 +22,13 @@ from sierra.containers.images.image_contents import unfinished
 from sierra.execution import recover, sessions
 from sierra.maintenance.check_files import UNFINISHED, put_aside
 from sierra.maintenance.transaction import changing, publish, undisturbed
-from sierra.store import session_log
+from sierra.store import session_log_file
 from sierra.store.compaction import Compaction, Drop, Group, groups, out_of_use, tidy, touched
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.layout import StorePaths
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
-from sierra.util.grouping import by_weight
+from sierra.util.chunking import by_weight
 from sierra.worker import worker
 
 MANY = 4
@@ -152,7 +152,7 @@ SESSIONS = "SELECT session FROM sessions UNION SELECT session FROM executions UN
 
 def _logs(store: Store) -> list[Path]:
     """Return the log files of sessions that are not recorded and have ended."""
-    if not (found := session_log.logs(store.paths)):
+    if not (found := session_log_file.logs(store.paths)):
         return []
     known = set(store.values(str, SESSIONS)) | {one.root.name for one in sessions.all_of(store.paths)}
     return [path for path in found if path.stem not in known]

@@ -34,7 +34,7 @@ from sierra.store.layout import StorePaths
 from sierra.store.segments import FORMAT, MANIFEST, Segment, manifest
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 
 log = Log(__name__)
 

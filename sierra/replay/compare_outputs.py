@@ -12,11 +12,11 @@ from sierra.errors import Damaged
 from sierra.replay.compare_values import Agreement, Rules, Verdict, of_tables, of_texts, other_columns
 from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.recorded_files import holding
-from sierra.store.records import ArtifactRow
 from sierra.store.results import objects, rows_of
+from sierra.store.row_types import ArtifactRow
 from sierra.store.store import Snapshot
 from sierra.store.table_layout import TableLayout
-from sierra.util.grouping import by_weight
+from sierra.util.chunking import by_weight
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from numpy.typing import NDArray
 
-    from sierra.store.answer import Cell
+    from sierra.store.sql_result import Cell
 
 STEPS = 10
 """Number of parts of the rows for which the growth of a difference is reported."""

@@ -29,24 +29,24 @@ from sierra.model import Purpose, Run, Status, Value
 from sierra.provenance import environment, fingerprint_programs, reported_versions
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Programs, mentioned
-from sierra.replay import equivalence, host_check
+from sierra.replay import compare_host_with_image, equivalence
 from sierra.replay.compare_outputs import compare_all
 from sierra.replay.compare_values import Agreement, Verdict
 from sierra.replay.equivalence import Metric
 from sierra.replay.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
+from sierra.store.lamport_clock import stamp
 from sierra.store.layout import SessionPaths
-from sierra.store.order import stamp
 from sierra.store.recorded_files import ChosenExecution, take, where
-from sierra.store.records import EnvironmentRow, ReplayRow
+from sierra.store.row_mapper import of_fields
+from sierra.store.row_types import EnvironmentRow, ReplayRow
 from sierra.store.samples import like
 from sierra.store.sql_names import column_names
 from sierra.store.store import Found, Store
 from sierra.store.table_layout import TableLayout
-from sierra.store.typed_rows import of_fields
 from sierra.templates.base import Files
 from sierra.util.hashing import short
 from sierra.util.json_types import JsonView
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 from sierra.version import __version__
 
 log = Log(__name__)
@@ -120,7 +120,9 @@ def replay(
         checkout = record.of.checkout(project, store)
         checkout.make(root)
         if image is not None and engine.name == "none":
-            record.notes += host_check.unlike(record.of.spec, plan_from_record.image_contents(store, image.id), root)
+            record.notes += compare_host_with_image.unlike(
+                record.of.spec, plan_from_record.image_contents(store, image.id), root
+            )
         variables = commands.declared(record.of.spec.environment, root, project.root)
         now = reported_versions.with_versions(checkout.programs_in(root), project.config.programs, variables, root)
         around = environment.capture(__version__, project.config.environment.record)

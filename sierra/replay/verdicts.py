@@ -13,7 +13,7 @@ from sierra.replay.compare_values import Agreement, Verdict, worst
 from sierra.replay.equivalence import Metric
 from sierra.stats.equivalence import Tested
 from sierra.store.recorded_files import ChosenExecution
-from sierra.store.records import EquivalenceRow, VerdictRow
+from sierra.store.row_types import EquivalenceRow, VerdictRow
 from sierra.store.store import Found
 from sierra.util import html
 from sierra.util.hashing import short

@@ -24,7 +24,7 @@ from sierra.model import Job, Limits, Result
 from sierra.runners.base import Look, Work
 from sierra.runners.journal_reader import Journal, Stalled, Started
 from sierra.store.layout import SessionPaths
-from sierra.util.log_messages import Log, shown
+from sierra.util.lazy_logger import Log, shown
 from sierra.worker import worker
 
 log = Log(__name__)

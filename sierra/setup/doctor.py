@@ -126,7 +126,7 @@ def _properties(able: Capabilities) -> Iterator[str]:
 def _project() -> Iterator[Check]:
     import sierra
     from sierra import platforms, runners, templates
-    from sierra.containers import images, session_containers
+    from sierra.containers import container_setup, images
     from sierra.execution import commands
     from sierra.ingest.base import used
     from sierra.provenance import fingerprint_programs, required_packages
@@ -146,7 +146,7 @@ def _project() -> Iterator[Check]:
             inside = images.examine(project.root, StorePaths(project.paths.store), image)
             command = commands.command(platform, project.root, contained=True)
             path = commands.environment(platform, project.config).get("PATH")
-            return f"{session_containers.program(command, path, inside)} in {image.name}"
+            return f"{container_setup.program(command, path, inside)} in {image.name}"
         words = commands.fill(commands.command(platform, project.root), project.root)
         variables = commands.declared(commands.environment(platform, project.config), project.root)
         return fingerprint_programs.find(words, variables, project.root).all[0].path

@@ -21,8 +21,8 @@ from pydantic import BaseModel, TypeAdapter
 from sierra.config.plugin_registry import ENGINES, KINDS, PLATFORMS, READERS, RUNNERS, SCHEDULERS, TEMPLATES, Kind
 from sierra.config.project_file import ClusterTable, Project
 from sierra.errors import PluginError
-from sierra.execution.plan_preview import PlanPreview
-from sierra.query.query_input import QueryRequest, RequestFile
+from sierra.execution.plan_json import PlanPreview
+from sierra.query.query_request import QueryRequest, RequestFile
 from sierra.store.schema import DERIVED, RECORDED, Table, sql
 from sierra.util.json_types import Json
 

@@ -5,7 +5,7 @@ before it; names that begin with `_` are intermediate steps and not in the resul
 is one file in `measures/`. A statement is put together from them:
 
     observations    one value per run (a measure), or per run and time
-    grouped         the values of all runs of an experiment (`by_experiment`), or at one time (`by_time`), as the list x
+    grouped         the values of all runs of an experiment, or at one time, as the list x (`group_by_….sql`)
     (… SELECT *, n) SELECT *, mean) …    one statistic after the other; each may use those before it
 
 No value is averaged silently: missing (NULL or NaN) and infinite values are left out and counted, and so are runs that
@@ -45,19 +45,19 @@ TIMES = ("own", "carry", "linear")
 STATISTICS: Mapping[str, tuple[str, ...]] = {
     "n": (),
     "mean": ("n",),
-    "reach": ("mean",),
-    "sd": ("reach",),
-    "ends": ("n",),
-    "rate": ("ends",),
-    "interval": ("mean", "sd", "rate"),
+    "max_deviation": ("mean",),
+    "sd": ("max_deviation",),
+    "extremes": ("n",),
+    "is_rate": ("extremes",),
+    "interval": ("mean", "sd", "is_rate"),
     "median": ("n",),
     "quartiles": ("n",),
     "whiskers": ("quartiles",),
     "range": ("n",),
     "iqm": ("n",),
-    "iqm_reach": ("iqm",),
-    "iqm_half": ("iqm_reach",),
-    "iqm_interval": ("iqm_half", "rate"),
+    "iqm_max_deviation": ("iqm",),
+    "iqm_half": ("iqm_max_deviation",),
+    "iqm_interval": ("iqm_half", "is_rate"),
 }
 """The statistics, and the others that each formula uses."""
 
@@ -211,12 +211,12 @@ class Samples:
 
     def by_experiment(self, measure: str, statistics: Iterable[str], threshold: float | None = None) -> Statistics:
         """Return statistics of each experiment, each run reduced by `measure`."""
-        text = statement(_file(f"measures/{measure}"), "by_experiment", _ordered(statistics))
+        text = statement(_file(f"measures/{measure}"), "group_by_experiment", _ordered(statistics))
         return self._run(text, rates=measure != "time_to", whole=self.whole, threshold=threshold)
 
     def by_time(self, statistics: Iterable[str]) -> Statistics:
         """Return statistics of each experiment at each of its runs' times."""
-        text = statement("SELECT experiment, t, value FROM samples", "by_time", _ordered(statistics))
+        text = statement("SELECT experiment, t, value FROM samples", "group_by_time", _ordered(statistics))
         return self._run(text, whole=self.whole)
 
     def at_times(self, times: str | None, statistics: Iterable[str]) -> tuple[pa.Table, str, list[str]]:
@@ -241,7 +241,7 @@ class Samples:
 
     def resampled(self, grid: Sequence[float], statistics: Iterable[str], *, linear: bool = False) -> Statistics:
         """Return the result of `by_time` at the times of `grid`, which need not be times of any run."""
-        text = statement(_file("resample"), "by_time", _ordered(statistics))
+        text = statement(_file("resample"), "group_by_time", _ordered(statistics))
         return self._run(text, whole=self.whole and not linear, grid=list(grid), linear=linear)
 
     def _common_times(self) -> list[float]:
@@ -276,8 +276,8 @@ def reduced(frame: Frame, measure: str, threshold: float | None = None) -> pa.Ta
 
 
 def statement(observations: str, grouping: str, statistics: Iterable[str]) -> str:
-    """Return a complete statement: the statistics of the rows of `observations`, grouped `by_time` or `by_experiment`."""
-    keys = "experiment, t" if grouping == "by_time" else "experiment"
+    """Return a complete statement: the statistics of the rows of `observations`, in the groups of `grouping`."""
+    keys = "experiment, t" if grouping == "group_by_time" else "experiment"
     texts = [_file(f"statistics/{name}") for name in statistics]
     steps = ["x", *re.findall(r" AS (_\w+)", _code("".join((_file(grouping), *texts))))]
     return (

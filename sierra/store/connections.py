@@ -20,7 +20,7 @@ from sierra.store.duckdb_file_io import steady
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-    from sierra.store.answer import RawRow
+    from sierra.store.sql_result import RawRow
 
 AT_A_TIME = 4096
 """The number of rows that are read at a time."""

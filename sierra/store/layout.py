@@ -24,7 +24,7 @@ PROJECT/.sierra/work/<session>/     the work of a session; removed once it is re
 PROJECT/.sierra/images/<id>/        the description of an image, and its files as apptainer runs them; rebuilt from the image
     image.json  files.jsonl  rootfs.sqfs  rootfs.<user>/
 PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` moved out of the way
-PROJECT/.sierra/logs/<session>.log  the messages of a session, and <session>.old the earlier ones; see sierra.store.session_log
+PROJECT/.sierra/logs/<session>.log  messages of a session, <session>.old: the earlier ones; see sierra.store.session_log_file
 PROJECT/.sierra/kept/<replay>/      files that `sierra replay --keep` leaves: source/, and each run's folder by its id
 """
 

@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
-from sierra.store.answer import RawRow
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.segments import MANIFEST, Segment
 from sierra.store.sql_names import column_names, identifier
+from sierra.store.sql_result import RawRow
 from sierra.store.store import Found, Snapshot
 from sierra.store.table_layout import TableLayout
 from sierra.store.type_inference import is_number

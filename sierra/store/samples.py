@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 
 from sierra.errors import NotFound, SqlError
 from sierra.model import Axis, Value
-from sierra.store.answer import INTEGER, NUMBER
 from sierra.store.duckdb_messages import explain
 from sierra.store.schema import RECORDED
 from sierra.store.segments import is_first_part
 from sierra.store.sql_names import identifier
+from sierra.store.sql_result import INTEGER, NUMBER
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
 from sierra.store.views import files_with, recording

@@ -12,7 +12,7 @@ from datetime import datetime
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple, get_args
 
-from sierra.store.records import ROWS
+from sierra.store.row_types import ROWS
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.errors import Missing
-from sierra.store.records import TABLES
+from sierra.store.row_types import TABLES
 from sierra.store.schema import arrow_schema, arrow_table
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256, sha256_file

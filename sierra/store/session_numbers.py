@@ -1,4 +1,4 @@
-"""Lamport numbers of sessions: the next one is 1 more than the highest known number (see `sierra.store.order`).
+"""Lamport numbers of sessions: the next one is 1 more than the highest known number (see `sierra.store.lamport_clock`).
 
 Segments never change, so each is read only once. A cache file in the store keeps the highest number of the segments that
 were read. The file may be deleted, and it is ignored if its checksum is wrong.
@@ -13,8 +13,8 @@ from pathlib import Path
 
 from sierra.errors import Damaged
 from sierra.store.duckdb_file_io import read_parquet
+from sierra.store.lamport_clock import HIGHEST, ORDERED, number_of
 from sierra.store.layout import StorePaths
-from sierra.store.order import HIGHEST, ORDERED, number_of
 from sierra.store.segments import Segment
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import write_whole

@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from sierra.errors import Damaged, Missing, NotFound, SqlError
-from sierra.store.answer import Answer, Cell, RawRow
 from sierra.store.connections import Connection, Rows
 from sierra.store.duckdb_file_io import check_folder, plain, read_parquet
 from sierra.store.duckdb_messages import explain
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
+from sierra.store.row_mapper import R, V, typed, values
 from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, listed
-from sierra.store.typed_rows import R, V, typed, values
+from sierra.store.sql_result import Answer, Cell, RawRow
 from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole
 
@@ -158,7 +158,7 @@ class Store:
             return snapshot.rows(text, **parameters)
 
     def select(self, kind: type[R], text: str, **parameters: object) -> list[R]:
-        """Return the rows of one statement as instances of a row class (see `sierra.store.typed_rows`)."""
+        """Return the rows of one statement as instances of a row class (see `sierra.store.row_mapper`)."""
         with self.snapshot() as snapshot:
             return snapshot.select(kind, text, **parameters)
 

@@ -14,9 +14,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sierra.store.answer import RawRow
 from sierra.store.duckdb_file_io import parquet_schema, read_parquet, steady
 from sierra.store.sql_names import column_names, identifier
+from sierra.store.sql_result import RawRow
 from sierra.store.type_inference import EMPTY, HUGE, bit, is_inexact, is_number, is_whole, narrowest, reads_as
 
 Fetch = Callable[[str], list[RawRow]]

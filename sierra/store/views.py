@@ -8,12 +8,12 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged
-from sierra.store.answer import RawRow
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.schema import DERIVED, LATER, RECORDED
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote
+from sierra.store.sql_result import RawRow
 from sierra.store.union_files import Fetch, Relation, relation
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ from sierra.containers.engines.base import HOSTNAME, INSIDE, WRITABLE, Capabilit
 from sierra.containers.images.image import Image, Kind
 from sierra.model import Client, Result
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
-from sierra.testing.claims import holds, is_one_line, says_what_its_options_are, variable, wait
+from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are, variable, wait
 from sierra.worker import worker
 
 PATIENCE_S = 30.0

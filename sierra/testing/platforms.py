@@ -22,7 +22,7 @@ from sierra.config.project_file import Project, options
 from sierra.errors import SierraError
 from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Remove, Rename, Set
 from sierra.platforms.base import Platform, Reader
-from sierra.testing.claims import holds, is_one_line, says_what_its_options_are
+from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 
 COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python", "arguments"))
 """Placeholders that a command may contain in braces; `sierra.execution.commands` describes each."""

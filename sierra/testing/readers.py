@@ -23,7 +23,7 @@ from sierra.ingest.base import Columns, described
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.model import OutputFile
-from sierra.testing.claims import holds, is_one_line, says_what_its_options_are
+from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 from sierra.worker import worker
 
 GARBAGE = (b"", b"\0", b"\xff\xfe\x00", b"PAR1", b"{", b"[" * 10_000, b"\n\n\n", bytes(range(256)))

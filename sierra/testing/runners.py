@@ -32,7 +32,7 @@ from sierra.provenance import environment
 from sierra.runners.base import Look, Runner, Work
 from sierra.runners.schedulers.base import NAME_LENGTH, Request, Scheduler, State, Task
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
-from sierra.testing.claims import holds, is_one_line, says_what_its_options_are, variable, wait
+from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are, variable, wait
 
 PATIENCE_S = 60.0
 POLL_S = 0.1

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from sierra.errors import ConfigError, SierraError, TemplateError
 from sierra.model import Set, Value
 from sierra.templates.base import ARGUMENTS, Document, Files, Rendered, Template
-from sierra.testing.claims import holds, is_one_line, says_what_its_options_are
+from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 
 Make = Callable[[bytes, str], Template]
 NAME = "the template of a trial"

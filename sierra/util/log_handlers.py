@@ -1,4 +1,4 @@
-"""Listeners to the logger `sierra`. Importing this module imports `logging`; see `sierra.util.log_messages`."""
+"""Listeners to the logger `sierra`. Importing this module imports `logging`; see `sierra.util.lazy_logger`."""
 
 from __future__ import annotations
 

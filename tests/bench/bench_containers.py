@@ -66,12 +66,12 @@ def ask(here: Path, runs: int) -> None:
 def loop(here: Path, engine: str, runs: int, folder: Path) -> Callable[[], float]:
     """Return a function that executes the same runs without SIERRA, each in a folder with an input file."""
     import sierra
-    from sierra.containers import session_containers
+    from sierra.containers import container_setup
     from sierra.execution import commands
 
     plan = sierra.open(here).plan("population_size=1", runs=1, engine=engine)
     store = sierra.open(here).store
-    contained = session_containers.contain(
+    contained = container_setup.contain(
         plan.engine, plan.image, plan.batch.spec, plan.project.config.container, plan.limits,
         code=here, project=here, store=store.paths, session="bench",
     )  # fmt: skip

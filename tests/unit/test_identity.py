@@ -11,9 +11,9 @@ import pytest
 
 import sierra
 from sierra.config.project_file import Output, Success
+from sierra.containers.container_setup import Isolation
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, NoEngine, Process
 from sierra.containers.images.image import Image, Kind
-from sierra.containers.session_containers import Isolation
 from sierra.design.seeds import seed
 from sierra.execution.resolve_plan import Plan
 from sierra.ingest.recorder import result_hash

@@ -22,7 +22,7 @@ from sierra.containers import images
 from sierra.containers.engines import apptainer_ways_to_start, sandboxes
 from sierra.containers.engines.apptainer_ways_to_start import Way
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, Process, WithoutOptions
-from sierra.containers.engines.client_syntax import killed, last_line, mounted, signalled
+from sierra.containers.engines.client_errors import killed, last_line, mounted, signalled
 from sierra.containers.images.image import Image
 from sierra.errors import Missing
 from sierra.model import Client, Result

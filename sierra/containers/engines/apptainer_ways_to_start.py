@@ -22,7 +22,7 @@ from pathlib import Path
 from sierra.containers.engines import capabilities
 from sierra.containers.engines.base import HOSTNAME, Capabilities, Mount
 from sierra.containers.engines.capabilities import CPUS, PIDS, Found
-from sierra.containers.engines.client_syntax import mounted
+from sierra.containers.engines.client_errors import mounted
 from sierra.store.layout import user_apptainer
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256

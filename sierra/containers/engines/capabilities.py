@@ -27,7 +27,7 @@ from sierra.containers.engines.base import Capabilities
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
 from sierra.util.json_types import JsonView, as_object, as_texts
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 
 log = Log(__name__)
 

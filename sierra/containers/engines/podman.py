@@ -19,13 +19,13 @@ from pathlib import Path
 
 from sierra.containers.engines import podman_ways_to_start
 from sierra.containers.engines.base import HOSTNAME, Capabilities, ContainerSpec, Process, WithoutOptions
-from sierra.containers.engines.client_syntax import killed, last_line, mounted, signalled
+from sierra.containers.engines.client_errors import killed, last_line, mounted, signalled
 from sierra.containers.images import podman_images
 from sierra.containers.images.image import Image, Kind, short
 from sierra.errors import Missing
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 
 log = Log(__name__)
 

@@ -21,7 +21,7 @@ from sierra.containers.images.sif_format import read as read_sif
 from sierra.errors import Missing
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 
 log = Log(__name__)
 

@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from sierra.deliverables.figures import style
 
 if TYPE_CHECKING:
-    from sierra.deliverables.figures.base import Drawing
+    from sierra.deliverables.figures.drawing import Drawing
 
 CENTERS = {"mean": ("mean", "low", "high"), "median": ("median", "q1", "q3"), "iqm": ("iqm", "iqm_low", "iqm_high")}
 """The columns of its table that a figure draws: the center, and the ends of the interval."""

@@ -15,7 +15,7 @@ from sierra.deliverables.figures import style
 from sierra.deliverables.figures.axis_limits import CENTERS
 
 if TYPE_CHECKING:
-    from sierra.deliverables.figures.base import Drawing
+    from sierra.deliverables.figures.drawing import Drawing
 
 LEGIBLE = 8
 """The largest number of columns whose cells have room for numbers."""

@@ -37,7 +37,7 @@ from sierra.model import Axis, Value
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sierra.deliverables.figures.base import Drawing
+    from sierra.deliverables.figures.drawing import Drawing
 
 Floats = npt.NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from sierra.model import Axis, Value
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sierra.deliverables.figures.base import Drawing
+    from sierra.deliverables.figures.drawing import Drawing
 
 GOLDEN = 0.6180339887498949
 APART = 1.6

@@ -22,7 +22,7 @@ from sierra.model import Axis, Value
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sierra.deliverables.figures.base import Drawing
+    from sierra.deliverables.figures.drawing import Drawing
 
 TICKS = 2000
 """The largest number of times that paper can show; of more, every k-th and the last are drawn."""

@@ -9,11 +9,11 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from sierra.containers import session_containers
+from sierra.containers import container_setup
 from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Compared, Difference, changed, shown
 from sierra.provenance.dependency_model import INSTALLED, by_likelihood, called, mentioned, versions
-from sierra.store.records import EnvironmentRow, IsolationRow, ProgramRow
+from sierra.store.row_types import EnvironmentRow, IsolationRow, ProgramRow
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
 
@@ -144,7 +144,7 @@ def isolations(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Differ
 
 
 def _isolation(row: IsolationRow) -> Facts:
-    limits = session_containers.limits(row._asdict())
+    limits = container_setup.limits(row._asdict())
     return {name: json.dumps(limits[name]) if name in limits else getattr(row, name) for name in ISOLATION}
 
 

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sierra.containers import images
+from sierra.containers.container_setup import other_host_access
 from sierra.containers.images.diff import Change, files, packages
-from sierra.containers.session_containers import other_host_access
 from sierra.errors import Damaged, NotFound
 from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference, changed
 from sierra.provenance.dependency_model import mentioned
-from sierra.store.records import ImageRow
+from sierra.store.row_types import ImageRow
 from sierra.store.store import Snapshot, Store
 from sierra.util.text import few
 

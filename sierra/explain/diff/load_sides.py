@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from sierra.errors import UsageError
-from sierra.execution.recorded_rows import axis_values, required_row
+from sierra.execution.row_queries import axis_values, required_row
 from sierra.model import Value
 from sierra.store.recorded_files import ChosenExecution, Place, where
-from sierra.store.records import BatchRow, SessionRow, SourceRow, SpecRow
+from sierra.store.row_types import BatchRow, SessionRow, SourceRow, SpecRow
 from sierra.store.store import Found, Snapshot
 from sierra.store.views import COUNTS, LATEST, ORDER
 from sierra.util.hashing import short

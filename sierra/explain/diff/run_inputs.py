@@ -11,7 +11,7 @@ from sierra.explain.diff.model import ARROW, Difference, Note, shown
 from sierra.model import Value
 from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
 from sierra.store.store import Snapshot
-from sierra.templates.diff import Spot, differing
+from sierra.templates.input_diff import Spot, differing
 
 LOOKED_AT = 40
 """Number of pairs of runs whose files are read: the first pair of each experiment, then the second, and so on."""

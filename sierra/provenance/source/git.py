@@ -16,7 +16,7 @@ from functools import cached_property
 from pathlib import Path
 
 from sierra.errors import Missing
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 
 log = Log(__name__)
 

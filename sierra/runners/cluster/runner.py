@@ -48,7 +48,7 @@ from sierra.runners.schedulers.base import State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 from sierra.util.text import counted, few
 from sierra.worker import array_task, worker
 

@@ -42,7 +42,7 @@ from sierra.runners.schedulers.base import Bounds, Limit, Request, Scheduler, St
 from sierra.runners.schedulers.qsub import Dialect
 from sierra.runners.schedulers.refusals import PBS, about
 from sierra.util.fs import write_whole
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 
 log = Log(__name__)
 

@@ -33,7 +33,7 @@ from sierra.runners.schedulers import slurm_accounting_limits
 from sierra.runners.schedulers.base import Bounds, Limit, Request, State, Task, least
 from sierra.runners.schedulers.refusals import SLURM, about
 from sierra.runners.schedulers.slurm_accounting_limits import Partitions, seconds
-from sierra.util.log_messages import Log
+from sierra.util.lazy_logger import Log
 from sierra.util.text import ranges
 
 log = Log(__name__)

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from functools import partial
 
-from sierra.design.experiments import GROUPED
+from sierra.design.factorial_design import GROUPED
 from sierra.errors import QueryError, SierraError, UsageError
 from sierra.model import Change, Set
 from sierra.platforms.base import Platform

@@ -24,8 +24,8 @@ from PIL import Image
 
 from sierra.config import project_file
 from sierra.config.project_file import Figure
-from sierra.deliverables.figures import base as figures
-from sierra.deliverables.figures.base import Drawing
+from sierra.deliverables.figures import drawing as figures
+from sierra.deliverables.figures.drawing import Drawing
 from sierra.errors import ConfigError, Missing, SierraError, UsageError
 from sierra.model import Axis
 
@@ -161,7 +161,7 @@ def test_matplotlib_settings_of_the_user_are_neither_used_nor_changed() -> None:
 
 def test_importing_figures_loads_neither_plotting_nor_array_libraries() -> None:
     heavy = ("matplotlib", "seaborn", "numpy", "pyarrow")
-    code = f"import sys, sierra.deliverables.figures.base; print([m for m in {heavy} if m in sys.modules])"
+    code = f"import sys, sierra.deliverables.figures.drawing; print([m for m in {heavy} if m in sys.modules])"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     out = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"

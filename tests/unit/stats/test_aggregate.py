@@ -491,7 +491,7 @@ def test_every_sql_file_is_used_and_begins_with_a_comment() -> None:
     known = {f"statistics/{name}.sql" for name in stats.STATISTICS} | {
         f"measures/{m}.sql" for m in ("final", "mean", "time_to")
     }
-    assert set(files) == known | {"by_time.sql", "by_experiment.sql", "coverage.sql", "resample.sql"}
+    assert set(files) == known | {"group_by_time.sql", "group_by_experiment.sql", "coverage.sql", "resample.sql"}
     for path in stats.HERE.rglob("*.sql"):
         text = path.read_text(encoding="utf-8")
         assert text.startswith("-- ")

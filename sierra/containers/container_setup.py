@@ -20,7 +20,7 @@ from sierra.provenance.change_guard import ChangeGuard, guard_file
 from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache, cached_sha256
 from sierra.store.layout import StorePaths
-from sierra.store.records import IsolationRow
+from sierra.store.row_types import IsolationRow
 from sierra.util.hashing import digest, sha256
 from sierra.util.json_types import Cell
 

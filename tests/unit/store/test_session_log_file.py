@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.store import session_log
+from sierra.store import session_log_file
 from sierra.store.layout import StorePaths
-from sierra.util import log_messages
+from sierra.util import lazy_logger
 from sierra.util.log_handlers import Stderr, listen
 from tests import projects
 
@@ -109,20 +109,20 @@ def test_a_log_that_cannot_be_written_does_not_fail_the_command(root: Path, tmp_
 def test_a_log_never_writes_through_a_link(store: StorePaths, tmp_path: Path) -> None:
     store.logs.mkdir()
     store.log("0" * 16).symlink_to(tmp_path / "target")
-    end = session_log.open_log(store, "0" * 16)
-    log_messages.Log("sierra.test").info("hello")
+    end = session_log_file.open_log(store, "0" * 16)
+    lazy_logger.Log("sierra.test").info("hello")
     end()
     assert not (tmp_path / "target").exists()
 
 
 def test_a_log_has_two_files_at_most_and_keeps_the_latest_messages(store: StorePaths) -> None:
-    end = session_log.open_log(store, "0" * 16)
+    end = session_log_file.open_log(store, "0" * 16)
     for number in range(300):
-        log_messages.Log("sierra.test").info("message %d %s", number, "x" * 9000)
+        lazy_logger.Log("sierra.test").info("message %d %s", number, "x" * 9000)
     end()
-    files = session_log.logs(store)
+    files = session_log_file.logs(store)
     assert {path.name for path in files} == {f"{'0' * 16}.log", f"{'0' * 16}.old"}
-    assert all(path.stat().st_size <= session_log.LARGEST for path in files)
+    assert all(path.stat().st_size <= session_log_file.LARGEST for path in files)
     assert "message 299 " in store.log("0" * 16).read_text()
 
 
@@ -132,18 +132,18 @@ def test_a_store_keeps_a_limited_number_of_logs(store: StorePaths) -> None:
         path = store.log(f"{number:016x}")
         path.write_text("old\n")
         os.utime(path, (number, number))
-    end = session_log.open_log(store, "f" * 16)
-    log_messages.Log("sierra.test").info("hello")
+    end = session_log_file.open_log(store, "f" * 16)
+    lazy_logger.Log("sierra.test").info("hello")
     end()
-    kept = {path.stem for path in session_log.logs(store)}
-    assert len(kept) == session_log.KEPT
+    kept = {path.stem for path in session_log_file.logs(store)}
+    assert len(kept) == session_log_file.KEPT
     assert {"f" * 16, f"{149:016x}"} <= kept
     assert f"{0:016x}" not in kept
 
 
 def test_each_message_is_one_line_without_control_characters(store: StorePaths) -> None:
-    end = session_log.open_log(store, "0" * 16)
-    log_messages.Log("sierra.test").info("a\nINFO forged\x1b[2J%s", "\r")
+    end = session_log_file.open_log(store, "0" * 16)
+    lazy_logger.Log("sierra.test").info("a\nINFO forged\x1b[2J%s", "\r")
     end()
     [line] = store.log("0" * 16).read_text().splitlines()
     assert line.endswith("a\\nINFO forged\\x1b[2J\\x0d")
@@ -160,8 +160,8 @@ def test_each_message_is_one_line_without_control_characters(store: StorePaths) 
     ],
 )
 def test_commands_are_logged_without_values_of_variables_and_passwords(argv: tuple[str, ...], text: str) -> None:
-    assert log_messages.shown(argv).replace("'", "") == text
-    assert "abc" not in log_messages.shown(argv)
+    assert lazy_logger.shown(argv).replace("'", "") == text
+    assert "abc" not in lazy_logger.shown(argv)
 
 
 def test_no_value_of_an_environment_variable_is_in_a_log(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,10 +183,10 @@ def test_a_program_that_uses_sierra_receives_messages_of_its_level(root: Path, o
 def test_listeners_end_in_any_order_and_leave_no_handlers(own: list[logging.LogRecord]) -> None:
     first, second = listen(Stderr(logging.ERROR)), listen(Stderr(logging.ERROR))
     first()
-    log_messages.Log("sierra.test").info("heard")
+    lazy_logger.Log("sierra.test").info("heard")
     second()
-    log_messages.Log("sierra.test").info("heard too")
-    log_messages.Log("sierra.test").debug("not heard")
+    lazy_logger.Log("sierra.test").info("heard too")
+    lazy_logger.Log("sierra.test").debug("not heard")
     assert [record.getMessage() for record in own] == ["heard", "heard too"]
 
 

@@ -16,8 +16,8 @@ import pytest
 import sierra
 from sierra.errors import Damaged
 from sierra.execution.sessions import Session
+from sierra.store.lamport_clock import ORDERED, POSITION, TIE, number_of
 from sierra.store.layout import StorePaths
-from sierra.store.order import ORDERED, POSITION, TIE, number_of
 from sierra.store.schema import LATER
 from sierra.store.segments import MANIFEST, manifest
 from sierra.store.store import Store

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import pytest
 
 from sierra.errors import Damaged
-from sierra.store.records import ROWS, BlobRow, FindingRow
+from sierra.store.row_mapper import of_fields
+from sierra.store.row_types import ROWS, BlobRow, FindingRow
 from sierra.store.store import Store
-from sierra.store.typed_rows import of_fields
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 

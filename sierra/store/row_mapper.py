@@ -13,7 +13,7 @@ from operator import itemgetter
 from typing import NamedTuple, TypeVar
 
 from sierra.errors import Damaged
-from sierra.store.answer import INTEGER, NUMBER, Answer
+from sierra.store.sql_result import INTEGER, NUMBER, Answer
 
 R = TypeVar("R", bound=NamedTuple)
 V = TypeVar("V", str, int, float, bool, bytes)

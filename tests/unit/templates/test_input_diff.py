@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lxml import etree
 
-from sierra.templates.diff import Spot, differing
+from sierra.templates.input_diff import Spot, differing
 from tests.effort import effort
 
 

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from sierra.errors import Damaged
 from sierra.model import Value
+from sierra.store.row_mapper import R
 from sierra.store.store import Snapshot
-from sierra.store.typed_rows import R
 from sierra.util.hashing import short
 
 

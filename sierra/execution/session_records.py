@@ -14,14 +14,14 @@ from sierra.execution.resolve_plan import Plan, context
 from sierra.execution.sessions import Session
 from sierra.model import Batch
 from sierra.provenance import source
+from sierra.store.lamport_clock import stamp
 from sierra.store.layout import SessionPaths
 from sierra.store.objects import Objects
-from sierra.store.order import stamp
-from sierra.store.records import BatchRow, BlobRow, ImageRow, ProgramRow, SessionRow, SourceRow, SpecRow
+from sierra.store.row_mapper import of_fields
+from sierra.store.row_types import BatchRow, BlobRow, ImageRow, ProgramRow, SessionRow, SourceRow, SpecRow
 from sierra.store.schema import arrow_schema
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
-from sierra.store.typed_rows import of_fields
 from sierra.util.fs import read_record, write_whole
 from sierra.util.hashing import sha256
 

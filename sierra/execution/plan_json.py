@@ -5,8 +5,8 @@ from __future__ import annotations
 from pydantic import BaseModel, ConfigDict, Field
 
 from sierra.execution.cluster_status import ClusterSession
-from sierra.query.query_input import QueryRequest
-from sierra.runners.cluster.job_request import Estimate
+from sierra.query.query_request import QueryRequest
+from sierra.runners.cluster.resource_estimate import Estimate
 
 
 class PlanPreview(BaseModel):
