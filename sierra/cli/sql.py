@@ -86,14 +86,14 @@ def sql(
     write(_ask(opened.store, text, within, format), format, output, long=long)
 
 
-def _ask(store: Store, text: str, within: str | None, format: Format) -> Result:
+def _ask(store: Store, text: str, within: str | None, format: Format) -> Printable:
     """Return the result of a statement; Ctrl-C stops the statement.
 
     DuckDB does not react to Ctrl-C while it executes, so another thread executes the statement.
     """
     from concurrent.futures import ThreadPoolExecutor, wait
 
-    convert = Result.of_table if format is Format.parquet else Result.of_rows
+    convert = Printable.of_table if format is Format.parquet else Printable.of_rows
     with store.snapshot(within) as snapshot, ThreadPoolExecutor(1) as asking:
         answer = asking.submit(snapshot.ask, text, {}, convert)
         try:
@@ -106,8 +106,8 @@ def _ask(store: Store, text: str, within: str | None, format: Format) -> Result:
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
-    """The result of a statement: rows, or for Parquet an Arrow table."""
+class Printable:
+    """A result that is printed or written: rows, or for Parquet an Arrow table."""
 
     columns: list[str]
     rows: Sequence[tuple[Cell, ...]]
@@ -116,24 +116,27 @@ class Result:
     table: pa.Table | None = None
 
     @classmethod
-    def of_rows(cls, answer: Answer) -> Result:
+    def of_rows(cls, answer: Answer) -> Printable:
         return cls(answer.columns, answer.rows(), answer.numeric, answer.notes)
 
     @classmethod
-    def of_table(cls, answer: Answer) -> Result:
+    def of_table(cls, answer: Answer) -> Printable:
         return cls(answer.columns, (), [], answer.notes, answer.arrow())
 
     @classmethod
-    def of_arrow(cls, table: pa.Table) -> Result:
+    def of_arrow(cls, table: pa.Table) -> Printable:
         """Return the result that an Arrow table holds, with the notes in its metadata."""
+        from pyarrow import types
+
         from sierra.store.store import NOTE
 
-        numeric = [field.name for field in table.schema if str(field.type).startswith(("int", "double", "uint", "decimal"))]
+        kinds = (types.is_integer, types.is_floating, types.is_decimal)
+        numeric = [field.name for field in table.schema if any(is_kind(field.type) for is_kind in kinds)]
         notes = (table.schema.metadata or {}).get(NOTE.encode(), b"").decode()
         return cls(table.column_names, [tuple(row.values()) for row in table.to_pylist()], numeric, notes, table)
 
 
-def write(answer: Result, format: Format, output: Path | None, *, long: bool = False) -> None:
+def write(answer: Printable, format: Format, output: Path | None, *, long: bool = False) -> None:
     """Write a result in a format to a file or to standard output, and its notes to standard error."""
 
     if answer.notes:
@@ -153,7 +156,7 @@ def write(answer: Result, format: Format, output: Path | None, *, long: bool = F
     sys.stdout.buffer.flush()
 
 
-def _table(answer: Result, *, brief: bool = False) -> bytes:
+def _table(answer: Printable, *, brief: bool = False) -> bytes:
     """Return a text table; with `brief`, ids are shortened and texts are cut for a terminal."""
     import contextlib
     import io
@@ -167,7 +170,7 @@ def _table(answer: Result, *, brief: bool = False) -> bytes:
     return text.getvalue().encode()
 
 
-def _csv(answer: Result) -> bytes:
+def _csv(answer: Printable) -> bytes:
     import csv
     import io
 
@@ -178,17 +181,17 @@ def _csv(answer: Result) -> bytes:
     return text.getvalue().encode()
 
 
-def _json(answer: Result) -> bytes:
+def _json(answer: Printable) -> bytes:
     return as_json([dict(zip(answer.columns, row, strict=True)) for row in answer.rows]).encode() + b"\n"
 
 
-def _markdown(answer: Result) -> bytes:
+def _markdown(answer: Printable) -> bytes:
     lines = [answer.columns, ["---"] * len(answer.columns)]
     lines += [[cell(value).replace("|", "\\|") for value in row] for row in answer.rows]
     return "".join("| " + " | ".join(line) + " |\n" for line in lines).encode()
 
 
-def _parquet(answer: Result) -> bytes:
+def _parquet(answer: Printable) -> bytes:
     import io
 
     import pyarrow.parquet as pq

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sierra.cli import complete
-from sierra.cli.sql import Format, Result, write
+from sierra.cli.sql import Format, Printable, write
 from sierra.errors import UsageError
 
 
@@ -83,4 +83,4 @@ def stats(
         raise UsageError("--times gives a row for each time, --measure one for each experiment; choose one of them")
     reduced = None if times else (measure or Measure.final).value
     table = project().statistics(batch, output, column, measure=reduced, threshold=threshold, times=times and times.value)
-    write(Result.of_arrow(table.arrow), Format.json if as_json else format, file)
+    write(Printable.of_arrow(table.arrow), Format.json if as_json else format, file)
