@@ -176,7 +176,7 @@ def _preview(
         runs=len(found.states),
         to_execute=len(found.to_execute),
         reused=len(found.states) - len(found.to_execute) - len(found.on_clusters),
-        to_judge=found.to_reevaluate,
+        to_reevaluate=found.to_reevaluate,
         on_clusters=len(found.on_clusters),
         clusters=tuple(seen(store, found.on_clusters)) if store and found.on_clusters else (),
         reasons={text(reason, PREVIEW): count for reason, count in reasons.most_common()},
@@ -210,7 +210,7 @@ def _print(plan: Plan, preview: PlanPreview, to_execute: AbstractSet[str], *, ex
         for line in (*preview.new_because, *(preview.other_programs or ())):
             print(f"  {line}")
     else:
-        followed, judged = preview.on_clusters, preview.to_judge
+        followed, judged = preview.on_clusters, preview.to_reevaluate
         follow_up = f", {followed} {'is' if followed == 1 else 'are'} on a cluster and would be followed" if followed else ""
         again = f", {judged} would be evaluated again because [outputs] or [success] have changed" if judged else ""
         print(f"{preview.to_execute} of {counted(preview.runs, 'run')} would execute{again}{follow_up}")

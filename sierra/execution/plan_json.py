@@ -21,7 +21,7 @@ class PlanPreview(BaseModel):
     runs: int = Field(description="number of different runs")
     to_execute: int = Field(description="number of runs that would execute")
     reused: int = Field(description="number of runs with a recorded execution that would be reused, or evaluated again")
-    to_judge: int = Field(
+    to_reevaluate: int = Field(
         description="number of these that would be evaluated again, because [outputs] or [success] have changed"
     )
     on_clusters: int = Field(description="number of runs that a cluster executes now; they would be followed")
