@@ -65,7 +65,7 @@ def test_progress_messages_say_why_array_tasks_are_queued(waiting: Waiting) -> N
         assert said, "it has ended"
     asking.send_signal(signal.SIGINT)
     waiting.project.end_of(asking)
-    assert re.fullmatch(r"0/6 runs, [13] elements? queued \(BeginTime\)\n", said)
+    assert re.fullmatch(r"0/6 runs, [13] array tasks? queued \(BeginTime\)\n", said)
 
 
 def test_why_ls_show_and_dry_runs_report_runs_on_a_cluster(waiting: Waiting) -> None:
