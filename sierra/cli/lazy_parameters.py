@@ -6,6 +6,7 @@ most commands take to run. Here an adapter is made only for a value that needs i
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from typer.core import TyperCommand, TyperGroup
@@ -33,16 +34,13 @@ class _Converter:
 
 
 CONVERTER = _Converter()
+SURROGATE = re.compile("[\ud800-\udfff]")
+"""A character that UTF-8 cannot encode: a byte of an argument that is not UTF-8."""
 
 
 def _is_plain(value: object, annotation: object) -> bool:
     """Check if a value is of its parameter's type already; a text must be encodable too, as pydantic requires."""
-    if type(value) is not annotation:
-        return False
-    try:
-        return not isinstance(value, str) or value.encode() is not None
-    except UnicodeEncodeError:
-        return False
+    return type(value) is annotation and not (isinstance(value, str) and SURROGATE.search(value))
 
 
 def _lean(parameters: list[Parameter]) -> list[Parameter]:

@@ -53,7 +53,7 @@ BASES = {
     Basis.NOTHING: "no batch with these variables is recorded",
     Basis.BATCH: "compared with batch {batch} ({query}):",
 }
-"""What a plan with new runs is compared with."""
+"""The first line of an explanation: the batch, if any, with which the plan is compared."""
 CHANGES = {
     Aspect.QUERY: "{name} was {was!r} and is {now!r}",
     Aspect.SET_ADDED: "--set {name} was added",
@@ -74,7 +74,7 @@ CHANGES = {
     ),
     Aspect.PROGRAM: "{details}",
 }
-"""How a plan differs from a recorded batch."""
+"""A line for each difference between a plan and a recorded batch."""
 SHOWN = 10
 """The largest number of details in a line."""
 

@@ -20,7 +20,7 @@ from sierra.util.fs import write_whole
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from sierra.store.sql_result import Answer, Cell
+    from sierra.store.sql_result import Answer, SqlValue
     from sierra.store.store import Store
 
 SHOWN_ROWS = 200
@@ -110,7 +110,7 @@ class Printable:
     """A result that is printed or written: rows, or for Parquet an Arrow table."""
 
     columns: list[str]
-    rows: Sequence[tuple[Cell, ...]]
+    rows: Sequence[tuple[SqlValue, ...]]
     numeric: list[str]
     notes: str
     table: pa.Table | None = None

@@ -22,7 +22,7 @@ from sierra.provenance.hash_cache import HashCache, cached_sha256
 from sierra.store.layout import StorePaths
 from sierra.store.row_types import IsolationRow
 from sierra.util.hashing import digest, sha256
-from sierra.util.json_types import Cell
+from sierra.util.json_types import RecordValue
 
 if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents
@@ -53,7 +53,7 @@ def other_host_access(was: Sequence[str], now: Sequence[str]) -> list[str]:
     return [*(f"{one} is new" for one in now if one not in was), *(f"{one} is gone" for one in was if one not in now)]
 
 
-def limits(row: Mapping[str, Cell]) -> dict[str, dict[str, float]]:
+def limits(row: Mapping[str, RecordValue]) -> dict[str, dict[str, float]]:
     """Return the limits in a row of `isolations`: all requested ones, divided into enforced, watched and ignored ones."""
     requested, enforced = (json.loads(str(row[name])) for name in ("limits_asked", "limits_enforced"))
     left = {name: limit for name, limit in requested.items() if name not in enforced}

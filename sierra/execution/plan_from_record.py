@@ -159,7 +159,7 @@ def image_contents(store: Store, identity: str) -> Contents:
     rows = store.select(ImageRow, "SELECT * FROM images WHERE image = $i LIMIT 1", i=identity)
     if not rows:
         raise Missing(f"the image {identity} is neither pinned nor recorded; import it with sierra image import, then pin it")
-    return Contents.of_row(rows[0]._asdict(), store.object(rows[0].files or ""))
+    return Contents.of_row(rows[0], store.object(rows[0].files or ""))
 
 
 def inputs(store: Store, runs: Iterable[ChosenExecution]) -> Iterator[tuple[ChosenExecution, Files]]:

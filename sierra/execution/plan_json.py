@@ -10,7 +10,7 @@ from sierra.runners.cluster.resource_estimate import Estimate
 
 
 class PlanPreview(BaseModel):
-    """What a query would execute. `sierra run FILE.json` accepts a file with this content."""
+    """A plan: the batch and the runs that a query would execute. `sierra run FILE.json` accepts a file with this content."""
 
     model_config = ConfigDict(frozen=True, title="plan.json")
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from sierra.errors import Damaged
 from sierra.model import Value
+from sierra.provenance.dependency_model import Kind, Program
 from sierra.store.row_mapper import R
 from sierra.store.store import Snapshot
 from sierra.util.hashing import short
@@ -20,6 +21,10 @@ class RecordedProgram(NamedTuple):
     version: str | None
     path: str
     sha256: str
+
+    def program(self) -> Program:
+        kind = next((one for one in Kind if one == self.kind), Kind.PROGRAM)
+        return Program(self.name, self.path, self.sha256, kind, self.version)
 
 
 PROGRAMS = """

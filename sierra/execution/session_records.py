@@ -18,7 +18,7 @@ from sierra.store.lamport_clock import stamp
 from sierra.store.layout import SessionPaths
 from sierra.store.objects import Objects
 from sierra.store.row_mapper import of_fields
-from sierra.store.row_types import BatchRow, BlobRow, ImageRow, ProgramRow, SessionRow, SourceRow, SpecRow
+from sierra.store.row_types import BatchRow, BlobRow, SessionRow, SpecRow
 from sierra.store.schema import arrow_schema
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
@@ -59,11 +59,11 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     if plan.image is not None:
         inside = images.examine(plan.project.root, store.paths, plan.image)
         objects.add(inside.listing)
-        writer.records([of_fields(ImageRow, inside.row())])
+        writer.records([inside.row()])
     objects.close()
     writer.records([batch_row(plan, _lamport(session))])
     writer.records([_spec_row(batch)])
-    writer.records([of_fields(SourceRow, code.row(listing))])
+    writer.records([code.row(listing)])
     _write_host(plan, writer)
     writer.table("experiments", _experiments(batch))
     writer.tables("batch_runs", _members(batch))
@@ -188,13 +188,13 @@ def _lamport(session: Session) -> int:
 
 def _write_host(plan: Plan, writer: Writer) -> None:
     writer.records([plan.environment])
-    writer.records(of_fields(ProgramRow, row) for row in plan.programs.rows())
+    writer.records(plan.programs.rows())
 
 
 def _write_source_and_host(plan: Plan, writer: Writer, *, executed: bool) -> None:
     """Record the source of a session, and its environment and programs if it executed runs."""
     if plan.source:
-        writer.records([of_fields(SourceRow, plan.source.row(sha256(plan.source.manifest)))])
+        writer.records([plan.source.row(sha256(plan.source.manifest))])
     if executed:
         _write_host(plan, writer)
 
@@ -206,13 +206,11 @@ def is_kept(plan: Plan, store: Store) -> bool:
 
 def _known_inputs(plan: Plan, snapshot: Snapshot) -> set[str]:
     """Return the runs of the batch whose input files the store has, because they belong to an earlier batch."""
-    import pyarrow as pa
-
     spec = {"spec": plan.batch.spec_id}
     snapshot.views.make(("batch_runs",))
     if not snapshot.run("SELECT 1 FROM batch_runs WHERE spec = $spec LIMIT 1", spec):
         return set()
-    snapshot.register("asked", pa.table({"run": [run.id for run in plan.batch.runs]}))
+    snapshot.register("asked", run=(run.id for run in plan.batch.runs))
     return {row[0] for row in snapshot.run("SELECT DISTINCT run FROM batch_runs SEMI JOIN asked USING (run)")}
 
 

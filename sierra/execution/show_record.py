@@ -28,7 +28,7 @@ from sierra.store.row_types import (
     SourceRow,
     SpecRow,
 )
-from sierra.store.sql_result import Cell
+from sierra.store.sql_result import SqlValue
 from sierra.store.store import Found, Snapshot, Store
 from sierra.util.json_types import Json
 from sierra.util.text import natural
@@ -81,7 +81,7 @@ class Attempt(NamedTuple):
     state: str
     error: str | None
     executed: bool | None
-    """Whether it executed the shown run; None if a batch is shown."""
+    """True if it executed the shown run, False if not, None if a batch is shown."""
 
 
 class Nondeterminism(NamedTuple):
@@ -231,7 +231,7 @@ class ShownRun:
     """A run; its row in the table `runs` has a column for each independent variable of any batch."""
 
     kind: ClassVar[str] = "run"
-    row: Mapping[str, Cell]
+    row: Mapping[str, SqlValue]
     spec: SpecRow
     executions: Sequence[ExecutionRow]
     batches: Sequence[str]

@@ -48,7 +48,7 @@ class PlanChange:
 
 
 class Basis(StrEnum):
-    """What a plan with new runs is compared with."""
+    """The batch, if any, with which a plan that has new runs is compared."""
 
     EMPTY_STORE = "empty store"
     SAME_BATCH = "same batch"

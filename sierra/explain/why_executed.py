@@ -33,7 +33,7 @@ ORDER BY CASE WHEN s.asked < this.lamport THEN s.asked ELSE b.lamport END DESC L
 
 @dataclass(frozen=True, slots=True)
 class NewSince:
-    """What made the runs of a batch new in its first session."""
+    """The reason why the first session of a batch had runs to execute."""
 
     batch: str | None
     """Id of the earlier batch that it is compared with; None if no batch with these variables was recorded before."""

@@ -19,7 +19,7 @@ from sierra.execution.row_queries import RecordedProgram
 from sierra.execution.session_records import batch_row, is_kept
 from sierra.explain.plan_changes import Aspect, Basis, NewRuns, PlanChange
 from sierra.provenance import fingerprint_programs, source
-from sierra.provenance.dependency_model import mentioned
+from sierra.provenance.dependency_model import Programs, mentioned
 from sierra.provenance.source import suggest_exclusions
 from sierra.provenance.source.manifest import changed
 from sierra.store.store import Store
@@ -57,7 +57,7 @@ THIS = f"{COLUMNS} WHERE b.batch = $batch"
 
 
 class Known(NamedTuple):
-    """How often the store has a batch, and the programs of its last session."""
+    """The number of recorded batches with one id (0 or 1), and the programs of the last session of that batch."""
 
     kept: int
     programs: str | None
@@ -130,7 +130,7 @@ WHERE programs = (
 def other_programs(plan: Plan, store: Store) -> tuple[PlanChange, ...]:
     """Return the programs that differ from those of the batch's last execution."""
     words = mentioned(plan.batch.spec.command, plan.project.root)
-    recorded = [row._asdict() for row in store.select(RecordedProgram, PROGRAMS, batch=plan.batch.id)]
+    recorded = Programs(tuple(row.program() for row in store.select(RecordedProgram, PROGRAMS, batch=plan.batch.id)))
     return tuple(
         PlanChange(Aspect.PROGRAM, details=(line,)) for line in fingerprint_programs.differences(recorded, plan.programs, words)
     )

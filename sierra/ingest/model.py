@@ -63,7 +63,7 @@ class Shape:
 Group = Hashable
 """An experiment, as a key."""
 Votes = Mapping[tuple[Group, str], Mapping[str, int]]
-"""How many files have which kind in a column, by experiment and column."""
+"""The number of files by kind of their values, for each experiment and column."""
 
 
 @dataclass(frozen=True, slots=True)

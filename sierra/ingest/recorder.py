@@ -28,7 +28,7 @@ from sierra.store.segments import Writer
 from sierra.store.store import Store
 from sierra.util.fs import inside
 from sierra.util.hashing import merkle, short
-from sierra.util.json_types import Cell
+from sierra.util.json_types import RecordValue
 from sierra.worker import worker
 
 PENDING_RUNS = 4_000
@@ -75,7 +75,7 @@ class Recorder:
         self.context = context
         self._reading = context.ingest_rules
         self._pending: list[Judgement] = []
-        self._other_rows: dict[str, list[Mapping[str, Cell]]] = {}
+        self._other_rows: dict[str, list[Mapping[str, RecordValue]]] = {}
         self._environments: set[str] = set()
         """The environments that are recorded or will be; usually one for all elements."""
         self._ruled = 0
@@ -110,7 +110,7 @@ class Recorder:
         engine = engines.find(self.context.engine, self.context.engines)
         return engine.classify(result, errors, frozenset(self.context.enforced))
 
-    def add_rows(self, rows: Iterable[tuple[str, Mapping[str, Cell]]], copies: Iterable[Result]) -> None:
+    def add_rows(self, rows: Iterable[tuple[str, Mapping[str, RecordValue]]], copies: Iterable[Result]) -> None:
         """Add other records: rows by table, and runs that were executed once more than requested."""
         for table, row in rows:
             if table == "environments":

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from sierra.store.row_types import ProgramRow
 from sierra.util.hashing import digest
-from sierra.util.json_types import Cell
 
 INSTALLED = ": installed distributions"
 """Suffix of the name for all distributions of a Python; the path of that entry is a list of folders, as in PATH."""
@@ -39,13 +39,6 @@ class Program:
     version: str | None = None
     """The version that the program reports; for distributions, one line for each. It is not part of the fingerprint."""
 
-    @classmethod
-    def of_row(cls, row: Mapping[str, Cell]) -> Program:
-        """Return a program from a row of the table `programs`."""
-        kind = next((one for one in Kind if one == row["kind"]), Kind.PROGRAM)
-        version = None if row["version"] is None else str(row["version"])
-        return cls(str(row["name"]), str(row.get("path", "")), str(row["sha256"]), kind, version)
-
     @property
     def called(self) -> str:
         """The name without its location."""
@@ -69,10 +62,9 @@ class Programs:
         mine, theirs = ({(called(one.name), one.sha256) for one in side.all} for side in (self, others))
         return sorted({name for name, _ in mine ^ theirs})
 
-    def rows(self) -> list[dict[str, str | None]]:
-        fields = ("name", "kind", "version", "path", "sha256")
+    def rows(self) -> list[ProgramRow]:
         identity = self.id
-        return [{"programs": identity, **{name: getattr(program, name) for name in fields}} for program in self.all]
+        return [ProgramRow(identity, one.name, one.kind, one.version, one.path, one.sha256) for one in self.all]
 
 
 NOTHING = Programs(())

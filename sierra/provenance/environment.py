@@ -19,7 +19,7 @@ from pathlib import Path
 from sierra.provenance import dependency_model, pythons
 from sierra.provenance.machine import facts
 from sierra.util.hashing import digest, sha256
-from sierra.util.json_types import Cell, JsonView, as_object, as_texts
+from sierra.util.json_types import JsonView, RecordValue, as_object, as_texts
 
 VARIABLES = (
     *("LANG", "LANGUAGE", "LC_*", "TZ", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "GLIBC_TUNABLES", "MALLOC_*"),
@@ -89,7 +89,9 @@ def _distributions() -> str:
     return "\n".join(one.line for one in pythons.distributions([folder for folder in folders if folder.is_dir()]))
 
 
-def differing(before: Mapping[str, Cell], now: Mapping[str, Cell]) -> Iterator[tuple[str, Cell, Cell]]:
+def differing(
+    before: Mapping[str, RecordValue], now: Mapping[str, RecordValue]
+) -> Iterator[tuple[str, RecordValue, RecordValue]]:
     """Yield the differences between two rows of `environments` as name, old value, new value; the most relevant come first.
 
     For lists, the values are the items that only one row has. Variables, limits and distributions are compared one by one, as

@@ -23,7 +23,6 @@ from sierra.provenance import libraries, pythons
 from sierra.provenance.dependency_model import INSTALLED, NOTHING, Kind, Program, Programs, by_likelihood, called, versions
 from sierra.provenance.hash_cache import HashCache
 from sierra.util.hashing import sha256, short
-from sierra.util.json_types import Cell
 from sierra.util.text import few
 
 SHOWN = 5
@@ -157,18 +156,17 @@ def _interpreter(script: Path) -> list[str]:
     return os.fsdecode(line[2:]).split() if line.startswith(b"#!") else []
 
 
-def differences(before: Iterable[Mapping[str, Cell]], now: Programs, words: frozenset[str] = frozenset()) -> Iterator[str]:
-    """Yield one line for each difference to the recorded rows of `programs`, and one line for all libraries.
+def differences(before: Programs, now: Programs, words: frozenset[str] = frozenset()) -> Iterator[str]:
+    """Yield one line for each difference to the recorded programs, and one line for all libraries.
 
     The most likely causes come first: programs, then files, then packages. Packages that `words` name come before others.
     """
-    recorded = list(map(Program.of_row, before))
-    several = {name for programs in (recorded, now.all) for name in _ambiguous(programs)}
+    several = {name for programs in (before, now) for name in _ambiguous(programs.all)}
 
     def by_name(programs: Iterable[Program]) -> dict[str, Program]:
         return {one.name if one.called in several else one.called: one for one in programs}
 
-    old, new = by_name(recorded), by_name(now.all)
+    old, new = by_name(before.all), by_name(now.all)
     pairs = [(name, old.get(name), new.get(name)) for name in sorted(old.keys() | new.keys())]
     loaded = []
     for name, was, program in sorted(pairs, key=lambda pair: _is_list(pair[2] or pair[1])):

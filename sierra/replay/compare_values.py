@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from numpy.typing import NDArray
 
-    from sierra.store.sql_result import Cell
+    from sierra.store.sql_result import SqlValue
 
 STEPS = 10
 """Number of parts of the rows for which the growth of a difference is reported."""
@@ -375,7 +375,7 @@ def distance(far: float) -> str:
     return f"{far:.3g}" if far < float("inf") else "not finite"
 
 
-def _value(value: Cell) -> str:
+def _value(value: SqlValue) -> str:
     """Return a cell's value for a line."""
     return "missing" if value is None else _cut(str(value) if isinstance(value, Decimal) else repr(value))
 

@@ -45,7 +45,6 @@ from sierra.store.store import Found, Store
 from sierra.store.table_layout import TableLayout
 from sierra.templates.base import Files
 from sierra.util.hashing import short
-from sierra.util.json_types import JsonView
 from sierra.util.lazy_logger import Log
 from sierra.version import __version__
 
@@ -125,9 +124,9 @@ def replay(
             )
         variables = commands.declared(record.of.spec.environment, root, project.root)
         now = reported_versions.with_versions(checkout.programs_in(root), project.config.programs, variables, root)
-        around = environment.capture(__version__, project.config.environment.record)
+        around = of_fields(EnvironmentRow, environment.capture(__version__, project.config.environment.record))
         limits = commands.limits(project.config)
-        setup = Setup(project, record.of.spec, engine, image, limits, root, of_fields(EnvironmentRow, around))
+        setup = Setup(project, record.of.spec, engine, image, limits, root, around)
         service = Service(setup, store, session, stays=runner.stays)
         notes = (
             *record.notes,
@@ -142,7 +141,7 @@ def replay(
             session.id,
             record.of.batch,
             Purpose.REPLAY,
-            str(around["environment"]),
+            around.environment,
             now.id,
             record.of.outputs,
             record.of.success,
@@ -334,16 +333,14 @@ def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
     """Yield a line for each program that differs from the record; the code is in `root`."""
     if now.id != of.fingerprint:
         words = mentioned(of.spec.command, root)
-        yield from (
-            f"different programs: {line}"
-            for line in fingerprint_programs.differences([one._asdict() for one in of.programs], now, words)
-        )
+        recorded = Programs(tuple(one.program() for one in of.programs))
+        yield from (f"different programs: {line}" for line in fingerprint_programs.differences(recorded, now, words))
 
 
-def _other_machine(store: Store, record: _Record, around: Mapping[str, JsonView]) -> Iterator[str]:
+def _other_machine(store: Store, record: _Record, around: EnvironmentRow) -> Iterator[str]:
     """Yield a line for each difference of the machine that may change arithmetic."""
     for row in store.select(EnvironmentRow, "SELECT * FROM environments WHERE environment = $e", e=record.environment):
-        for name, was, found in environment.differing(row._asdict(), around):
+        for name, was, found in environment.differing(row._asdict(), around._asdict()):
             if name in ARITHMETIC:
                 old, new = (", ".join(one) or "none" if isinstance(one, list) else one or "none" for one in (was, found))
                 yield f"different machine: {name} {'that differ: ' if isinstance(was, list) else ''}was {old}, is now {new}"
@@ -417,7 +414,7 @@ def _keep(
     session: Session,
     record: _Record,
     now: Programs,
-    around: Mapping[str, JsonView],
+    around: EnvironmentRow,
     began: datetime,
     options: ReplayOptions,
     engine: Engine,
@@ -436,13 +433,13 @@ def _keep(
         runs=len(answer.runs),
         verdict=answer.verdict,
         tolerances=json.dumps(plain(options.tolerances)) if options.tolerances else None,
-        environment=str(around["environment"]),
+        environment=around.environment,
         programs=now.id,
         lamport=stamp(session.number, session.id),
     )
     writer.records([row])
     writer.records(row for run in answer.runs for row in verdict_rows(answer.id, run))
     writer.records(row for one in answer.experiments for row in metric_rows(answer.id, one))
-    writer.rows("environments", [around])
-    writer.rows("programs", now.rows())
+    writer.records([around])
+    writer.records(now.rows())
     store.publish(writer)

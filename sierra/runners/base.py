@@ -22,7 +22,7 @@ from sierra.model import Job, Requirement, Result, Times
 from sierra.provenance.dependency_model import INSTALLED, Kind, Program, Programs
 from sierra.runners import schedulers
 from sierra.store.layout import SessionPaths
-from sierra.util.json_types import Cell, JsonView
+from sierra.util.json_types import JsonView, RecordValue
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Look:
     """Number of runs in flight now."""
     alive: bool
     """True if more results may come."""
-    rows: tuple[tuple[str, Mapping[str, Cell]], ...] = ()
+    rows: tuple[tuple[str, Mapping[str, RecordValue]], ...] = ()
     """Further rows to record: pairs of a table's name and a row."""
     notes: tuple[str, ...] = ()
     """Messages for the user."""

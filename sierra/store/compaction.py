@@ -23,7 +23,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from sierra.errors import Damaged, Missing
-from sierra.store.connections import connect
+from sierra.store.connections import connect, keep_order
 from sierra.store.duckdb_file_io import copy, read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import StorePaths
@@ -231,8 +231,7 @@ def _write_output(target: Path, paths: Sequence[str], executions: AbstractSet[st
     connection = connect()
     try:
         connection.register("gone", pa.table({"execution": pa.array(sorted(executions), pa.string())}))
-        connection.execute("SET threads = 1")
-        connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
+        keep_order(connection)
         stays = f"SELECT o.* FROM {read_parquet(paths)} o ANTI JOIN gone g ON o.execution = g.execution"
         before = connection.execute(SUM.format(rows=stays)).fetchall()[0]
         kept = {written: rows for written, rows in _counted(paths).items() if written[0] not in executions}

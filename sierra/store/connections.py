@@ -28,6 +28,12 @@ Database: TypeAlias = "DuckDBPyConnection"
 """A connection to DuckDB, for packages that do not know DuckDB."""
 
 
+def keep_order(connection: DuckDBPyConnection) -> None:
+    """Set a connection so that joined rows keep the order in which they were read."""
+    connection.execute("SET threads = 1")
+    connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")
+
+
 class Connection:
     """A cursor on a DuckDB database that may read only some folders; used by one snapshot at a time."""
 

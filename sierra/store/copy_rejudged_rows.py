@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged, Missing
-from sierra.store.connections import connect
+from sierra.store.connections import connect, keep_order
 from sierra.store.duckdb_file_io import copy, read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.segments import OUTPUT, Writer, is_first_part
@@ -31,8 +31,7 @@ def write_again(snapshot: Snapshot, writer: Writer, outputs: Iterable[str], made
     connection = connect()
     try:
         connection.register("made", pa.table({"known": pa.array(list(made), pa.string()), "made": list(made.values())}))
-        connection.execute("SET threads = 1")
-        connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
+        keep_order(connection)
         return {name: _output(connection, snapshot, writer, name) for name in sorted(set(outputs))}
     except duckdb.IOException as error:
         raise Missing(f"cannot write to {writer.folder}: {first_line(error)}") from error

@@ -16,8 +16,20 @@ if TYPE_CHECKING:
     import duckdb
     import pyarrow as pa
 
-Cell: TypeAlias = (
-    bool | int | float | str | bytes | Decimal | datetime | date | time | timedelta | list["Cell"] | dict[str, "Cell"] | None
+SqlValue: TypeAlias = (
+    bool
+    | int
+    | float
+    | str
+    | bytes
+    | Decimal
+    | datetime
+    | date
+    | time
+    | timedelta
+    | list["SqlValue"]
+    | dict[str, "SqlValue"]
+    | None
 )
 """One value of a result."""
 RawRow: TypeAlias = tuple[Any, ...]
@@ -47,13 +59,13 @@ class Answer:
         """Return the names of the columns of numbers."""
         return [name for name, kind in zip(self.columns, self.types, strict=True) if re.fullmatch(NUMBER, kind)]
 
-    def rows(self) -> list[tuple[Cell, ...]]:
+    def rows(self) -> list[tuple[SqlValue, ...]]:
         """Return all rows as Python objects; times are in UTC."""
         if not all(kind == INSTANT or SIMPLE.fullmatch(kind) for kind in self.types):
             return [tuple(row.values()) for row in self.arrow().to_pylist()]
         instants = [place for place, kind in enumerate(self.types) if kind == INSTANT]
         if not instants:
-            rows: list[tuple[Cell, ...]] = self._relation.fetchall()
+            rows: list[tuple[SqlValue, ...]] = self._relation.fetchall()
             return rows
         return [_with_times(row, instants) for row in self._microseconds().fetchall()]
 
@@ -68,7 +80,7 @@ class Answer:
         return self._relation.project(", ".join(texts))
 
 
-def _with_times(row: tuple[Cell, ...], places: list[int]) -> tuple[Cell, ...]:
+def _with_times(row: tuple[SqlValue, ...], places: list[int]) -> tuple[SqlValue, ...]:
     values = list(row)
     for place in places:
         if isinstance(value := values[place], int):

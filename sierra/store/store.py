@@ -23,7 +23,7 @@ from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.row_mapper import R, V, typed, values
 from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, listed
-from sierra.store.sql_result import Answer, Cell, RawRow
+from sierra.store.sql_result import Answer, RawRow, SqlValue
 from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole
 
@@ -152,7 +152,7 @@ class Store:
             shared.close()
             raise
 
-    def rows(self, text: str, **parameters: object) -> list[dict[str, Cell]]:
+    def rows(self, text: str, **parameters: object) -> list[dict[str, SqlValue]]:
         """Return the result of one statement as a list of rows by column."""
         with self.snapshot() as snapshot:
             return snapshot.rows(text, **parameters)
@@ -283,7 +283,7 @@ class Snapshot:
         """Return the values of a statement that only reads and has one column, none of them NULL. Raises SqlError."""
         return self.ask(text, parameters, partial(values, kind))
 
-    def rows(self, text: str, **parameters: object) -> list[dict[str, Cell]]:
+    def rows(self, text: str, **parameters: object) -> list[dict[str, SqlValue]]:
         """Return the result of one statement that only reads, as rows by column. Raises SqlError."""
         return self.ask(text, parameters, lambda found: [dict(zip(found.columns, row, strict=True)) for row in found.rows()])
 

@@ -26,9 +26,10 @@ from sierra.containers.images.oci import Archive
 from sierra.errors import Damaged, Missing
 from sierra.provenance.hash_cache import cached_sha256
 from sierra.store.layout import ImagePaths, StorePaths
+from sierra.store.row_types import ImageRow
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256
-from sierra.util.json_types import Cell, JsonView, as_object, as_texts
+from sierra.util.json_types import JsonView, as_object
 
 FORMAT = 1
 UNFINISHED = re.compile(r"\.(saved\.\w+|image\.json|files\.jsonl|rootfs\.(sqfs|\d+))\.\d+")
@@ -63,23 +64,21 @@ class Contents:
     """The SHA-256 of the squashfs that was made from it; empty if there is none."""
 
     @classmethod
-    def of_row(cls, row: Mapping[str, Cell], listing: bytes) -> Contents:
+    def of_row(cls, row: ImageRow, listing: bytes) -> Contents:
         """Return the contents from a row of the table `images` and the listing that the row names."""
-        name, identity, kind, architecture = (str(row[name] or "") for name in ("name", "image", "kind", "architecture"))
-        objects = {name: json.loads(str(row[name])) for name in ("variables", "manifests", "labels", "packages")}
-        created, size = row["created"], row["size"]
+        variables, packages = (json.loads(text or "{}") for text in (row.variables, row.packages))
         return cls(
-            image=Image(name, identity, Kind(kind), architecture, as_texts(row["layers"]), objects["variables"]),
+            image=Image(row.name or "", row.image, Kind(row.kind), row.architecture or "", tuple(row.layers), variables),
             form="",
-            manifests=objects["manifests"],
+            manifests=json.loads(row.manifests or "{}"),
             config={},
-            labels=objects["labels"],
-            packages={manager: tuple(lines) for manager, lines in objects["packages"].items()},
-            recipe=str(row["recipe"] or ""),
-            created=created.isoformat() if isinstance(created, datetime) else "",
-            size=size if isinstance(size, int) else 0,
+            labels=json.loads(row.labels or "{}"),
+            packages={manager: tuple(lines) for manager, lines in packages.items()},
+            recipe=row.recipe or "",
+            created=row.created.isoformat() if row.created else "",
+            size=row.size,
             listing=listing,
-            squashfs=str(row["squashfs"] or ""),
+            squashfs=row.squashfs or "",
         )
 
     @property
@@ -124,27 +123,27 @@ class Contents:
         entry = self._file(path)
         return entry is not None and bool(entry.mode & EXECUTABLE)
 
-    def row(self) -> dict[str, Cell]:
+    def row(self) -> ImageRow:
         """Return its row of the table `images`. The listing, whose hash is in `files`, is stored as an object."""
         image = self.image
-        return {
-            "image": image.id,
-            "kind": str(image.kind),
-            "architecture": image.architecture or None,
-            "layers": list(image.layers),
-            "name": image.name,
-            "file": image.file or None,
-            "sha256": image.sha256 or None,
-            "squashfs": self.squashfs or None,
-            "manifests": json.dumps(dict(self.manifests), sort_keys=True),
-            "created": _time(self.created),
-            "labels": json.dumps(dict(self.labels), sort_keys=True),
-            "variables": json.dumps(dict(image.variables), sort_keys=True),
-            "packages": json.dumps({name: list(lines) for name, lines in self.packages.items()}, sort_keys=True),
-            "recipe": self.recipe or None,
-            "files": sha256(self.listing),
-            "size": self.size,
-        }
+        return ImageRow(
+            image=image.id,
+            kind=str(image.kind),
+            architecture=image.architecture or None,
+            layers=list(image.layers),
+            name=image.name,
+            file=image.file or None,
+            sha256=image.sha256 or None,
+            squashfs=self.squashfs or None,
+            manifests=json.dumps(dict(self.manifests), sort_keys=True),
+            created=_time(self.created),
+            labels=json.dumps(dict(self.labels), sort_keys=True),
+            variables=json.dumps(dict(image.variables), sort_keys=True),
+            packages=json.dumps({name: list(lines) for name, lines in self.packages.items()}, sort_keys=True),
+            recipe=self.recipe or None,
+            files=sha256(self.listing),
+            size=self.size,
+        )
 
 
 def contents(store: StorePaths, image: Image) -> Contents | None:

@@ -24,6 +24,7 @@ from sierra.provenance.source.git import Git, in_repository
 from sierra.provenance.source.manifest import LINK, Files, listed, read, tree_hash, written
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.selection import PathSelection, inside, shown
+from sierra.store.row_types import SourceRow
 from sierra.util.hashing import digest
 
 SWHID = "swh:1:dir:"
@@ -61,9 +62,9 @@ class Source:
     def id(self) -> str:
         return digest("source", {name: getattr(self, name) for name in RECORDED})
 
-    def row(self, files: str) -> dict[str, str | bool | None]:
+    def row(self, files: str) -> SourceRow:
         """Return the record of this source; `files` is the SHA-256 under which the manifest is stored."""
-        return {"source": self.id, "files": files, **{name: getattr(self, name) for name in RECORDED}}
+        return SourceRow(source=self.id, files=files, **{name: getattr(self, name) for name in RECORDED})
 
 
 def capture(

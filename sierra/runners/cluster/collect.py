@@ -26,7 +26,7 @@ from sierra.runners.journal_reader import Stalled
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
-from sierra.util.json_types import Cell
+from sierra.util.json_types import RecordValue
 from sierra.util.text import counted
 from sierra.worker import worker
 from sierra.worker.array_task import Attempt, Finished, Requeued, Started, Trouble
@@ -123,7 +123,7 @@ class Collector:
     ) -> None:
         """Start reading. `recorded` maps the store's executions to their attempts; `note` receives messages for the user."""
         self.shares = [Share(count, tries=1) for count in submission.counts]
-        self.rows: list[tuple[str, Mapping[str, Cell]]] = []
+        self.rows: list[tuple[str, Mapping[str, RecordValue]]] = []
         """Rows for the store's tables, in addition to results."""
         self.failed: list[Result] = []
         """Results of runs that were given up."""
@@ -293,7 +293,7 @@ class Collector:
             ended=result.ended - ahead,
         )
 
-    def attempts(self, reason: str | None) -> list[tuple[str, Mapping[str, Cell]]]:
+    def attempts(self, reason: str | None) -> list[tuple[str, Mapping[str, RecordValue]]]:
         """Return all attempts as rows. `reason` is that of attempts without their own or the scheduler's."""
         for index in range(len(self.shares)):
             self.note_end(index)
@@ -308,7 +308,7 @@ class Collector:
     def _last(self, index: int) -> Track | None:
         return last_of(self._tracks.values(), index)
 
-    def _row(self, track: Track, begun: Attempt, reason: str | None) -> dict[str, Cell]:
+    def _row(self, track: Track, begun: Attempt, reason: str | None) -> dict[str, RecordValue]:
         return {
             "attempt": begun.attempt,
             "session": self._session.root.name,

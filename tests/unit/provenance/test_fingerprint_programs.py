@@ -429,18 +429,18 @@ def test_changed_programs_are_reported_by_version(tmp_path: Path) -> None:
         )
 
     before = used("4.0.0", "a", "1", "c")
-    assert list(fingerprint_programs.differences(before.rows(), before)) == []
-    assert list(fingerprint_programs.differences(before.rows(), used("4.0.1", "b", "2", "d"))) == [
+    assert list(fingerprint_programs.differences(before, before)) == []
+    assert list(fingerprint_programs.differences(before, used("4.0.1", "b", "2", "d"))) == [
         "argos3: 4.0.0 (aaaaaaaaaa) recorded, 4.0.1 (bbbbbbbbbb) found",
         "python3: installed distributions: numpy 1 recorded, 2 found",
         "libraries that differ from the record: libc.so.6",
     ]
     alike = [Program(f"/{folder}/map.pgm", "", folder * 64, "file") for folder in "abc"]
-    assert list(fingerprint_programs.differences(Programs(tuple(alike[:2])).rows(), Programs((alike[0], alike[2])))) == [
+    assert list(fingerprint_programs.differences(Programs(tuple(alike[:2])), Programs((alike[0], alike[2])))) == [
         "/b/map.pgm: bbbbbbbbbb recorded, not found",
         "/c/map.pgm: not recorded, cccccccccc found",
     ]
-    assert list(fingerprint_programs.differences(before.rows()[:1], NOTHING)) == [
+    assert list(fingerprint_programs.differences(Programs(before.all[:1]), NOTHING)) == [
         "argos3: 4.0.0 (aaaaaaaaaa) recorded, not found"
     ]
 
@@ -483,6 +483,6 @@ def test_packages_that_the_simulator_uses_are_reported_first(tmp_path: Path) -> 
         )
         for digit, text in (("a", "\n".join(f"{name}==1" for name in names)), ("b", "\n".join(f"{name}==2" for name in names)))
     ]
-    told = list(fingerprint_programs.differences(installed[0].rows(), installed[1], words))
+    told = list(fingerprint_programs.differences(installed[0], installed[1], words))
     assert told[0].startswith("sim: ")
     assert told[1].startswith("python3: installed distributions: mujoco 1 recorded, 2 found, attrs")

@@ -238,8 +238,8 @@ def test_image_survives_conversion_to_a_row_and_back(project: Project) -> None:
     assert again.image == replace(found.image, file="", sha256="")
     assert (again.labels, again.packages, again.size, again.listing) == ({"l": "1"}, {}, found.size, found.listing)
     assert again.created == "2023-11-14T22:13:20+00:00"
-    assert list(row) == [column.name for column in RECORDED["images"].columns]
-    assert row["files"] == made.sha256(found.listing)
+    assert list(row._fields) == [column.name for column in RECORDED["images"].columns]
+    assert row.files == made.sha256(found.listing)
 
 
 def test_pinned_images_are_neither_stray_for_fsck_nor_garbage_for_gc(project: Project) -> None:
