@@ -49,11 +49,9 @@ def expected(plan: Plan, store: Store | None, runs: AbstractSet[str]) -> Times |
 
 def recorded(store: Store, runs: Sequence[str]) -> Times | None:
     """Return the recorded mean durations of these runs; None if none of them succeeded."""
-    import pyarrow as pa
-
     with store.snapshot() as snapshot:
         snapshot.views.make(("executions",))
-        snapshot.register("asked", pa.table({"run": list(runs)}))
+        snapshot.add_table("asked", run=runs)
         took: dict[str, float] = dict(snapshot.run(RECORDED))
     if not took:
         return None

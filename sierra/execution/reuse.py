@@ -140,8 +140,6 @@ def _statement(plan: Plan, snapshot: Snapshot, runs: list[str]) -> tuple[str, di
         EACH.format(judged=REEVALUATED, count="judgements") if reevaluated else EACH.format(judged="all_judgements", count="1")
     )
     if count > MANY * len(runs):
-        import pyarrow as pa
-
-        snapshot.register("asked", pa.table({"run": runs}))
+        snapshot.add_table("asked", run=runs)
         statement += " AND run IN (SELECT run FROM asked)"
     return statement, {**spec, "programs": plan.programs.id, "ingest_rules": context(plan).ingest_rules}

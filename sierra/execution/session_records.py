@@ -18,20 +18,15 @@ from sierra.store.lamport_clock import stamp
 from sierra.store.layout import SessionPaths
 from sierra.store.objects import Objects
 from sierra.store.row_mapper import of_fields
-from sierra.store.row_types import BatchRow, BlobRow, SessionRow, SpecRow
-from sierra.store.schema import arrow_schema
+from sierra.store.row_types import BatchRow, BatchRunRow, BlobRow, SessionRow, SpecRow
+from sierra.store.schema import sql_types
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
 from sierra.util.fs import read_record, write_whole
 from sierra.util.hashing import sha256
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
     from sierra.execution.summary import Summary
-
-AT_A_TIME = 4_096
-"""Number of members that are in memory as rows at a time."""
 STORED_BLOBS = "SELECT blob FROM blobs SEMI JOIN objects USING (sha256)"
 """SQL: source files in the store with both their entry and their content; a repair may have removed the content."""
 
@@ -65,8 +60,8 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     writer.records([_spec_row(batch)])
     writer.records([code.row(listing)])
     _write_host(plan, writer)
-    writer.table("experiments", _experiments(batch))
-    writer.tables("batch_runs", _members(batch))
+    _write_experiments(batch, writer)
+    writer.records(_members(batch))
     with sessions.exclusively(store.paths):
         if not is_kept(plan, store):
             store.publish(writer)
@@ -210,7 +205,7 @@ def _known_inputs(plan: Plan, snapshot: Snapshot) -> set[str]:
     snapshot.views.make(("batch_runs",))
     if not snapshot.run("SELECT 1 FROM batch_runs WHERE spec = $spec LIMIT 1", spec):
         return set()
-    snapshot.register("asked", run=(run.id for run in plan.batch.runs))
+    snapshot.add_table("asked", run=(run.id for run in plan.batch.runs))
     return {row[0] for row in snapshot.run("SELECT DISTINCT run FROM batch_runs SEMI JOIN asked USING (run)")}
 
 
@@ -250,30 +245,17 @@ def _spec_row(batch: Batch) -> SpecRow:
     )
 
 
-def _experiments(batch: Batch) -> pa.Table:
-    import pyarrow as pa
-
-    columns = {
-        "experiment": pa.array([experiment.id for experiment in batch.experiments]),
-        "batch": pa.array([batch.id] * len(batch.experiments)),
-        "ordinal": pa.array([experiment.ordinal for experiment in batch.experiments]),
-    }
+def _write_experiments(batch: Batch, writer: Writer) -> None:
+    """Write the table `experiments`; each independent variable is a further column."""
+    columns = sql_types("experiments")
     for axis in batch.axes:
-        values = [experiment.values[axis.name] for experiment in batch.experiments]
-        kind = pa.string() if not axis.numeric else pa.int64() if all(isinstance(v, int) for v in values) else pa.float64()
-        columns[axis.name] = pa.array(values, kind)
-    return pa.table(columns)
+        whole = all(isinstance(experiment.values[axis.name], int) for experiment in batch.experiments)
+        columns[axis.name] = "VARCHAR" if not axis.numeric else "BIGINT" if whole else "DOUBLE"
+    rows = ([one.id, batch.id, one.ordinal, *(one.values[axis.name] for axis in batch.axes)] for one in batch.experiments)
+    writer.table("experiments", columns, rows)
 
 
-def _members(batch: Batch) -> Iterator[pa.Table]:
-    import pyarrow as pa
-
-    schema = arrow_schema("batch_runs")
-    for at in range(0, len(batch.runs), AT_A_TIME):
-        rows = (
-            (batch.id, run.experiment, run.number, run.id, run.seed, first, others, batch.spec_id)
-            for run in batch.runs[at : at + AT_A_TIME]
-            for first, *others in ([digest for _, digest in run.inputs],)
-        )
-        columns = zip(zip(*rows, strict=True), schema, strict=True)
-        yield pa.table([pa.array(column, field.type) for column, field in columns], schema)
+def _members(batch: Batch) -> Iterator[BatchRunRow]:
+    for run in batch.runs:
+        first, *others = (digest for _, digest in run.inputs)
+        yield BatchRunRow(batch.id, run.experiment, run.number, run.id, run.seed, first, others, batch.spec_id)

@@ -147,12 +147,10 @@ FROM last JOIN failed USING (run) GROUP BY reason ORDER BY count(*) DESC, min(pl
 
 def _failures(plan: Plan, store: Store, failed: AbstractSet[str]) -> Iterator[Failure]:
     """Yield the failures of a batch by reason."""
-    import pyarrow as pa
-
     ordered = [run for run in plan.batch.runs if run.id in failed]
     places = {run.id: run for run in reversed(ordered)}
     with store.snapshot() as snapshot:
-        snapshot.register("failed", pa.table({"run": list(places), "place": range(len(places), 0, -1)}))
+        snapshot.add_table("failed", run=places, place=range(len(places), 0, -1))
         snapshot.views.make(("executions",))
         for count, status, reason, run, log in snapshot.run(REASONS, {"most": SHOWN_REASONS}):
             first = places[run]

@@ -22,7 +22,7 @@ from sierra.provenance import fingerprint_programs, source
 from sierra.provenance.dependency_model import Programs, mentioned
 from sierra.provenance.source import suggest_exclusions
 from sierra.provenance.source.manifest import changed
-from sierra.store.store import Store
+from sierra.store.store import Snapshot, Store
 
 
 class Recorded(NamedTuple):
@@ -96,16 +96,17 @@ def why_again(plan: Plan, store: Store | None) -> tuple[PlanChange, ...]:
     """
     if store is None:
         return ()
-    [known] = store.select(Known, KNOWN, batch=plan.batch.id)
+    with store.snapshot() as snapshot:
+        [known] = snapshot.select(Known, KNOWN, batch=plan.batch.id)
+        before = None if known.kept else _similar(plan, snapshot)
     if known.kept:
         return other_programs(plan, store) if known.programs not in (None, plan.programs.id) else ()
-    before = _similar(plan, store)
     if before is None or _query(plan, before):
         return ()
     return _changes(plan, store, before)
 
 
-def _similar(plan: Plan, store: Store) -> Recorded | None:
+def _similar(plan: Plan, store: Store | Snapshot) -> Recorded | None:
     """Return the last other batch over the same axes."""
     rows = store.select(Recorded, LIKE, axes=[axis.name for axis in plan.batch.axes], batch=plan.batch.id)
     return rows[0] if rows else None

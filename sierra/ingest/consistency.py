@@ -34,7 +34,7 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
     same among siblings. It may differ between experiments; `Recorder.notes` reports that.
     """
     with store.snapshot() as snapshot:
-        if not snapshot.sql(ANY_TABLE).num_rows:
+        if not snapshot.values(int, ANY_TABLE):
             return set()
         rows = snapshot.select(Sibling, GOOD + ODD, **parameters(context))
     tables: dict[tuple[int, str], list[Sibling]] = {}
@@ -213,7 +213,7 @@ def siblings(store: Store, context: Context, name: str) -> Siblings:
     """Return what the store knows about table `name` in the experiments of this batch, whichever session recorded it."""
     alike = {**parameters(context), "output": name}
     with store.snapshot() as snapshot:
-        if not snapshot.sql(ANY_TABLE).num_rows:
+        if not snapshot.values(int, ANY_TABLE):
             return Siblings()
         forms = snapshot.values(str, SIBLINGS + SIBLINGS_FORMS, **alike)
     mixed = {

@@ -185,7 +185,7 @@ ARTIFACTS = "SELECT a.* FROM all_artifacts a SEMI JOIN chosen USING (execution) 
 
 def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatched: bool) -> Iterator[Past]:
     """Yield for each run the execution to evaluate again: the last successful one, or else the last one."""
-    snapshot.register("wanted", run=sorted(runs))
+    snapshot.add_table("wanted", run=sorted(runs))
     rows = snapshot.select(
         _LastJudgement, PAST, ingest_rules=context.ingest_rules, programs=context.programs, mismatched=mismatched
     )
@@ -195,7 +195,7 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
         for known in snapshot.select(IngestRulesRow, "SELECT * FROM ingest_rules")
         if known.ingest_rules in used
     }
-    snapshot.register("chosen", execution=[row.judgement for row in rows])
+    snapshot.add_table("chosen", execution=[row.judgement for row in rows])
     artifacts: dict[str, list[ArtifactRow]] = {row.judgement: [] for row in rows}
     for artifact in snapshot.select(ArtifactRow, ARTIFACTS):
         artifacts[artifact.execution].append(artifact)
@@ -229,7 +229,7 @@ def _is_hopeless(one: Past, context: Context) -> bool:
 
 def _kept(snapshot: Snapshot, digests: AbstractSet[str]) -> dict[str, int]:
     """Return the sizes of those of these files whose bytes are in the store."""
-    snapshot.register("digests", sha256=sorted(digests))
+    snapshot.add_table("digests", sha256=sorted(digests))
     snapshot.views.make(("objects",))
     return dict(snapshot.run("SELECT sha256, any_value(size) FROM objects SEMI JOIN digests USING (sha256) GROUP BY sha256"))
 

@@ -61,7 +61,7 @@ class Records:
         self.snapshot = Snapshot(paths.root, contents.sound)
         self.snapshot.run(f"SET memory_limit = '{MEMORY}'")
         self.snapshot.run("SET preserve_insertion_order = true")
-        self.snapshot.register("kept", sha256=sorted(objects.whole))
+        self.snapshot.add_table("kept", sha256=sorted(objects.whole))
         for name in (*(name for name in RECORDED if name != "objects"), "all_judgements", "all_artifacts"):
             with contextlib.suppress(SierraError):  # the checks that need it report that it cannot be read
                 self.snapshot.views.make((name,))
@@ -390,7 +390,7 @@ ORDER BY ALL
 
 def _tables(records: Records) -> Iterator[Finding]:
     """Check the rows of outputs: each file of an execution has as many rows as were read and counted. Report extra rows."""
-    records.snapshot.register("written", _written(records))
+    records.snapshot.connection.register("written", _written(records))
     bad: dict[str, list[tuple[str, str]]] = {}
     for execution, output, path, expected, found in records.each(TABLES):
         bad.setdefault(output, []).append((execution, f"{path}: {found} instead of {expected}"))

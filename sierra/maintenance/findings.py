@@ -86,13 +86,13 @@ def of(snapshot: Snapshot, executions: Iterable[str] = (), runs: Iterable[str] =
     """Return the runs, experiments and batches that these executions, runs and batches belong to, and a text about them."""
     ended = sorted(set(executions))
     snapshot.views.make(("batch_runs", "experiments", "batches", "all_judgements", "all_artifacts"))
-    snapshot.register("named", execution=ended)
+    snapshot.add_table("named", execution=ended)
     found = snapshot.run(
         "SELECT DISTINCT run FROM all_judgements e SEMI JOIN named n ON n.execution = e.judgement UNION "
         "SELECT DISTINCT run FROM all_artifacts SEMI JOIN named USING (execution)"
     )
     concerned = sorted({*runs, *(row[0] for row in found if row[0] is not None)})
-    snapshot.register("concerned", run=concerned)
+    snapshot.add_table("concerned", run=concerned)
     places = snapshot.run(PLACES)
     named = sorted({*batches, *(row[0] for row in places)})
     return Affected(

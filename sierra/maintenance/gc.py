@@ -206,7 +206,7 @@ def _unneeded(snapshot: Snapshot, *, raw: bool) -> dict[str, int]:
 
 def _tables(snapshot: Snapshot, unneeded: Iterable[str]) -> int:
     """Return the number of these objects that are the bytes of tables."""
-    snapshot.register("unneeded", sha256=sorted(unneeded))
+    snapshot.add_table("unneeded", sha256=sorted(unneeded))
     count: int = snapshot.run(TABLES)[0][0]
     return count
 

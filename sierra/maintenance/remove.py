@@ -198,7 +198,7 @@ def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
     with store.snapshot() as snapshot:
         snapshot.views.make((*(RECORDED.keys() - {"objects"}), "all_judgements", "all_artifacts"))
         pairs = [(kind, identity) for kind, ids in named.items() for identity in sorted(ids)]
-        snapshot.register("named", kind=[kind for kind, _ in pairs], id=[one for _, one in pairs])
+        snapshot.add_table("named", kind=[kind for kind, _ in pairs], id=[one for _, one in pairs])
         snapshot.run(FIND)
         made = _Plan(_removal(snapshot, named))
         made.drop = _drop(snapshot, store, named)
@@ -238,7 +238,7 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
     for table, (key, statement) in AROUND.items():
         drop[table] = {key: _column(snapshot, statement)}
     blobs = _blobs(snapshot, store)
-    snapshot.register("gone_blobs", blob=sorted(blobs))
+    snapshot.add_table("gone_blobs", blob=sorted(blobs))
     drop["blobs"] = {"blob": blobs}
     drop["objects"] = {"sha256": _column(snapshot, OBJECTS)}
     return {

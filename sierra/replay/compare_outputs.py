@@ -56,7 +56,7 @@ def compare_all(
 def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artifacts]:
     """Return the artifacts of each of these executions."""
     left: dict[str, dict[str, ArtifactRow]] = {execution: {} for execution in executions}
-    snapshot.register("compared", execution=left)
+    snapshot.add_table("compared", execution=left)
     statement = "SELECT a.* FROM all_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
     for row in snapshot.select(ArtifactRow, statement):
         left[row.execution][row.path] = row

@@ -210,7 +210,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
             )
         snapshot.views.make(("batch_runs", "experiments", "batches"))
         batch = where(snapshot, found).batch
-        snapshot.register("taken", execution=[str(one.judgement) for one in taken])
+        snapshot.add_table("taken", execution=[str(one.judgement) for one in taken])
         by = snapshot.select(
             _RecordedBy,
             "SELECT DISTINCT programs, ingest_rules, environment "

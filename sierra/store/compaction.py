@@ -30,7 +30,7 @@ from sierra.store.layout import StorePaths
 from sierra.store.objects import GROUP, ROWS
 from sierra.store.parquet_row_counts import Written, rows_by_file
 from sierra.store.read_lock import alone
-from sierra.store.schema import LATER, arrow_schema, is_table
+from sierra.store.schema import RECORDED, arrow_schema, is_table
 from sierra.store.segments import AFTER, OUTPUT, REPLACES, Segment, Writer, disk_errors, on_disk, out_of_date, sync
 from sierra.store.sql_names import identifier
 from sierra.store.store import Snapshot
@@ -61,7 +61,7 @@ def touched(snapshot: Snapshot, segments: Iterable[Segment], drop: Drop) -> list
     """Return the segments that have a row to remove."""
     for table, columns in drop.items():
         for column, values in columns.items():
-            snapshot.register(f"going {table} {column}", value=sorted(values))
+            snapshot.add_table(f"going {table} {column}", value=sorted(values))
 
     def goes(path: str, table: str, column: str) -> bool:
         going = f"SELECT value FROM {identifier(f'going {table} {column}')}"
@@ -85,9 +85,9 @@ def _table(name: str) -> str:
 
 
 def _written(name: str, path: str) -> pa.Schema:
-    """Return the schema that a file will have after it is rewritten: later columns are added to older records."""
+    """Return the schema that a file will have after it is rewritten: for records, the schema of their table."""
     schema = _schema(path)
-    return arrow_schema(name) if name in LATER and is_table(name, schema) else schema
+    return arrow_schema(name) if name in RECORDED and is_table(name, schema) else schema
 
 
 def _schema(path: str) -> pa.Schema:
@@ -185,7 +185,7 @@ def _staying_objects(paths: Sequence[str], drop: AbstractSet[str]) -> Iterator[p
         mine: set[str] = set()
         with _readable(path), pq.ParquetFile(path) as file:
             for group in range(file.num_row_groups):
-                table = file.read_row_group(group)
+                table = file.read_row_group(group).cast(arrow_schema("objects"))
                 digests = table.column("sha256").to_pylist()
                 stays = [digest not in drop and digest not in known for digest in digests]
                 mine.update(digests)

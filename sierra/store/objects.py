@@ -10,7 +10,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sierra.store.schema import arrow_table
+from sierra.store.parquet_writer import write
+from sierra.store.schema import arrow_schema, sql_types
 from sierra.store.segments import disk_errors
 from sierra.util.hashing import sha256
 
@@ -55,20 +56,25 @@ class Objects:
                 self._flush()
 
     def _flush(self) -> None:
+        """Write a row group. DuckDB would need all of them at once."""
+        import pyarrow as pa
         import pyarrow.parquet as pq
 
-        if not self._rows:
-            return
-        table = arrow_table("objects", self._rows)
+        schema = arrow_schema("objects")
+        columns = zip(zip(*self._rows, strict=True), schema, strict=True)
+        table = pa.table([pa.array(column, field.type) for column, field in columns], schema)
         with disk_errors(self._path.parent):
             if self._writer is None:
-                self._writer = pq.ParquetWriter(self._path, table.schema, compression="zstd")
+                self._writer = pq.ParquetWriter(self._path, schema, compression="zstd")
             self._writer.write_table(table)
         self._rows, self._held = [], 0
 
     def close(self) -> None:
-        self._flush()
         self._known.clear()
-        if self._writer is not None:
-            with disk_errors(self._path.parent):
-                self._writer.close()
+        if self._writer is None:
+            write(self._path, sql_types("objects"), self._rows)
+            return
+        if self._rows:
+            self._flush()
+        with disk_errors(self._path.parent):
+            self._writer.close()

@@ -170,10 +170,9 @@ FROM t LEFT JOIN all_judgements e ON e.judgement = t.judgement ORDER BY t.ordina
 
 def recorded(snapshot: Snapshot, runs: Sequence[ChosenExecution], *, inputs: bool = False) -> list[Recorded]:
     """Return the recorded files of these runs, in order: input files, outputs, logs; with `inputs`, only the input files."""
-    import pyarrow as pa
-
-    columns = {"place": range(len(runs)), "run": [t.run for t in runs], "execution": [t.judgement for t in runs]}
-    snapshot.register("taken", pa.table({name: list(values) for name, values in columns.items()}))
+    snapshot.add_table(
+        "taken", place=range(len(runs)), run=(one.run for one in runs), execution=(one.judgement for one in runs)
+    )
     snapshot.views.make(("batch_runs", "specs", "all_artifacts", "objects"))
     rows = [(place, Recorded(runs[place], *rest)) for place, *rest in snapshot.each(FILES, {"all": not inputs})]
     return [file for _, file in sorted(rows, key=lambda row: (row[0], PARTS.get(row[1].kind, 1), natural(row[1].path)))]
@@ -222,7 +221,7 @@ def contents(snapshot: Snapshot, files: Sequence[Recorded]) -> Iterator[Content]
 
 def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
     """Return the segments that contain these judgements."""
-    snapshot.register("asked", execution=judgements)
+    snapshot.add_table("asked", execution=judgements)
     return recording(snapshot.run, snapshot.segments, "SELECT execution FROM asked")
 
 
@@ -317,7 +316,7 @@ def _tables(snapshot: Snapshot, holding: Sequence[Segment], files: Sequence[Reco
     if not files:
         return
     executions = {file.taken.judgement for file in files if file.taken.judgement}
-    snapshot.register("asked", execution=executions)
+    snapshot.add_table("asked", execution=executions)
     snapshot.run("SET threads = 1")
     snapshot.run("SET TimeZone = 'UTC'")
     snapshot.run("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order

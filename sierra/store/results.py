@@ -26,7 +26,7 @@ def rows_of(snapshot: Snapshot, executions: Iterable[str], outputs: Iterable[str
     found: dict[Key, pa.Table] = {}
     executions, outputs = sorted(set(executions)), set(outputs)
     segments = holding(snapshot, executions)
-    snapshot.register("writers", execution=executions)
+    snapshot.add_table("writers", execution=executions)
     for segment in segments:
         for output, path in segment.outputs():
             if output in outputs:
@@ -49,7 +49,7 @@ def _tables(snapshot: Snapshot, path: str) -> Iterator[tuple[str, str | None, pa
 def objects(snapshot: Snapshot, digests: Iterable[str]) -> dict[str, bytes]:
     """Return recorded files by their SHA-256. Raises Damaged if one is missing or has changed."""
     digests = set(digests)
-    snapshot.register("digests", sha256=digests)
+    snapshot.add_table("digests", sha256=digests)
     snapshot.views.make(("objects",))
     statement = "SELECT sha256, content FROM objects SEMI JOIN digests USING (sha256) ORDER BY sha256, part"
     parts = groupby(snapshot.each(statement, {}), lambda row: row[0])

@@ -71,7 +71,7 @@ class Frame:
         run = self._snapshot.run
         taken = "(SELECT ordinal, run, judgement FROM effective WHERE batch = $b)"
         if these is not None:
-            self._snapshot.register("these", run=these, judgement=these.values())
+            self._snapshot.add_table("these", run=these, judgement=these.values())
             taken = "(SELECT ordinal, run, judgement FROM wanted JOIN these USING (run))"
         run(
             "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM batch_runs WHERE batch = $b",

@@ -6,7 +6,6 @@ The tables of the runs' own outputs are not here: the runs define their columns.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
@@ -177,22 +176,29 @@ def arrow_schema(name: str) -> pa.Schema:
     return pa.schema([(column.name, types[column.type]) for column in RECORDED[name].columns])
 
 
-def arrow_table(name: str, rows: Sequence[tuple[object, ...]]) -> pa.Table:
-    """Return rows of a recorded table as an Arrow table."""
-    import pyarrow as pa
-
-    schema = arrow_schema(name)
-    columns = zip(zip(*rows, strict=True), schema, strict=True)
-    return pa.table([pa.array(column, field.type) for column, field in columns], schema)
+def sql_types(name: str) -> dict[str, str]:
+    """Return the columns of a recorded table with their SQL types."""
+    return {column.name: column.type for column in RECORDED[name].columns}
 
 
 def is_table(name: str, schema: pa.Schema) -> bool:
     """Check if a file with this Arrow schema holds the columns of a recorded table: all of them, or an older version's."""
-    import pyarrow as pa
-
-    whole = arrow_schema(name)
+    found = [(field.name, _sql_type(field.type)) for field in schema]
+    whole = [*sql_types(name).items()]
     older = len(whole) - len(LATER.get(name, ()))
-    return any(schema.equals(pa.schema(list(whole)[:end])) for end in range(older, len(whole) + 1))
+    return any(found == whole[:end] for end in range(older, len(whole) + 1))
+
+
+def _sql_type(kind: pa.DataType) -> str:
+    """Return DuckDB's name of an Arrow type. DuckDB and pyarrow write the same column with different Arrow types."""
+    from pyarrow import types
+
+    if types.is_list(kind):
+        return f"{_sql_type(kind.value_type)}[]"
+    if types.is_timestamp(kind):
+        return TIME if kind.tz == "UTC" and kind.unit == "us" else str(kind)
+    names = {"string": TEXT, "int64": INT, "double": "DOUBLE", "bool": "BOOLEAN", "binary": "BLOB", "large_binary": "BLOB"}
+    return names.get(str(kind), str(kind))
 
 
 def sql() -> str:

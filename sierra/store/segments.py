@@ -32,16 +32,14 @@ import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from sierra.errors import Missing
+from sierra.store.parquet_writer import write
 from sierra.store.row_types import TABLES
-from sierra.store.schema import arrow_schema, arrow_table
+from sierra.store.schema import sql_types
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256, sha256_file
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 FORMAT = "sierra store 4\n"
 """The format of segments and of their role in the store. It is raised whenever an older SIERRA would misread it."""
@@ -132,35 +130,24 @@ class Writer:
 
     def rows(self, name: str, rows: Iterable[Mapping[str, object]]) -> None:
         """Write records of one table; write no file if there are none. Raises ValueError for a column that it has not."""
-        import pyarrow as pa
-
-        rows, schema = list(rows), arrow_schema(name)
-        known = set(schema.names)
+        columns = sql_types(name)
+        rows = list(rows)
         for row in rows:
-            if not row.keys() <= known:  # Arrow would leave the value out
-                raise ValueError(f"the table {name} has no column {min(row.keys() - known)!r}")
-        if rows:
-            self.table(name, pa.Table.from_pylist(rows, schema=schema))
+            if not row.keys() <= columns.keys():
+                raise ValueError(f"the table {name} has no column {min(row.keys() - columns.keys())!r}")
+        self.table(name, columns, ([row.get(column) for column in columns] for row in rows))
 
     def records(self, rows: Iterable[NamedTuple]) -> None:
         """Write records of one table, which their class decides; write no file if there are none."""
-        if rows := list(rows):
-            name = TABLES[type(rows[0])]
-            self.table(name, arrow_table(name, rows))
+        rows = iter(rows)
+        first = next(rows, None)
+        if first is not None:
+            name = TABLES[type(first)]
+            self.table(name, sql_types(name), itertools.chain((first,), rows))
 
-    def table(self, name: str, table: pa.Table) -> None:
-        """Write an Arrow table unchanged."""
-        self.tables(name, (table,))
-
-    def tables(self, name: str, parts: Iterable[pa.Table]) -> None:
-        """Write Arrow tables of one schema into one file, each as a row group. At least one table is required."""
-        import pyarrow.parquet as pq
-
-        parts = iter(parts)
-        first = next(parts)
-        with disk_errors(self.folder), pq.ParquetWriter(self.path(name), first.schema, compression="zstd") as writer:
-            for part in itertools.chain((first,), parts):
-                writer.write_table(part)
+    def table(self, name: str, columns: Mapping[str, str], rows: Iterable[Sequence[object]]) -> None:
+        """Write rows whose columns have these SQL types; write no file if there are none."""
+        write(self.path(name), columns, rows)
 
     def mark(self, name: str, lines: Iterable[str]) -> None:
         """Write REPLACES or AFTER."""

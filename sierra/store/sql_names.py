@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from sierra.store.schema import BESIDE_OUTPUTS
 
@@ -28,3 +28,9 @@ def column_names(names: Sequence[str], taken: Iterable[str] = BESIDE_OUTPUTS) ->
         seen.add(free.lower())
         kept.append(free)
     return tuple(kept)
+
+
+def unnested(columns: Mapping[str, str]) -> str:
+    """Return the query whose parameters are the values of each column, as lists. `columns`: their SQL types by name."""
+    names = (f"unnest(${place}::{kind}[]) AS {identifier(name)}" for place, (name, kind) in enumerate(columns.items(), 1))
+    return f"SELECT {', '.join(names)}"

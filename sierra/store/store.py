@@ -23,6 +23,7 @@ from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.row_mapper import R, V, typed, values
 from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, listed
+from sierra.store.sql_names import identifier, unnested
 from sierra.store.sql_result import Answer, RawRow, SqlValue
 from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole
@@ -350,12 +351,11 @@ class Snapshot:
         names = rows.columns
         return {row["ordinal"]: row for row in (dict(zip(names, values, strict=True)) for values in rows.fetchall())}
 
-    def register(self, name: str, table: pa.Table | None = None, **texts: Iterable[str]) -> None:
-        """Register an Arrow table, or columns of texts, under a name on this connection."""
-        import pyarrow as pa
-
-        columns = {column: pa.array(list(values), pa.string()) for column, values in texts.items()}
-        self.connection.register(name, pa.table(columns) if table is None else table)
+    def add_table(self, name: str, **columns: Iterable[str | int | None]) -> None:
+        """Make a temporary table on this connection from columns of texts or of whole numbers."""
+        values = {column: list(given) for column, given in columns.items()}
+        kinds = {column: "BIGINT" if given and isinstance(given[0], int) else "VARCHAR" for column, given in values.items()}
+        self.connection.execute(f"CREATE OR REPLACE TEMP TABLE {identifier(name)} AS {unnested(kinds)}", [*values.values()])
 
     def run(self, statement: str, parameters: Mapping[str, object] | None = None) -> list[RawRow]:
         """Execute one of SIERRA's own statements, which may create temporary tables, and return its rows."""

@@ -275,6 +275,7 @@ def fill(store: object, *, batches: int, runs: int) -> None:
     from datetime import UTC, datetime
 
     import pyarrow as pa
+    import pyarrow.parquet as pq
 
     from sierra.store.schema import arrow_schema
     from sierra.store.store import Store
@@ -293,14 +294,13 @@ def fill(store: object, *, batches: int, runs: int) -> None:
         )
         writer.rows("sessions", [{"session": identity, "batch": identity, "ended": now, "failed": 0, "missing": 0}])
         point = {"experiment": [identity], "batch": [identity], "ordinal": [0], "population_size": [1]}
-        writer.table("experiments", pa.table(point))
+        pq.write_table(pa.table(point), writer.path("experiments"))
         members = {"batch": [identity] * runs, "ordinal": [0] * runs, "number": range(runs), "run": ids, "seed": range(runs)}
         members |= {"input": ids, "other_inputs": [[]] * runs, "spec": [identity] * runs}
-        writer.table(
-            "batch_runs", pa.table({name: list(values) for name, values in members.items()}, arrow_schema("batch_runs"))
-        )
+        listed = {name: list(values) for name, values in members.items()}
+        pq.write_table(pa.table(listed, arrow_schema("batch_runs")), writer.path("batch_runs"))
         executions = {**template, "execution": pa.array(ids), "run": pa.array(ids), "status": pa.array(["ok"] * runs)}
-        writer.table("executions", pa.table(executions, arrow_schema("executions")))
+        pq.write_table(pa.table(executions, arrow_schema("executions")), writer.path("executions"))
         store.publish(writer)
 
 

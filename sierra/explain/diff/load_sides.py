@@ -171,8 +171,6 @@ def pair(snapshot: Snapshot, before: Side, after: Side) -> list[tuple[int, int]]
     A single experiment is paired with the one that it is compared with. Some variables do not separate experiments: an axis
     that only one batch has, with one value, and a controller or a scenario that is not an axis of either.
     """
-    import pyarrow as pa
-
     if before.found.kind != "batch":
         pairs = [(next(iter(before.cells)), next(iter(after.cells)))]
     else:
@@ -180,8 +178,7 @@ def pair(snapshot: Snapshot, before: Side, after: Side) -> list[tuple[int, int]]
         places = {tuple(cell.get(name) for name in names): ordinal for ordinal, cell in after.cells.items()}
         keys = {ordinal: tuple(cell.get(name) for name in names) for ordinal, cell in before.cells.items()}
         pairs = [(ordinal, places[key]) for ordinal, key in keys.items() if key in places]
-    columns = {name: pa.array([pair[at] for pair in pairs], pa.int64()) for at, name in enumerate(("was", "now"))}
-    snapshot.register("pairs", pa.table(columns))
+    snapshot.add_table("pairs", was=(was for was, _ in pairs), now=(now for _, now in pairs))
     same = "" if before.is_one else "AND a.number = b.number"
     snapshot.run(BOTH.format(before=before.table, after=after.table, same=same))
     return pairs

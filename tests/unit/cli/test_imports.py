@@ -47,6 +47,14 @@ def test_commands_that_read_a_few_rows_import_only_duckdb(root: Path, words: tup
     assert imported(root, *words) <= {"duckdb", "logging"}
 
 
+def test_a_batch_without_outputs_imports_neither_numpy_nor_pyarrow(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", "true"))
+    for size in ("1", "2"):
+        assert not imported(root, "run", f"population_size={size}", "--no-figures") & {"numpy", "pyarrow", "scipy"}
+    [count] = json.loads(projects.quick(root, "sql", "--json", "SELECT count(*) AS n FROM effective").stdout)
+    assert count["n"] > 1
+
+
 @pytest.mark.integration
 @pytest.mark.parametrize("words", [("run", "population_size=1", "--no-figures"), ("run", "population_size=1", "-n")])
 def test_run_imports_neither_git_nor_plotting_libraries(root: Path, words: tuple[str, ...]) -> None:

@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-import pyarrow as pa
 import pytest
 
 from sierra.errors import SqlError
@@ -41,7 +40,7 @@ def sets(snapshot: Snapshot) -> None:
 def makes(snapshot: Snapshot) -> None:
     snapshot.run("CREATE TEMP TABLE wanted AS SELECT 1 AS a")
     snapshot.run("CREATE TEMP VIEW wished AS SELECT * FROM wanted")
-    snapshot.register("given", pa.table({"a": [1]}))
+    snapshot.add_table("given", a=[1])
     assert snapshot.sql("SELECT * FROM given JOIN wished USING (a)").num_rows == 1
 
 

@@ -317,7 +317,7 @@ def _damage(folder: Path, digest: str) -> None:
             content[:-1] + b"\0" if name == digest else content
             for name, content in zip(table["sha256"].to_pylist(), table["content"].to_pylist(), strict=True)
         ]
-        pq.write_table(table.set_column(3, table.schema.field(3), pa.array(contents, pa.large_binary())), path)
+        pq.write_table(table.set_column(3, table.schema.field(3), pa.array(contents, table.schema.field(3).type)), path)
 
 
 @pytest.mark.integration
