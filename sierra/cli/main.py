@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import sys
+from pathlib import Path
 from typing import NoReturn, Protocol, runtime_checkable
 
 from sierra.cli.app import app
@@ -15,8 +17,25 @@ from sierra.util import signals
 INTERRUPTED = 130
 
 
+def program() -> NoReturn:
+    """Run the program `sierra` and end this process without freeing its memory, which takes a tenth of most commands' time."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # it was closed; no other file may get its number
+            setattr(sys, name, Path(os.devnull).open(mode))  # noqa: SIM115 - it stays open
+    try:
+        main()
+    except SystemExit as ended:
+        atexit._run_exitfuncs()
+        try:
+            sys.stdout.flush()
+            sys.stderr.flush()
+        except OSError:
+            raise ended from None  # Python reports it
+        os._exit(ended.code if isinstance(ended.code, int) else 0)
+
+
 def main() -> NoReturn:
-    """Run the program `sierra`, and exit with the codes of `sierra.errors`; users never see a traceback."""
+    """Execute a command, and raise SystemExit with a code of `sierra.errors`; users never see a traceback."""
     gc.set_threshold(50_000, 20, 20)  # by default, Python collects dozens of times while modules load, and frees nothing
     signals.handle()
     with guarded():

@@ -75,7 +75,6 @@ import re
 import select
 import shutil
 import signal
-import socket
 import stat
 import subprocess
 import sys
@@ -516,7 +515,7 @@ class Worker:
         self.adopts = adopts
         self.slots = slots
         self.journal = Journal(os.path.join(folder, "journal.jsonl") if journal == "" else journal)
-        self.host = socket.gethostname()
+        self.host = os.uname().nodename
         self.jobs: queue.Queue[Job | None] = queue.Queue(maxsize=2 * slots)
         self.running: dict[int, Running] = {}
         self.containers: dict[int, Container] = {}

@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 
 import pytest
@@ -102,6 +103,17 @@ def test_completion_of_names_and_batches_loads_no_database(root: Path, words: st
     )
     offered = completed(root, words, (sys.executable, "-c", f"import sys; sys.argv = ['sierra']\n{program}"))
     assert not {"duckdb", "pyarrow", "numpy", "git"} & set(offered)
+
+
+@pytest.mark.parametrize(("stream", "code"), [("<&-", 0), (">&-", 0), ("2>&-", 0), (">/dev/full", 3)])
+def test_a_closed_or_full_stream_ends_in_no_fault(root: Path, stream: str, code: int) -> None:
+    program = Path(sysconfig.get_path("scripts"), "sierra")
+    ended = subprocess.run(
+        ["sh", "-c", f'exec "$0" ls {stream}', program], cwd=root, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == code
+    assert ended.stderr == ("sierra: No space left on device\n" if code else "")
+    assert ("complete" in ended.stdout) == (stream in ("<&-", "2>&-"))
 
 
 @pytest.mark.integration
