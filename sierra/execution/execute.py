@@ -56,8 +56,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
     try:
         session.take_number()
         log.info("query %s: batch %s on %s with %s", plan.text, plan.batch.id, options.runner, plan.engine.name)
-        if not session_records.is_kept(plan, store):
-            session_records.keep(plan, store, session)
+        session_records.keep(plan, store, session)
         stays = make().stays
         slots = None if stays else options.slots
         begun = session_records.begun(plan, session, started=began, runner=options.runner, slots=slots)

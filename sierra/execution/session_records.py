@@ -32,17 +32,20 @@ STORED_BLOBS = "SELECT blob FROM blobs SEMI JOIN objects USING (sha256)"
 
 
 def keep(plan: Plan, store: Store, session: Session) -> None:
-    """Record the batch, its runs and their input files before anything executes.
+    """Record the batch, its runs and their input files before anything executes, unless the store has the batch.
 
     Records that the store has already are not written again, also if another session wrote them first.
     """
     batch, code = plan.batch, plan.source
     if code is None:  # a recorded batch, requested by its id
         return
-    writer = store.writer(session.paths.segment, batch.id)
     with store.snapshot() as snapshot:
+        if is_kept(plan, snapshot):
+            return
+        seen = snapshot.segments
         known = _known_inputs(plan, snapshot)
         blobs = set(snapshot.values(str, STORED_BLOBS)) if code.vcs == "none" else set()
+    writer = store.writer(session.paths.segment, batch.id)
     objects = Objects(writer.path("objects"))
     for _, files in plan.inputs.files(batch, lambda run: run.id not in known):
         for _, content in files:
@@ -63,7 +66,7 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     _write_experiments(batch, writer)
     writer.records(_members(batch))
     with sessions.exclusively(store.paths):
-        if not is_kept(plan, store):
+        if store.segments() == seen or not is_kept(plan, store):
             store.publish(writer)
 
 
@@ -194,9 +197,9 @@ def _write_source_and_host(plan: Plan, writer: Writer, *, executed: bool) -> Non
         _write_host(plan, writer)
 
 
-def is_kept(plan: Plan, store: Store) -> bool:
+def is_kept(plan: Plan, records: Store | Snapshot) -> bool:
     """Check whether the store has the plan's batch."""
-    return bool(store.values(str, "SELECT batch FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id))
+    return bool(records.values(str, "SELECT batch FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id))
 
 
 def _known_inputs(plan: Plan, snapshot: Snapshot) -> set[str]:
