@@ -186,15 +186,17 @@ class Slurm:
         self._kill("slurmctld")
 
     def _until_saved(self) -> None:
-        """Change a job, and wait until the file of all jobs is rewritten, which takes up to five seconds."""
+        """Change a job, and wait until the file of all jobs has that change, which takes up to five seconds."""
         file = self.root / "state" / "job_state"
-        before = file.stat().st_mtime_ns if file.exists() else 0
+        comment = f"saved {secrets.token_hex(8)}"
         job = self.command("squeue", "-h", "-a", "-o", "%A").split()[0]
-        self.command("scontrol", "update", f"jobid={job}", "AdminComment=saved")
-        until(lambda: file.stat().st_mtime_ns != before, "the controller saves its state")
+        self.command("scontrol", "update", f"jobid={job}", f"AdminComment={comment}")
+        until(lambda: file.exists() and comment.encode() in file.read_bytes(), "the controller saves its state")
 
-    def start_controller(self) -> None:
-        """Start the controller; return when it answers."""
+    def start_controller(self, **settings: str) -> None:
+        """Start the controller, with other settings if some are given; return when it answers."""
+        with (self.root / "slurm.conf").open("a") as file:
+            file.writelines(f"{name}={value}\n" for name, value in settings.items())
         self._start("slurmctld", "slurmctld", "-D")
 
     def declare_down(self, node: str) -> None:

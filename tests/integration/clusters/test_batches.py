@@ -268,7 +268,7 @@ def test_a_batch_completes_after_a_crash_of_the_controller(gated: Gated) -> None
     gated.until_begun(3)
     gated.slurm.kill_controller(saved=True)
     time.sleep(12)
-    gated.slurm.start_controller()
+    gated.slurm.start_controller(SlurmdTimeout="300")  # however long the nodes take, they count as alive
     gated.open()
     ended(asking)
     is_whole(gated.project)
