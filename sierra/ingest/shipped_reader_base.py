@@ -14,7 +14,7 @@ from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import copy, parquet_metadata, read_parquet
-from sierra.store.duckdb_messages import duckdb_error, first_line
+from sierra.store.duckdb_messages import disk_error, duckdb_error
 from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.sql_result import RawRow
@@ -247,7 +247,7 @@ class TableReader:
         return self.sql.execute(statement, these(files)).fetchall() if files else []
 
     def unwritten(self, error: Exception) -> Missing:
-        return Missing(f"cannot write to {self.target.parent}: {first_line(error)}")
+        return disk_error(self.target.parent, error)
 
 
 def these(files: Sequence[Written]) -> dict[str, list[str]]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
-from sierra.errors import Damaged, Missing
+from sierra.errors import Damaged
 from sierra.store.connections import connect, keep_order
 from sierra.store.duckdb_file_io import copy, read_parquet
-from sierra.store.duckdb_messages import first_line
+from sierra.store.duckdb_messages import disk_error, first_line
 from sierra.store.segments import OUTPUT, Writer, is_first_part
 from sierra.store.store import Snapshot
 
@@ -34,7 +34,7 @@ def write_again(snapshot: Snapshot, writer: Writer, outputs: Iterable[str], made
         keep_order(connection)
         return {name: _output(connection, snapshot, writer, name) for name in sorted(set(outputs))}
     except duckdb.IOException as error:
-        raise Missing(f"cannot write to {writer.folder}: {first_line(error)}") from error
+        raise disk_error(writer.folder, error) from error
     except duckdb.Error as error:
         raise Damaged(f"the store cannot be read: {first_line(error)}; see sierra fsck") from error
     finally:

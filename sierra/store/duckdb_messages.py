@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
+from sierra.errors import Missing
 from sierra.store.duckdb_file_io import plain
 
 NESTED = re.compile(r'"exception_message":("(?:[^"\\]|\\.)*")')
@@ -28,6 +30,12 @@ def explain(error: Exception) -> str:
 
 def first_line(error: Exception) -> str:
     return _plain(error).splitlines()[0][:MOST]
+
+
+def disk_error(folder: Path, error: Exception) -> Missing:
+    """Return the error for a disk that DuckDB cannot write to, with the reason but without the file's name."""
+    _, _, reason = first_line(error).rpartition('": ')
+    return Missing(f"cannot write to {folder}: {reason}")
 
 
 def _plain(error: Exception) -> str:

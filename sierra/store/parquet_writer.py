@@ -9,10 +9,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sierra.errors import Missing
 from sierra.store.connections import connect
 from sierra.store.duckdb_file_io import copy
-from sierra.store.duckdb_messages import first_line
+from sierra.store.duckdb_messages import disk_error, first_line
 from sierra.store.sql_names import unnested
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ def write(target: Path, columns: Mapping[str, str], rows: Iterable[Sequence[obje
         connection.execute(copy("FROM written", target))
         connection.execute("DROP TABLE written")
     except duckdb.IOException as error:
-        raise Missing(f"cannot write to {target.parent}: {first_line(error)}") from error
+        raise disk_error(target.parent, error) from error
     except duckdb.Error as error:
         raise ValueError(f"{target.name}: {first_line(error)}") from error
 
