@@ -235,10 +235,15 @@ def _check_log(plan: Plan) -> None:
 
 def _again(project: Project, plan: Plan) -> list[str]:
     """Print and return the reasons why runs execute again although the same query was run before."""
+    from sierra.execution.reuse import is_repeated
+
+    store = project.stored()
+    if store is None or is_repeated(plan, store):
+        return []
     from sierra.cli.render_reasons import change
     from sierra.explain.why_new_runs import why_again
 
-    why = [change(one) for one in why_again(plan, project.stored())]
+    why = [change(one) for one in why_again(plan, store)]
     if why:
         note(f"this query was submitted before, but its runs execute again: {'; '.join(why)}")
     return why

@@ -69,6 +69,12 @@ def is_answered(plan: Plan, store: Store) -> bool:
         return same and all(state.succeeded for state in states(plan, snapshot).values())
 
 
+def is_repeated(plan: Plan, store: Store) -> bool:
+    """Check whether the batch's last session used the same programs."""
+    last = "SELECT programs FROM sessions WHERE batch = $b ORDER BY lamport DESC LIMIT 1"
+    return store.values(str, last, b=plan.batch.id) == [plan.programs.id]
+
+
 def states(plan: Plan, records: Store | Snapshot | None) -> dict[str, State]:
     """Return the recorded state of each run of the batch, by run id."""
     new = State()

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
-from sierra.containers import images
 from sierra.errors import Damaged
 from sierra.execution import sessions
 from sierra.execution.resolve_plan import Plan, context
@@ -55,6 +54,8 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
         files_of_source = source.contents(code, plan.project.root, blobs)
         writer.records(BlobRow(blob, objects.add(content)) for blob, content in files_of_source)
     if plan.image is not None:
+        from sierra.containers import images
+
         inside = images.examine(plan.project.root, store.paths, plan.image)
         objects.add(inside.listing)
         writer.records([inside.row()])

@@ -6,14 +6,11 @@ import contextlib
 import json
 import os
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.containers import images
 from sierra.containers.container_setup import other_host_access
-from sierra.containers.images.diff import files, packages
-from sierra.containers.images.image_contents import Contents
 from sierra.errors import Damaged, Missing, NotFound
-from sierra.execution import plan_from_record
 from sierra.execution.resolve_plan import Plan
 from sierra.execution.row_queries import RecordedProgram
 from sierra.execution.session_records import batch_row, is_kept
@@ -23,6 +20,9 @@ from sierra.provenance.dependency_model import Programs, mentioned
 from sierra.provenance.source import suggest_exclusions
 from sierra.provenance.source.manifest import changed
 from sierra.store.store import Snapshot, Store
+
+if TYPE_CHECKING:
+    from sierra.containers.images.image_contents import Contents
 
 
 class Recorded(NamedTuple):
@@ -89,13 +89,11 @@ def why_other(plan: Plan, store: Store, batch: str) -> tuple[PlanChange, ...]:
     return _changes(plan, store, before)
 
 
-def why_again(plan: Plan, store: Store | None) -> tuple[PlanChange, ...]:
+def why_again(plan: Plan, store: Store) -> tuple[PlanChange, ...]:
     """Return the reasons why a repeated query executes runs again.
 
     There are none for a query that is not a repetition, or that executes nothing again.
     """
-    if store is None:
-        return ()
     with store.snapshot() as snapshot:
         [known] = snapshot.select(Known, KNOWN, batch=plan.batch.id)
         before = None if known.kept else _similar(plan, snapshot)
@@ -170,6 +168,8 @@ def _called(contents: Contents | None, identity: str | None) -> str:
 
 def _recorded(store: Store, identity: str | None) -> Contents | None:
     """Return the record of an image; None if it cannot be read, which `sierra fsck` reports."""
+    from sierra.execution import plan_from_record
+
     with contextlib.suppress(Missing, NotFound, Damaged):
         return plan_from_record.image_contents(store, identity) if identity else None
     return None
@@ -184,6 +184,8 @@ def _known(plan: Plan, store: Store) -> Contents | None:
 
 def _inside(was: Contents, now: Contents, words: frozenset[str]) -> PlanChange:
     """Return the packages that differ or, if none do, the files."""
+    from sierra.containers.images.diff import files, packages
+
     changed_packages = packages(was.packages, now.packages, words)
     if texts := [f"{change.text} ({manager})" for manager, changes in changed_packages.items() for change in changes]:
         return PlanChange(Aspect.PACKAGES, details=tuple(texts))
