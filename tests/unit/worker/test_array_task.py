@@ -32,6 +32,7 @@ from sierra.runners.cluster.shard import deal
 from sierra.store.layout import SessionPaths
 from sierra.worker import array_task, worker
 from sierra.worker.array_task import Attempt, Finished, Requeued, Started, Trouble
+from tests.pythons import python_of
 from tests.waiting import PATIENCE_S, until
 
 SCRIPTS = {"worker.py": worker, "array_task.py": array_task, "machine.py": machine}
@@ -638,15 +639,6 @@ def test_scripts_for_nodes_need_only_python_3_8_and_the_standard_library(name: s
     found = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
     found |= {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     assert {one.partition(".")[0] for one in found} <= sys.stdlib_module_names
-
-
-def python_of(version: str) -> str | None:
-    for command in (f"python{version}", *Path.home().glob(f".pyenv/versions/{version}.*/bin/python")):
-        with contextlib.suppress(OSError):
-            asked = subprocess.run([str(command), "--version"], capture_output=True, text=True, check=False)
-            if asked.returncode == 0 and f"Python {version}." in asked.stdout:
-                return str(command)
-    return None
 
 
 def test_a_python_that_is_too_old_is_reported(folder: Folder, require: Any) -> None:

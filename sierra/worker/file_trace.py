@@ -1,0 +1,1657 @@
+"""Which files a run executed, read, looked for and did not find, listed, wrote and removed: found by observation.
+
+This file needs only the standard library (Python 3.8 or newer), and works alone on a node. A *way* to observe is an object with
+the methods of `Way`. There are two: `Strace`, which sees everything that is described here, and `Maps`, which needs nothing but
+/proc, and sees only files that are mapped into memory. For each run, a way gives an `Observation`. A caller
+
+1. asks `way.trouble()` once, and observes with another way if there is a reason not to use this one;
+2. starts `observation.prefixed(argv, environment, cwd)` instead of argv, in the same environment, folder, session and group;
+3. takes no process for one of the run's for which `observation.is_tracer(pid)` holds: it must not be signalled or counted;
+4. calls `observation.look(pids)` with the run's processes while they live, as often as it likes (once a second is enough);
+5. has ended all processes of the run, calls `observation.end()`, which waits for the tracer, and then `observation.trace()`.
+
+All of this must happen before the run's folder is removed. Of what `trace` returns,
+
+- `reasons` is empty if everything was seen; only such a trace is `complete`. A caller reuses no result because of another one.
+- `disturbed` is not None if the observation may have changed what the run did. The caller executes this run again, unobserved.
+- `notes` name what cannot be seen in principle: what a daemon or another machine has read for the run.
+
+Then `Names.inputs` leaves out what is no input of the run, `contents` hashes the rest, and `Names.name` gives each path a name
+that is the same on every machine.
+
+What is seen
+------------
+`Strace` needs the program strace 5.3 or newer with all of OPTIONS, on Linux, for any user. It is started as `strace -DDD`: the
+program stays the caller's own child, with its pid, group, session, exit status and signal, and its descriptors. The tracer
+becomes an orphan in a session of its own, so no signal to the run's group reaches it. While a process is traced, its state in
+/proc/PID/stat is `t` instead of `T` if a signal has stopped it. strace is started in the run's environment, and so an
+LD_PRELOAD there is loaded into it, too. These calls are traced (CALLS), each for about 0.1 ms:
+
+- those that execute, open, make, link, rename, remove and truncate files, list folders, or change the working directory;
+- those that ask for the status of a path (stat, access, readlink): a program that tests whether a plug-in exists depends on the
+  answer, and nothing else shows it. They cost most where Python imports many modules;
+- those that start a process, so that a log that lacks the end of any process is known to be incomplete;
+- rare ones by which a program escapes observation (see `ESCAPES`).
+
+Measured with strace 6.1 on a machine with 2 cores and other load, the quickest of 5 to 30, in ms:
+
+    command                                    calls   unobserved   without status calls   as it is
+    true                                           7          0.8                    4.3        4.7
+    sh with 200 forks of true                  2,068        146                    160        223
+    the example swarm (MuJoCo)                 2,033        298                    298        377
+    import pandas, pyarrow, matplotlib, scipy  8,717      1,485                  1,570      1,949
+
+The calls that start processes cost nothing that could be measured. Reading a log takes about 10 µs a line.
+
+A path is absolute. Relative ones are resolved with the working directory of their process, which is followed through chdir,
+fchdir and new processes; the folder that strace prints for AT_FDCWD corrects it where it is printed. For an opened file it is
+the real path, without links, that the kernel named when the file was opened. If the program asked for another one, `links` maps
+what it asked for to the real path: if a link is changed, the run changes too. For an executed file the link is followed after
+the run. Names are str with surrogate escapes (os.fsdecode), because a name need not be UTF-8.
+
+- `executed`: programs, scripts, and what the kernel opens for them and strace does not show: the interpreter in a script's
+  first line, and the loader that an ELF file names (PT_INTERP). They are derived from the files after the run.
+- `read`: files that were opened for reading (also O_RDWR, unless the open call made or emptied the file), and that the run had
+  not made itself. A file that the run made, emptied, or moved to this place after having made it, is not an input. A file that
+  existed before and was moved or linked elsewhere by the run counts as read under its old name when it is read.
+- `found`: paths that exist, and of which the run asked for the status, or that it opened as a folder or by O_PATH. Those in
+  `read` are not repeated here.
+- `missed`: paths that the run looked for and that did not exist (ENOENT, ENOTDIR), or are links to what does not exist, unless
+  the run had removed them itself.
+- `refused`: paths that exist, perhaps, and that the run was not permitted to use.
+- `listed`: folders whose names the run has read.
+- `written`: files, links and folders that the run made or opened for writing, and did not remove or rename later.
+- `removed`: names that existed before, and that the run removed or renamed, and did not make again. What the run made and
+  removed again is in neither list. Unnamed files (O_TMPFILE) count when they are linked to a name.
+
+Not seen: changes of rights, owners, times and attributes; what was open before the program started; files that another process
+has opened and passed through a socket (`notes` say that the run connected to one; recvmsg is not traced, because it may be
+called too often); memory that is shared by System V keys (`notes` say so); message queues. Of a file in `found`, only its
+existence is seen, although a program may use its size and times.
+
+A log is complete if each of its lines is understood, and each process that appears in it, or that a traced call has started,
+has ended in it. So a log that was cut anywhere, or whose tracer was killed, is never complete. When the tracer is killed, all
+traced calls of the program fail from then on (ENOSYS, because of --seccomp-bpf): such a run is disturbed. So is one in which a
+program traces others or itself, or is setuid (the tracer's filter sets no_new_privs, also for root), and one on whose standard
+error strace has written: it complains there if the log's disk is full, and if a thread that is not the first executes another
+program. The caller calls `observation.limit()` at times while the run lives: a log of more than LOG_BYTES is emptied then, and
+the observation is cut off; the run itself is not disturbed.
+
+strace prints paths whole and escaped, whatever `-s` says, so `-s 0` leaves out only the words of commands. `trouble` checks
+once that the log can be read, and that a long path in it is whole.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import os
+import re
+import shutil
+import stat
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from typing import IO, Callable, Iterable, Iterator, Mapping, NamedTuple, Protocol, Sequence
+
+OLDEST = (5, 3)  # the first version of strace with --seccomp-bpf
+FILES = (
+    "execve",
+    "execveat",
+    "open",
+    "openat",
+    "openat2",
+    "creat",
+    "truncate",
+    "rename",
+    "renameat",
+    "renameat2",
+    "unlink",
+    "unlinkat",
+    "link",
+    "linkat",
+    "symlink",
+    "symlinkat",
+    "mkdir",
+    "mkdirat",
+    "rmdir",
+    "mknod",
+    "mknodat",
+    "getdents",
+    "getdents64",
+    "chdir",
+    "fchdir",
+    "name_to_handle_at",
+    "open_by_handle_at",
+    "uselib",
+)
+STATUS = (
+    "access",
+    "faccessat",
+    "faccessat2",
+    "stat",
+    "lstat",
+    "stat64",
+    "lstat64",
+    "newfstatat",
+    "fstatat64",
+    "statx",
+    "readlink",
+    "readlinkat",
+)
+PROCESSES = ("clone", "clone3", "fork", "vfork")
+ESCAPES = {
+    "io_uring_setup": "it used io_uring, whose reads cannot be seen",
+    "chroot": "it changed its root folder",
+    "pivot_root": "it changed its root folder",
+    "mount": "it changed its mounts",
+    "umount2": "it changed its mounts",
+    "move_mount": "it changed its mounts",
+    "open_tree": "it changed its mounts",
+    "setns": "it entered another namespace",
+    "pidfd_getfd": "it took an open file from another process",
+    "uselib": "it loaded a library by uselib",
+}
+RARE = (*ESCAPES, "unshare", "seccomp", "ptrace", "connect", "listen", "shmget")
+CALLS = (*FILES, *STATUS, *PROCESSES, *(name for name in RARE if name not in FILES))
+QUIET = ("chld", "urg", "winch", "cont", "prof", "vtalrm")
+"""Signals that are frequent, or end no process. The log says that a signal has ended a process only if it notes this signal."""
+OPTIONS = ("-DDD", "-f", "--seccomp-bpf", "-q", "-A", "-y", "-s", "0", "-e", "signal=!" + ",".join(QUIET))
+LOG_BYTES = 256 << 20
+LINE_BYTES = 1 << 18  # names of 4096 bytes, each of them as \377, and 32 words
+MOST_PATHS = 1 << 20
+MOST_WAITING = 1 << 16  # lines of processes whose parent is not known yet
+MOST_MOVES = 10_000_000  # names to look through for renamed folders in which the run has made files
+SETTLE_S = 10.0  # for the tracer to end after all processes of the run have ended
+PROBE_S = 20.0
+CHUNK = 1 << 20
+MOST_NOTES = 100
+SCRIPTS = 5  # scripts whose interpreters are scripts: the kernel allows as many
+HEAD_BYTES = 4096
+
+
+class Trace(NamedTuple):
+    """What a run did with files: see the module's text. Paths are sorted."""
+
+    way: str
+    executed: tuple[str, ...] = ()
+    read: tuple[str, ...] = ()
+    found: tuple[str, ...] = ()
+    missed: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
+    listed: tuple[str, ...] = ()
+    written: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+    links: Mapping[str, str] = {}
+    reasons: tuple[str, ...] = ()
+    disturbed: str | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything was seen."""
+        return not self.reasons
+
+    @property
+    def reason(self) -> str | None:
+        """Why the trace is not complete, in one line; None if it is."""
+        return "; ".join(self.reasons) or None
+
+
+def filled(trace: Trace, lists: Mapping[str, tuple[str, ...]]) -> Trace:
+    """Return a trace with other lists, by their names (LISTS)."""
+    return trace._replace(
+        executed=lists["executed"],
+        read=lists["read"],
+        found=lists["found"],
+        missed=lists["missed"],
+        refused=lists["refused"],
+        listed=lists["listed"],
+        written=lists["written"],
+        removed=lists["removed"],
+    )
+
+
+class Observation(Protocol):
+    """The observation of one run: see the module's text for the order of calls. Nothing here raises an error of a way's own."""
+
+    began: int
+    """When it began, in ns since the epoch, by the clock that files of the log's file system get their times from."""
+
+    def prefixed(self, argv: Sequence[str], environment: Mapping[str, str], cwd: str) -> list[str]:
+        """Return the words to start. They are argv itself if the program would not start: the error is then the usual one."""
+
+    def is_tracer(self, pid: int) -> bool:
+        """Return whether a process belongs to the observation, and not to the run."""
+
+    def look(self, pids: Iterable[int]) -> None:
+        """Look at living processes of the run. May be called at any time, also with processes that have ended."""
+
+    def limit(self) -> None:
+        """Keep the log below its limit. Call it at times while the run lives."""
+
+    def end(self, candidates: Callable[[], Iterable[int]] | None = None, seconds: float = SETTLE_S) -> None:
+        """Wait until the tracer has ended, and kill it after so many seconds.
+
+        `candidates` are the processes among which it may be (by default all), for a caller that is its subreaper. A process
+        whose tracer hangs does not end for its parent, even if it is killed. So call this with 0 seconds, too, if a run that
+        was killed does not end.
+        """
+
+    def trace(self, stderr: str | None = None, check_stop: Callable[[], None] = ...) -> Trace:
+        """Return what was seen. Never fails, whatever the log contains; calls `check_stop` at times, which may raise.
+
+        `stderr` is the file with the run's standard error. A tracer writes its own messages there, too.
+        """
+
+
+class Way(Protocol):
+    """A way to observe runs. An object without state except what `trouble` has found out; used by several threads."""
+
+    name: str
+    sees: frozenset[str]
+    """The lists of `Trace` that it fills completely. If one is lacking, no trace of it is complete."""
+
+    def trouble(self) -> str | None:
+        """Return why this way cannot be used here, in one line; None if it can. Finds out once."""
+
+    def begin(self, log: str, cwd: str) -> Observation:
+        """Begin to observe a run that starts in the folder `cwd`.
+
+        `log` is a file that is made, outside the run's folder and on the same file system. The caller removes it.
+        """
+
+
+LISTS = frozenset(("executed", "read", "found", "missed", "refused", "listed", "written", "removed"))
+
+
+def nothing() -> None:
+    """Do nothing: the default of `check_stop`."""
+
+
+class Strace:
+    """Observes by strace: see the module's text."""
+
+    name = "strace"
+    sees = LISTS
+
+    def __init__(self, program: str | None = None) -> None:
+        """Prepare to use a program of this path; by default the one that PATH finds."""
+        self._program = program
+
+    @functools.lru_cache(maxsize=None)  # noqa: B019 - there are few objects of this class, and they live as long as the worker
+    def trouble(self) -> str | None:
+        if sys.platform != "linux":
+            return "strace needs Linux"
+        program = self.program
+        if program is None:
+            return "strace is not installed"
+        with tempfile.TemporaryDirectory(prefix="strace-") as folder:
+            return trouble_of(program, folder)
+
+    @property
+    def program(self) -> str | None:
+        found = self._program or shutil.which("strace")
+        return os.path.abspath(found) if found else None
+
+    def begin(self, log: str, cwd: str) -> Observation:
+        return Traced(self.program or "strace", os.path.abspath(log), cwd)
+
+
+def trouble_of(program: str, folder: str) -> str | None:
+    """Return why a strace cannot be used here: its version, its options, or the right to trace."""
+    try:
+        said = subprocess.run([program, "-V"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=PROBE_S).stdout
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return "%s cannot be executed: %s" % (program, error)
+    version = re.search(rb"version (\d+)\.(\d+)", said)
+    if version is None or tuple(map(int, version.groups())) < OLDEST:
+        return "%s is %s; 5.3 or newer is needed" % (program, first_line(said) or "of an unknown version")
+    log = os.path.join(folder, "log")
+    observation = Traced(program, log, folder)
+    name = os.path.join(folder, "x" * 100)
+    os.symlink(program, name)
+    try:
+        words = observation.prefixed([name, "-V"], {"PATH": os.defpath}, folder)
+        if words[0] != program:
+            return "%s is a program of an unknown format" % program
+        done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, timeout=PROBE_S)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return "%s cannot trace here: %s" % (program, error)
+    observation.end(seconds=SETTLE_S)
+    if done.returncode or done.stderr:
+        return "%s cannot trace here: %s" % (program, first_line(done.stderr) or "status %d" % done.returncode)
+    trace = observation.trace()
+    if trace.reason or os.path.realpath(program) not in trace.executed or name not in trace.links:
+        return "the log of %s is not understood: %s" % (program, trace.reason or "a name is missing")
+    return None
+
+
+def first_line(said: bytes) -> str:
+    lines = said.decode("utf-8", "replace").strip().splitlines()
+    return lines[0] if lines else ""
+
+
+class Traced:
+    """The observation of one run by strace."""
+
+    def __init__(self, program: str, log: str, cwd: str) -> None:
+        self._program, self._log, self._cwd = program, log, cwd
+        self._cut = False
+        self._started = False
+        self._late = False
+        self._unfit: str | None = None
+        self._prefix = (program, *OPTIONS, "-e", "trace=" + ",".join("?" + name for name in CALLS), "-o", log, "--")
+        os.close(os.open(log, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
+        self.began = min(time.time_ns(), os.stat(log).st_ctime_ns)
+
+    def prefixed(self, argv: Sequence[str], environment: Mapping[str, str], cwd: str) -> list[str]:
+        self._unfit = unfit(argv, environment, cwd)
+        self._cwd = cwd
+        self._started = self._unfit is None
+        return [*self._prefix, *argv] if self._started else list(argv)
+
+    def is_tracer(self, pid: int) -> bool:
+        words = read_proc("%d/cmdline" % pid).split(b"\0")
+        prefix = [os.fsencode(word) for word in self._prefix]
+        return words[: len(prefix)] == prefix and state_of(pid) not in (None, b"Z")
+
+    def look(self, pids: Iterable[int]) -> None:
+        pass
+
+    def limit(self) -> None:
+        with contextlib.suppress(OSError):
+            if self._cut or os.stat(self._log).st_size > LOG_BYTES:
+                self._cut = True
+                os.truncate(self._log, 0)  # strace appends
+
+    def end(self, candidates: Callable[[], Iterable[int]] | None = None, seconds: float = SETTLE_S) -> None:
+        if not self._started:
+            return
+        give_up = time.monotonic() + seconds
+        pause = 0.001
+        while True:
+            tracers = [pid for pid in (candidates or processes)() if self.is_tracer(pid)]
+            if not tracers:
+                return
+            if time.monotonic() >= give_up:
+                break
+            time.sleep(pause)
+            pause = min(2 * pause, 0.05)
+        self._late = True
+        for pid in tracers:
+            with contextlib.suppress(OSError):
+                os.kill(pid, 9)
+
+    def trace(self, stderr: str | None = None, check_stop: Callable[[], None] = nothing) -> Trace:
+        if self._unfit is not None:
+            return Trace(Strace.name, reasons=("it was not observed: " + self._unfit,))
+        log = Log(os.fsencode(os.path.realpath(self._cwd)))
+        try:
+            with open(self._log, "rb") as file:
+                log.read(file, check_stop)
+            if is_full(self._log):
+                log.damage("the disk of the log is full")
+        except OSError as error:
+            log.damage("the log cannot be read: %s" % error.strerror)
+        if self._late:
+            log.damage("the tracer did not end, and was killed")
+        if stderr is not None and contains(stderr, os.fsencode(self._program) + b": ", check_stop):
+            log.damage("the tracer has written to the run's standard error")
+        return log.trace(Strace.name, cut=self._cut)
+
+
+def parsed(log: IO[bytes], cwd: str) -> Trace:
+    """Return what a log of strace with OPTIONS and CALLS says; the first process began in the folder `cwd`."""
+    reader = Log(os.fsencode(cwd))
+    reader.read(log)
+    return reader.trace(Strace.name)
+
+
+def contains(path: str, words: bytes, check_stop: Callable[[], None]) -> bool:
+    """Return whether words are in a file. One that cannot be read contains them."""
+    before = b""
+    try:
+        with open(path, "rb", buffering=0) as file:
+            for chunk in iter(lambda: file.read(CHUNK), b""):
+                check_stop()
+                if words in before + chunk:
+                    return True
+                before = chunk[-len(words) :]
+    except OSError:
+        return True
+    return False
+
+
+def unfit(argv: Sequence[str], environment: Mapping[str, str], cwd: str) -> str | None:
+    """Return why a program cannot be started by strace: it would end with status 1, instead of the caller's usual error."""
+    if not argv or not argv[0] or any("\0" in word for word in argv):
+        return "there is no program"
+    program = argv[0]
+    candidates = [program]
+    if "/" not in program:
+        if "PATH" not in environment:
+            return "there is no PATH"  # strace finds nothing then, but others do
+        candidates = [os.path.join(folder, program) for folder in environment["PATH"].split(":")]
+    for candidate in candidates:
+        path = os.path.join(cwd, candidate)
+        try:
+            mode = os.stat(path).st_mode
+        except (OSError, ValueError):
+            continue
+        if stat.S_ISREG(mode) and mode & 0o111:  # strace takes the first such file
+            return None if os.access(path, os.X_OK) and starts(path) else "%s cannot be executed" % program
+    return "%s was not found" % program
+
+
+def starts(path: str, depth: int = 0) -> bool:
+    """Return whether the kernel knows how to execute a file, and what it needs for this is there."""
+    try:
+        interpreter = interpreter_of(path)
+    except (OSError, ValueError):
+        return False
+    if not interpreter:
+        return True
+    if depth > SCRIPTS or not os.path.isabs(interpreter):
+        return False
+    return os.access(interpreter, os.X_OK) and starts(interpreter, depth + 1)
+
+
+def interpreter_of(path: str) -> str | None:
+    """Return the path of the program that the kernel executes for a file, as the file names it; None for a static program.
+
+    Raises OSError if the file cannot be read, and ValueError if it is neither ELF nor a script.
+    """
+    with open(path, "rb") as file:
+        head = file.read(HEAD_BYTES)
+        if head.startswith(b"#!"):
+            words = head[2:].split(b"\n", 1)[0].split()
+            if not words or b"\0" in words[0]:
+                raise ValueError("a script without an interpreter")
+            return os.fsdecode(words[0])
+        if not head.startswith(b"\x7fELF"):
+            raise ValueError("neither ELF nor a script")
+        return loader_of(head, file)
+
+
+def loader_of(head: bytes, file: IO[bytes]) -> str | None:
+    """Return the loader that an ELF file names (PT_INTERP, see elf(5)); None if it needs none."""
+    wide, order = head[4:5] == b"\x02", ">" if head[5:6] == b"\x02" else "<"
+    try:
+        at, size, count = struct.unpack_from(order + ("32xQ14xHH" if wide else "28xI10xHH"), head)
+        file.seek(at)
+        table = file.read(size * count)
+        for number in range(count):
+            if wide:
+                kind, offset, length = struct.unpack_from(order + "I4xQ16xQ", table, number * size)
+            else:
+                kind, offset, length = struct.unpack_from(order + "II8xI", table, number * size)
+            if kind == 3:
+                file.seek(offset)
+                return os.fsdecode(file.read(min(length, HEAD_BYTES)).split(b"\0", 1)[0])
+    except struct.error:
+        raise ValueError("a damaged ELF file") from None
+    return None
+
+
+class Folder:
+    """A working directory, which threads share; None if it is unknown."""
+
+    __slots__ = ("path",)
+
+    def __init__(self, path: bytes | None) -> None:
+        self.path = path
+
+
+class Process:
+    """A process or thread in a log: its working directory, and the beginning of a call that has not returned."""
+
+    __slots__ = ("begun", "folder", "moved", "seen")
+
+    def __init__(self, folder: Folder, *, seen: bool) -> None:
+        self.folder = folder
+        self.seen = seen
+        """Whether it has a line of its own, or only the call that started it."""
+        self.begun = b""
+        self.moved = False
+        """Whether its call is an execve of another thread, which has taken its id."""
+
+
+END = re.compile(rb"\) += ")
+CALL = re.compile(rb'(\w+\((?:"(?:[^"\\]|\\.)*"|<(?:[^<>\\]|\\.)*>|[^"<])*?)\) += (?=-?\d|\?)(.*)', re.S)
+RESULT = re.compile(rb"(-?\d+|\?)(?: <unavailable>)?(?:<((?:[^<>\\]|\\.)*)>(?:\(deleted\))?)?(?: (?:(E[A-Z0-9]+) )?\(.*\))?")
+RESUMED = re.compile(rb"<\.\.\. (\w+) resumed>")
+MOVED = re.compile(rb"(.*) <pid changed to (\d+) \.\.\.>")
+SUPERSEDED = re.compile(rb"\+\+\+ superseded by execve in pid (\d+) \+\+\+")
+OVER = re.compile(rb"\+\+\+ (?:exited with \d+|killed by \w+(?: \(core dumped\))?) \+\+\+")
+UNFINISHED = b" <unfinished ...>"
+NAME = rb'"((?:[^"\\]|\\.)*)"(\.\.\.)?'
+AT = rb"(AT_FDCWD|-?\d+)(?:<((?:[^<>\\]|\\.)*)>(?:\(deleted\))?)?"
+ONE = re.compile(rb"()()" + NAME)
+ONE_AT = re.compile(AT + rb", " + NAME)
+TWO = re.compile(rb"()()" + NAME + rb", ()()" + NAME)
+TWO_AT = re.compile(AT + rb", " + NAME + rb", " + AT + rb", " + NAME)
+LINK_AT = re.compile(rb"()()" + NAME + rb", " + AT + rb", " + NAME)
+OPENED = re.compile(AT)
+UNIX = re.compile(rb'sa_family=AF_UNIX, sun_path=(@?)"((?:[^"\\]|\\.)*)"')
+INTERNET = re.compile(rb'sa_family=AF_INET6?, sin6?_port=htons\((\d+)\).*?"([^"]*)"')
+ESCAPED = re.compile(rb"\\([0-7]{1,3}|x[0-9a-f]{2}|.)", re.S)
+C_ESCAPES = {b"n": b"\n", b"t": b"\t", b"r": b"\r", b"v": b"\v", b"f": b"\f"}
+DOTS = re.compile(rb"/(?:\.?/)+|/\.$")
+MISSING = frozenset((b"ENOENT", b"ENOTDIR"))
+FORBIDDEN = frozenset((b"EACCES", b"EPERM", b"EROFS"))
+PRESENT = frozenset(
+    (
+        b"EEXIST",
+        b"EISDIR",
+        b"EINVAL",
+        b"ELOOP",
+        b"ENXIO",
+        b"ETXTBSY",
+        b"ENOEXEC",
+        b"EBUSY",
+        b"ENOTEMPTY",
+        b"EXDEV",
+        b"E2BIG",
+        b"ELIBBAD",
+        b"EFBIG",
+        b"EOVERFLOW",
+    )
+)
+CONNECTED = frozenset((None, b"EINPROGRESS", b"EAGAIN", b"EINTR"))
+UNREADABLE = frozenset((b"EFAULT", b"?"))
+FLAG = re.compile(rb"O_[A-Z]+")
+FOLDERS = frozenset((b"O_PATH", b"O_DIRECTORY"))
+WRITING = frozenset((b"O_WRONLY", b"O_RDWR", b"O_ACCMODE", b"O_TRUNC", b"O_CREAT"))
+MADE = b""
+"""The origin of a file whose content the run has made."""
+
+
+def plain(text: bytes) -> bytes:
+    """Return a path that strace has printed with escapes."""
+    if b"\\" in text:
+        text = ESCAPED.sub(unescaped, text)
+    if b"\0" in text:
+        raise Damaged
+    return text
+
+
+def unescaped(match: re.Match[bytes]) -> bytes:
+    code = match.group(1)
+    if code[:1].isdigit():
+        return bytes([int(code, 8) & 0xFF])
+    if len(code) == 3:
+        return bytes([int(code[1:], 16)])
+    return C_ESCAPES.get(code, code)
+
+
+class Damaged(Exception):
+    """A line of a log is not what strace writes, or is not understood."""
+
+
+class Call(NamedTuple):
+    """A call that has returned."""
+
+    pid: bytes
+    process: Process
+    name: bytes
+    words: bytes
+    """Its arguments."""
+    number: int
+    """What it returned; negative for an error."""
+    path: bytes | None
+    """The path of the descriptor that it returned."""
+    error: bytes | None
+
+
+class Log:
+    """What a log of strace says: fed line by line, then asked for the trace.
+
+    Content that the run moves is followed by `_origins`: for each name that the run has given to something, where its content
+    comes from. That is MADE if the run has made it, or else the name under which it was there before.
+    """
+
+    def __init__(self, cwd: bytes) -> None:
+        self._cwd = cwd
+        self._processes: dict[bytes, Process] = {}
+        self._any = self._started = False
+        self._starting: dict[bytes, Process] = {}
+        """The processes that are just starting another one, by their ids."""
+        self._adopted: dict[bytes, bytes] = {}
+        """Processes that appeared before the call that started them returned, by the id of their parent."""
+        self._waiting: dict[bytes, list[bytes]] = {}
+        """The lines of processes whose parent is not known yet, by their ids."""
+        self._kept = self._strays = self._damaged = self._moves = 0
+        self._reasons: dict[str, None] = {}
+        self._notes: dict[str, None] = {}
+        self._disturbed: str | None = None
+        self._cut: str | None = None
+        """Why the rest of the log was not read."""
+        self._executed: dict[bytes, None] = {}
+        self._read: set[bytes] = set()
+        self._found: set[bytes] = set()
+        self._missed: set[bytes] = set()
+        self._refused: set[bytes] = set()
+        self._listed: set[bytes] = set()
+        self._written: set[bytes] = set()
+        self._removed: set[bytes] = set()
+        self._links: dict[bytes, bytes] = {}
+        self._read_links: set[bytes] = set()
+        self._origins: dict[bytes, bytes] = {}
+        self._moved_old = False
+        """Whether the run has moved anything that existed before."""
+        self._new: set[bytes] = set()
+        """Names that certainly did not exist before the run."""
+        self._absent: set[bytes] = set()
+        """Names that the run has removed."""
+        self._holders: set[bytes] = set()
+        """All folders above the names that the run has made."""
+        self._folders: dict[bytes, bytes] = {}
+        """The real paths of folders."""
+
+    def read(self, file: IO[bytes], check_stop: Callable[[], None] = nothing) -> None:
+        """Read a log, at most LOG_BYTES of it."""
+        left = LOG_BYTES
+        for number, line in enumerate(iter(lambda: file.readline(LINE_BYTES), b"")):
+            if number % 4096 == 0:
+                check_stop()
+                if self._too_many():
+                    self._cut = "it used more than %d files" % MOST_PATHS
+                    break
+            left -= len(line)
+            if left < 0:
+                self._cut = "its log is longer than %d bytes" % LOG_BYTES
+                break
+            self.add(line)
+        self._adopt_all()
+
+    def damage(self, reason: str) -> None:
+        """Note that the log or the tracer is not as it should be, and so perhaps the run is not either."""
+        self._reasons[reason] = None
+        self._disturbed = self._disturbed or reason
+
+    def add(self, line: bytes) -> None:
+        """Add a line. One that is not understood is counted."""
+        try:
+            self._add(line)
+        except (Damaged, ValueError):
+            self._damaged += 1
+
+    def _too_many(self) -> bool:
+        return len(self._read) + len(self._found) + len(self._missed) + len(self._written) + len(self._origins) > MOST_PATHS
+
+    def _add(self, line: bytes) -> None:
+        pid, _, rest = line.partition(b" ")
+        if not pid.isdigit() or not rest.endswith(b"\n"):
+            raise Damaged
+        rest = rest[:-1].lstrip(b" ")
+        process = self._processes.get(pid) or self._appear(pid)
+        if process is None:
+            self._keep(pid, line)
+            return
+        process.seen = True
+        if rest.startswith(b"+++ "):
+            self._end(pid, rest)
+        elif not rest.startswith(b"--- "):  # else a signal
+            self._piece(pid, process, rest)
+
+    # Processes: which ones there are, and in which folder they work
+
+    def _appear(self, pid: bytes) -> Process | None:
+        """Return the process whose first line is here; None if its parent is not known yet."""
+        if not self._any:
+            self._any = True
+            return self._enter(pid, Folder(self._cwd), seen=True)
+        if pid in self._waiting or len(self._starting) != 1:
+            return None
+        if not all(process.seen for process in self._processes.values()):
+            return None  # in another namespace, its own parent may have called it by another id
+        ((parent, starter),) = self._starting.items()
+        del self._starting[parent]
+        self._adopted[parent] = pid
+        return self._enter(pid, inherited(starter.folder, starter.begun), seen=True)
+
+    def _enter(self, pid: bytes, folder: Folder, *, seen: bool) -> Process:
+        process = self._processes[pid] = Process(folder, seen=seen)
+        return process
+
+    def _keep(self, pid: bytes, line: bytes) -> None:
+        """Keep a line until the parent of its process is known."""
+        self._waiting.setdefault(pid, []).append(line)
+        self._kept += 1
+        if self._kept > MOST_WAITING:
+            self._adopt_all()
+
+    def _adopt(self, pid: bytes, folder: Folder) -> None:
+        lines = self._waiting.pop(pid)
+        self._kept -= len(lines)
+        self._enter(pid, folder, seen=True)
+        for line in lines:
+            self.add(line)
+
+    def _adopt_all(self) -> None:
+        """Add the lines of processes whose parents remain unknown, and so their folders."""
+        while self._waiting:
+            self._strays += 1
+            self._adopt(next(iter(self._waiting)), Folder(None))
+
+    def _end(self, pid: bytes, rest: bytes) -> None:
+        if OVER.fullmatch(rest):
+            del self._processes[pid]
+            if self._starting.pop(pid, None) is not None:
+                self._reasons["it was killed while it started a process"] = None
+            self._adopted.pop(pid, None)
+            return
+        superseded = SUPERSEDED.fullmatch(rest)
+        if superseded is None:
+            raise Damaged
+        if not self._processes[pid].moved:  # else an earlier line has told
+            thread = self._processes.get(superseded.group(1))
+            if thread is None or not thread.begun.startswith(b"execve"):
+                raise Damaged
+            self._move_process(superseded.group(1), thread, thread.begun, pid)
+
+    def _piece(self, pid: bytes, process: Process, rest: bytes) -> None:
+        """Add a call, or a part of one."""
+        if rest.startswith(b"<... "):
+            match = RESUMED.match(rest)
+            if match is None or not process.begun.startswith(match.group(1) + b"("):
+                raise Damaged
+            rest, process.begun = process.begun + rest[match.end() :], b""
+        elif process.begun:
+            raise Damaged
+        if rest.endswith(UNFINISHED):
+            process.begun = rest[: -len(UNFINISHED)]
+            if process.begun.partition(b"(")[0] in STARTERS:
+                self._starting[pid] = process
+            return
+        moved = MOVED.fullmatch(rest) if rest.endswith(b" ...>") else None
+        if moved:
+            self._move_process(pid, process, moved.group(1), moved.group(2))
+        else:
+            self._call(pid, process, rest)
+
+    def _move_process(self, pid: bytes, process: Process, begun: bytes, leader: bytes) -> None:
+        """A thread executes a program: it gets the id of its process, and all other threads end."""
+        heir = self._processes.get(leader)
+        if heir is None or heir is process:
+            raise Damaged
+        del self._processes[pid]
+        self._starting.pop(leader, None)
+        heir.begun, heir.folder, heir.moved = begun, process.folder, True
+
+    def _call(self, pid: bytes, process: Process, rest: bytes) -> None:
+        pieces = END.split(rest)
+        if len(pieces) == 2:
+            left, result = pieces
+        else:  # the same characters are in a name
+            whole = CALL.fullmatch(rest)
+            if whole is None:
+                raise Damaged
+            left, result = whole.groups()
+        name, opened, words = left.partition(b"(")
+        action = ACTIONS.get(name)
+        match = RESULT.fullmatch(result)
+        if action is None or match is None or not opened:
+            raise Damaged
+        value, path, error = match.groups()
+        number = -1 if value == b"?" else int(value, 0)
+        if process.moved:  # strace misprints the result
+            process.moved, number, error = False, 0, None
+        elif number < 0:
+            error = error or (b"?" if value == b"?" else b"-")
+        action(self, Call(pid, process, name, words, number, path, error))
+
+    def start(self, call: Call) -> None:
+        """A process starts another one, or a thread."""
+        self._starting.pop(call.pid, None)
+        if self._adopted.pop(call.pid, None) is None:
+            if call.error == b"?":
+                self._reasons["it was killed while it started a process"] = None
+            elif call.number > 0:
+                self._expect(b"%d" % call.number, call)
+        if b"CLONE_NEWNS" in call.words and call.number > 0:
+            self._reasons["it changed its mounts"] = None
+
+    def _expect(self, child: bytes, call: Call) -> None:
+        if child in self._processes:
+            raise Damaged
+        folder = inherited(call.process.folder, call.words)
+        if child in self._waiting:
+            self._adopt(child, folder)
+        else:
+            self._enter(child, folder, seen=False)
+
+    def change_folder(self, call: Call) -> None:
+        path = self._path(call, ONE)
+        if path is None:
+            return
+        if call.error:
+            self._failed(path, call.error)
+        else:
+            call.process.folder.path = path
+            self._find(path)
+
+    def change_to_open_folder(self, call: Call) -> None:
+        match = OPENED.match(call.words)
+        if not call.error:
+            path = plain(match.group(2)) if match and match.group(2) else b""
+            call.process.folder.path = path if path.startswith(b"/") else None
+
+    def unshare(self, call: Call) -> None:
+        if call.error:
+            return
+        if b"CLONE_NEWNS" in call.words:
+            self._reasons["it changed its mounts"] = None
+        call.process.folder = Folder(call.process.folder.path)
+
+    # Names
+
+    def _path(self, call: Call, form: re.Pattern[bytes], at: int = 0) -> bytes | None:
+        """Return the path that a call names; None if there is none, because the call has failed."""
+        match = form.match(call.words)
+        if match is None:
+            if call.error in UNREADABLE or b"NULL" in call.words:
+                return None
+            raise Damaged
+        number, folder, name, cut = match.groups()[4 * at : 4 * at + 4]
+        if cut:
+            if call.error:
+                return None
+            raise Damaged
+        return self._resolve(call, number, folder, plain(name))
+
+    def _resolve(self, call: Call, number: bytes, folder: bytes | None, name: bytes) -> bytes | None:
+        if number == b"AT_FDCWD" and folder:
+            call.process.folder.path = plain(folder)
+        if name.startswith(b"/"):
+            return clean(name)
+        base = call.process.folder.path if number in (b"", b"AT_FDCWD") else plain(folder or b"")
+        if base is None or not base.startswith(b"/"):
+            if not call.error:
+                self._reasons["it used a relative name in an unknown folder"] = None
+            return None
+        return clean(base + b"/" + name) if name else base
+
+    def _real_name(self, path: bytes) -> bytes:
+        """Return a path with the links in its folder followed, but not a link that it names itself."""
+        folder, _, name = path.rpartition(b"/")
+        real = self._folders.get(folder)
+        if real is None:
+            real = self._folders[folder] = os.path.realpath(folder or b"/").rstrip(b"/")
+        return real + b"/" + name
+
+    def _origin(self, path: bytes) -> bytes | None:
+        """Return where the content of a real path comes from; None if it has always been there."""
+        origin = self._origins.get(path)
+        if origin is not None or not self._moved_old:
+            return origin
+        for folder in with_folders(path):
+            origin = self._origins.get(folder)
+            if origin:
+                return origin + path[len(folder) :]
+        return None
+
+    def _is_own(self, path: bytes) -> bool:
+        """Return whether the run has made or removed a name, or a folder above it."""
+        if not self._new and not self._absent and not self._origins:
+            return False
+        real = self._real_name(path)
+        if real in self._origins or real in self._written:
+            return True
+        return any(name in self._new or name in self._absent for name in with_folders(real))
+
+    def _failed(self, path: bytes, error: bytes) -> None:
+        """A path could not be used."""
+        if error == b"ENOTDIR" and path not in self._missed and os.path.lexists(path):
+            self._find(path)  # a file that was used like a folder
+        elif error in MISSING:
+            if path not in self._missed and not self._is_own(path):
+                self._missed.add(path)
+        elif error in FORBIDDEN:
+            self._refused.add(path)
+        elif error in PRESENT:
+            self._find(path)
+
+    def _find(self, path: bytes) -> None:
+        if path not in self._found and not self._is_own(path):
+            self._found.add(path)
+
+    # Files
+
+    def execute(self, call: Call) -> None:
+        at = call.name == b"execveat"
+        path = self._path(call, ONE_AT if at else ONE)
+        if path is None:
+            if not call.error:
+                self._reasons["it executed a file without a name"] = None
+            return
+        if call.error == b"ENOENT" and os.path.exists(path):
+            self._find(path)
+            self._missed.update(missing_interpreter(path))
+            return
+        if call.error:
+            self._failed(path, call.error)
+            return
+        self._started = True
+        if path.startswith(b"/proc/") and not path.endswith(b"/exe"):
+            self._reasons["it executed a file through /proc"] = None
+        elif not path.startswith(b"/proc/"):
+            self._executed[path] = None
+
+    def open(self, call: Call) -> None:
+        path = self._path(call, ONE if call.name in (b"open", b"creat") else ONE_AT)
+        if path is None:
+            return
+        if call.error:
+            self._failed(path, call.error)
+            return
+        flags = set(FLAG.findall(call.words.rpartition(b'"')[2]))
+        if call.name == b"creat":
+            flags = {b"O_WRONLY", b"O_CREAT", b"O_TRUNC"}
+        real = self._real_name(path) if call.path is None else plain(call.path)
+        if not real.startswith(b"/"):
+            return  # a pipe or a socket
+        if b"O_TMPFILE" in flags:
+            return
+        if flags & FOLDERS:
+            self._find(path)
+            self._follow(path, real)
+            return
+        self._use(path, real, flags)
+
+    def _use(self, path: bytes, real: bytes, flags: set[bytes]) -> None:
+        empty = b"O_TRUNC" in flags or flags >= {b"O_CREAT", b"O_EXCL"}
+        if b"O_WRONLY" not in flags and not empty:
+            self._read_file(path, real)
+        if flags & WRITING:
+            self._write(real, made=empty, new=flags >= {b"O_CREAT", b"O_EXCL"})
+
+    def _read_file(self, path: bytes, real: bytes) -> None:
+        origin = self._origin(real)
+        if origin is None:
+            self._read.add(real)
+            self._follow(path, real)
+        elif origin:
+            self._read.add(origin)
+
+    def _follow(self, path: bytes, real: bytes) -> None:
+        """Note that a path led to another one, unless by a link that the run has made."""
+        if path != real and not path.startswith(b"/proc/") and self._real_name(path) not in self._origins:
+            self._links[path] = real
+
+    def _write(self, real: bytes, *, made: bool = True, new: bool = False) -> None:
+        self._written.add(real)
+        self._removed.discard(real)
+        self._absent.discard(real)
+        if made:
+            self._set_origin(real, MADE)
+        if new:
+            self._new.add(real)
+
+    def _set_origin(self, real: bytes, origin: bytes) -> None:
+        self._origins[real] = origin
+        self._moved_old = self._moved_old or origin != MADE
+        for folder in with_folders(real.rpartition(b"/")[0]):
+            if folder in self._holders:
+                break
+            self._holders.add(folder)
+
+    def _remove(self, real: bytes) -> None:
+        self._origins.pop(real, None)
+        self._written.discard(real)
+        self._absent.add(real)
+        if any(name in self._new for name in with_folders(real)):
+            self._new.discard(real)
+        else:
+            self._removed.add(real)
+
+    def handle(self, call: Call) -> None:
+        """A file is opened by a handle, without a name."""
+        if not call.error:
+            real = plain(call.path or b"")
+            if not real.startswith(b"/"):
+                self._reasons["it opened a file without a name"] = None
+            else:
+                self._use(real, real, set(FLAG.findall(call.words)))
+
+    def truncate(self, call: Call) -> None:
+        path = self._path(call, ONE)
+        if path is not None and call.error:
+            self._failed(path, call.error)
+        elif path is not None:
+            self._write(os.path.realpath(path), made=False)
+
+    def make(self, call: Call) -> None:
+        """A folder, a link or a node is made."""
+        form, at = MAKERS[call.name]
+        path = self._path(call, form, at)
+        if path is not None and call.error:
+            self._failed(path, call.error)
+        elif path is not None:
+            self._folders.clear()
+            self._write(self._real_name(path), new=True)
+
+    def remove(self, call: Call) -> None:
+        path = self._path(call, ONE_AT if call.name == b"unlinkat" else ONE)
+        if path is not None and call.error:
+            self._failed(path, call.error)
+        elif path is not None:
+            self._remove(self._real_name(path))
+
+    def link(self, call: Call) -> None:
+        form = TWO_AT if call.name == b"linkat" else TWO
+        old, new = self._path(call, form), self._path(call, form, 1)
+        if old is None or new is None:
+            return
+        if call.error:
+            self._failed_pair(old, new, call.error)
+            return
+        source, target = self._real_name(old), self._real_name(new)
+        nameless = old.startswith(b"/proc/") or b"AT_EMPTY_PATH" in call.words.rpartition(b'"')[2]
+        origin = MADE if nameless else self._origin(source)
+        self._write(target, new=True)
+        self._set_origin(target, source if origin is None else origin)
+
+    def rename(self, call: Call) -> None:
+        form = TWO if call.name == b"rename" else TWO_AT
+        old, new = self._path(call, form), self._path(call, form, 1)
+        if old is None or new is None:
+            return
+        if call.error:
+            self._failed_pair(old, new, call.error)
+            return
+        if b"RENAME_EXCHANGE" in call.words.rpartition(b'"')[2]:
+            self._reasons["it exchanged two names"] = None
+        source, target = self._real_name(old), self._real_name(new)
+        if source == target:
+            return
+        origin = self._origin(source)
+        if source in self._holders:
+            self._move_folder(source + b"/", target + b"/")
+        self._remove(source)
+        self._new.discard(target)
+        self._write(target)
+        self._set_origin(target, source if origin is None else origin)
+
+    def _move_folder(self, old: bytes, new: bytes) -> None:
+        """Give new names to all that the run has made in a folder that it renames."""
+        self._moves += len(self._written) + len(self._new) + len(self._absent) + len(self._origins)
+        if self._moves > MOST_MOVES:
+            self._reasons["it renamed too many folders"] = None
+            return
+        self._folders.clear()
+        for names in (self._written, self._new, self._absent):
+            for name in [name for name in names if name.startswith(old)]:
+                names.discard(name)
+                names.add(new + name[len(old) :])
+        for name in [name for name in self._origins if name.startswith(old)]:
+            self._set_origin(new + name[len(old) :], self._origins.pop(name))
+
+    def _failed_pair(self, old: bytes, new: bytes, error: bytes) -> None:
+        """A call with two paths failed; the error does not tell which of them is to blame."""
+        if error in MISSING:
+            for path in (old, new):
+                if not os.path.lexists(path):
+                    self._failed(path, error)
+        else:
+            self._failed(new, error)
+
+    def look(self, call: Call) -> None:
+        """The status of a path is requested."""
+        if b', "", ' in call.words and b"AT_FDCWD" not in call.words:
+            return  # of an open file
+        path = self._path(call, ONE if call.name in PLAIN else ONE_AT)
+        if path is None:
+            return
+        if call.error:
+            self._failed(path, call.error)
+            return
+        self._find(path)
+        if call.name in (b"readlink", b"readlinkat"):
+            self._read_links.add(path)
+
+    def list(self, call: Call) -> None:
+        match = OPENED.match(call.words)
+        path = plain(match.group(2)) if match and match.group(2) else b""
+        if call.error:
+            return
+        if not path.startswith(b"/"):
+            raise Damaged
+        if path not in self._listed and not self._is_own(path):
+            self._listed.add(path)
+
+    # What cannot be seen
+
+    def escape(self, call: Call) -> None:
+        if not call.error:
+            self._reasons[ESCAPES[call.name.decode()]] = None
+
+    def filter(self, call: Call) -> None:
+        if b"NEW_LISTENER" in call.words and not call.error:
+            self._reasons["another process answers its calls"] = None
+
+    def trace_others(self, call: Call) -> None:
+        self._reasons["it traces processes, or lets itself be traced"] = None
+        self._disturbed = self._disturbed or "it traces processes, or lets itself be traced, which strace prevents"
+
+    def connect(self, call: Call) -> None:
+        local, remote = UNIX.search(call.words), INTERNET.search(call.words)
+        if local:
+            name = ESCAPED.sub(unescaped, local.group(2))  # may be abstract, and contain any byte
+            if call.error in MISSING:
+                if not local.group(1) and name.startswith(b"/") and b"\0" not in name:
+                    self._failed(clean(name), b"ENOENT")
+            elif call.error in CONNECTED:
+                self._note("may have read through the socket %s" % os.fsdecode(local.group(1) + name))
+        elif remote and call.error in CONNECTED:
+            self._note("may have read from %s, port %s" % (remote.group(2).decode(), remote.group(1).decode()))
+
+    def listen(self, call: Call) -> None:
+        self._note("waited for connections")
+
+    def share(self, call: Call) -> None:
+        if not call.error:
+            self._note("used shared memory")
+
+    def _note(self, note: str) -> None:
+        if len(self._notes) < MOST_NOTES:
+            self._notes[note] = None
+
+    # The result
+
+    def trace(self, way: str, *, cut: bool = False) -> Trace:
+        """Return what the log says; `cut`: it was emptied in between."""
+        self._check_end(cut=cut)
+        programs = self._programs()
+        for path in self._read_links:
+            self._follow(path, os.path.realpath(path))
+        folders = {path for path in self._read if os.path.isdir(path)}
+        read = self._read - folders - programs
+        found = (self._found | folders) - read - programs - set(self._links)
+        names: dict[str, set[bytes]] = {
+            "executed": programs,
+            "read": read,
+            "found": found,
+            "missed": self._missed,
+            "refused": self._refused,
+            "listed": self._listed,
+            "written": self._written,
+            "removed": self._removed,
+        }
+        trace = Trace(
+            way,
+            links={os.fsdecode(path): os.fsdecode(self._links[path]) for path in sorted(self._links)},
+            reasons=tuple(one_line(reason) for reason in self._reasons),
+            disturbed=self._disturbed and one_line(self._disturbed),
+            notes=tuple(one_line(note) for note in self._notes),
+        )
+        return filled(trace, {name: tuple(sorted(map(os.fsdecode, paths))) for name, paths in names.items()})
+
+    def _check_end(self, *, cut: bool) -> None:
+        if cut or self._cut:
+            self._reasons[self._cut or "its log is longer than %d bytes" % LOG_BYTES] = None
+            return
+        if self._damaged:
+            self.damage("%d lines of the log are not understood" % self._damaged)
+        if not self._started and not self._reasons:
+            self.damage("the tracer did not start it")
+        if any(process.seen for process in self._processes.values()):
+            self.damage("the log ends before the run: the tracer was killed, or the log was cut")
+        unseen = sum(not process.seen for process in self._processes.values())
+        if unseen > self._strays:
+            self.damage("a process is not in the log: it escaped the tracer, or the log was cut")
+
+    def _programs(self) -> set[bytes]:
+        """Return the real paths of all that the kernel executed, except what the run had made itself."""
+        programs: set[bytes] = set()
+        pending = [(path, 0) for path in self._executed]
+        for path, depth in pending:
+            real = os.path.realpath(path)
+            own = self._origin(real)
+            if own is None:
+                programs.add(real)
+                self._follow(path, real)
+            elif own:
+                programs.add(own)
+            if is_privileged(real):
+                reason = "%s is setuid, and could not get its rights" % os.fsdecode(real)
+                self._reasons[reason] = None
+                self._disturbed = self._disturbed or reason
+            try:
+                interpreter = interpreter_of(os.fsdecode(real))
+            except (OSError, ValueError):
+                self._reasons["what executes %s is unknown" % os.fsdecode(real)] = None
+                continue
+            if interpreter and not os.path.isabs(interpreter):
+                self._reasons["%s names a relative interpreter" % os.fsdecode(real)] = None
+            elif interpreter and depth <= SCRIPTS:
+                pending.append((os.fsencode(interpreter), depth + 1))
+        return programs
+
+
+def missing_interpreter(path: bytes) -> list[bytes]:
+    """Return what the kernel has looked for and not found in order to execute a file."""
+    try:
+        interpreter = interpreter_of(os.fsdecode(path))
+    except (OSError, ValueError):
+        return []
+    return [] if interpreter is None or os.path.exists(interpreter) else [os.fsencode(interpreter)]
+
+
+def inherited(folder: Folder, words: bytes) -> Folder:
+    """Return the folder of a process that is started by a call with these words in a process with that folder."""
+    return folder if b"CLONE_FS" in words else Folder(folder.path)
+
+
+def with_folders(path: bytes) -> Iterator[bytes]:
+    """Yield a path and all folders above it but the root."""
+    while len(path) > 1:
+        yield path
+        path = path.rpartition(b"/")[0]
+
+
+def clean(path: bytes) -> bytes:
+    """Return an absolute path without `.`, `..`, and doubled or final slashes; links are followed only before a `..`."""
+    if b"/." not in path and b"//" not in path and not path.endswith(b"/"):
+        return path
+    path = DOTS.sub(b"/", path)
+    if b"/../" in path or path.endswith(b"/.."):
+        head, _, tail = path.rpartition(b"/..")
+        path = os.path.realpath(head + b"/..") + tail
+    return b"/" + path.strip(b"/")
+
+
+def is_privileged(path: bytes) -> bool:
+    """Return whether a program gets the rights of another user, or capabilities, when it is executed."""
+    try:
+        mode = os.stat(path).st_mode
+        if mode & stat.S_ISUID or (mode & stat.S_ISGID and mode & stat.S_IXGRP):
+            return True
+        return hasattr(os, "listxattr") and "security.capability" in os.listxattr(path)
+    except OSError:
+        return False
+
+
+def one_line(text: str) -> str:
+    """Return a text with line breaks and the like escaped, so that it is one line."""
+    return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
+
+
+MAKERS = {
+    b"mkdir": (ONE, 0),
+    b"mkdirat": (ONE_AT, 0),
+    b"mknod": (ONE, 0),
+    b"mknodat": (ONE_AT, 0),
+    b"symlink": (TWO, 1),
+    b"symlinkat": (LINK_AT, 1),
+}
+STARTERS = frozenset(name.encode() for name in PROCESSES)
+PLAIN = frozenset((b"access", b"stat", b"lstat", b"stat64", b"lstat64", b"readlink"))
+ACTIONS: dict[bytes, Callable[[Log, Call], None]] = {
+    **dict.fromkeys((b"execve", b"execveat"), Log.execute),
+    **dict.fromkeys((b"open", b"openat", b"openat2", b"creat"), Log.open),
+    **dict.fromkeys((name.encode() for name in STATUS), Log.look),
+    **dict.fromkeys((b"getdents", b"getdents64"), Log.list),
+    **dict.fromkeys(MAKERS, Log.make),
+    **dict.fromkeys((b"rename", b"renameat", b"renameat2"), Log.rename),
+    **dict.fromkeys((b"link", b"linkat"), Log.link),
+    **dict.fromkeys((b"unlink", b"unlinkat", b"rmdir"), Log.remove),
+    **dict.fromkeys(STARTERS, Log.start),
+    **dict.fromkeys((name.encode() for name in ESCAPES), Log.escape),
+    b"truncate": Log.truncate,
+    b"chdir": Log.change_folder,
+    b"fchdir": Log.change_to_open_folder,
+    b"unshare": Log.unshare,
+    b"name_to_handle_at": Log.look,
+    b"open_by_handle_at": Log.handle,
+    b"seccomp": Log.filter,
+    b"ptrace": Log.trace_others,
+    b"connect": Log.connect,
+    b"listen": Log.listen,
+    b"shmget": Log.share,
+}
+
+
+class Maps:
+    """Observes by reading /proc/PID/maps: it needs nothing, but sees only files that are mapped while somebody looks."""
+
+    name = "maps"
+    sees: frozenset[str] = frozenset()
+
+    def trouble(self) -> str | None:
+        try:
+            mapped("self")
+        except OSError as error:
+            return "/proc cannot be read: %s" % error.strerror
+        return None
+
+    def begin(self, log: str, cwd: str) -> Observation:
+        return Mapped(log)
+
+
+class Mapped:
+    """The observation of one run by the maps of its processes."""
+
+    def __init__(self, log: str) -> None:
+        os.close(os.open(log, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
+        self.began = min(time.time_ns(), os.stat(log).st_ctime_ns)
+        self._executed: set[str] = set()
+        self._read: set[str] = set()
+
+    def prefixed(self, argv: Sequence[str], environment: Mapping[str, str], cwd: str) -> list[str]:
+        return list(argv)
+
+    def is_tracer(self, pid: int) -> bool:
+        return False
+
+    def look(self, pids: Iterable[int]) -> None:
+        for pid in pids:
+            with contextlib.suppress(OSError):
+                self._executed.add(os.readlink("/proc/%d/exe" % pid))
+            with contextlib.suppress(OSError):
+                self._read |= mapped(str(pid))
+
+    def limit(self) -> None:
+        pass
+
+    def end(self, candidates: Callable[[], Iterable[int]] | None = None, seconds: float = SETTLE_S) -> None:
+        pass
+
+    def trace(self, stderr: str | None = None, check_stop: Callable[[], None] = nothing) -> Trace:
+        executed = {path for path in self._executed if path.startswith("/")}
+        return Trace(
+            Maps.name,
+            executed=tuple(sorted(executed)),
+            read=tuple(sorted(self._read - executed)),
+            reasons=("only files that were mapped into memory were seen",),
+        )
+
+
+def mapped(process: str) -> set[str]:
+    """Return the paths of the files that a process has mapped. A path that has been removed ends with ` (deleted)`."""
+    paths = set()
+    with open("/proc/%s/maps" % process, "rb") as file:
+        for line in file:
+            fields = line.split(None, 5)
+            if len(fields) == 6 and fields[4] != b"0" and fields[5].startswith(b"/"):
+                paths.add(os.fsdecode(fields[5].rstrip(b"\n").replace(b"\\012", b"\n")))
+    return paths
+
+
+WAYS: tuple[Way, ...] = (Strace(), Maps())
+"""The ways to observe, the best one first. The last one can always be used on Linux."""
+
+
+def usable(ways: Iterable[Way] = WAYS) -> tuple[Way | None, tuple[str, ...]]:
+    """Return the best way that can be used here, and why each better one cannot."""
+    troubles: list[str] = []
+    for way in ways:
+        trouble = way.trouble()
+        if trouble is None:
+            return way, tuple(troubles)
+        troubles.append("%s: %s" % (way.name, trouble))
+    return None, tuple(troubles)
+
+
+def read_proc(path: str) -> bytes:
+    """Return the content of a file in /proc; empty if it cannot be read."""
+    try:
+        with open("/proc/" + path, "rb") as file:
+            return file.read()
+    except OSError:
+        return b""
+
+
+def state_of(pid: int) -> bytes | None:
+    """Return the state of a process: Z for one that has ended, and nobody has waited for. None if there is none."""
+    fields = read_proc("%d/stat" % pid).rpartition(b")")[2].split()
+    return fields[0] if fields else None
+
+
+def processes() -> Iterator[int]:
+    """Yield the ids of all processes of this host."""
+    with contextlib.suppress(OSError):
+        yield from (int(name) for name in os.listdir("/proc") if name.isdigit())
+
+
+def is_full(path: str) -> bool:
+    """Return whether the file system of a path has no space left."""
+    space = os.statvfs(path)
+    return bool(space.f_blocks) and space.f_bavail == 0
+
+
+class File(NamedTuple):
+    """The content of a file after the run, and values that differ if it is changed (inode, size, times in ns)."""
+
+    sha256: str
+    size: int
+    state: tuple[int, ...]
+
+
+class Contents(NamedTuple):
+    """What a run has read, by paths; and the paths of which that is unknown, with the reason."""
+
+    files: Mapping[str, File]
+    folders: Mapping[str, str]
+    """For each listed folder the SHA-256 of its names: sorted, each before a NUL, without `__pycache__` and the run's own."""
+    unusable: Mapping[str, str]
+
+
+Hashed = Callable[[], str]
+Cache = Callable[[str, os.stat_result, Hashed], str]
+"""Returns the SHA-256 of a file with this path and status: one that it knows, or what the function returns that it is given."""
+
+
+def no_cache(path: str, status: os.stat_result, hashed: Hashed) -> str:
+    """Hash each file."""
+    return hashed()
+
+
+def contents(trace: Trace, began: int, cache: Cache = no_cache, check_stop: Callable[[], None] = nothing) -> Contents:
+    """Return the content of all that a run executed, read or listed: of a trace that `Names.inputs` has returned.
+
+    `began` is `Observation.began`. A file is unusable if it was changed since then, or while it is hashed, because the run may
+    have read something else; and so is a link or a folder. A time in the future counts as changed if it is the ctime, which
+    programs cannot set. Also unusable: a path that is missing now or exists now, unlike in the run. Devices have no content.
+    """
+    reader = Reader(began, cache, check_stop)
+    for path in sorted({*trace.executed, *trace.read}):
+        reader.try_to(reader.read, path)
+    own = set(trace.written)
+    for path in trace.listed:
+        reader.try_to(functools.partial(reader.list, own), path)
+    for path, real in trace.links.items():
+        reader.try_to(functools.partial(reader.follow, real), path)
+    for path in trace.found:
+        if not os.path.lexists(path) and path not in trace.removed:
+            reader.unusable[path] = "it was removed after the run had found it"
+    for path in trace.missed:
+        if os.path.exists(path) and path not in own:
+            reader.unusable[path] = "it was made after the run had looked for it"
+    return Contents(reader.files, reader.folders, reader.unusable)
+
+
+class Reader:
+    """Reads files, folders and links after a run."""
+
+    def __init__(self, began: int, cache: Cache, check_stop: Callable[[], None]) -> None:
+        self._began = began
+        self._cache, self._check_stop = cache, check_stop
+        self.files: dict[str, File] = {}
+        self.folders: dict[str, str] = {}
+        self.unusable: dict[str, str] = {}
+
+    def try_to(self, read: Callable[[str], None], path: str) -> None:
+        self._check_stop()
+        try:
+            read(path)
+        except FileNotFoundError:
+            self.unusable[path] = "it was removed after the run had read it"
+        except (OSError, ValueError) as error:
+            self.unusable[path] = "it cannot be read: %s" % (getattr(error, "strerror", None) or error)
+
+    def read(self, path: str) -> None:
+        status = os.stat(path)
+        kind = stat.S_IFMT(status.st_mode)
+        if kind in (stat.S_IFCHR, stat.S_IFBLK):
+            return
+        if kind != stat.S_IFREG:
+            self.unusable[path] = "it is no regular file"
+            return
+        if self._changed(status):
+            self.unusable[path] = CHANGED
+            return
+        sha256 = self._cache(path, status, lambda: self._hashed(path))
+        if key_of(os.stat(path)) != key_of(status):
+            self.unusable[path] = CHANGED
+            return
+        self.files[path] = File(sha256, status.st_size, key_of(status))
+
+    def _hashed(self, path: str) -> str:
+        digest = hashlib.sha256()
+        with open(path, "rb", buffering=0) as file:
+            for chunk in iter(lambda: file.read(CHUNK), b""):
+                self._check_stop()
+                digest.update(chunk)
+        return digest.hexdigest()
+
+    def list(self, own: set[str], path: str) -> None:
+        before = os.stat(path)
+        if self._changed(before):
+            self.unusable[path] = "it was changed after the run had listed it"
+            return
+        kept = [name for name in os.listdir(path) if name != PYTHON_CACHE and os.path.join(path, name) not in own]
+        names = sorted(map(os.fsencode, kept))
+        if key_of(os.stat(path)) != key_of(before):
+            self.unusable[path] = "it was changed after the run had listed it"
+            return
+        self.folders[path] = hashlib.sha256(b"".join(name + b"\0" for name in names)).hexdigest()
+
+    def follow(self, real: str, path: str) -> None:
+        status = os.lstat(path)
+        if os.path.realpath(path) != real or (stat.S_ISLNK(status.st_mode) and self._changed(status)):
+            self.unusable[path] = "its link was changed after the run had followed it"
+
+    def _changed(self, status: os.stat_result) -> bool:
+        return status.st_ctime_ns >= self._began or self._began <= status.st_mtime_ns <= time.time_ns()
+
+
+CHANGED = "it was changed after the run had opened it"
+
+
+def key_of(status: os.stat_result) -> tuple[int, ...]:
+    """Return values of a file that differ after it was changed."""
+    return (status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+
+
+KERNEL = ("/proc", "/sys", "/dev")
+SHARED_MEMORY = "/dev/shm"  # noqa: S108 - what another program has left there may be an input
+OWN_ROOTS = {"run": "the run's own folder", "store": "the store", "cache": "a cache"}
+CACHES = ("/var/cache/fontconfig", "/usr/share/fonts/.uuid", "/usr/lib/fontconfig/cache")
+PYTHON_CACHE = "__pycache__"
+
+
+class Names:
+    """Names of files that are the same on every machine, and rules for what is no input at all.
+
+    `roots` maps names to folders, for example project, home, tmp, prefix (of a Python), run (the run's own folder), store,
+    cache (XDG_CACHE_HOME). A path below a root is named `{root}/…`, by the deepest root; a Python's installed packages are
+    `{prefix}/site-packages/…`, wherever its version keeps them. All other paths are their own names.
+
+    Left out: what the kernel makes up (/proc, /sys, and /dev except the shared memory in /dev/shm); what is below run, store
+    and cache; a folder `.cache` in home, and fontconfig's caches; and Python's compiled modules (`__pycache__`), if their
+    source is there. Listed folders of a Python's packages are kept: a program may try to import an optional one.
+    """
+
+    def __init__(self, roots: Mapping[str, str]) -> None:
+        pairs = {(real(given), name) for name, given in roots.items() for real in (os.path.abspath, os.path.realpath)}
+        self._roots = sorted(pairs, key=lambda pair: (-len(pair[0]), pair))
+        homes = [folder for folder, name in pairs if name == "home"]
+        self._caches = (*CACHES, *(os.path.join(home, ".cache") for home in homes))
+
+    def name(self, path: str) -> str:
+        """Return the name of an absolute path."""
+        for folder, name in self._roots:
+            if is_below(path, folder):
+                rest = path[len(folder.rstrip("/")) :]
+                return "{%s}%s" % (name, SITE.sub("/site-packages", rest) if name.endswith("prefix") else rest)
+        return path
+
+    def left_out(self, path: str) -> str | None:
+        """Return what makes a path no input; None if it is one."""
+        if any(is_below(path, folder) for folder in KERNEL) and not is_below(path, SHARED_MEMORY):
+            return "the kernel"
+        for folder, name in self._roots:
+            if name in OWN_ROOTS and is_below(path, folder):
+                return OWN_ROOTS[name]
+        if any(is_below(path, folder) for folder in self._caches):
+            return "a cache"
+        if "/%s/" % PYTHON_CACHE in path + "/" and (not path.endswith(".pyc") or source_of(path) is not None):
+            return "Python's compiled modules"
+        return None
+
+    def inputs(self, trace: Trace) -> Trace:
+        """Return a trace without what is left out.
+
+        A Python source of which only the status was requested counts as read: Python has read its compiled copy instead.
+        """
+        lists = {name: [path for path in getattr(trace, name) if not self.left_out(path)] for name in LISTS}
+        sources = {os.path.realpath(path) for path in lists["found"] if path.endswith(".py") and os.path.isfile(path)}
+        compiled = {source_of(path) for path in trace.read if path.endswith(".pyc")}
+        sources |= {os.path.realpath(path) for path in compiled if path is not None and not self.left_out(path)}
+        lists["read"] = sorted((sources | set(lists["read"])) - set(trace.executed))
+        lists["found"] = [path for path in lists["found"] if os.path.realpath(path) not in sources]
+        links = {path: real for path, real in trace.links.items() if not self.left_out(path) and not self.left_out(real)}
+        return filled(trace._replace(links=links), {name: tuple(paths) for name, paths in lists.items()})
+
+
+SITE = re.compile(r"^(?:/local)?/lib(?:64)?/(?:python3?(?:\.\d+t?)?/)(?:site|dist)-packages(?=/|$)")
+
+
+def is_below(path: str, folder: str) -> bool:
+    """Return whether a path is a folder or below it."""
+    return path == folder or path.startswith(folder.rstrip("/") + "/")
+
+
+def source_of(path: str) -> str | None:
+    """Return the source of a compiled module of Python in a folder `__pycache__`; None if there is none."""
+    folder, _, name = path.rpartition("/")
+    if not folder.endswith("/" + PYTHON_CACHE):
+        return None
+    source = "%s/%s.py" % (folder[: -len(PYTHON_CACHE) - 1], name.split(".", 1)[0])
+    return source if os.path.isfile(source) else None
+
+
+class Distributions:
+    """Which installed distribution of Python a file belongs to, by the RECORD files beside it; each folder is read once."""
+
+    def __init__(self) -> None:
+        self._folders: dict[str, dict[str, str]] = {}
+
+    def of(self, path: str) -> str | None:
+        """Return the distribution of a file, for example `numpy-2.3.1`; None if no RECORD names the file."""
+        match = re.match(r"(.*/(?:site|dist)-packages)/(.*)", path, re.S)
+        if match is None:
+            return None
+        folder, name = match.groups()
+        if folder not in self._folders:
+            self._folders[folder] = dict(recorded(folder))
+        return self._folders[folder].get(name)
+
+
+def recorded(folder: str) -> Iterator[tuple[str, str]]:
+    """Yield each file that a distribution has installed in a folder, with the distribution's name and version."""
+    try:
+        entries = sorted(name for name in os.listdir(folder) if name.endswith(".dist-info"))
+    except OSError:
+        return
+    for entry in entries:
+        path = os.path.join(folder, entry, "RECORD")
+        with contextlib.suppress(OSError), open(path, encoding="utf-8", errors="surrogateescape") as file:
+            for line in file:
+                name = line[1:].partition('"')[0] if line.startswith('"') else line.partition(",")[0]
+                yield name, entry[: -len(".dist-info")]

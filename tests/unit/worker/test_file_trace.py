@@ -1,0 +1,512 @@
+"""Logs of strace, hashes and names of what a run has read: with logs as text, and real files."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sierra.testing.observers import settle
+from sierra.worker import file_trace
+from sierra.worker.file_trace import Contents, Distributions, Names, Strace, Trace, contents, parsed
+from tests.pythons import python_of
+
+SOURCE = Path(file_trace.__file__).read_text("utf-8")
+ENDED = "+++ exited with 0 +++"
+
+LOG = r"""
+7  execve("/bin/true", [...], 0x7ffe44899a98 /* 35 vars */) = 0
+7  access("/etc/ld.so.preload", R_OK)   = -1 ENOENT (No such file or directory)
+7  openat(AT_FDCWD</w>, "/nonexistent/in", O_RDONLY|O_CLOEXEC) = 3</nonexistent/real>
+7  newfstatat(3</nonexistent/real>, "", {st_mode=S_IFREG|0644, st_size=5, ...}, AT_EMPTY_PATH) = 0
+7  clone(child_stack=NULL, flags=CLONE_CHILD_CLEARTID|SIGCHLD <unfinished ...>
+8  chdir("sub" <unfinished ...>
+7  <... clone resumed>, child_tidptr=0x7efea4e2ca10) = 8
+8  <... chdir resumed>)                 = 0
+7  vfork( <unfinished ...>
+9  stat("there", {st_mode=S_IFREG|0644, st_size=5, ...}) = 0
+9  +++ exited with 3 +++
+7  <... vfork resumed>)                 = 9
+8  stat("x\n\377\"<>y", 0x7fff173aed50) = -1 ENOENT (No such file or directory)
+8  --- SIGTERM {si_signo=SIGTERM} ---
+8  +++ killed by SIGTERM +++
+7  getdents64(4</nonexistent/folder>, 0x556004a5f2e0 /* 5 entries */, 32768) = 120
+7  +++ exited with 0 +++
+""".lstrip("\n")
+
+
+def read(text: str | bytes, cwd: str = "/w") -> Trace:
+    return parsed(io.BytesIO(text.encode() if isinstance(text, str) else text), cwd)
+
+
+def calls(*lines: str) -> Trace:
+    """Return the trace of one process that made these calls."""
+    first = '7 execve("/bin/true", [...], 0x7ffe /* 3 vars */) = 0'
+    trace = read("\n".join([first, *("7 " + line for line in lines), "7 " + ENDED, ""]))
+    assert trace.complete, trace.reason
+    return trace
+
+
+def test_a_log_is_read() -> None:
+    trace = read(LOG)
+    assert trace.complete, trace.reason
+    assert trace.disturbed is None
+    assert trace.read == ("/nonexistent/real",)
+    assert trace.links["/nonexistent/in"] == "/nonexistent/real"
+    assert trace.found == ("/w/sub", "/w/there")
+    assert trace.missed == ("/etc/ld.so.preload", '/w/sub/x\n\udcff"<>y')
+    assert trace.listed == ("/nonexistent/folder",)
+    assert os.path.realpath("/bin/true") in trace.executed
+    assert any("ld-" in path or "ld." in path for path in trace.executed)
+
+
+def test_a_log_that_is_cut_anywhere_is_never_complete() -> None:
+    for size in range(len(LOG)):
+        assert not read(LOG[:size]).complete, LOG[:size][-80:]
+
+
+def test_a_log_that_lacks_a_line_of_a_call_in_two_parts_is_not_complete() -> None:
+    lines = LOG.splitlines(keepends=True)
+    for number in (0, 4, 5, 6, 7, 8, 10, 11, 14, 16):
+        assert not read("".join(lines[:number] + lines[number + 1 :])).complete, lines[number]
+
+
+@given(st.data())
+def test_no_log_is_refused_with_an_exception(data: st.DataObject) -> None:
+    lines = LOG.encode().splitlines(keepends=True)
+    pieces = st.one_of(st.sampled_from(lines), st.binary(max_size=30), st.sampled_from([line[:-9] for line in lines]))
+    trace = read(b"".join(data.draw(st.lists(pieces, max_size=30))))
+    assert all(len(reason.splitlines()) == 1 for reason in (*trace.reasons, *trace.notes, trace.disturbed or "-"))
+
+
+@given(st.integers(0, len(LOG) - 1), st.binary(min_size=1, max_size=3))
+def test_a_changed_byte_gives_no_exception(at: int, by: bytes) -> None:
+    log = LOG.encode()
+    read(log[:at] + by + log[at + 1 :])
+
+
+@given(
+    st.binary(min_size=1, max_size=40).filter(lambda name: b"/" not in name and b"\0" not in name and name not in (b".", b".."))
+)
+def test_any_name_is_read_as_it_is(name: bytes) -> None:
+    """Names are written as strace writes them: by the octal escapes of all bytes, or of those that are not printable."""
+    for escaped in (
+        "".join(f"\\{byte:03o}" for byte in name),
+        "".join(chr(byte) if 32 <= byte < 127 and chr(byte) not in '"\\<>0123456789' else f"\\{byte:03o}" for byte in name),
+    ):
+        trace = calls(f'openat(AT_FDCWD</w>, "{escaped}", O_RDONLY) = 3</w/{escaped}>')
+        assert trace.read == ("/w/" + os.fsdecode(name),)
+
+
+def test_relative_names_follow_the_folder_of_their_process() -> None:
+    trace = calls('chdir("a/b") = 0', 'access("x", F_OK) = 0', "fchdir(5</c>) = 0", 'access("y", F_OK) = 0')
+    assert {"/w/a/b/x", "/c/y"} <= set(trace.found)
+    trace = calls('newfstatat(AT_FDCWD</real>, "z", {}, 0) = 0', 'readlink("l", ""..., 9) = 3')
+    assert {"/real/z", "/real/l"} <= set(trace.found)
+    trace = calls('openat(5</d>, "../e/./f", O_RDONLY) = 3</e/f>', 'openat(AT_FDCWD, "g", O_RDONLY) = 3')
+    assert trace.read == ("/e/f", "/w/g")
+
+
+def test_a_relative_name_in_an_unknown_folder_makes_a_trace_incomplete() -> None:
+    text = '7 execve("/bin/true", [...], 0x1) = 0\n9 access("x", F_OK) = 0\n9 +++ exited with 0 +++\n7 +++ exited with 0 +++\n'
+    assert "unknown folder" in (read(text).reason or "")
+    assert read(text.replace('"x"', '"/x"')).complete
+
+
+def test_threads_share_a_folder_and_processes_do_not() -> None:
+    text = """7 execve("/bin/true", [...], 0x1) = 0
+7 clone3({{flags=CLONE_VM{0}, exit_signal=0}} => {{parent_tid=[8]}}, 88) = 8
+8 chdir("/other") = 0
+7 access("x", F_OK) = 0
+8 +++ exited with 0 +++
+7 +++ exited with 0 +++
+"""
+    assert "/other/x" in read(text.format("|CLONE_FS")).found
+    assert "/w/x" in read(text.format("")).found
+
+
+def test_what_a_run_has_made_itself_is_no_input() -> None:
+    trace = calls(
+        'openat(AT_FDCWD</w>, "a", O_WRONLY|O_CREAT|O_TRUNC, 0666) = 3</w/a>',
+        'openat(AT_FDCWD</w>, "a", O_RDONLY) = 3</w/a>',
+        'rename("a", "b") = 0',
+        'openat(AT_FDCWD</w>, "b", O_RDONLY) = 3</w/b>',
+        'mkdir("d", 0777) = 0',
+        'access("d/none", F_OK) = -1 ENOENT (No such file or directory)',
+        'openat(AT_FDCWD</w>, "d/c", O_RDWR|O_CREAT|O_EXCL, 0666) = 3</w/d/c>',
+        'rename("d", "e") = 0',
+        'openat(AT_FDCWD</w>, "e/c", O_RDONLY) = 3</w/e/c>',
+        'unlink("e/c") = 0',
+        'openat(AT_FDCWD</w>, "e/c", O_RDONLY) = -1 ENOENT (No such file or directory)',
+    )
+    assert trace.read == trace.missed == ()
+    assert trace.written == ("/w/b", "/w/e")
+    assert trace.removed == ("/w/a",)  # perhaps it was there before
+
+
+def test_what_was_there_is_an_input_under_its_old_name() -> None:
+    trace = calls(
+        'rename("folder", "other") = 0',
+        'openat(AT_FDCWD</w>, "other/x", O_RDONLY) = 3</w/other/x>',
+        'link("f", "g") = 0',
+        'openat(AT_FDCWD</w>, "g", O_RDONLY) = 3</w/g>',
+        'openat(AT_FDCWD</w>, "h", O_RDWR|O_CREAT, 0666) = 3</w/h>',
+    )
+    assert trace.read == ("/w/f", "/w/folder/x", "/w/h")
+    assert trace.removed == ("/w/folder",)
+    assert trace.written == ("/w/g", "/w/h", "/w/other")
+
+
+@pytest.mark.parametrize(
+    ("error", "where"),
+    [("ENOENT", "missed"), ("ENOTDIR", "missed"), ("EACCES", "refused"), ("EEXIST", "found"), ("ENXIO", "found")],
+)
+def test_an_error_tells_whether_a_path_exists(error: str, where: str) -> None:
+    assert "/nothing" in getattr(calls(f'openat(AT_FDCWD</w>, "/nothing", O_RDONLY) = -1 {error} (Why)'), where)
+
+
+def test_an_error_that_has_nothing_to_do_with_a_path_tells_nothing() -> None:
+    trace = calls('openat(AT_FDCWD</w>, "/nothing", O_RDONLY) = -1 EMFILE (Too many open files)')
+    assert all("/nothing" not in getattr(trace, name) for name in file_trace.LISTS)
+
+
+def test_a_thread_that_executes_a_program_takes_the_id_of_its_process() -> None:
+    head = '7 execve("/bin/true", [...], 0x1) = 0\n7 clone(flags=CLONE_FS|CLONE_THREAD) = 8\n'
+    tail = "7 <... execve resumed>) = -1 (errno 18446744073709551595)\n7 +++ exited with 0 +++\n"
+    superseded = "7 +++ superseded by execve in pid 8 +++\n"
+    for begun in ("<pid changed to 7 ...>", "<unfinished ...>"):
+        trace = read(f'{head}8 execve("/bin/sh", [...], 0x7ff /* 3 vars */ {begun}\n{superseded}{tail}')
+        assert trace.complete, trace.reason
+        assert os.path.realpath("/bin/sh") in trace.executed
+
+
+def test_the_interpreters_of_scripts_are_executed_too(tmp_path: Path) -> None:
+    outer, inner = tmp_path / "outer", tmp_path / "inner"
+    outer.write_text(f"#!{inner} -x\n")
+    inner.write_text("#! /bin/sh\n")
+    trace = read(f'7 execve("{outer}", [...], 0x1) = 0\n7 {ENDED}\n')
+    assert trace.complete, trace.reason
+    assert {str(outer), str(inner), os.path.realpath("/bin/sh")} <= set(trace.executed)
+    inner.write_text("nothing that is known\n")
+    assert f"what executes {inner} is unknown" in read(f'7 execve("{outer}", [...], 0x1) = 0\n7 {ENDED}\n').reasons
+
+
+def test_a_long_log_is_read_in_bounded_memory_and_too_long_ones_are_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = 'openat(AT_FDCWD</w>, "x", O_RDONLY) = 3</w/x>'
+    monkeypatch.setattr(file_trace, "LOG_BYTES", 10_000)
+    text = "\n".join(['7 execve("/bin/true", [...], 0x1) = 0', *["7 " + lines] * 1000, f"7 {ENDED}", ""])
+    trace = read(text)
+    assert trace.reasons == ("its log is longer than 10000 bytes",)
+    assert trace.disturbed is None
+    monkeypatch.undo()
+    monkeypatch.setattr(file_trace, "MOST_PATHS", 10)
+    many = [f'7 access("/{number}", F_OK) = 0' for number in range(10_000)]
+    assert "more than 10 files" in (read("\n".join(['7 execve("/bin/true", [...], 0x1) = 0', *many, ""])).reason or "")
+
+
+def fake(folder: Path, script: str) -> Strace:
+    program = folder / "strace"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o755)
+    return Strace(str(program))
+
+
+@pytest.mark.parametrize(
+    ("script", "trouble"),
+    [
+        ("echo 'strace -- version 5.2'", "strace -- version 5.2; 5.3 or newer is needed"),
+        ("exit 1", "of an unknown version"),
+        (
+            'test "$1" = -V && { echo "strace -- version 6.1"; exit; }\necho "ptrace: Operation not permitted" >&2; exit 1',
+            "cannot trace here: ptrace: Operation not permitted",
+        ),
+        ('test "$1" != -V || echo "strace -- version 6.1"', "the log of .* is not understood"),
+    ],
+)
+def test_a_strace_that_cannot_be_used_says_why_in_one_line(script: str, trouble: str, tmp_path: Path) -> None:
+    said = fake(tmp_path, script).trouble()
+    assert said is not None
+    assert len(said.splitlines()) == 1
+    assert re.search(trouble, said)
+    assert Strace(str(tmp_path / "none")).trouble() is not None
+
+
+def test_another_way_is_used_with_the_reason(tmp_path: Path) -> None:
+    way, troubles = file_trace.usable([fake(tmp_path, "exit 1"), file_trace.Maps()])
+    assert way is not None
+    assert way.name == "maps"
+    assert len(troubles) == 1
+
+
+def observed(tmp_path: Path, change: Callable[[Path], object]) -> tuple[Path, Contents]:
+    """Return a folder, and the contents of what was read there before a change."""
+    root = tmp_path.resolve() / "place"
+    (root / "listed").mkdir(parents=True)
+    for path in (root / "data", root / "listed/a", root / "listed/b"):
+        path.write_text(path.name)
+    (root / "link").symlink_to("data")
+    began = settle(root)
+    change(root)
+    trace = Trace(
+        "strace",
+        read=(f"{root}/data",),
+        listed=(f"{root}/listed",),
+        found=(f"{root}/listed/a",),
+        missed=(f"{root}/missed",),
+        links={f"{root}/link": f"{root}/data"},
+    )
+    return root, contents(trace, began)
+
+
+def test_files_are_hashed_and_listings_too(tmp_path: Path) -> None:
+    root, seen = observed(tmp_path, lambda root: None)
+    assert seen.unusable == {}
+    file = seen.files[f"{root}/data"]
+    assert (file.sha256, file.size) == (hashlib.sha256(b"data").hexdigest(), 4)
+    assert seen.folders == {f"{root}/listed": hashlib.sha256(b"a\0b\0").hexdigest()}
+
+
+def replace(root: Path) -> None:
+    (root / "new").write_text("DATA")
+    os.utime(root / "new", ns=(0, 0))
+    (root / "new").replace(root / "data")
+
+
+def relink(root: Path) -> None:
+    (root / "link").unlink()
+    (root / "link").symlink_to(root / "data")
+
+
+def date_back(root: Path) -> None:
+    (root / "data").write_text("DATA")
+    os.utime(root / "data", ns=(0, 0))
+
+
+@pytest.mark.parametrize(
+    ("change", "path", "reason"),
+    [
+        (lambda root: (root / "data").write_text("data"), "data", "changed after the run had opened it"),
+        (date_back, "data", "changed after the run had opened it"),
+        (replace, "data", "changed after the run had opened it"),
+        (lambda root: (root / "data").unlink(), "data", "removed after the run had read it"),
+        (lambda root: (root / "listed/c").touch(), "listed", "changed after the run had listed it"),
+        (lambda root: (root / "listed/a").unlink(), "listed/a", "removed after the run had found it"),
+        (lambda root: (root / "missed").touch(), "missed", "made after the run had looked for it"),
+        (relink, "link", "its link was changed"),
+    ],
+)
+def test_changes_since_the_run_began_are_noticed(
+    change: Callable[[Path], object], path: str, reason: str, tmp_path: Path
+) -> None:
+    root, seen = observed(tmp_path, change)
+    assert reason in seen.unusable[f"{root}/{path}"]
+    assert f"{root}/{path}" not in seen.files
+    assert f"{root}/{path}" not in seen.folders
+
+
+def test_a_cache_saves_hashing_but_not_the_check_for_changes(tmp_path: Path) -> None:
+    path = tmp_path / "place" / "data"
+    path.parent.mkdir()
+    path.write_text("x")
+    asked: list[str] = []
+
+    def cache(path: str, status: os.stat_result, hashed: Callable[[], str]) -> str:
+        asked.append(path)
+        return "known"
+
+    trace = Trace("strace", read=(str(path),))
+    assert contents(trace, settle(path.parent), cache).files[str(path)].sha256 == "known"
+    assert contents(trace, 0, cache).unusable
+    assert asked == [str(path)]
+
+    def change(path: str, status: os.stat_result, hashed: Callable[[], str]) -> str:
+        Path(path).write_text("longer")
+        return hashed()
+
+    assert contents(trace, settle(path.parent), change).unusable
+
+
+def names(tmp_path: Path) -> Names:
+    roots = {"project": "p", "run": "p/.sierra/work/1/7", "store": "p/.sierra", "home": "h", "prefix": "venv"}
+    return Names({name: str(tmp_path / folder) for name, folder in roots.items()})
+
+
+def test_names_are_the_same_on_every_machine(tmp_path: Path) -> None:
+    given = names(tmp_path)
+    assert given.name(f"{tmp_path}/p/a b") == "{project}/a b"
+    assert given.name(f"{tmp_path}/p") == "{project}"
+    assert given.name(f"{tmp_path}/px") == f"{tmp_path}/px"
+    assert given.name(f"{tmp_path}/p/.sierra/work/1/7/output/x") == "{run}/output/x"
+    assert given.name(f"{tmp_path}/venv/lib/python3.11/site-packages/numpy/x.py") == "{prefix}/site-packages/numpy/x.py"
+    assert given.name(f"{tmp_path}/venv/lib/python3.11/os.py") == "{prefix}/lib/python3.11/os.py"
+    assert given.name("/usr/lib/x.so") == "/usr/lib/x.so"
+
+
+def test_names_know_roots_behind_links(tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to("real")
+    given = Names({"project": str(tmp_path / "link")})
+    assert given.name(f"{tmp_path}/link/x") == given.name(f"{tmp_path.resolve()}/real/x") == "{project}/x"
+
+
+def test_what_is_no_input_is_left_out(tmp_path: Path) -> None:
+    given = names(tmp_path)
+    for path in ("/proc/self/maps", "/dev/null", "/sys/x", "/var/cache/fontconfig/x"):
+        assert given.left_out(path)
+    for path in ("h/.cache/x", "p/.sierra/x", "p/.sierra/work/1/7/home/.config"):
+        assert given.left_out(f"{tmp_path}/{path}")
+    for path in ("p/x", "h/.config/x", "h/.cached", "venv/x.pyc"):
+        assert given.left_out(f"{tmp_path}/{path}") is None
+    assert given.left_out("/dev/shm/x") is None
+
+
+def test_a_compiled_module_stands_for_its_source(tmp_path: Path) -> None:
+    module = tmp_path.resolve() / "p" / "m.py"
+    (module.parent / "__pycache__").mkdir(parents=True)
+    module.touch()
+    compiled = module.parent / "__pycache__" / "m.cpython-311.pyc"
+    orphan = module.parent / "__pycache__" / "gone.cpython-311.pyc"
+    trace = Trace("strace", read=(str(compiled), str(orphan)), found=(str(module),), written=(f"{compiled}.123",))
+    inputs = names(tmp_path.resolve()).inputs(trace)
+    assert inputs.read == (str(orphan), str(module))
+    assert inputs.found == inputs.written == ()
+
+
+def test_a_file_belongs_to_the_distribution_that_has_installed_it(tmp_path: Path) -> None:
+    site = tmp_path / "lib/python3.11/site-packages"
+    (site / "some_thing-1.2.dist-info").mkdir(parents=True)
+    (site / "some_thing-1.2.dist-info/RECORD").write_text('thing/a.py,sha256=x,3\n"thing/b,c.py",,\n../../../bin/thing,,\n')
+    found = Distributions()
+    assert found.of(f"{site}/thing/a.py") == found.of(f"{site}/thing/b,c.py") == "some_thing-1.2"
+    assert found.of(f"{site}/other.py") is None
+    assert found.of("/usr/lib/x") is None
+
+
+def test_it_runs_alone_on_python_3_8(require: Callable[..., str], tmp_path: Path) -> None:
+    oldest = python_of("3.8")
+    require("Python 3.8", there=oldest is not None)
+    shutil.copy(file_trace.__file__, tmp_path)
+    text = """
+import io, os, sys
+sys.path.insert(0, sys.argv[1])
+import file_trace
+trace = file_trace.parsed(io.BytesIO(sys.stdin.buffer.read()), "/w")
+assert trace.complete, trace.reason
+names = file_trace.Names({"project": "/w"})
+print([names.name(path) for path in names.inputs(trace).found], len(file_trace.contents(trace, 10**20).files) > 1)
+print(file_trace.usable()[0].name)
+"""
+    command = [str(oldest), "-I", "-S", "-c", text, str(tmp_path)]
+    done = subprocess.run(command, input=LOG, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert done.stdout.splitlines()[0] == "['{project}/sub', '{project}/there'] True"
+
+
+def test_only_the_standard_library_of_python_3_8_is_used() -> None:
+    ast.parse(SOURCE, feature_version=(3, 8))
+    nodes = list(ast.walk(ast.parse(SOURCE)))
+    used = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    used |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
+    assert used <= sys.stdlib_module_names
+    assert not any(name.startswith("sierra") for name in used)
+
+
+def test_a_link_to_nothing_is_missed_and_a_file_used_as_a_folder_is_found(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to("nothing")
+    (tmp_path / "file").touch()
+    trace = calls(
+        f'openat(AT_FDCWD</w>, "{tmp_path}/link", O_RDONLY) = -1 ENOENT (No such file or directory)',
+        f'openat(AT_FDCWD</w>, "{tmp_path}/file", O_RDONLY|O_DIRECTORY) = -1 ENOTDIR (Not a directory)',
+    )
+    assert trace.missed == (f"{tmp_path}/link",)
+    assert trace.found == (f"{tmp_path}/file",)
+    assert contents(Trace("strace", missed=trace.missed), 0).unusable == {}
+
+
+def test_a_script_without_its_interpreter_misses_the_interpreter(tmp_path: Path) -> None:
+    (tmp_path / "script").write_text("#!/no/such/shell\n")
+    trace = calls(f'execve("{tmp_path}/script", [...], 0x1) = -1 ENOENT (No such file or directory)')
+    assert trace.missed == ("/no/such/shell",)
+    assert trace.found == (f"{tmp_path}/script",)
+
+
+@pytest.mark.parametrize("kind", ["EFAULT (Bad address)", "ENAMETOOLONG (File name too long)"])
+def test_names_that_cannot_be_read_are_left_out_if_the_call_failed(kind: str) -> None:
+    word = "0x7ffc" if "EFAULT" in kind else '"xx"...'
+    calls(f"access({word}, F_OK) = -1 {kind}")
+
+
+@pytest.mark.parametrize("word", ["0x7ffc", '"xx"...', "", '"unclosed'])
+def test_names_that_cannot_be_read_make_a_trace_incomplete(word: str) -> None:
+    trace = read(f'7 execve("/bin/true", [...], 0x1) = 0\n7 access({word}, F_OK) = 0\n7 {ENDED}\n')
+    assert trace.reasons == ("1 lines of the log are not understood",)
+    assert trace.disturbed
+
+
+def test_a_call_in_which_a_process_was_killed_has_no_effect() -> None:
+    text = '7 execve("/bin/true", [...], 0x1) = 0\n7 execve(0x7ff, [...], 0x1 <unfinished ...>\n'
+    text += "7 <... execve resumed>) = ? <unavailable>\n7 +++ killed by SIGKILL +++\n"
+    assert read(text).complete
+    text = text.replace("execve(0x7ff, [...], 0x1", "clone(flags=SIGCHLD").replace("execve resumed", "clone resumed")
+    assert read(text).reasons == ("it was killed while it started a process",)
+    assert read(text).disturbed is None
+
+
+@pytest.mark.parametrize(
+    ("call", "reason"),
+    [
+        ("io_uring_setup(4, {}) = 3<anon_inode:[io_uring]>", "io_uring"),
+        ('chroot("/x") = 0', "root folder"),
+        ('mount("a", "/b", "tmpfs", 0, NULL) = 0', "mounts"),
+        ("unshare(CLONE_NEWNS) = 0", "mounts"),
+        ("setns(3</proc/1/ns/mnt>, 0) = 0", "namespace"),
+        ("pidfd_getfd(3<anon_inode:[pidfd]>, 5, 0) = 4</x>", "from another process"),
+        ("seccomp(SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_NEW_LISTENER, {}) = 3", "answers its calls"),
+        ("ptrace(PTRACE_TRACEME) = -1 EPERM (Operation not permitted)", "traces processes"),
+        ('execveat(3</memfd:x>(deleted), "", [...], 0x1, AT_EMPTY_PATH) = 0', "what executes /memfd:x is unknown"),
+        ('execve("/proc/self/fd/5", [...], 0x1) = 0', "through /proc"),
+        ('renameat2(AT_FDCWD</w>, "a", AT_FDCWD</w>, "b", RENAME_EXCHANGE) = 0', "exchanged"),
+    ],
+)
+def test_what_escapes_observation_makes_a_trace_incomplete(call: str, reason: str) -> None:
+    trace = read(f'7 execve("/bin/true", [...], 0x1) = 0\n7 {call}\n7 {ENDED}\n')
+    assert len(trace.reasons) == 1
+    assert reason in trace.reasons[0]
+    assert bool(trace.disturbed) == call.startswith("ptrace")
+
+
+def test_an_escape_that_failed_is_none() -> None:
+    calls("io_uring_setup(4, {}) = -1 ENOSYS (Function not implemented)", 'chroot("/x") = -1 EPERM (Operation not permitted)')
+
+
+def test_connections_are_noted() -> None:
+    trace = calls(
+        'connect(3<socket:[1]>, {sa_family=AF_UNIX, sun_path="/run/a\\nb"}, 110) = 0',
+        'connect(3<socket:[1]>, {sa_family=AF_UNIX, sun_path=@"x\\0y"}, 110) = 0',
+        'connect(3<socket:[1]>, {sa_family=AF_UNIX, sun_path="/run/none"}, 110) = -1 ENOENT (No such file or directory)',
+        'connect(3<socket:[1]>, {sa_family=AF_INET, sin_port=htons(80), sin_addr=inet_addr("10.0.0.1")}, 16) '
+        "= -1 EINPROGRESS (Operation now in progress)",
+        'connect(3<socket:[1]>, {sa_family=AF_INET, sin_port=htons(81), sin_addr=inet_addr("10.0.0.1")}, 16) '
+        "= -1 ECONNREFUSED (Connection refused)",
+    )
+    assert trace.notes == (
+        "may have read through the socket /run/a\\nb",
+        "may have read through the socket @x\\x00y",
+        "may have read from 10.0.0.1, port 80",
+    )
+    assert trace.missed == ("/run/none",)
+
+
+def test_a_file_that_is_opened_by_a_handle_is_read() -> None:
+    assert calls("open_by_handle_at(3</>, {handle_bytes=8}, O_RDONLY) = 4</data>").read == ("/data",)
