@@ -308,6 +308,38 @@ CREATE TABLE programs (
     "sha256" VARCHAR  -- SHA-256 of the file; for distributions, of their names and versions, or of their content
 );
 
+-- Observations of executions: how it was found out which files they used. Not every execution is observed.
+CREATE TABLE observations (
+    "execution" VARCHAR,  -- the execution
+    "files" VARCHAR,  -- the set of files that it executed, read, looked for or listed, as in files_read
+    "method" VARCHAR,  -- the program or the interface by which they were seen
+    "reason" VARCHAR,  -- why it may have used other files too, in one line; NULL if all were seen
+    "notes" VARCHAR[]  -- what cannot be seen: files that a service or another machine may have read for it
+);
+
+-- Sets of files that executions used, outside their own folders; executions that used the same files share one.
+CREATE TABLE files_read (
+    "files" VARCHAR,  -- the set: a hash of the columns path, use and sha256
+    "path" VARCHAR,  -- its path; folders such as {project} and {home} stand for those of the executing machine
+    "use" VARCHAR,  -- executed, read, found (it was only looked for), missed (looked for and absent), listed (a folder whose names were read)
+    "sha256" VARCHAR,  -- SHA-256 of its content, or of the names in the folder; NULL if it has none
+    "size" BIGINT  -- its size [bytes]
+);
+
+-- Files that executions wrote or removed outside their own folders.
+CREATE TABLE files_written (
+    "execution" VARCHAR,  -- the execution
+    "path" VARCHAR,  -- its path, as in files_read
+    "use" VARCHAR  -- written or removed
+);
+
+-- Sessions whose executions do not count in a later session's batch, because files that they used have changed.
+CREATE TABLE stale_sessions (
+    "session" VARCHAR,  -- the later session
+    "stale" VARCHAR,  -- the session whose executions do not count
+    "path" VARCHAR  -- one of the files that have changed, as in files_read
+);
+
 -- Container images in which runs were, or would have been, executed, each recorded once.
 CREATE TABLE images (
     "image" VARCHAR,  -- content identity: sha256: and the digest of an OCI image's configuration; squashfs: and that of a file system

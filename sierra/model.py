@@ -352,6 +352,8 @@ class Job:
     If `shared`, the container is that of a slot, where a worker executes all runs.
     """
     shared: bool = False
+    observe: Mapping[str, str] | None = None
+    """Folders by name, if it is to be observed which files the run uses; their names stand for the folders in the record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -442,5 +444,7 @@ class Result:
     """On a cluster, the attempt at an element in which it was executed."""
     environment: str | None = None
     """The environment of the execution, if it differs from that of this process."""
+    observed: bool = False
+    """Whether the file that names the files which it used is in its folder."""
     left_out: tuple[str, ...] = ()
     """Entries of its output folder that are neither files nor folders: links, sockets. A long list is incomplete."""

@@ -581,6 +581,12 @@ class Project(Table):
         default_factory=dict, description="metrics that must be equivalent in a replay of nondeterministic runs, by name"
     )
     programs: ProgramsTable = ProgramsTable()
+    observe: Literal["none", "first", "all"] = Field(
+        "none",
+        description="the runs of which SIERRA records all files that they execute, read, look for and write: `first` is the "
+        "first run that executes. Needs strace, else it sees only files that are mapped into memory; not in containers or on "
+        "clusters",
+    )
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="named queries")
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     platforms: Mapping[str, RawTable] = Field(default_factory=dict, description="options of platforms, by name")

@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from sierra.errors import Missing
-from sierra.execution import recover, session_records
+from sierra.execution import recover, session_records, stale_sessions
 from sierra.execution.reasons import FAILED
 from sierra.execution.resolve_plan import Plan, context, versioned
 from sierra.execution.reuse import is_answered, states
@@ -57,6 +57,9 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         session.take_number()
         log.info("query %s: batch %s on %s with %s", plan.text, plan.batch.id, options.runner, plan.engine.name)
         session_records.keep(plan, store, session)
+        stale = session_records.keep_stale(plan, store, session)
+        if stale:
+            options.observer.notice(stale_sessions.reason(stale))
         stays = make().stays
         slots = None if stays else options.slots
         begun = session_records.begun(plan, session, started=began, runner=options.runner, slots=slots)

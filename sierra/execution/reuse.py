@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from sierra.execution import stale_sessions
 from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
 from sierra.execution.resolve_plan import Plan, context
 from sierra.store.store import Snapshot, Store
@@ -55,7 +56,7 @@ class State:
 
 
 def is_answered(plan: Plan, store: Store) -> bool:
-    """Check whether the store's last session was this plan with the same programs and rules, and every run succeeded."""
+    """Check whether the store's last session was this plan with the same programs, files and rules, and every run succeeded."""
     now = context(plan)
     with store.snapshot() as snapshot:
         snapshot.views.make(("sessions",))
@@ -65,12 +66,15 @@ def is_answered(plan: Plan, store: Store) -> bool:
         )
         if not snapshot.run("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", {"b": plan.batch.id}):
             return False  # its records are lost
-        same = last == [(plan.batch.id, now.programs, now.batch_rules)]
-        return same and all(state.succeeded for state in states(plan, snapshot).values())
+        if last != [(plan.batch.id, now.programs, now.batch_rules)]:
+            return False
+        if stale_sessions.recorded(snapshot) != stale_sessions.find(plan, snapshot).keys():
+            return False
+        return all(state.succeeded for state in states(plan, snapshot).values())
 
 
 def is_repeated(plan: Plan, store: Store) -> bool:
-    """Check whether the batch's last session used the same programs."""
+    """Check whether the batch's last session used the same programs, as far as these are derived from the command."""
     last = "SELECT programs FROM sessions WHERE batch = $b ORDER BY lamport DESC LIMIT 1"
     return store.values(str, last, b=plan.batch.id) == [plan.programs.id]
 
@@ -119,15 +123,16 @@ OF_SPEC = (
 )
 EACH = f"""
 SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN ingest_rules <> $ingest_rules THEN {RULES}
-    WHEN programs <> $programs THEN {PROGRAMS} ELSE {REUSED} END AS worth,
+    WHEN programs <> $programs OR list_contains($stale, session) THEN {PROGRAMS} ELSE {REUSED} END AS worth,
     CASE WHEN worth = {FAILED} THEN reason END, CASE WHEN worth = {FAILED} THEN lamport ELSE 0 END, {{count}}
 {OF_SPEC}
 """
 REEVALUATED = """(
-SELECT run, batch, purpose, programs, lamport, judgements, j.status AS status, j.reason AS reason,
+SELECT run, batch, session, purpose, programs, lamport, judgements, j.status AS status, j.reason AS reason,
        j.ingest_rules AS ingest_rules
 FROM (
-    SELECT execution, any_value(run) AS run, any_value(batch) AS batch, any_value(purpose) AS purpose,
+    SELECT execution, any_value(run) AS run, any_value(batch) AS batch, any_value(session) AS session,
+           any_value(purpose) AS purpose,
            any_value(programs) AS programs, any_value(lamport) AS lamport, count(*) AS judgements,
            arg_max({'status': status, 'reason': reason, 'ingest_rules': ingest_rules},
                    (ingest_rules = $ingest_rules, place, judgement)) AS j
@@ -136,7 +141,7 @@ FROM (
 """SQL: executions as evaluated by the requested rules, or else as they were evaluated last."""
 
 
-def _statement(plan: Plan, snapshot: Snapshot, runs: list[str]) -> tuple[str, dict[str, str]]:
+def _statement(plan: Plan, snapshot: Snapshot, runs: list[str]) -> tuple[str, dict[str, str | list[str]]]:
     """Return the statement for the executions that may belong to these runs, and its parameters."""
     spec = {"spec": plan.batch.spec_id}
     snapshot.views.make(("all_judgements", "batches"))
@@ -148,4 +153,5 @@ def _statement(plan: Plan, snapshot: Snapshot, runs: list[str]) -> tuple[str, di
     if count > MANY * len(runs):
         snapshot.add_table("asked", run=runs)
         statement += " AND run IN (SELECT run FROM asked)"
-    return statement, {**spec, "programs": plan.programs.id, "ingest_rules": context(plan).ingest_rules}
+    stale = [*stale_sessions.find(plan, snapshot)]
+    return statement, {**spec, "stale": stale, "programs": plan.programs.id, "ingest_rules": context(plan).ingest_rules}

@@ -5,7 +5,8 @@ Queries (`executor`) and replays (`sierra.replay`) execute through it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import os
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from sierra.execution.observer import Tally
 from sierra.execution.sessions import Session
 from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
-from sierra.model import Limits, Run, RunSpec, Times
+from sierra.model import Job, Limits, Run, RunSpec, Times
 from sierra.provenance import environment
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
@@ -95,7 +96,7 @@ class Service:
         record = self._setup.project.config.environment.record
         builder = self._builder()
         work = Work(
-            (builder.job(run, files) for run, files in inputs),
+            self._observed(builder.job(run, files) for run, files in inputs),
             count,
             context.batch,
             (*needed(programs, self._search()), *self.isolation.needed),
@@ -124,6 +125,16 @@ class Service:
             box=self.isolation.box,
             script=self._session.paths.worker if self._stays else None,
         )
+
+    def _observed(self, jobs: Iterable[Job]) -> Iterator[Job]:
+        """Yield the jobs; those that are to be observed have the folders that names of files refer to."""
+        project = self._setup.project
+        observe = "none" if self._stays or self._setup.image else project.config.observe
+        home, cache = Path.home(), Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        folders = {"project": self._setup.root, "store": self._store.paths.root, "home": home, "cache": cache}
+        named = {name: str(folder.resolve()) for name, folder in folders.items()}
+        for number, job in enumerate(jobs):
+            yield replace(job, observe=named) if observe == "all" or (observe == "first" and number == 0) else job
 
     def _search(self) -> str:
         """Return the PATH of the runs."""

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.errors import Damaged
-from sierra.execution import sessions
+from sierra.execution import sessions, stale_sessions
 from sierra.execution.resolve_plan import Plan, context
 from sierra.execution.sessions import Session
 from sierra.model import Batch
@@ -17,7 +17,7 @@ from sierra.store.lamport_clock import stamp
 from sierra.store.layout import SessionPaths
 from sierra.store.objects import Objects
 from sierra.store.row_mapper import of_fields
-from sierra.store.row_types import BatchRow, BatchRunRow, BlobRow, SessionRow, SpecRow
+from sierra.store.row_types import BatchRow, BatchRunRow, BlobRow, SessionRow, SpecRow, StaleSessionRow
 from sierra.store.schema import sql_types
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
@@ -69,6 +69,17 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     with sessions.exclusively(store.paths):
         if store.segments() == seen or not is_kept(plan, store):
             store.publish(writer)
+
+
+def keep_stale(plan: Plan, store: Store, session: Session) -> dict[str, str]:
+    """Record and return the sessions whose executions do not count in this one, each with a file that has changed."""
+    with store.snapshot() as snapshot:
+        stale = stale_sessions.find(plan, snapshot)
+    if stale:
+        writer = store.writer(session.paths.segment, plan.batch.id)
+        writer.records(StaleSessionRow(session.id, one, path) for one, path in stale.items())
+        store.publish(writer)
+    return stale
 
 
 def close(plan: Plan, store: Store, session: Session, summary: Summary, begun: SessionRow) -> None:

@@ -245,6 +245,23 @@ class ShownRun:
         return {"kind": self.kind, **_without_nulls(self.row), **_members(self), "executions": executions}
 
 
+class ShownObservation(NamedTuple):
+    """How many files an observed execution used; the tables files_read and files_written name them."""
+
+    method: str
+    reason: str | None
+    """The reason why it may have used other files too; None if all were seen."""
+    executed: int
+    read: int
+    missed: int
+    """The number of files that it looked for and that were absent."""
+    listed: int
+    """The number of folders whose names it read."""
+    written: int
+    """The number of files that it wrote or removed outside its own folders."""
+    notes: Sequence[str]
+
+
 @dataclass(frozen=True, slots=True)
 class ShownExecution:
     """An execution."""
@@ -258,6 +275,8 @@ class ShownExecution:
     isolation: ShownIsolation | None
     programs: Sequence[RecordedProgram]
     environment: ShownEnvironment | None
+    observation: ShownObservation | None = None
+    """The number of files that it used; None if it was not observed."""
     log_file: str | None = None
     """Log file of its session."""
 
@@ -508,7 +527,16 @@ def _execution(snapshot: Snapshot, identity: str) -> ShownExecution:
         isolation=_isolation_of(snapshot, row.isolation),
         programs=_programs(snapshot, row.programs),
         environment=_environment(snapshot, row.environment),
+        observation=next(iter(snapshot.select(ShownObservation, OBSERVATION, e=identity)), None),
     )
+
+
+OBSERVATION = """
+SELECT o.method, o.reason, count(*) FILTER (f.use = 'executed') AS executed, count(*) FILTER (f.use = 'read') AS read,
+       count(*) FILTER (f.use = 'missed') AS missed, count(*) FILTER (f.use = 'listed') AS listed,
+       (SELECT count(*) FROM files_written w WHERE w.execution = $e) AS written, o.notes
+FROM observations o JOIN files_read f USING (files) WHERE o.execution = $e GROUP BY ALL
+"""
 
 
 class _Isolations(NamedTuple):

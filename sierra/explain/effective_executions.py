@@ -71,7 +71,7 @@ GROUP BY ALL ORDER BY runs DESC, run
 
 def standings(snapshot: Snapshot, batches: list[str]) -> Iterator[EffectiveRuns]:
     """Yield the situation of the runs in the table `wanted`, in each of these batches."""
-    snapshot.views.make(("batch_runs", "sessions", "all_judgements", "batches"))
+    snapshot.views.make(("batch_runs", "sessions", "all_judgements", "batches", "stale_sessions"))
     for batch in batches:
         make_runs(snapshot, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
         latest = next(iter(snapshot.select(Latest, OF_LAST_SESSION, b=batch)), Latest(None, None))
@@ -87,6 +87,8 @@ def _why(snapshot: Snapshot, row: Standing, latest: Latest) -> Reason:
         return Reason(ChangeReason.NEVER)
     if not row.good:
         return Reason(ChangeReason.FAILED, row.reason or "")
+    if (row.programs, row.ingest_rules) == latest:
+        return Reason(ChangeReason.STALE, "files that it used have changed")
     differences = [one.line for one in _differences(snapshot, row, latest)]
     return Reason(ChangeReason.STALE, few(differences, SHOWN) or "the differing programs or rules are not recorded")
 

@@ -75,7 +75,9 @@ earlier AS (
     SELECT e.execution, p.execution AS prior, p.lamport, p.programs, p.ingest_rules, p.reason,
            f.lamport IS NOT NULL AND f.lamport < e.lamport AS doubted,
            CASE WHEN p.status <> 'ok' AND (f.lamport IS NULL OR f.lamport < e.lamport) THEN $failed
-                WHEN p.ingest_rules <> e.ingest_rules THEN $rules WHEN p.programs <> e.programs THEN $programs
+                WHEN p.ingest_rules <> e.ingest_rules THEN $rules
+                WHEN p.programs <> e.programs OR (e.session, p.session) IN (SELECT (session, stale) FROM stale_sessions)
+                THEN $programs
                 ELSE $good END AS worth
     FROM first e JOIN mine p ON p.run = e.run AND p.execution <> e.execution AND p.place < e.lamport AND p.purpose = 'run'
         AND NOT (p.session <> e.session AND p.started < e.ended AND p.ended > e.started)
@@ -202,7 +204,17 @@ REPLAYS = "SELECT replay, kind, target, verdict FROM replays WHERE list_contains
 def events(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
     """Return all events of the runs in the table `wanted`, and all sessions of these batches, in order."""
     snapshot.views.make(
-        ("executions", "all_judgements", "findings", "sessions", "replays", "batch_runs", "attempts", "duplicates")
+        (
+            "executions",
+            "all_judgements",
+            "findings",
+            "sessions",
+            "replays",
+            "batch_runs",
+            "attempts",
+            "duplicates",
+            "stale_sessions",
+        )
     )
     snapshot.run(EXECUTED, {"failed": FAILED, "rules": RULES, "programs": PROGRAMS, "good": REUSED})
     rows = snapshot.select(Executions, CAUSES)
@@ -297,10 +309,18 @@ def _why(snapshot: Snapshot, row: Executions, replay: Replay | None) -> Reason:
         case ChangeReason.RULES:
             return Reason(ChangeReason.RULES, _lines(other_rules(snapshot, [row.was_rules or ""], [row.ingest_rules or ""])))
         case ChangeReason.PROGRAMS:
+            if row.was_programs == row.programs:
+                return Reason(ChangeReason.PROGRAMS, other_files(snapshot, row.session))
             programs = other_programs(snapshot, [row.was_programs or ""], [row.programs or ""])
             return Reason(ChangeReason.PROGRAMS, _lines(programs))
         case _:
             return Reason(ChangeReason.JUST_EXECUTED, short(row.prior or ""))
+
+
+def other_files(snapshot: Snapshot, session: str) -> str:
+    """Return the files, used by earlier executions, that had changed when a session began."""
+    paths = snapshot.values(str, "SELECT DISTINCT path FROM stale_sessions WHERE session = $s ORDER BY 1", s=session)
+    return f"files that they used have changed: {few(paths, SHOWN)}"
 
 
 def _lines(changes: Iterator[Difference]) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.containers import images
 from sierra.containers.container_setup import other_host_access
 from sierra.errors import Damaged, Missing, NotFound
+from sierra.execution import stale_sessions
 from sierra.execution.resolve_plan import Plan
 from sierra.execution.row_queries import RecordedProgram
 from sierra.execution.session_records import batch_row, is_kept
@@ -129,10 +130,14 @@ WHERE programs = (
 def other_programs(plan: Plan, store: Store) -> tuple[PlanChange, ...]:
     """Return the programs that differ from those of the batch's last execution."""
     words = mentioned(plan.batch.spec.command, plan.project.root)
+    with store.snapshot() as snapshot:
+        stale = stale_sessions.find(plan, snapshot)
     recorded = Programs(tuple(row.program() for row in store.select(RecordedProgram, PROGRAMS, batch=plan.batch.id)))
-    return tuple(
-        PlanChange(Aspect.PROGRAM, details=(line,)) for line in fingerprint_programs.differences(recorded, plan.programs, words)
-    )
+    lines = [
+        *fingerprint_programs.differences(recorded, plan.programs, words),
+        *([stale_sessions.reason(stale)] if stale else []),
+    ]
+    return tuple(PlanChange(Aspect.PROGRAM, details=(line,)) for line in lines)
 
 
 def _spec(plan: Plan, before: Recorded) -> Iterator[PlanChange]:

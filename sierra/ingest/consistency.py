@@ -12,7 +12,7 @@ from typing import NamedTuple
 from sierra.config.project_file import Output
 from sierra.ingest.messages import difference
 from sierra.ingest.model import Group, Siblings
-from sierra.ingest.recording_context import Context
+from sierra.ingest.recording_context import SAME_PROGRAMS, Context
 from sierra.model import Status
 from sierra.store.layout import SessionPaths
 from sierra.store.row_types import FindingRow
@@ -53,7 +53,7 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
 
 def parameters(context: Context) -> dict[str, str]:
     """Return the parameters of the statements below."""
-    return {"batch": context.batch, "programs": context.programs, "ingest_rules": context.ingest_rules}
+    return {"batch": context.batch, "ingest_rules": context.ingest_rules, **context.same_programs}
 
 
 GOOD = f"""
@@ -61,7 +61,7 @@ WITH good AS (
     SELECT m.ordinal, e.run, arg_max(e.judgement, {ORDER}) AS execution
     FROM (SELECT DISTINCT ordinal, run FROM batch_runs WHERE batch = $batch) m
     JOIN all_judgements e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
-        AND e.programs = $programs AND e.ingest_rules = $ingest_rules
+        AND {SAME_PROGRAMS} AND e.ingest_rules = $ingest_rules
     GROUP BY ALL
 )"""
 """The successful executions of a batch, each with its last judgement and the position of its experiment."""
@@ -255,7 +255,7 @@ good AS (
     SELECT f.ordinal, e.run, arg_max(e.judgement, {ORDER}) AS execution
     FROM family f
     JOIN all_judgements e ON e.run = f.run AND e.status = 'ok' AND e.purpose = 'run'
-        AND e.programs = $programs AND e.ingest_rules = $ingest_rules
+        AND {SAME_PROGRAMS} AND e.ingest_rules = $ingest_rules
     GROUP BY ALL
 )"""
 """The successful executions of a batch's experiments, including those of the same experiment with another number of runs."""

@@ -16,6 +16,7 @@ from sierra.containers import engines
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
+from sierra.ingest.observations import WRITTEN, astray, observed
 from sierra.ingest.read_into_segment import TableIngest, artifact_rows, tabled
 from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Judgement, doubted, judge
@@ -82,6 +83,10 @@ class Recorder:
         """The number of segments that record the data shared by all executions."""
         self._position: int | None = None
         """The position of the next execution in the session; earlier ones may be other processes'. None if it is unknown."""
+        self._file_sets: set[str] = set()
+        """The recorded sets of files that executions used."""
+        self._astray: set[str] = set()
+        """The files that executions wrote outside their own folders."""
         self._copies: list[Result] = []
         self._copied = self._unlike = 0
         self._bytes = 0
@@ -177,7 +182,8 @@ class Recorder:
         This queries the store, so call it once, after everything is recorded and `find_odd` has checked it.
         """
         remarks = TableWarnings(self._store, self.context, self._shapes)
-        return [*self._twice(), *lost(list(self._left_out)), *as_files(self._assigning.kept), *remarks.all()]
+        kept = self._assigning.kept
+        return [*self._twice(), *lost(list(self._left_out)), *astray(self._astray), *as_files(kept), *remarks.all()]
 
     def _twice(self) -> Iterator[str]:
         """Yield a warning about runs that two attempts executed at the same time."""
@@ -194,6 +200,7 @@ class Recorder:
         artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects, raw=self.context.raw)]
         objects.close()
         writer.records(artifacts)
+        self._write_observations(writer)
         first = self._next()
         writer.records(self._execution(one, place) for place, one in enumerate(judged, first))
         self._position = first + len(judged)
@@ -201,6 +208,15 @@ class Recorder:
             writer.records([IngestRulesRow(self._reading, self.context.declared)])
             writer.records([self.context.isolation] if self.context.isolation else [])
         return judged
+
+    def _write_observations(self, writer: Writer) -> None:
+        found = [one for one in (observed(judgement.result) for judgement in self._pending) if one is not None]
+        writer.records(one.observation for one in found)
+        sets = {one.observation.files: one.read for one in found if one.observation.files not in self._file_sets}
+        writer.records(row for rows in sets.values() for row in rows)
+        writer.records(row for one in found for row in one.written)
+        self._file_sets |= sets.keys()
+        self._astray.update({row.path for one in found for row in one.written if row.use == WRITTEN})
 
     def _next(self) -> int:
         """Return the position of the next execution in its session."""

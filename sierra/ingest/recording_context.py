@@ -24,6 +24,9 @@ from sierra.util.json_types import Json, JsonView
 ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
 UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
 """The settings of an output that do not influence how it is recorded."""
+SAME_PROGRAMS = """(e.programs = $programs
+    AND e.session NOT IN (SELECT s.stale FROM stale_sessions s WHERE s.session = $session))"""
+"""The SQL condition that an execution e used programs and files that are unchanged; see `Context.same_programs`."""
 SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "shared", "enforced", "number", "raw", "engines")
 """The fields that are saved as they are."""
 
@@ -66,6 +69,11 @@ class Context:
     """The readers of other packages that the outputs need."""
     engines: Tables = field(default_factory=dict)
     """The options of engines in `sierra.toml`."""
+
+    @property
+    def same_programs(self) -> dict[str, str]:
+        """The parameters of `SAME_PROGRAMS`."""
+        return {"programs": self.programs, "session": self.session}
 
     @property
     def ingest_rules(self) -> str:

@@ -38,7 +38,7 @@ from sierra.ingest.base import Used
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.model import Shape
 from sierra.ingest.read_into_segment import TableFile, TableIngest, artifact_rows, tabled, too_few
-from sierra.ingest.recording_context import Context, rules_of
+from sierra.ingest.recording_context import SAME_PROGRAMS, Context, rules_of
 from sierra.ingest.success import Judgement, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files
 from sierra.model import OutputFile, Result, Status
@@ -157,13 +157,13 @@ def foresee(store: Store, context: Context, runs: Iterable[str], *, mismatched: 
         yield Foreseen({one.last.run: one for one in past if one.last.run not in lacking}, lacking)
 
 
-PAST = """
+PAST = f"""
 WITH last AS (
     SELECT e.run, e.execution, any_value(e.exit_code) AS exit_code, any_value(e.lamport) AS lamport,
-           arg_max({'judgement': e.judgement, 'status': e.status, 'reason': e.reason, 'ingest_rules': e.ingest_rules},
+           arg_max({{'judgement': e.judgement, 'status': e.status, 'reason': e.reason, 'ingest_rules': e.ingest_rules}},
                    (e.ingest_rules = $ingest_rules, e.place, e.judgement)) AS j
     FROM all_judgements e SEMI JOIN wanted w ON w.run = e.run
-    WHERE e.purpose = 'run' AND e.programs = $programs AND e.exit_code IS NOT NULL GROUP BY e.run, e.execution
+    WHERE e.purpose = 'run' AND {SAME_PROGRAMS} AND e.exit_code IS NOT NULL GROUP BY e.run, e.execution
 ),
 may AS (
     SELECT l.*, f.execution IS NOT NULL AS found FROM last l LEFT JOIN findings f ON f.execution = l.j.judgement
@@ -171,8 +171,8 @@ may AS (
         AND (l.j.ingest_rules <> $ingest_rules OR ($mismatched AND f.execution IS NOT NULL))
 ),
 best AS (
-    SELECT run, arg_max({'execution': execution, 'exit_code': exit_code, 'found': found, 'status': j.status,
-           'reason': j.reason, 'ingest_rules': j.ingest_rules, 'judgement': j.judgement},
+    SELECT run, arg_max({{'execution': execution, 'exit_code': exit_code, 'found': found, 'status': j.status,
+           'reason': j.reason, 'ingest_rules': j.ingest_rules, 'judgement': j.judgement}},
            (j.status = 'ok', lamport, execution)) AS b
     FROM may GROUP BY run
 )
@@ -187,7 +187,7 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
     """Yield for each run the execution to evaluate again: the last successful one, or else the last one."""
     snapshot.add_table("wanted", run=sorted(runs))
     rows = snapshot.select(
-        _LastJudgement, PAST, ingest_rules=context.ingest_rules, programs=context.programs, mismatched=mismatched
+        _LastJudgement, PAST, ingest_rules=context.ingest_rules, mismatched=mismatched, **context.same_programs
     )
     used = {row.ingest_rules for row in rows}
     rules = {

@@ -20,6 +20,7 @@ import pyarrow as pa
 
 from sierra.design.expand import exact, run_id
 from sierra.errors import Missing, SierraError
+from sierra.ingest.observations import file_set
 from sierra.ingest.recording_context import UNREAD
 from sierra.ingest.rejudge import judgement_id
 from sierra.maintenance.check_files import Contents, Objects
@@ -210,6 +211,17 @@ def _programs(records: Records) -> Iterator[Finding]:
                 yield Finding(Kind.INCONSISTENT, records.shown(path), what, _using(records, "programs", identity))
 
 
+def _file_sets(records: Records) -> Iterator[Finding]:
+    """Check the ids of sets of files."""
+    using = "SELECT execution FROM observations WHERE files = $id"
+    for path in records.files.get("files_read", ()):
+        statement = f"SELECT files, path, use, sha256, size FROM {read_parquet([path])}"
+        for identity, rows in groupby(records.each(statement), itemgetter(0)):
+            if _id(lambda: file_set(row[1:] for row in rows)) != identity:  # noqa: B023
+                what = f"the set of files {short(str(identity))} does not have the id that follows from its files"
+                yield records.wrong(path, what, of(records.snapshot, records.column(using, id=identity)))
+
+
 RUNS = """
 SELECT DISTINCT m.run, m.seed, m.spec, [m.input] || m.other_inputs AS inputs, r.files, m.filename
 FROM {members} m LEFT JOIN specs r ON r.spec = m.spec
@@ -332,6 +344,10 @@ LOST_BY_EXECUTION = {
         SELECT DISTINCT execution FROM all_artifacts a ANTI JOIN all_judgements e ON e.judgement = a.execution""",
     "findings belong to executions that are not recorded": """
         SELECT DISTINCT execution FROM findings f ANTI JOIN all_judgements e ON e.judgement = f.execution""",
+    "the files that executions used are not recorded": f"""
+        SELECT DISTINCT execution FROM observations ANTI JOIN files_read USING (files) WHERE files <> '{file_set(())}'""",
+    "observations belong to executions that are not recorded": """
+        SELECT DISTINCT execution FROM observations ANTI JOIN executions USING (execution)""",
     "judgements belong to executions that are not recorded": """
         SELECT DISTINCT judgement FROM judgements ANTI JOIN executions USING (execution)""",
     "verdicts belong to executions that are not recorded": """
@@ -493,6 +509,7 @@ CHECKS: Sequence[Check] = (
     _judgements,
     _isolations,
     _programs,
+    _file_sets,
     _runs,
     _batches,
     _results,

@@ -176,6 +176,11 @@ AROUND = {
         "(SELECT ingest_rules FROM gone UNION SELECT ingest_rules FROM sessions) EXCEPT "
         "(SELECT ingest_rules FROM staying UNION SELECT ingest_rules FROM staying_sessions)",
     ),
+    "files_read": (
+        "files",
+        "SELECT files FROM observations WHERE execution IN (SELECT execution FROM gone) "
+        "EXCEPT SELECT files FROM observations WHERE execution NOT IN (SELECT execution FROM gone)",
+    ),
     "sources": ("source", "SELECT source FROM gone_sources"),
     "images": ("image", "SELECT image FROM gone_images"),
     "isolations": ("isolation", "SELECT isolation FROM gone EXCEPT SELECT isolation FROM staying"),
@@ -223,12 +228,15 @@ def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Remov
     return Removal(tuple(batches), runs, executions, replays, size, tuple(sorted(losing)), len(shared), tuple(sorted(sharing)))
 
 
+OF_EXECUTIONS = ("executions", "artifacts", "findings", "output", "observations", "files_written")
+
+
 def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]]) -> dict[str, dict[str, AbstractSet[str]]]:
     executions = _column(snapshot, "SELECT execution FROM gone")
     batches = set(named["batch"])
     replays = _column(snapshot, "SELECT replay FROM gone_replays")
     drop: dict[str, dict[str, AbstractSet[str]]] = {
-        **{table: {"execution": executions} for table in ("executions", "artifacts", "findings", "output")},
+        **{table: {"execution": executions} for table in OF_EXECUTIONS},
         "judgements": {"judgement": executions},
         **{table: {"batch": batches} for table in ("batches", "experiments", "batch_runs", "sessions")},
         "replays": {"replay": replays},

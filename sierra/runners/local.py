@@ -176,6 +176,8 @@ def record(job: Job) -> worker.Job:
     if client := job.client:
         record["client"] = {"argv": client.argv, "environment": dict(client.environment), "stop": client.stop}
         record["shared"] = job.shared
+    if job.observe is not None:
+        record["observe"] = dict(job.observe)
     return record
 
 

@@ -304,6 +304,46 @@ class EquivalenceRow(NamedTuple):
     reason: Annotated[str | None, "the reason, in one line"]
 
 
+class ObservationRow(NamedTuple):
+    """Observations of executions: how it was found out which files they used. Not every execution is observed."""
+
+    execution: Annotated[str, "the execution"]
+    files: Annotated[str, "the set of files that it executed, read, looked for or listed, as in files_read"]
+    method: Annotated[str, "the program or the interface by which they were seen"]
+    reason: Annotated[str | None, "why it may have used other files too, in one line; NULL if all were seen"]
+    notes: Annotated[list[str], "what cannot be seen: files that a service or another machine may have read for it"]
+
+
+class FileReadRow(NamedTuple):
+    """Sets of files that executions used, outside their own folders; executions that used the same files share one."""
+
+    files: Annotated[str, "the set: a hash of the columns path, use and sha256"]
+    path: Annotated[str, "its path; folders such as {project} and {home} stand for those of the executing machine"]
+    use: Annotated[
+        str,
+        "executed, read, found (it was only looked for), missed (looked for and absent), listed (a folder whose names were "
+        "read)",
+    ]
+    sha256: Annotated[str | None, "SHA-256 of its content, or of the names in the folder; NULL if it has none"]
+    size: Annotated[int | None, "its size", "bytes"]
+
+
+class StaleSessionRow(NamedTuple):
+    """Sessions whose executions do not count in a later session's batch, because files that they used have changed."""
+
+    session: Annotated[str, "the later session"]
+    stale: Annotated[str, "the session whose executions do not count"]
+    path: Annotated[str, "one of the files that have changed, as in files_read"]
+
+
+class FileWrittenRow(NamedTuple):
+    """Files that executions wrote or removed outside their own folders."""
+
+    execution: Annotated[str, "the execution"]
+    path: Annotated[str, "its path, as in files_read"]
+    use: Annotated[str, "written or removed"]
+
+
 class EnvironmentRow(NamedTuple):
     """Environments of executions (operating system, hardware, libraries, variables), each recorded once."""
 
@@ -442,6 +482,10 @@ ROWS: dict[str, type[NamedTuple]] = {
     "blobs": BlobRow,
     "ingest_rules": IngestRulesRow,
     "programs": ProgramRow,
+    "observations": ObservationRow,
+    "files_read": FileReadRow,
+    "files_written": FileWrittenRow,
+    "stale_sessions": StaleSessionRow,
     "images": ImageRow,
     "objects": ObjectRow,
 }

@@ -24,7 +24,7 @@ NEEDS = {
     "executions": ("all_judgements",),
     "artifacts": ("all_judgements",),
     "all_artifacts": ("artifacts",),
-    "effective": ("batch_runs", "sessions", "all_judgements"),
+    "effective": ("batch_runs", "sessions", "all_judgements", "stale_sessions"),
     "nondeterminism": ("executions", "verdicts"),
     "points": ("batch_runs", "experiments", "batches"),
     "runs": ("batch_runs", "experiments", "batches", "executions", "effective"),
@@ -36,6 +36,7 @@ ONCE = {
     "environments": ("environment",),
     "sources": ("source",),
     "programs": ("programs", "name", "path"),
+    "files_read": ("files", "path", "use"),
     "objects": ("sha256", "part"),
     "blobs": ("blob",),
     "images": ("image",),
@@ -300,19 +301,24 @@ class Views:
 
 LATEST = """
 WITH asked AS (
-    SELECT batch, programs, ingest_rules, ended, lamport FROM sessions WHERE ingest_rules IS NOT NULL
+    SELECT batch, session, programs, ingest_rules, ended, lamport FROM sessions WHERE ingest_rules IS NOT NULL
     UNION ALL
-    SELECT batch, programs, ingest_rules, judged_at, place FROM all_judgements WHERE purpose = 'run'
+    SELECT batch, session, programs, ingest_rules, judged_at, place FROM all_judgements WHERE purpose = 'run'
 ),
 latest AS (
-    SELECT batch, arg_max(programs, lamport) AS programs, arg_max(ingest_rules, lamport) AS ingest_rules,
-           arg_max(ended, lamport) AS submitted, max(lamport) AS lamport
-    FROM asked GROUP BY batch
+    SELECT batch, programs, ingest_rules, submitted, lamport, s.stale AS stale
+    FROM (
+        SELECT batch, arg_max(session, lamport) AS session, arg_max(programs, lamport) AS programs,
+               arg_max(ingest_rules, lamport) AS ingest_rules, arg_max(ended, lamport) AS submitted, max(lamport) AS lamport
+        FROM asked GROUP BY batch
+    )
+    LEFT JOIN (SELECT session, list(stale) AS stale FROM stale_sessions GROUP BY session) s USING (session)
 )
 """
-"""The relation `latest`: the programs and the rules of each batch's last session."""
+"""The relation `latest`: the programs and the rules of each batch's last session, and the sessions that were stale in it."""
 
-COUNTS = "e.status = 'ok' AND e.purpose = 'run' AND e.programs = l.programs AND e.ingest_rules = l.ingest_rules"
+COUNTS = """e.status = 'ok' AND e.purpose = 'run' AND e.programs = l.programs AND e.ingest_rules = l.ingest_rules
+    AND NOT coalesce(list_contains(l.stale, e.session), false)"""
 """The SQL condition that a judgement e may be effective in a batch with `latest` l. Of all such judgements of a run, the last
 judgement of the last execution is effective.
 """

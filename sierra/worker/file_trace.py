@@ -169,6 +169,7 @@ SETTLE_S = 10.0  # for the tracer to end after all processes of the run have end
 PROBE_S = 20.0
 CHUNK = 1 << 20
 MOST_NOTES = 100
+MOST_NAMED = 3  # files that were changed while a run read them
 SCRIPTS = 5  # scripts whose interpreters are scripts: the kernel allows as many
 HEAD_BYTES = 4096
 
@@ -1610,6 +1611,28 @@ class Names:
 
 
 SITE = re.compile(r"^(?:/local)?/lib(?:64)?/(?:python3?(?:\.\d+t?)?/)(?:site|dist)-packages(?=/|$)")
+
+
+def as_record(trace: Trace, contents: Contents, names: Names) -> dict[str, object]:
+    """Return a trace and the contents of its files as JSON; `files` are name, use, SHA-256 and size (null if there is none)."""
+    files: list[tuple[str, str, str | None, int | None]] = []
+    for use in ("executed", "read"):
+        for path in getattr(trace, use):
+            file = contents.files.get(path)
+            files.append((names.name(path), use, file and file.sha256, file and file.size))
+    files += [(names.name(path), "found", None, None) for path in trace.found]
+    files += [(names.name(path), "missed", None, None) for path in trace.missed]
+    files += [(names.name(path), "listed", contents.folders.get(path), None) for path in trace.listed]
+    changed = ["%s: %s" % (names.name(path), reason) for path, reason in sorted(contents.unusable.items())]
+    reasons = (*trace.reasons, *changed[:MOST_NAMED])
+    return {
+        "method": trace.way,
+        "reason": "; ".join(reasons) or None,
+        "disturbed": trace.disturbed,
+        "notes": list(trace.notes),
+        "files": sorted(set(files), key=lambda file: file[:2]),
+        "written": sorted({(names.name(path), use) for use in ("written", "removed") for path in getattr(trace, use)}),
+    }
 
 
 def is_below(path: str, folder: str) -> bool:

@@ -65,6 +65,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import errno
+import functools
 import hashlib
 import heapq
 import itertools
@@ -84,10 +85,15 @@ from typing import IO, TYPE_CHECKING, Callable, Iterable, Iterator, Mapping, Seq
 
 if TYPE_CHECKING:
     from resource import struct_rusage
+    from types import ModuleType
     from typing import Literal, NotRequired
+
+    from sierra.worker.file_trace import Hashed, Observation
 
 FOLDERS = ("home", "tmp", "output")
 LOGS = ("stdout", "stderr")
+OBSERVED = "observed.json"  # in a run's folder: what the run did with files
+TRACE = ".trace"  # the end of the name of a tracer's log, beside the run's folder
 RUNS = "runs"
 POLL_S = 0.25
 HEAD_BYTES = 4096
@@ -140,6 +146,8 @@ class Job(Program):
     shared: NotRequired[bool]
     used: NotRequired[int | None]
     seal: NotRequired[str]
+    observe: NotRequired[Mapping[str, str]]
+    """The folders by which observed files are named, if this run is observed: see `file_trace.Names`."""
 
 
 class OutputFile(TypedDict):
@@ -175,6 +183,7 @@ class Remains(TypedDict):
     error: str | None
     left_out: NotRequired[list[str]]
     spare: NotRequired[bool]
+    observed: NotRequired[bool]
 
 
 class Start(TypedDict):
@@ -282,8 +291,9 @@ class Waker:
 class Running:
     """A running program. Its lock guards the moment from which its process id may belong to another process."""
 
-    def __init__(self, job: Job, folder: str, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, job: Job, folder: str, process: subprocess.Popen[bytes], observation: Observation | None = None) -> None:
         self.run, self.execution = job["run"], job["execution"]
+        self.observation = observation
         self.seal = job.get("seal")
         self.folder = folder
         self.pid = process.pid
@@ -315,15 +325,18 @@ class Running:
                 self.kill_at = time.monotonic() + self.limits.get("grace_s", GRACE_S)
                 signal_group(self.pid, signal.SIGTERM)
                 for pid in self.pids():  # a stopped process reacts to SIGTERM only when it is continued
-                    if stat_of(pid)[:1] == [b"T"]:
+                    if stat_of(pid)[:1] in ([b"T"], [b"t"]):  # t: under a tracer
                         signal_process(pid, signal.SIGCONT)
 
     def pids(self) -> list[int]:
         """Return the ids of the run's processes, as far as /proc lists them."""
         if self.meter:
             return self.meter.pids()
-        roots = [self.pid, *(pid for pid in orphans() if belongs_to(pid, self.execution, self.pid))]
+        roots = [self.pid, *(pid for pid in orphans() if belongs_to(pid, self.execution, self.pid) and not self.is_tracer(pid))]
         return [pid for root in roots for pid in descendants(root)]
+
+    def is_tracer(self, pid: int) -> bool:
+        return self.observation is not None and self.observation.is_tracer(pid)
 
     def stalled(self, now: float) -> bool:
         """Check at intervals whether all processes of the run are stopped for too long. Returns True once per such period."""
@@ -529,6 +542,8 @@ class Worker:
         self.lock = threading.Lock()
         self.spare: dict[int, RunFolder] = {}
         self.shared = {place: entries_of(place) for place in places}
+        self.hashes = Hashes()
+        self.hashing = threading.Lock()
 
     def work(self, stream: TextIO) -> bool:
         """Execute all jobs in `stream`. Return True if it was read to its end and no run was cut off."""
@@ -654,14 +669,15 @@ class Worker:
         """Execute one run, from making its folder to writing its line in the journal."""
         folder = self.next_folder()
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
+        observation = self.observe(job, folder)
         began, started = time.time(), time.monotonic()
         try:
-            process = start(job, folder)
+            process = start(job, folder, observation)
         except (OSError, ValueError) as error:
             wall = time.monotonic() - started
             self.report(job, slot, folder, began, wall, no_outputs("could not be started: " + explain(error)))
             return
-        running = Running(job, folder, process)
+        running = Running(job, folder, process, observation)
         with self.lock:
             self.running[running.pid] = running
         self.note(running, {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)})
@@ -677,7 +693,14 @@ class Worker:
         if running.client and (running.stopped is not None or os.WIFSIGNALED(status)):
             end_container(running.client)
         # a run with a seal is alone in its container
-        alone = end_orphans(None if running.seal else running.execution, running.pid)
+        alone = end_orphans(None if running.seal else running.execution, running.pid, running.is_tracer)
+        observed, disturbed = self.keep_observation(job, running)
+        if disturbed and running.stopped is None and not self.stopping:
+            remove(folder)
+            unobserved = job.copy()
+            del unobserved["observe"]
+            self.execute(unobserved, slot)
+            return
         if running.stopped is None and self.stopping and os.WIFSIGNALED(status):
             running.stopped = "interrupted"
         if running.stopped != "interrupted" and not running.seal:
@@ -690,7 +713,40 @@ class Worker:
         if spare and place is not None and not remains["error"] and sum(file["bytes"] for file in remains["outputs"]) <= CHUNK:
             self.spare[int(os.path.basename(folder))] = place
             remains["spare"] = True
+        if observed:
+            remains["observed"] = True
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
+
+    def observe(self, job: Job, folder: str) -> Observation | None:
+        """Begin to observe a run, if that is requested."""
+        if "observe" not in job or "client" in job:
+            return None
+        with self.lock:
+            way, _ = file_trace().usable()
+        return way.begin(folder + TRACE, os.path.join(folder, "output")) if way else None
+
+    def keep_observation(self, job: Job, running: Running) -> tuple[bool, str | None]:
+        """Write what a run did with files to its folder.
+
+        Return whether it was observed, and what the observation may have changed: such a run is executed again without it.
+        """
+        if running.observation is None:
+            return False, None
+        running.observation.end(orphans)
+        try:
+            trace = running.observation.trace(os.path.join(running.folder, LOGS[1]), self.check_stop)
+            names = file_trace().Names({**job["observe"], "run": running.folder})
+            seen = names.inputs(trace)
+            with self.hashing:
+                contents = file_trace().contents(seen, running.observation.began, self.hashes.get, self.check_stop)
+            with open(os.path.join(running.folder, OBSERVED), "w", encoding="ascii") as file:
+                json.dump(file_trace().as_record(seen, contents, names), file)
+        except (OSError, GivenUp):  # the run is not observed; its result is kept
+            unlink(os.path.join(running.folder, OBSERVED))
+            return False, None
+        finally:
+            unlink(running.folder + TRACE)
+        return True, trace.disturbed
 
     def await_signal(self) -> None:
         """Give a SIGTERM that has ended a run time to reach this process too: a scheduler sends it to one after the other."""
@@ -774,6 +830,9 @@ class Worker:
             if one.stalled(now):
                 since = time.time() - STALLED_S
                 self.note(one, {"event": "stalled", "run": one.run, "execution": one.execution, "pid": one.pid, "since": since})
+            if one.observation:
+                one.observation.limit()
+                one.observation.look(one.pids())
             if one.stopped is None and now - one.started > POLL_S / 2:
                 reason = exceeded(one)
                 if reason:
@@ -923,17 +982,19 @@ def part_of(values: list[str], slot: int, slots: int) -> str:
     return ",".join(values)
 
 
-def start(job: Job, folder: str) -> subprocess.Popen[bytes]:
+def start(job: Job, folder: str, observation: Observation | None = None) -> subprocess.Popen[bytes]:
     """Start a run's program in its folder."""
     started = with_folder(job.get("client", job), folder)
+    output = os.path.join(folder, "output")
+    argv = observation.prefixed(started["argv"], started["environment"], output) if observation else started["argv"]
     out, err = (os.open(os.path.join(folder, name), os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC) for name in LOGS)
     try:
         return subprocess.Popen(
-            started["argv"],
+            argv,
             stdin=subprocess.DEVNULL,
             stdout=out,
             stderr=err,
-            cwd=os.path.join(folder, "output"),
+            cwd=output,
             env=started["environment"],
             start_new_session=True,
         )
@@ -1281,7 +1342,39 @@ def birth(pid: int) -> int | None:
     return int(fields[19]) if fields else None
 
 
-def end_orphans(execution: str | None, group: int | None = None) -> bool:
+class Hashes:
+    """The SHA-256 of files that were hashed before, as long as their inode, size and times are the same."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[str | int, ...], str] = {}
+
+    def get(self, path: str, status: os.stat_result, hashed: Hashed) -> str:
+        key = (path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+        if key not in self._known:
+            self._known[key] = hashed()
+        return self._known[key]
+
+
+@functools.lru_cache(maxsize=None)
+def file_trace() -> ModuleType:
+    """Load the module beside this file that observes runs."""
+    import importlib.util
+
+    path = os.path.join(os.path.dirname(os.path.abspath(__file__)), "file_trace.py")
+    spec = importlib.util.spec_from_file_location("file_trace", path)
+    if spec is None or spec.loader is None:
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def nobody(pid: int) -> bool:
+    return False
+
+
+def end_orphans(execution: str | None, group: int | None = None, is_tracer: Callable[[int], bool] = nobody) -> bool:
     """Kill processes that have left their group: orphans of one execution, or (None) all. Return whether no orphan is left.
 
     Orphans are children of this process's main thread. An orphan whose environment does not name an execution belongs to none,
@@ -1290,7 +1383,7 @@ def end_orphans(execution: str | None, group: int | None = None) -> bool:
     give_up = time.monotonic() + SETTLE_S
     while time.monotonic() < give_up:
         living = reap()
-        own = [pid for pid in living if execution is None or belongs_to(pid, execution, group)]
+        own = [pid for pid in living if (execution is None or belongs_to(pid, execution, group)) and not is_tracer(pid)]
         if not own:
             return not living
         for pid in own:

@@ -1,0 +1,111 @@
+"""Sessions whose executions used files that have changed since; their executions no longer count.
+
+Some executions of a session are observed: the store has the files that they used, with their content. The other executions of
+the session count only as long as these do, because they used the same programs.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from sierra.errors import Missing
+from sierra.execution.resolve_plan import Plan
+from sierra.provenance.hash_cache import HashCache
+from sierra.store.store import Snapshot
+from sierra.util.text import few
+
+NAMED = 3
+IGNORED = ("/etc/ld.so.cache",)
+"""Files whose change has no effect of its own: the libraries that they name are observed too."""
+
+
+class _Used(NamedTuple):
+    """A file that executions of a session used."""
+
+    session: str
+    path: str
+    use: str
+    sha256: str | None
+
+
+USED = """
+WITH used AS (
+    SELECT DISTINCT e.session, o.files
+    FROM observations o JOIN executions e USING (execution)
+    WHERE e.programs = $programs AND e.purpose = 'run' AND e.run IN (SELECT run FROM batch_runs WHERE spec = $spec)
+)
+SELECT DISTINCT u.session, f.path, f.use, f.sha256
+FROM used u JOIN files_read f USING (files)
+WHERE (f.use = 'missed' OR (f.use IN ('executed', 'read') AND f.sha256 IS NOT NULL))
+AND (u.session, f.path) NOT IN (
+    SELECT (e.session, w.path) FROM files_written w JOIN executions e USING (execution)
+)
+ORDER BY ALL
+"""
+"""Files that a session has changed itself are no inputs."""
+
+
+def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
+    """Return the sessions that executed runs of this plan with files that have changed, each with one of these files."""
+    if not any("observations" in segment.files for segment in snapshot.segments):
+        return {}
+    rows = snapshot.select(_Used, USED, spec=plan.batch.spec_id, programs=plan.programs.id)
+    changed = _changed({(row.path, row.use, row.sha256) for row in rows}, folders(plan))
+    stale: dict[str, str] = {}
+    for row in rows:
+        if (row.path, row.use, row.sha256) in changed:
+            stale.setdefault(row.session, row.path)
+    return stale
+
+
+def recorded(snapshot: Snapshot) -> set[str]:
+    """Return the sessions whose executions do not count in the batch of the last session."""
+    if not any("stale_sessions" in segment.files for segment in snapshot.segments):
+        return set()
+    last = "SELECT stale FROM stale_sessions WHERE session = (SELECT arg_max(session, lamport) FROM sessions)"
+    return set(snapshot.values(str, last))
+
+
+def reason(stale: Mapping[str, str]) -> str:
+    """Return the reason why executions of these sessions do not count."""
+    return (
+        f"earlier executions do not count, because files that they used have changed: {few(sorted(set(stale.values())), NAMED)}"
+    )
+
+
+def folders(plan: Plan) -> dict[str, Path]:
+    """Return the folders that names of observed files refer to, by name."""
+    return {"project": plan.project.root.resolve(), "home": Path.home().resolve()}
+
+
+def _changed(files: Iterable[tuple[str, str, str | None]], named: Mapping[str, Path]) -> set[tuple[str, str, str | None]]:
+    """Return the files that have other content now, do not exist any more, or have come into existence."""
+    cache = HashCache()
+    changed = set()
+    for path, use, sha256 in files:
+        here = _located(path, named)
+        if here is None or path in IGNORED:
+            continue
+        if use == "missed":
+            if os.path.exists(here):  # noqa: PTH110 - for speed
+                changed.add((path, use, sha256))
+            continue
+        try:
+            same = cache.of(here) == sha256
+        except Missing:
+            same = False
+        if not same:
+            changed.add((path, use, sha256))
+    cache.save()
+    return changed
+
+
+def _located(path: str, named: Mapping[str, Path]) -> str | None:
+    """Return where a file is on this machine; None if that is unknown."""
+    if not path.startswith("{"):
+        return path
+    name, _, rest = path[1:].partition("}")
+    return f"{named[name]}{rest}" if name in named else None

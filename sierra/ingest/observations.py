@@ -1,0 +1,70 @@
+"""Records of what executions did with files, from what the worker observed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypedDict, cast
+
+from sierra.model import Result
+from sierra.store.row_types import FileReadRow, FileWrittenRow, ObservationRow
+from sierra.util.fs import read_record
+from sierra.util.hashing import digest
+from sierra.util.text import few
+from sierra.worker.worker import OBSERVED
+
+WRITTEN = "written"
+NAMED = 3
+
+
+class _Observed(TypedDict):
+    """The worker's file: see `sierra.worker.file_trace.as_record`."""
+
+    method: str
+    reason: str | None
+    notes: list[str]
+    files: list[tuple[str, str, str | None, int | None]]
+    written: list[tuple[str, str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """The records of one observed execution."""
+
+    observation: ObservationRow
+    read: tuple[FileReadRow, ...]
+    written: tuple[FileWrittenRow, ...]
+
+
+def observed(result: Result) -> Observed | None:
+    """Return the records of an execution; None if it was not observed."""
+    if not result.observed:
+        return None
+    found = cast("_Observed", read_record(Path(result.directory, OBSERVED)))
+    files = [(_text(name), use, sha256, size) for name, use, sha256, size in found["files"]]
+    identity = file_set(files)
+    return Observed(
+        ObservationRow(result.execution, identity, found["method"], found["reason"], list(map(_text, found["notes"]))),
+        tuple(FileReadRow(identity, *file) for file in files),
+        tuple(FileWrittenRow(result.execution, _text(name), use) for name, use in found["written"]),
+    )
+
+
+def file_set(files: Iterable[tuple[str, str, str | None, int | None]]) -> str:
+    """Return the id of a set of files: a hash of their names, uses and SHA-256."""
+    return digest("files", {"files": sorted({(name, use, sha256 or "") for name, use, sha256, _ in files})})
+
+
+def astray(paths: Collection[str]) -> list[str]:
+    """Return a warning about files that runs wrote outside their own folders, which are not recorded."""
+    if not paths:
+        return []
+    named = few(sorted(paths), NAMED)
+    advice = "SIERRA records only files in the run's folder {output}, its working directory; see the table files_written"
+    return [f"runs wrote files elsewhere: {named} ({advice})"]
+
+
+def _text(name: str) -> str:
+    """Return a name in which escapes replace bytes that are not UTF-8."""
+    return name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
