@@ -64,7 +64,7 @@ class Session:
         with exclusively(store), disk_errors(self.paths.root):
             self.paths.root.mkdir(parents=True)
             _own(self.paths, 0)
-            self._lock = _locked(self.paths.lock)
+            self._lock = locked(self.paths.lock)
         _sign(self._lock)
         self._log_begin("started" if logged else None)
         if elsewhere is not None:
@@ -84,7 +84,7 @@ class Session:
             if not paths.submission.exists() or not ownership_marks.is_session(paths.root):
                 return None
             try:
-                made._lock = _locked(paths.lock, wait=False)
+                made._lock = locked(paths.lock, wait=False)
             except (BlockingIOError, PermissionError):  # another user's session: only its owner can find or end the jobs
                 return None
             generation = _take_over(paths) if made._lock is None else 0
@@ -178,7 +178,7 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
             if paths.submission.exists():
                 continue
             try:
-                lock = _locked(paths.lock, wait=False)
+                lock = locked(paths.lock, wait=False)
             except BlockingIOError:
                 continue
             if lock is not None:
@@ -205,7 +205,7 @@ def alive(store: StorePaths) -> list[SessionPaths]:
             found.append(paths)
             continue
         try:
-            lock = _locked(paths.lock, wait=False)
+            lock = locked(paths.lock, wait=False)
         except BlockingIOError:
             found.append(paths)
         else:
@@ -219,7 +219,7 @@ def exclusively(store: StorePaths) -> Iterator[bool]:
     """Hold the exclusive lock of this store's sessions, for a short time; yield False if the file system has no locks."""
     with disk_errors(store.work):
         ownership_marks.mark_work(store)
-        lock = _locked(store.work_lock)
+        lock = locked(store.work_lock)
     try:
         yield lock is not None
     finally:
@@ -292,7 +292,7 @@ def _remove(store: StorePaths, paths: SessionPaths) -> None:
         worker.remove(str(paths.root))
 
 
-def _locked(path: Path, *, wait: bool = True) -> int | None:
+def locked(path: Path, *, wait: bool = True) -> int | None:
     """Return a descriptor that holds the lock; None if the file system has no locks.
 
     Raises BlockingIOError if another process holds the lock and `wait` is False.
