@@ -185,7 +185,44 @@ CREATE TABLE sessions (
     "programs" VARCHAR,  -- fingerprint of the programs with which its runs were, or would have been, executed
     "ingest_rules" VARCHAR,  -- hash of the rules, as in executions
     "batch_rules" VARCHAR,  -- hash of the rules and of the allowed differences between runs of the batch (mismatch)
-    "lamport" BIGINT  -- its position in the logical order: a greater number is later, independent of clocks; old records have negative numbers, in the order of their times, and so come first
+    "lamport" BIGINT,  -- its position in the logical order: a greater number is later, independent of clocks; old records have negative numbers, in the order of their times, and so come first
+    "build" VARCHAR  -- the build whose products its runs used, as in builds; NULL if there is no [build]
+);
+
+-- Builds: each time that the command of [build] was executed to make the products from the source.
+CREATE TABLE builds (
+    "build" VARCHAR,  -- the build's id: the hash of its inputs (the columns source to programs)
+    "session" VARCHAR,  -- what executed it: a session of its own, or the replay
+    "batch" VARCHAR,  -- the batch that it was executed for
+    "purpose" VARCHAR,  -- run or replay
+    "source" VARCHAR,  -- the tree of the code, as in specs
+    "command" VARCHAR[],  -- program and arguments, before paths of this machine are inserted
+    "folder" VARCHAR,  -- the folder in which it was executed, relative to the project
+    "produces" VARCHAR[],  -- the patterns of its products, relative to the project
+    "variables" VARCHAR,  -- declared environment variables, as JSON
+    "image" VARCHAR,  -- content identity of the container image in which it was executed; NULL without one
+    "host_access" VARCHAR[],  -- access to the host, as in specs
+    "programs" VARCHAR,  -- fingerprint of the programs that it used, as in programs
+    "host" VARCHAR,  -- host name
+    "engine" VARCHAR,  -- the container engine
+    "started" TIMESTAMP WITH TIME ZONE,  -- when its program started
+    "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended
+    "exit_code" BIGINT,  -- the program's exit status; NULL if a signal or the time limit ended it
+    "reason" VARCHAR,  -- why it failed, in one line; NULL if it succeeded
+    "compiler" VARCHAR,  -- first line of the version text of its compilers, or of its program; NULL if unknown
+    "flags" VARCHAR,  -- declared variables that hold compilers and their flags, as JSON; NULL if there are none
+    "result" VARCHAR,  -- Merkle hash of the names and digests of its products; NULL if it failed
+    "log" VARCHAR,  -- SHA-256 of what it printed, which is in objects; if that is over 1 MiB, only its beginning and end are kept
+    "lamport" BIGINT  -- its position in the logical order, as in sessions
+);
+
+-- The products of builds: files of the project that its runs use; their content is not recorded.
+CREATE TABLE build_products (
+    "build" VARCHAR,  -- the build
+    "session" VARCHAR,  -- what executed it, as in builds
+    "name" VARCHAR,  -- the product's path in the project
+    "size" BIGINT,  -- its size [bytes]
+    "sha256" VARCHAR  -- SHA-256 of its bytes
 );
 
 -- Replays: recorded runs that were executed again from the record alone, and compared with it.

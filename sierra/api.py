@@ -234,10 +234,26 @@ class Project:
             detach=detach,
         )
         store = Store.create(self.paths.store)
+        plan = self.build(plan, observer=options.observer)
         probed = self._probe(plan, store, options) if self.config.determinism.probe else ()
         summary = execute.run(plan, store, options)
         summary = replace(summary, notes=(*probed, *summary.notes))
         return self._drawn(summary) if figures else summary
+
+    def build(self, plan: Plan, *, observer: Observer | None = None) -> Plan:
+        """Build the products of `[build]` if they are not up to date; return the plan with them. `execute` does this too.
+
+        `observer` receives a notice before something is built. Raises SierraError if the build fails.
+
+        >>> project.build(project.plan("population_size=1,2", runs=2)).build is None
+        True
+        """
+        if plan.build is None or plan.build.reason is None:
+            return plan
+        from sierra.execution.build.ready import ready
+        from sierra.execution.observer import Observer
+
+        return ready(plan, Store.create(self.paths.store), observer or Observer())
 
     def sql(self, text: str, *, within: str | None = None, **parameters: object) -> Result:
         """Return the result of one SQL statement: an Arrow table that notebooks show (see `Result`).

@@ -35,7 +35,7 @@ from pydantic import (
 from sierra.config import forbidden_directives as directives
 from sierra.config.find_project import ProjectFolder, find, settings
 from sierra.errors import ConfigError, Missing
-from sierra.store.layout import CONFIG, PYPROJECT
+from sierra.store.layout import CONFIG, PYPROJECT, STORE
 
 NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
 Name = Annotated[str, StringConstraints(pattern=NAME)]
@@ -146,6 +146,18 @@ Inside = Annotated[
     _path(
         lambda path: not path.startswith("/") and ".." not in PurePosixPath(path).parts,
         "a path within the run's output folder, such as results.csv",
+    ),
+]
+InProject = Annotated[
+    str,
+    _path(
+        lambda path: (
+            bool(path)
+            and not path.startswith("/")
+            and ".." not in PurePosixPath(path).parts
+            and not {".git", STORE} & set(PurePosixPath(path).parts)
+        ),
+        "a path within the project, such as build/sim",
     ),
 ]
 InContainer = Annotated[str, AfterValidator(_in_container)]
@@ -473,6 +485,23 @@ class ProgramsTable(Table):
     )
 
 
+class BuildTable(Table):
+    """The command that makes programs or libraries of the project from its source, before runs use them."""
+
+    command: Annotated[Argv, Field(min_length=1)] = Field(
+        description="the program and its arguments, as in `command`; {project} and {python} are filled in"
+    )
+    produces: Annotated[
+        tuple[InProject, ...],
+        BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words),
+        Field(min_length=1),
+    ] = Field(description="the products: paths or globs (`**`: any folders), relative to the project; git must ignore them")
+    folder: InProject = Field(
+        ".", alias="in", description="the folder in which the command is executed, relative to the project"
+    )
+    wall: Positive | None = Field(None, description="time limit of the command, in seconds; default: none")
+
+
 class QueryTable(Table):
     """A named query, for `sierra run NAME`."""
 
@@ -575,6 +604,7 @@ class Project(Table):
     environment: Environment = Environment()
     container: Container | None = Field(None, description="the image in which runs execute; default: no container")
     source: Source = Source()
+    build: BuildTable | None = Field(None, description="how products are built from the source; default: they are not built")
     store: StoreTable = StoreTable()
     determinism: Determinism = Determinism()
     equivalence: Mapping[Name, Equivalence] = Field(

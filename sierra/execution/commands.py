@@ -14,7 +14,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import cast
@@ -23,6 +23,7 @@ from sierra.config.project_file import Project
 from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, WRITABLE, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images.image import Image
 from sierra.errors import ConfigError
+from sierra.execution.build.products import matches
 from sierra.model import Client, Job, Limits, Run, RunSpec
 from sierra.platforms.base import Platform
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
@@ -56,12 +57,14 @@ SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """PATH of an image that sets none."""
 
 
-def command(platform: Platform, root: Path, *, contained: bool = False) -> tuple[str, ...]:
+def command(platform: Platform, root: Path, *, contained: bool = False, made: Sequence[str] = ()) -> tuple[str, ...]:
     """Return the command as it is part of a run's identity.
+
+    `made` are the patterns of files that a build makes: their names are names of files in the project even before it.
 
     Raises ConfigError for an unknown placeholder, or for a path that does not exist in a container.
     """
-    words = tuple(_in_project(word, root) for word in platform.command())
+    words = tuple(_in_project(word, root, made) for word in platform.command())
     for word in words:
         if contained and ABOVE.search(word):
             raise ConfigError(
@@ -253,12 +256,15 @@ class CommandBuilder:
         return self._engine.client(cast(ContainerSpec, self._box), process)
 
 
-def _in_project(word: str, root: Path) -> str:
-    """Return `{project}/sim.py` for `sim.py` if that file exists in `root`; paths like `../build/sim` work too."""
+def _in_project(word: str, root: Path, made: Sequence[str]) -> str:
+    """Return `{project}/sim.py` for `sim.py` if that file exists in `root`, or if a pattern in `made` matches it.
+
+    Paths like `../build/sim` work too.
+    """
     if "{" in word or not word or word.startswith(("/", "-")):
         return word
     try:
-        exists = (root / word).is_file()
+        exists = any(matches(word, pattern) for pattern in made) or (root / word).is_file()
     except (OSError, ValueError):
         return word
     return "{project}/" + word.removeprefix("./") if exists else word

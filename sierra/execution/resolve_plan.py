@@ -20,6 +20,8 @@ from sierra.design.expand import Expansion
 from sierra.design.factorial_design import PlanningProgress, design, ignore_progress, mentions
 from sierra.errors import ConfigError, Missing, QueryError
 from sierra.execution import commands
+from sierra.execution.build import recipe as build_recipe
+from sierra.execution.build.state import BuildState, look
 from sierra.execution.checkout import Checkout, programs_in
 from sierra.ingest.base import Used
 from sierra.ingest.base import used as used_readers
@@ -34,6 +36,7 @@ from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, 
 from sierra.store.row_mapper import of_fields
 from sierra.store.row_types import EnvironmentRow
 from sierra.store.schema import RESERVED, check_name
+from sierra.store.store import Store
 from sierra.templates.base import ARGUMENTS, Files
 from sierra.util import html
 from sierra.util.hashing import short
@@ -81,6 +84,8 @@ class Plan:
     seen: ChangeGuard
     """Guard that notices changes of the code and programs since planning."""
     notes: tuple[str, ...] = ()
+    build: BuildState | None = None
+    """State of the products of `[build]`; None without it, and for a recorded batch."""
 
     def _repr_html_(self) -> str:
         batch = self.batch
@@ -149,17 +154,11 @@ def plan(
     platform = platforms.find(config.platform, config)
     contained, image = _contained(project, engine)
     box = config.container if image else None
-    command = commands.command(platform, root, contained=image is not None)
+    made = config.build.produces if config.build else ()
+    command = commands.command(platform, root, contained=image is not None, made=made)
     variables = {**commands.environment(platform, config), **(box.variables if box else {})}
-    own = (
-        STORE,
-        LOCK,
-        *_drawn(root),
-        CONFIG,
-        PYPROJECT if project.file.name == PYPROJECT else CONFIG,
-        *_inside(config.template),
-    )
-    code = _source(project, own)
+    own = _own(project)
+    code = _code(project, own)
     held = source.paths(code.manifest)
     data = referenced_files.data(root / config.template, _written(config), root, held, own)
     if box:
@@ -174,7 +173,8 @@ def plan(
         raise ConfigError(
             f"command: {commands.SPLICED} needs a template that provides arguments; {config.template} provides none"
         )
-    used = programs_in(spec, code.manifest, root, data)
+    built = _build_state(project, spec, code, contained)
+    used = _used(spec, code, root, data, built)
     checkout = _committed(root, spec, code, used) if code.checkout else None
     executed = checkout.programs() if checkout else used
     uncounted = referenced_files.named_by_values(_set_by(designed), root / config.template, root, held, used)
@@ -198,6 +198,7 @@ def plan(
         success=config.success,
         readers=readers,
         seen=guard(root, b"" if checkout else code.manifest, executed),
+        build=built,
         notes=(
             *code.notes,
             *_doubts(designed, command),
@@ -208,6 +209,37 @@ def plan(
             *(f"{file} is named only by the query: changes of this file are not detected" for file in uncounted),
         ),
     )
+
+
+def _build_state(project: LoadedProject, spec: RunSpec, code: source.Source, engine: Engine) -> BuildState | None:
+    """Return the state of the products; None without `[build]`. Raises ConfigError, Missing."""
+    table, root = project.config.build, project.root
+    if table is None:
+        return None
+    if code.checkout:
+        raise ConfigError(
+            '[source] dirty = "ignore" executes the commit, but [build] builds the files on disk, which differ from it; '
+            'commit or stash the changes, or use dirty = "record"'
+        )
+    box = project.config.container if spec.image else None
+    store = StorePaths(ProjectPaths(root).store)
+    recipe = build_recipe.complete(build_recipe.declared(table, spec, code.manifest), root, root, box)
+    return look(recipe, root, Store(store.root) if store.format.is_file() else None)
+
+
+def _used(spec: RunSpec, code: source.Source, root: Path, data: Programs, built: BuildState | None) -> Programs:
+    """Return the programs and files that runs use. Before the first build, none may be known."""
+    if built is None:
+        return programs_in(spec, code.manifest, root, data)
+    made = referenced_files.existing((f"{{project}}/{one.name}" for one in built.products), root)
+    known = {one.path for one in data.all}
+    data = Programs((*data.all, *(one for one in made.all if one.path not in known)), data.notes)
+    try:
+        return programs_in(spec, code.manifest, root, data)
+    except Missing:
+        if built.reason is None:
+            raise
+        return data
 
 
 def this_environment(config: Project) -> EnvironmentRow:
@@ -236,13 +268,30 @@ def _outdated(root: Path, image: Image | None) -> Iterator[str]:
         yield f"{image.name} has changed since its image was built: run sierra image build {image.name}, then pin it"
 
 
-def _source(project: LoadedProject, own: Sequence[str]) -> source.Source:
+def code(project: LoadedProject, *, dirty: str | None = None) -> source.Source:
+    """Return the source of a project as it is now; `dirty` replaces the project's setting."""
+    return _code(project, _own(project), dirty)
+
+
+def _own(project: LoadedProject) -> tuple[str, ...]:
+    """Return the paths that SIERRA writes, or whose meaning it hashes; they do not belong to the source."""
+    return (
+        STORE,
+        LOCK,
+        *_drawn(project.root),
+        CONFIG,
+        PYPROJECT if project.file.name == PYPROJECT else CONFIG,
+        *_inside(project.config.template),
+    )
+
+
+def _code(project: LoadedProject, own: Sequence[str], dirty: str | None = None) -> source.Source:
     wanted, store = project.config.source, StorePaths(ProjectPaths(project.root).store)
     return source.capture(
         project.root,
         paths=wanted.paths,
         without=own,
-        dirty=wanted.dirty,
+        dirty=dirty or wanted.dirty,
         large=wanted.max_untracked,
         memory=store.files if store.format.is_file() else None,
     )

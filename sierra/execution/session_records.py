@@ -113,7 +113,7 @@ def finish(store: Store, session: Session, *, interrupted: bool) -> None:
     try:
         runs = int(fields.pop("runs"))
         started = datetime.fromisoformat(fields["started"])
-        begun = of_fields(SessionRow, {**fields, **NO_RESULT, "started": started, "ended": started})
+        begun = of_fields(SessionRow, {"build": None, **fields, **NO_RESULT, "started": started, "ended": started})
     except (KeyError, TypeError, ValueError) as error:
         raise Damaged(f"{session.paths.asking}: was not written by this version of SIERRA; use the other version") from error
     claimed = len(sessions.claims(session.paths))
@@ -162,6 +162,7 @@ def begun(plan: Plan, session: Session, *, started: datetime, runner: str, slots
         "programs": now.programs,
         "ingest_rules": now.ingest_rules,
         "batch_rules": now.batch_rules,
+        "build": plan.build.recipe.id if plan.build else None,
     }
     return of_fields(SessionRow, fields | NO_RESULT)
 

@@ -21,6 +21,9 @@ import pyarrow as pa
 from sierra.design.expand import exact, run_id
 from sierra.errors import Missing, SierraError
 from sierra.ingest.observations import file_set
+from sierra.execution.build.products import Product
+from sierra.execution.build.products import result as products_hash
+from sierra.execution.build.recipe import PLATFORM, build_id
 from sierra.ingest.recording_context import UNREAD
 from sierra.ingest.rejudge import judgement_id
 from sierra.maintenance.check_files import Contents, Objects
@@ -33,7 +36,7 @@ from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import StorePaths
 from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.row_types import TABLES as TABLE_NAMES
-from sierra.store.row_types import EnvironmentRow, IngestRulesRow, IsolationRow, SourceRow, SpecRow
+from sierra.store.row_types import BuildProductRow, EnvironmentRow, IngestRulesRow, IsolationRow, SourceRow, SpecRow
 from sierra.store.schema import RECORDED
 from sierra.store.sql_result import RawRow
 from sierra.store.store import Snapshot
@@ -141,6 +144,51 @@ def _environments(records: Records) -> Iterator[Finding]:
     yield from _own(records, EnvironmentRow, lambda row: digest("environment", _fields(row, EnvironmentRow._fields[1:])))
 
 
+class _Build(NamedTuple):
+    """What the id and the result of a build follow from."""
+
+    build: str
+    session: str
+    source: str | None
+    command: list[str]
+    folder: str
+    produces: list[str]
+    variables: str
+    image: str | None
+    host_access: list[str] | None
+    programs: str
+    result: str | None
+
+    def id(self) -> str:
+        host_access = tuple(self.host_access or ())
+        spec = RunSpec(PLATFORM, tuple(self.command), json.loads(self.variables), self.source, self.image, host_access)
+        return build_id(spec, self.folder, tuple(self.produces), self.programs)
+
+
+def _builds(records: Records) -> Iterator[Finding]:
+    """Check the ids and the results of builds, and that nothing is missing that they, or sessions, refer to."""
+    made: dict[tuple[str, str], list[Product]] = {}
+    for one, _ in records.rows(BuildProductRow):
+        made.setdefault((one.build, one.session), []).append(Product(one.name, one.size, one.sha256))
+    statement = f"SELECT DISTINCT {', '.join(_Build._fields)}, filename FROM {records.raw('builds')}"
+    for *columns, path in list(records.each(statement)):
+        row = _Build._make(columns)
+        products = sorted(made.get((row.build, row.session), ()), key=lambda product: product.name)
+        if _id(row.id) != row.build or (row.result is not None and products_hash(products) != row.result):
+            what = f"build {short(str(row.build))} does not have the id or the result that follows from its record"
+            yield records.wrong(path, what, _using(records, "build", row.build))
+    for what, statement in LOST_BY_BUILD.items():
+        if batches := records.column(statement):
+            yield Finding(Kind.LOST, "builds", what, of(records.snapshot, batches=batches))
+
+
+LOST_BY_BUILD = {
+    "logs of builds are not in the store": "SELECT DISTINCT batch FROM builds b ANTI JOIN kept k ON k.sha256 = b.log",
+    "builds of sessions are not recorded": """
+        SELECT DISTINCT batch FROM sessions s ANTI JOIN builds b ON b.build = s.build WHERE s.build IS NOT NULL""",
+}
+
+
 def _sources(records: Records) -> Iterator[Finding]:
     yield from _own(records, SourceRow, lambda row: digest("source", _fields(row, source.RECORDED)))
 
@@ -194,6 +242,7 @@ USING = {
     "isolation": "SELECT DISTINCT batch FROM executions WHERE isolation = $id",
     "programs": "SELECT DISTINCT batch FROM executions WHERE programs = $id",
     "source": "SELECT DISTINCT batch FROM sessions WHERE source = $id",
+    "build": "SELECT DISTINCT batch FROM sessions WHERE build = $id",
 }
 
 
@@ -508,6 +557,7 @@ CHECKS: Sequence[Check] = (
     _readings,
     _judgements,
     _isolations,
+    _builds,
     _programs,
     _file_sets,
     _runs,

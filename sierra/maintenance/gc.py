@@ -147,7 +147,10 @@ def collect(
     return replace(first, recovered=recovered, left=left)
 
 
-SESSIONS = "SELECT session FROM sessions UNION SELECT session FROM executions UNION SELECT replay FROM replays"
+SESSIONS = (
+    "SELECT session FROM sessions UNION SELECT session FROM executions UNION SELECT replay FROM replays "
+    "UNION SELECT session FROM builds"
+)
 
 
 def _logs(store: Store) -> list[Path]:
@@ -168,7 +171,7 @@ def _unfinished(paths: StorePaths) -> Iterator[Path]:
 
 REFERRED = """
 SELECT sha256 FROM all_artifacts {which} UNION SELECT unnest([input] || other_inputs) FROM batch_runs
-UNION SELECT files FROM sources UNION SELECT files FROM images UNION SELECT sha256 FROM blobs
+UNION SELECT files FROM sources UNION SELECT files FROM images UNION SELECT sha256 FROM blobs UNION SELECT log FROM builds
 """
 
 
@@ -178,7 +181,7 @@ TABLES = "SELECT count(DISTINCT sha256) FROM all_artifacts SEMI JOIN unneeded US
 
 def _plan(store: Store, *, raw: bool) -> _Plan:
     with store.snapshot() as snapshot:
-        snapshot.views.make(("all_artifacts", "batch_runs", "sources", "images", "blobs"))
+        snapshot.views.make(("all_artifacts", "batch_runs", "sources", "images", "blobs", "builds"))
         unneeded = _unneeded(snapshot, raw=raw)
         drop = {"objects": {"sha256": set(unneeded)}} if unneeded else {}
         holding = touched(snapshot, snapshot.segments, drop)

@@ -153,6 +153,10 @@ CREATE TEMP TABLE gone_sources AS SELECT source, files, vcs FROM sources WHERE
      OR tree IN (SELECT source FROM specs WHERE spec IN (SELECT spec FROM gone_members)))
     AND source NOT IN (SELECT source FROM staying_sessions WHERE source IS NOT NULL)
     AND tree NOT IN (SELECT tree FROM staying_trees WHERE tree IS NOT NULL);
+CREATE TEMP TABLE gone_builds AS
+    (SELECT build FROM builds WHERE batch IN (SELECT batch FROM gone_batches)
+     UNION SELECT build FROM sessions WHERE batch IN (SELECT batch FROM gone_batches) AND build IS NOT NULL)
+    EXCEPT SELECT build FROM staying_sessions;
 CREATE TEMP TABLE gone_images AS SELECT image, files FROM images WHERE
     image IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM gone_members))
     AND image NOT IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM staying_specs) AND image IS NOT NULL);
@@ -168,8 +172,10 @@ AROUND = {
     ),
     "programs": (
         "programs",
-        "(SELECT programs FROM gone UNION SELECT programs FROM sessions UNION SELECT programs FROM replays) EXCEPT "
-        "(SELECT programs FROM staying UNION SELECT programs FROM staying_sessions UNION SELECT programs FROM staying_replays)",
+        "(SELECT programs FROM gone UNION SELECT programs FROM sessions UNION SELECT programs FROM replays "
+        "UNION SELECT programs FROM builds) EXCEPT (SELECT programs FROM staying UNION SELECT programs FROM staying_sessions "
+        "UNION SELECT programs FROM staying_replays "
+        "UNION SELECT programs FROM builds WHERE build NOT IN (SELECT build FROM gone_builds))",
     ),
     "ingest_rules": (
         "ingest_rules",
@@ -181,6 +187,8 @@ AROUND = {
         "SELECT files FROM observations WHERE execution IN (SELECT execution FROM gone) "
         "EXCEPT SELECT files FROM observations WHERE execution NOT IN (SELECT execution FROM gone)",
     ),
+    "builds": ("build", "SELECT build FROM gone_builds"),
+    "build_products": ("build", "SELECT build FROM gone_builds"),
     "sources": ("source", "SELECT source FROM gone_sources"),
     "images": ("image", "SELECT image FROM gone_images"),
     "isolations": ("isolation", "SELECT isolation FROM gone EXCEPT SELECT isolation FROM staying"),
@@ -189,11 +197,13 @@ AROUND = {
 OBJECTS = """
 (SELECT sha256 FROM all_artifacts WHERE execution IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || other_inputs) FROM gone_members UNION SELECT files FROM gone_sources
+ UNION SELECT log FROM builds WHERE build IN (SELECT build FROM gone_builds)
  UNION SELECT files FROM gone_images UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
 EXCEPT
 (SELECT sha256 FROM all_artifacts WHERE execution NOT IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || other_inputs) FROM staying_members
  UNION SELECT files FROM sources WHERE source NOT IN (SELECT source FROM gone_sources)
+ UNION SELECT log FROM builds WHERE build NOT IN (SELECT build FROM gone_builds)
  UNION SELECT files FROM images WHERE image NOT IN (SELECT image FROM gone_images)
  UNION SELECT sha256 FROM blobs WHERE blob NOT IN (SELECT blob FROM gone_blobs))
 """

@@ -25,6 +25,7 @@ PROJECT/.sierra/images/<id>/        the description of an image, and its files a
     image.json  files.jsonl  rootfs.sqfs  rootfs.<user>/
 PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` moved out of the way
 PROJECT/.sierra/logs/<session>.log  messages of a session, <session>.old: the earlier ones; see sierra.store.session_log_file
+PROJECT/.sierra/build/              lock: held while products are built; aside/: older products meanwhile
 PROJECT/.sierra/kept/<replay>/      files that `sierra replay --keep` leaves: source/, and each run's folder by its id
 """
 
@@ -111,6 +112,11 @@ class StorePaths:
     """The folder of the sessions' log files; may be deleted."""
     kept_files = _Below("kept")
     """The folder of what `sierra replay --keep` leaves."""
+    build = _Below("build")
+    """The folder for builds of the products of `[build]`: the lock, and older products while new ones are built."""
+    build_lock = _Below("build/lock")
+    """The file that a process locks while it builds. It names the build, so that the next process can end what was left."""
+    build_aside = _Below("build/aside")
     reading = format
     """The file that readers lock in shared mode. It always exists, and readers never write it."""
     NAMES: ClassVar[frozenset[str]] = frozenset(one.name for one in vars().values() if isinstance(one, _Below))
@@ -190,6 +196,8 @@ class SessionPaths:
     logs = _Below("logs")
     """The folder of the array tasks' standard output and error."""
     journal = _Below("journal.jsonl")
+    building = _Below("building")
+    """The folder of a build: `home` and `tmp` of its command, and what it prints."""
 
     @property
     def runs(self) -> Path:

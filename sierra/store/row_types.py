@@ -235,6 +235,47 @@ class SessionRow(NamedTuple):
         "its position in the logical order: a greater number is later, independent of clocks; old records have "
         "negative numbers, in the order of their times, and so come first",
     ]
+    build: Annotated[str | None, "the build whose products its runs used, as in builds; NULL if there is no [build]"]
+
+
+class BuildRow(NamedTuple):
+    """Builds: each time that the command of [build] was executed to make the products from the source."""
+
+    build: Annotated[str, "the build's id: the hash of its inputs (the columns source to programs)"]
+    session: Annotated[str, "what executed it: a session of its own, or the replay"]
+    batch: Annotated[str, "the batch that it was executed for"]
+    purpose: Annotated[str, "run or replay"]
+    source: Annotated[str | None, "the tree of the code, as in specs"]
+    command: Annotated[list[str], "program and arguments, before paths of this machine are inserted"]
+    folder: Annotated[str, "the folder in which it was executed, relative to the project"]
+    produces: Annotated[list[str], "the patterns of its products, relative to the project"]
+    variables: Annotated[str, "declared environment variables, as JSON"]
+    image: Annotated[str | None, "content identity of the container image in which it was executed; NULL without one"]
+    host_access: Annotated[list[str], "access to the host, as in specs"]
+    programs: Annotated[str, "fingerprint of the programs that it used, as in programs"]
+    host: Annotated[str, "host name"]
+    engine: Annotated[str, "the container engine"]
+    started: Annotated[datetime, "when its program started"]
+    ended: Annotated[datetime, "when its program ended"]
+    exit_code: Annotated[int | None, "the program's exit status; NULL if a signal or the time limit ended it"]
+    reason: Annotated[str | None, "why it failed, in one line; NULL if it succeeded"]
+    compiler: Annotated[str | None, "first line of the version text of its compilers, or of its program; NULL if unknown"]
+    flags: Annotated[str | None, "declared variables that hold compilers and their flags, as JSON; NULL if there are none"]
+    result: Annotated[str | None, "Merkle hash of the names and digests of its products; NULL if it failed"]
+    log: Annotated[
+        str, "SHA-256 of what it printed, which is in objects; if that is over 1 MiB, only its beginning and end are kept"
+    ]
+    lamport: Annotated[int, "its position in the logical order, as in sessions"]
+
+
+class BuildProductRow(NamedTuple):
+    """The products of builds: files of the project that its runs use; their content is not recorded."""
+
+    build: Annotated[str, "the build"]
+    session: Annotated[str, "what executed it, as in builds"]
+    name: Annotated[str, "the product's path in the project"]
+    size: Annotated[int, "its size", "bytes"]
+    sha256: Annotated[str, "SHA-256 of its bytes"]
 
 
 class ReplayRow(NamedTuple):
@@ -474,6 +515,8 @@ ROWS: dict[str, type[NamedTuple]] = {
     "findings": FindingRow,
     "artifacts": ArtifactRow,
     "sessions": SessionRow,
+    "builds": BuildRow,
+    "build_products": BuildProductRow,
     "replays": ReplayRow,
     "verdicts": VerdictRow,
     "equivalences": EquivalenceRow,

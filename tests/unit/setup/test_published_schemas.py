@@ -57,6 +57,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "container": "Container",
         "programs": "ProgramsTable",
         "store": "StoreTable",
+        "build": "BuildTable",
     }.items():
         found[model] = set(table[name])
     found["Source"] = set(table["source"])

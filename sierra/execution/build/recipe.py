@@ -1,0 +1,128 @@
+"""The recipe of a build: the command with everything that its products depend on, and the id that follows from it."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+from sierra.config.project_file import BuildTable, Container
+from sierra.containers import container_setup
+from sierra.errors import ConfigError, Missing
+from sierra.execution import checkout, commands
+from sierra.execution.build import products
+from sierra.model import RunSpec
+from sierra.provenance import fingerprint_programs, source
+from sierra.provenance.compiled_languages import LANGUAGES, compilers
+from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
+from sierra.util.hashing import digest
+from sierra.util.json_types import JsonView
+
+PLATFORM = "build"
+"""The platform in the specification of a build."""
+KNOWN = ("project", "python")
+FLAGS = re.compile(r"\w*FLAGS|CMAKE_\w+|" + "|".join(variable for variable, _ in LANGUAGES))
+"""Pattern of the names of variables that hold compilers or their flags."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """What a build executes, and its inputs."""
+
+    spec: RunSpec
+    """Command, variables, source, image and host access; the command is as declared."""
+    folder: str
+    produces: tuple[str, ...]
+    manifest: bytes
+    """The list of the source's files."""
+    wall: float | None = None
+    """The time limit in seconds; not part of the id."""
+    programs: Programs = NOTHING
+    compilers: tuple[str, ...] = ()
+    """The paths of the compilers among the programs."""
+
+    @property
+    def id(self) -> str:
+        """Return the id of the build: the hash of its inputs."""
+        return build_id(self.spec, self.folder, self.produces, self.programs.id)
+
+    @property
+    def flags(self) -> dict[str, str]:
+        """Return the declared variables that hold compilers or their flags."""
+        return {name: value for name, value in sorted(self.spec.environment.items()) if FLAGS.fullmatch(name)}
+
+    def placed(self, root: Path) -> RunSpec:
+        """Return the specification in which words that name files in `root` begin with `{project}/`; products stay."""
+        made = set(products.names(root, self.produces))
+        words = (_in_project(word, root, self.folder, made) for word in self.spec.command)
+        return replace(self.spec, command=tuple(words))
+
+
+def build_id(spec: RunSpec, folder: str, produces: tuple[str, ...], programs: str) -> str:
+    """Return the id of a build: the hash of its inputs."""
+    inputs: dict[str, JsonView] = {**spec.preimage(), "folder": folder, "produces": list(produces), "programs": programs}
+    return digest("build", inputs)
+
+
+def declared(table: BuildTable, runs: RunSpec, manifest: bytes) -> Recipe:
+    """Return the recipe of `[build]`, without programs; it has the variables, image and host access of the runs.
+
+    Raises ConfigError for an unknown placeholder.
+    """
+    for word in table.command:
+        for _, name in commands.PLACEHOLDER.findall(word):
+            if name and name not in KNOWN:
+                raise ConfigError(
+                    f"[build] command: unknown placeholder {{{name}}} in {word!r}; known are {{project}} and {{python}}"
+                )
+    folder = PurePosixPath(table.folder).as_posix()
+    return Recipe(replace(runs, platform=PLATFORM, command=table.command), folder, table.produces, manifest, table.wall)
+
+
+def complete(recipe: Recipe, root: Path, project: Path, box: Container | None) -> Recipe:
+    """Return the recipe with the programs that it uses; the code is in `root`. Raises Missing if a program is not found."""
+    placed = recipe.placed(root)
+    if recipe.spec.image is not None:
+        mounted = container_setup.data(NOTHING, box, project) if box else NOTHING
+        return replace(recipe, programs=checkout.programs_in(placed, recipe.manifest, root, mounted, project))
+    variables = commands.declared(placed.environment, root, project)
+    try:
+        used = checkout.programs_in(placed, recipe.manifest, root, NOTHING, project)
+        found = {path: name for name, path in _compilers(recipe, variables["PATH"])}
+        for path, name in found.items():
+            own = fingerprint_programs.find((path,), variables, root, project=project)
+            used = _with(used, tuple(replace(one, name=name) if one.path == path else one for one in own.all))
+    except Missing as error:
+        raise Missing(f"[build] command: {error}") from error
+    made = {f"{{project}}/{name}" for name in products.names(root, recipe.produces)}
+    kept = tuple(one for one in used.all if one.name not in made)
+    return replace(recipe, programs=Programs(kept, used.notes), compilers=tuple(found))
+
+
+def _with(programs: Programs, more: tuple[Program, ...]) -> Programs:
+    known = {one.path for one in programs.all if one.kind != Kind.DISTRIBUTIONS}
+    return Programs((*programs.all, *(one for one in more if one.path not in known)), programs.notes)
+
+
+def _compilers(recipe: Recipe, search: str) -> Iterator[tuple[str, str]]:
+    """Yield the name and the path of each compiler for the languages of the source that is installed."""
+    for named in compilers(source.paths(recipe.manifest), recipe.spec.environment).values():
+        for word in shlex.split(named)[:1]:
+            if (path := shutil.which(word, path=search)) is not None:
+                yield word, path
+
+
+def _in_project(word: str, root: Path, folder: str, made: set[str]) -> str:
+    """Return `{project}/in/build.sh` for `build.sh` if that file exists in the folder and is no product."""
+    if "{" in word or not word or word.startswith(("/", "-")):
+        return word
+    name = os.path.normpath(f"{folder}/{word}")
+    try:
+        is_input = name not in made and (root / name).is_file()
+    except (OSError, ValueError):
+        return word
+    return f"{{project}}/{name}" if is_input else word
