@@ -12,6 +12,7 @@ import typer
 from sierra.cli.arguments import AsJson, Jobs, Runner, ShownId
 from sierra.cli.output import cell, print_json, readable, table
 from sierra.errors import Missing, UsageError
+from sierra.util.text import few
 
 if TYPE_CHECKING:
     from sierra.config.project_file import Tolerance
@@ -125,6 +126,7 @@ def _answer(answer: Replay) -> dict[str, object]:
         "notes": list(answer.notes),
         "interrupted": answer.interrupted,
         "kept": answer.kept,
+        "built": asdict(answer.built) if answer.built else None,
         "experiments": [_experiment(experiment) for experiment in answer.experiments],
         "outputs": [_output(run, path, found) for run in answer.runs for path, found in run.outputs.items()],
     }
@@ -178,7 +180,8 @@ def _print(answer: Replay) -> None:
         table([*axes, "runs", "verdict"], rows, right=["runs"])
     counts = ", ".join(f"{count} {verdict}" for verdict, count in sorted(answer.counts.items()))
     runs = f"{len(answer.runs)} of {answer.of} runs" if len(answer.runs) < answer.of else _many(answer.of)
-    print(f"{answer.found.kind} {short(answer.found.id)}: {answer.verdict} ({runs}: {counts})")
+    built = f"; built from source: {few(answer.built.products, SHOWN)}" if answer.built else ""
+    print(f"{answer.found.kind} {short(answer.found.id)}: {answer.verdict} ({runs}: {counts}{built})")
     if answer.verdict == "different" and not answer.notes:
         print("the recorded code, inputs, programs and machine are the same: the cause is randomness, the clock, threads,")
         print("or something that is not recorded; declare allowed differences in [outputs] or [equivalence]")

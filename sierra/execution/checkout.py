@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sierra.errors import Missing
@@ -22,6 +22,7 @@ from sierra.provenance import referenced_files, source
 from sierra.provenance.dependency_model import NOTHING, Kind, Programs
 from sierra.store.layout import FIGURES, STORE
 from sierra.util.fs import inside
+from sierra.util.hashing import sha256_file
 
 INSIDE = "{project}/"
 VENV = "pyvenv.cfg"
@@ -65,17 +66,35 @@ class Checkout:
     """Files that are mounted into the containers of runs, in their current state."""
     commit: str | None = None
     """The commit that was checked out; error messages name it if something is missing."""
+    built: Mapping[str, str] = field(default_factory=dict)
+    """The SHA-256 of each product that a recorded build made from this source, by its name in the project."""
 
-    def make(self, root: Path) -> None:
-        """Create `root` and write the code into it. Raises Missing if a file no longer exists anywhere."""
+    def make(self, root: Path, *, products: bool = True) -> None:
+        """Create `root` and write the code into it; without `products`, leave out what a recorded build made.
+
+        Raises Missing if a file no longer exists anywhere, or if a product in the project is not the recorded one.
+        """
         if self.spec.source is None:
             root.mkdir(parents=True)
         else:
             source.restore(self.spec.source, self.manifest, self.project, root, self.content, commit=self.commit)
         for name, _ in self.used:
             path = Path(name.removeprefix(INSIDE))
+            if path.as_posix() in self.built:
+                if not products:
+                    continue
+                self._check_product(path)
             if name.startswith(INSIDE) and not path.is_absolute() and ".." not in path.parts:
                 _copy_in(self.project / path, root, path)
+
+    def _check_product(self, name: Path) -> None:
+        """Raise Missing if a product in the project is not the one that was built from this source."""
+        file = self.project / name
+        if not file.is_file() or sha256_file(file) != self.built[name.as_posix()]:
+            raise Missing(
+                f"{file} is not the product that was built from the recorded source; check that source out and repeat the "
+                "query, or use sierra replay, which builds it again"
+            )
 
     def left_out(self) -> str:
         """Return a short text about the project files that git ignores and nothing names, so that the checkout lacks them.

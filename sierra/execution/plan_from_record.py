@@ -20,6 +20,8 @@ from sierra.containers.images.image import Image
 from sierra.containers.images.image_contents import Contents
 from sierra.errors import Damaged, Missing, NotFound, UsageError
 from sierra.execution import commands, row_queries
+from sierra.execution.build import recorded as recorded_build
+from sierra.execution.build.recorded import RecordedBuild
 from sierra.execution.checkout import Checkout
 from sierra.execution.resolve_plan import Plan, this_environment
 from sierra.execution.row_queries import RecordedProgram, axis_values, required_row
@@ -91,13 +93,16 @@ class Recalled:
     success: Success
     readers: Used
     """Readers of other packages with the recorded options."""
+    build: RecordedBuild | None = None
+    """The build that made the products from the source."""
 
     def checkout(self, project: LoadedProject, store: Store) -> Checkout:
         """Return the checkout that restores the code."""
         used = tuple((program.name, program.kind) for program in self.programs)
         container = project.config.container if self.spec.image else None
         mounted = container_setup.data(NOTHING, container, project.root) if container else NOTHING
-        return Checkout(project.root, self.spec, self.manifest, used, store.blob, mounted, self.commit)
+        built = {one.name: one.sha256 for one in self.build.products} if self.build else {}
+        return Checkout(project.root, self.spec, self.manifest, used, store.blob, mounted, self.commit, built)
 
 
 def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recalled:
@@ -106,6 +111,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         row = required_row(SpecRow, snapshot, "SELECT r.* FROM specs r JOIN batches b USING (spec) WHERE b.batch = $b", b=batch)
         rules = required_row(IngestRulesRow, snapshot, "SELECT * FROM ingest_rules WHERE ingest_rules = $r", r=ingest_rules)
         used = row_queries.programs(snapshot, [programs])
+        build = recorded_build.find(snapshot, row.source, programs)
         code = snapshot.select(SourceRow, "SELECT * FROM sources WHERE tree = $t LIMIT 1", t=row.source)
     outputs, success, readers = rules_of(json.loads(rules.declared))
     spec = RunSpec(
@@ -117,7 +123,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         tuple(row.host_access),
     )
     manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
-    return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers))
+    return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers), build)
 
 
 def installed(readers: Used) -> Used:

@@ -20,6 +20,7 @@ from sierra.config.project_file import LoadedProject, Output
 from sierra.containers.engines.base import Engine
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.execution import commands, expected_durations, plan_from_record, recover
+from sierra.execution.build.recorded import rebuild
 from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.plan_from_record import Recalled
 from sierra.execution.run_jobs import Service, Setup
@@ -117,7 +118,12 @@ def replay(
         log.info("replay of %s %s on %s with %s", record.found.kind, record.found.id, options.runner, engine.name)
         root = session.paths.source
         checkout = record.of.checkout(project, store)
-        checkout.make(root)
+        checkout.make(root, products=False)
+        built = None
+        if record.of.build is not None:
+            observer.notice(f"building from the recorded source: {' '.join(record.of.build.row.command)}")
+            built = rebuild(record.of.build, record.of.manifest, project, store, session, engine, image)
+            record.notes += [built.text] if built.different else []
         if image is not None and engine.name == "none":
             record.notes += compare_host_with_image.unlike(
                 record.of.spec, plan_from_record.image_contents(store, image.id), root
@@ -168,14 +174,23 @@ def replay(
         interrupted = followed.interrupted or session.paths.cancelled.exists()
         _leave(session.paths, kept)
         if interrupted:
-            return Replay(session.id, record.found, (), notes, interrupted=True, of=record.named, kept=kept)
+            return Replay(session.id, record.found, (), notes, interrupted=True, of=record.named, kept=kept, built=built)
         compared = _compare(record, store, made, failed, declared)
         before = len(record.notes)
         experiments = tuple(_experiments(project, store, record, list(compared), was, declared))
         late = record.notes[before:]
         for text in late:
             observer.notice(text)
-        answer = Replay(session.id, record.found, experiments, (*notes, *late), interrupted=False, of=record.named, kept=kept)
+        answer = Replay(
+            session.id,
+            record.found,
+            experiments,
+            (*notes, *late),
+            interrupted=False,
+            of=record.named,
+            kept=kept,
+            built=built,
+        )
         _keep(answer, store, session, record, now, around, began, options, engine)
         return answer
     finally:
@@ -333,7 +348,9 @@ def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
     """Yield a line for each program that differs from the record; the code is in `root`."""
     if now.id != of.fingerprint:
         words = mentioned(of.spec.command, root)
-        recorded = Programs(tuple(one.program() for one in of.programs))
+        built = {f"{{project}}/{one.name}" for one in of.build.products} if of.build else set()
+        recorded = Programs(tuple(one.program() for one in of.programs if one.name not in built))
+        now = Programs(tuple(one for one in now.all if one.name not in built))
         yield from (f"different programs: {line}" for line in fingerprint_programs.differences(recorded, now, words))
 
 

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 from sierra.config.project_file import Tolerance
+from sierra.execution.build.recorded import Rebuilt
 from sierra.model import Value
 from sierra.replay.compare_values import Agreement, Verdict, worst
 from sierra.replay.equivalence import Metric
@@ -70,6 +71,8 @@ class Replay:
     """Number of runs that the id names, compared or not."""
     kept: Path | None = None
     """Folder where the restored source and the folders of the runs are kept."""
+    built: Rebuilt | None = None
+    """The products that were built from the restored source; None without `[build]`."""
 
     def _repr_html_(self) -> str:
         axes = tuple(self.experiments[0].values) if self.experiments else ()

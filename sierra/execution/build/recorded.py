@@ -1,0 +1,107 @@
+"""The recorded build of a batch's products, and its repetition in the restored source of a replay."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from sierra.config.project_file import LoadedProject
+from sierra.containers.engines.base import Engine
+from sierra.containers.images.image import Image
+from sierra.execution import commands
+from sierra.execution.build.products import Product
+from sierra.execution.build.recipe import PLATFORM, Recipe, complete
+from sierra.model import Purpose, RunSpec
+from sierra.store.row_types import BuildProductRow, BuildRow
+from sierra.store.store import Snapshot, Store
+from sierra.util.text import few
+
+if TYPE_CHECKING:
+    from sierra.execution.sessions import Session
+
+SHOWN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedBuild:
+    """A build as it is recorded."""
+
+    row: BuildRow
+    products: tuple[Product, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Rebuilt:
+    """The products that a replay built from the recorded source."""
+
+    products: tuple[str, ...]
+    different: tuple[str, ...]
+    """Products whose bytes are not the recorded ones, or that only the record or only the replay has."""
+
+    @property
+    def text(self) -> str:
+        """Return how the products differ from the record, in one line."""
+        what = "products built from the recorded source differ from the record"
+        return f"{what} (compilers may not be reproducible): {few(self.different, SHOWN)}"
+
+
+FIND = """
+SELECT b.* FROM builds b
+WHERE b.source = $source AND b.purpose = 'run' AND b.result IS NOT NULL AND NOT EXISTS (
+    SELECT 1 FROM build_products p WHERE p.build = b.build AND p.session = b.session AND NOT EXISTS (
+        SELECT 1 FROM programs g WHERE g.programs = $programs AND g.name = '{project}/' || p.name AND g.sha256 = p.sha256
+    )
+)
+ORDER BY b.lamport DESC LIMIT 1
+"""
+"""The last build of a source whose products are all among the programs of executions."""
+PRODUCTS = "SELECT * FROM build_products WHERE build = $b AND session = $s ORDER BY name"
+
+
+def find(snapshot: Snapshot, source: str | None, programs: str) -> RecordedBuild | None:
+    """Return the build whose products executions used; None if none is recorded."""
+    rows = snapshot.select(BuildRow, FIND, source=source, programs=programs) if source else []
+    if not rows:
+        return None
+    made = snapshot.select(BuildProductRow, PRODUCTS, b=rows[0].build, s=rows[0].session)
+    return RecordedBuild(rows[0], tuple(Product(row.name, row.size, row.sha256) for row in made))
+
+
+def rebuild(
+    recorded: RecordedBuild,
+    manifest: bytes,
+    project: LoadedProject,
+    store: Store,
+    session: Session,
+    engine: Engine,
+    image: Image | None,
+) -> Rebuilt:
+    """Execute a recorded build in the restored source of a session, and record that. Raises SierraError if it fails."""
+    from sierra.execution.build.perform import Place, failure, perform, record
+
+    recipe = _recipe(recorded.row, manifest, project)
+    hosted = image if engine.name == "none" else None
+    if hosted is not None:
+        variables = commands.within(hosted, recipe.spec.environment)
+        recipe = replace(recipe, spec=replace(recipe.spec, environment=variables, image=None, host_access=()))
+    root = session.paths.source
+    recipe = complete(recipe, root, project.root, project.config.container if recipe.spec.image else None)
+    place = Place(root, project, engine, None if hosted else image)
+    ended = perform(recipe, place, store, session)
+    record(recipe, ended, place, store, session, batch=recorded.row.batch, purpose=Purpose.REPLAY)
+    if ended.reason is not None:
+        raise failure(ended, store, session)
+    return _compared(recorded.products, ended.products)
+
+
+def _recipe(row: BuildRow, manifest: bytes, project: LoadedProject) -> Recipe:
+    table = project.config.build
+    spec = RunSpec(PLATFORM, tuple(row.command), json.loads(row.variables), row.source, row.image, tuple(row.host_access))
+    return Recipe(spec, row.folder, tuple(row.produces), manifest, table.wall if table else None)
+
+
+def _compared(recorded: tuple[Product, ...], made: tuple[Product, ...]) -> Rebuilt:
+    was, now = ({one.name: one.sha256 for one in side} for side in (recorded, made))
+    different = sorted(name for name in was.keys() | now.keys() if was.get(name) != now.get(name))
+    return Rebuilt(tuple(now), tuple(different))
