@@ -12,6 +12,7 @@ from sierra.util.text import counted, few
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from sierra.execution.build.state import BuildState
     from sierra.execution.reasons import Reason
     from sierra.explain.plan_changes import NewRuns, PlanChange
     from sierra.explain.preview_repeat import NextRun
@@ -79,6 +80,15 @@ SHOWN = 10
 """The largest number of details in a line."""
 
 
+def build(state: BuildState, *, dry_run: bool) -> str:
+    """Return whether the products of `[build]` are built, and why, in one line."""
+    if state.reason is None:
+        return "build: the products are up to date"
+    when = "would be built first" if dry_run else "were built"
+    unknown = "; whether runs are reused depends on the products" if dry_run else ""
+    return f"build: the products {when}, because {state.reason}{unknown}"
+
+
 def change(found: PlanChange) -> str:
     """Return a difference between a plan and a recorded batch in words."""
     words = CHANGES[found.aspect].format(name=found.name, was=found.was, now=found.now, details=few(found.details, SHOWN))
@@ -101,9 +111,17 @@ def next_run(answer: NextRun) -> list[str]:
     """Return the effect of repeating a batch's query, one line each."""
     if answer.error:
         return [f"the query cannot be repeated as it is: {answer.error}"]
+    first = [build(answer.build, dry_run=True)] if answer.build and answer.build.reason else []
     if answer.other_batch:
         recorded = f"(sierra run {short(answer.batch)} executes this batch with the recorded code)"
-        return [f"different runs (batch {short(answer.other_batch)}), because:", *map(change, answer.differences), recorded]
+        return [
+            f"different runs (batch {short(answer.other_batch)}), because:",
+            *map(change, answer.differences),
+            recorded,
+            *first,
+        ]
+    if first:
+        return first
     reasons = (f"{counted(count, 'run')}: {text(reason, PREVIEW)}" for count, reason in answer.reasons)
     return [*reasons, *map(change, answer.differences)]
 

@@ -84,7 +84,8 @@ def run(
       sierra run population_size.Log8 --on slurm --dry-run --explain
     """
     from sierra.cli import open_project, render_summary
-    from sierra.cli.progress import Planning, watching
+    from sierra.cli.progress import Display, Planning, watching
+    from sierra.cli.render_reasons import build
     from sierra.config import user
     from sierra.query.grammar import setting
 
@@ -93,15 +94,19 @@ def run(
     settings = Settings(runs=runs, controller=controller, scenario=scenario, sets=[setting(text) for text in sets or ()])
     plan = _plan(project, query, settings, engine=engine, observer=observer)
     more: dict[str, object] = {}
+    state = plan.build
     if not dry_run:
         _check_log(plan)
+        plan = project.build(plan, observer=Display())
     if dry_run or explain:
-        preview = _preview(project, plan, runner, detach=detach, explain=explain, dry_run=dry_run, quiet=as_json)
+        built = build(state, dry_run=dry_run) if state else None
+        preview = _preview(project, plan, runner, built, detach=detach, explain=explain, dry_run=dry_run, quiet=as_json)
         if dry_run and as_json:
             print_json(preview.as_dict())
         if dry_run:
             return
         more = {"reasons": preview.reasons, "new_because": preview.new_because, "proposal": preview.proposal}
+        more |= {"build": preview.build} if preview.build else {}
     elif why := _again(project, plan):
         more = {"new_because": why}
     with watching(quiet=as_json) as display:
@@ -151,9 +156,20 @@ def _plan(project: Project, query: list[str], settings: Settings, *, engine: str
 
 
 def _preview(
-    project: Project, plan: Plan, runner: str, *, detach: bool, explain: bool, dry_run: bool, quiet: bool
+    project: Project,
+    plan: Plan,
+    runner: str,
+    built: str | None,
+    *,
+    detach: bool,
+    explain: bool,
+    dry_run: bool,
+    quiet: bool,
 ) -> PlanPreview:
-    """Return the preview of a plan, with `explain` also its reasons; print it unless `quiet`."""
+    """Return the preview of a plan, with `explain` also its reasons; print it unless `quiet`.
+
+    `built` says whether products are built.
+    """
     from sierra.cli import render_estimate
     from sierra.cli.render_reasons import PREVIEW, change, new_runs, text
     from sierra.execution.cluster_status import seen
@@ -183,6 +199,7 @@ def _preview(
         notes=plan.notes,
         new_because=tuple(new_runs(why_new(plan, store))) if new else (),
         other_programs=tuple(map(change, other_programs(plan, store))) if other and store else None,
+        build=built,
         proposal=proposal,
     )
     if not quiet:
@@ -204,6 +221,8 @@ def _print(plan: Plan, preview: PlanPreview, to_execute: AbstractSet[str], *, ex
         for experiment in plan.batch.experiments
     ]
     table([*(axis.name for axis in plan.batch.axes), "runs", "to execute"], rows, right=["runs", "to execute"])
+    if preview.build:
+        print(preview.build)
     if explain:
         for reason, number in preview.reasons.items():
             print(f"{counted(number, 'run')}: {reason}")

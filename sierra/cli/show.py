@@ -13,13 +13,13 @@ from sierra.cli.output import cell, fields, fitting, members, print_json, readab
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
-    from sierra.execution.show_record import Failed, ShownBatch, ShownExecution, ShownIsolation
+    from sierra.execution.show_record import Failed, ShownBatch, ShownBuild, ShownExecution, ShownIsolation
     from sierra.provenance.commits_between import Known
 
 SHOWN_REASONS = 10
 MORE = 4
 """The largest number of column names that are printed if the columns do not fit the terminal."""
-APART = ("failures", "programs", "environment", "image", "isolations", "isolation", "host_access", "history")
+APART = ("build", "failures", "programs", "environment", "image", "isolations", "isolation", "host_access", "history")
 """The parts of a batch or an execution that are printed in forms of their own, after the others."""
 AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
 """The largest number of shown rows, for tables that may be as long as a batch."""
@@ -56,6 +56,8 @@ def show(
         case ShownBatch():
             record["spec"] = _without_parts(shown.spec._asdict())
             _print_record(_without_parts(record), long=long)
+            if shown.build:
+                _print_build(shown.build)
             if shown.history:
                 _print_commit(shown.history)
             _print_host(shown, shown.spec.host_access, shown.isolations)
@@ -87,6 +89,18 @@ def _print_host(shown: ShownBatch | ShownExecution, reach: Sequence[str], isolat
         print_programs(shown.programs)
     if shown.environment:
         print_environment(shown.environment)
+
+
+def _print_build(build: ShownBuild) -> None:
+    """Print the build whose products the batch used, in two lines."""
+    from sierra.util.hashing import short
+
+    row = build.row
+    by = f" by {row.compiler}" if row.compiler else ""
+    products = few([f"{one.name} ({short(one.sha256)})" for one in build.products], MORE)
+    print()
+    print(readable(f"build {short(row.build)}: {' '.join(row.command)}, on {row.host}, {cell(row.ended)}{by}"))
+    print(readable(f"  {products}"))
 
 
 def _print_commit(known: Known) -> None:

@@ -32,10 +32,12 @@ class PlanPreview(BaseModel):
     other_programs: tuple[str, ...] | None = Field(
         None, description="with --explain: the programs that differ from those of the last execution, if runs execute for that"
     )
+    build: str | None = Field(None, description="with [build]: whether the products would be built first, and why")
     proposal: Estimate | None = Field(description="what would be submitted to a cluster; null for a runner without one")
 
     def as_dict(self) -> dict[str, object]:
         """Return the fields for JSON. Keys without a value are left out where the schema does not require them."""
-        names = [name for name in type(self).model_fields if name != "other_programs" or self.other_programs is not None]
+        optional = ("other_programs", "build")
+        names = [name for name in type(self).model_fields if name not in optional or getattr(self, name) is not None]
         request = self.request.model_dump(mode="json", exclude_defaults=True)
         return {name: getattr(self, name) for name in names} | {"request": request}

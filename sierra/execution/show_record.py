@@ -20,6 +20,8 @@ from sierra.store.recorded_files import recorded, take
 from sierra.store.row_types import (
     ArtifactRow,
     BatchRow,
+    BuildProductRow,
+    BuildRow,
     EnvironmentRow,
     ExecutionRow,
     ImageRow,
@@ -182,6 +184,18 @@ class ShownEnvironment:
 
 
 @dataclass(frozen=True, slots=True)
+class ShownBuild:
+    """The build whose products a batch used last."""
+
+    row: BuildRow
+    products: Sequence[BuildProductRow]
+
+    def as_dict(self) -> Record:
+        products = [_without(product._asdict(), "build", "session") for product in self.products]
+        return {**self.row._asdict(), "products": products}
+
+
+@dataclass(frozen=True, slots=True)
 class ShownBatch:
     """A batch; its row has the controller and the scenario of the whole batch."""
 
@@ -194,6 +208,8 @@ class ShownBatch:
     source: SourceRow | None
     programs: Sequence[RecordedProgram]
     environment: ShownEnvironment | None
+    build: ShownBuild | None
+    """None if there is no `[build]`."""
     failures: Sequence[Failed]
     nondeterminism: Sequence[Nondeterminism]
     replays: Sequence[ReplayOfBatch]
@@ -310,7 +326,7 @@ def _members(shown: ShownBatch | ShownRun | ShownExecution | ShownEnvironment) -
 
 def _form(value: object) -> object:
     match value:
-        case ShownImage() | ShownIsolation() | ShownEnvironment() | CountedExperiment():
+        case ShownBuild() | ShownImage() | ShownIsolation() | ShownEnvironment() | CountedExperiment():
             return value.as_dict()
         case list():
             return [_form(inner) for inner in value]
@@ -362,6 +378,7 @@ def _batch(snapshot: Snapshot, identity: str, clusters: Sequence[OnCluster]) -> 
         source=_source(snapshot, identity, spec.source),
         programs=_programs(snapshot, last.programs),
         environment=_environment(snapshot, last.environment),
+        build=_build(snapshot, identity),
         failures=_failures(snapshot, identity, experiments),
         nondeterminism=snapshot.select(Nondeterminism, NONDETERMINISM, b=identity, r=None),
         replays=snapshot.select(ReplayOfBatch, REPLAYS, b=identity),
@@ -400,6 +417,22 @@ ORDER BY started
 """  # noqa: S608 - of our own parts
 """Attempts at the array tasks that executed a run, and whether each attempt executed this run."""
 REPLAYS = "SELECT replay, started, kind, target, runs, verdict FROM replays WHERE batch = $b ORDER BY lamport"
+BUILD = """
+SELECT b.* FROM builds b
+JOIN (SELECT arg_max(build, lamport) AS build, max(lamport) AS lamport FROM sessions WHERE batch = $b) s USING (build)
+WHERE b.purpose = 'run' AND b.result IS NOT NULL AND b.lamport < s.lamport ORDER BY b.lamport DESC LIMIT 1
+"""
+"""The build that the last session of a batch used: the last successful one with its id before the session."""
+PRODUCTS = "SELECT * FROM build_products WHERE build = $b AND session = $s ORDER BY name"
+
+
+def _build(snapshot: Snapshot, batch: str) -> ShownBuild | None:
+    rows = snapshot.select(BuildRow, BUILD, b=batch)
+    if not rows:
+        return None
+    return ShownBuild(rows[0], snapshot.select(BuildProductRow, PRODUCTS, b=rows[0].build, s=rows[0].session))
+
+
 SOURCE = """
 SELECT s.* FROM sources s LEFT JOIN sessions n ON n.source = s.source AND n.batch = $b
 WHERE s.tree = $t ORDER BY n.lamport NULLS LAST LIMIT 1

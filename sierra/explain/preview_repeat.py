@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError
 from sierra.execution import resolve_plan
+from sierra.execution.build.state import BuildState
 from sierra.execution.dry_run import forecast
 from sierra.execution.reasons import ChangeReason, Reason
 from sierra.execution.resolve_plan import Plan
@@ -32,6 +33,8 @@ class NextRun:
     """Differences that make it another batch, or, for the same batch, the programs that differ."""
     reasons: tuple[tuple[int, Reason], ...] = ()
     """Numbers of runs by the reason why they would be executed or reused."""
+    build: BuildState | None = None
+    """State of the products of `[build]`; until they are built, it is unknown which runs would be executed."""
 
 
 def next_run(project: LoadedProject, store: Store, batch: str, runs: Container[str] | None) -> NextRun:
@@ -41,10 +44,15 @@ def next_run(project: LoadedProject, store: Store, batch: str, runs: Container[s
     except SierraError as error:
         return NextRun(batch, error=str(error))
     if plan.batch.id != batch:
-        return NextRun(batch, other_batch=plan.batch.id, differences=why_other(plan, store, batch))
+        return NextRun(batch, other_batch=plan.batch.id, differences=why_other(plan, store, batch), build=plan.build)
     reasons = forecast(plan, store, runs).reasons
     programs = other_programs(plan, store) if reasons[Reason(ChangeReason.PROGRAMS)] else ()
-    return NextRun(batch, differences=programs, reasons=tuple((count, reason) for reason, count in reasons.most_common()))
+    return NextRun(
+        batch,
+        differences=programs,
+        reasons=tuple((count, reason) for reason, count in reasons.most_common()),
+        build=plan.build,
+    )
 
 
 def _plan(project: LoadedProject, store: Store, batch: str) -> Plan:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from sierra.config import plugin_registry, user
+from sierra.config.project_file import BuildTable
 from sierra.containers.engines.base import Capabilities
 from sierra.errors import SierraError
 from sierra.provenance.machine import usable_cores
@@ -147,9 +148,25 @@ def _project() -> Iterator[Check]:
             command = commands.command(platform, project.root, contained=True)
             path = commands.environment(platform, project.config).get("PATH")
             return f"{container_setup.program(command, path, inside)} in {image.name}"
-        words = commands.fill(commands.command(platform, project.root), project.root)
+        made = project.config.build.produces if project.config.build else ()
+        words = commands.fill(commands.command(platform, project.root, made=made), project.root)
+        if made and not Path(words[0]).exists() and Path(words[0]).is_relative_to(project.root):
+            return f"{words[0]}, which [build] makes"
         variables = commands.declared(commands.environment(platform, project.config), project.root)
         return fingerprint_programs.find(words, variables, project.root).all[0].path
+
+    def find_builder(table: BuildTable) -> str:
+        word = table.command[0]
+        if "/" in word and not word.startswith("{"):
+            word = str(project.root / table.folder / word)
+        if project.config.container is not None and not Path(word).is_relative_to(project.root):
+            image = images.pinned(project.root, project.config.container.image)
+            inside = images.examine(project.root, StorePaths(project.paths.store), image)
+            return f"{container_setup.program((word,), None, inside)} in {image.name}"
+        variables = commands.declared(
+            commands.environment(platforms.find(project.config.platform, project.config), project.config), project.root
+        )
+        return fingerprint_programs.find(commands.fill((word,), project.root), variables, project.root).all[0].path
 
     def check_options() -> str:
         plugin_registry.check(project.config)
@@ -162,6 +179,9 @@ def _project() -> Iterator[Check]:
     yield _tried(
         "template", lambda: f"{template}, {templates.read(project.root / template, project.config.templates).sha256[:10]}"
     )
+    table = project.config.build
+    if table is not None:
+        yield _tried("build", lambda: find_builder(table))
     yield _tried("command", find_program)
     if project.config.requires:
         absent = required_packages.missing(project.config, contained=project.config.container is not None)
