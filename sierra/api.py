@@ -156,10 +156,11 @@ class Project:
         from sierra.execution import resolve_plan
         from sierra.execution.observer import Observer
         from sierra.explain.respelled_numbers import respelled
+        from sierra.explain.unbuilt_programs import unbuilt
 
         plan = resolve_plan.plan(self._loaded, request, engine=engine, report=(observer or Observer()).planning)
         store = self.stored()
-        return replace(plan, notes=(*plan.notes, *respelled(plan, store))) if store else plan
+        return replace(plan, notes=(*plan.notes, *respelled(plan, store), *unbuilt(plan, store))) if store else plan
 
     def run(
         self,

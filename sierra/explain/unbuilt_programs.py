@@ -1,0 +1,70 @@
+"""Hints at compiled programs that stayed the same although their code changed, in projects without `[build]`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from sierra.errors import NotFound
+from sierra.execution import row_queries
+from sierra.execution.resolve_plan import Plan
+from sierra.provenance import source
+from sierra.provenance.compiled_languages import is_code, is_compiled
+from sierra.store.store import Store
+from sierra.util.hashing import short
+from sierra.util.text import few
+
+SHOWN = 3
+PREFIX = "{project}/"
+
+
+class Before(NamedTuple):
+    """The last session with another source: its batch and programs, and the list of the source's files."""
+
+    batch: str
+    programs: str
+    files: str
+
+
+BEFORE = """
+SELECT s.batch, s.programs, o.files FROM sessions s JOIN sources o USING (source)
+WHERE o.tree <> $tree ORDER BY s.lamport DESC LIMIT 1
+"""
+
+
+def unbuilt(plan: Plan, store: Store) -> Iterator[str]:
+    """Yield a hint if runs use compiled programs of the project that are older than the code, as far as content shows.
+
+    That is so if files in compiled languages differ from those of the last other source, but the programs do not. Times are
+    no evidence: a checkout changes them, and a copy may keep them.
+    """
+    if plan.project.config.build is not None or plan.source is None or plan.checkout is not None:
+        return
+    held = source.paths(plan.source.manifest)
+    used = {
+        one.name: one.sha256
+        for one in plan.programs.all
+        if one.name.startswith(PREFIX) and os.fsencode(one.name.removeprefix(PREFIX)) not in held and is_compiled(one.path)
+    }
+    if not used:
+        return
+    with store.snapshot() as snapshot:
+        found = snapshot.select(Before, BEFORE, tree=plan.source.tree)
+        recorded = {one.name: one.sha256 for one in row_queries.programs(snapshot, [before.programs for before in found])}
+    same = [name.removeprefix(PREFIX) for name, digest in used.items() if recorded.get(name) == digest]
+    changed = list(_changed(found, plan.source.manifest, store)) if same else []
+    if changed:
+        yield (
+            f"{few(changed, SHOWN)} changed since batch {short(found[0].batch)}, but {few(same, SHOWN)} did not: "
+            "build it, or declare [build], and SIERRA builds it whenever the source changes"
+        )
+
+
+def _changed(found: list[Before], manifest: bytes, store: Store) -> Iterator[str]:
+    """Yield the files in compiled languages that differ from those of another source."""
+    for before in found:
+        try:
+            yield from filter(is_code, source.changed(store.object(before.files), manifest))
+        except NotFound:  # sierra fsck reports it
+            return
