@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -69,20 +69,29 @@ class Checkout:
     built: Mapping[str, str] = field(default_factory=dict)
     """The SHA-256 of each product that a recorded build made from this source, by its name in the project."""
 
-    def make(self, root: Path, *, products: bool = True) -> None:
-        """Create `root` and write the code into it; without `products`, leave out what a recorded build made.
+    def make(self, root: Path) -> None:
+        """Create `root` and write the code into it.
 
         Raises Missing if a file no longer exists anywhere, or if a product in the project is not the recorded one.
         """
+        self.restore(root)
+        self.bring(root, (name for name, _ in self.used))
+
+    def restore(self, root: Path) -> None:
+        """Create `root` and write the source into it. Raises Missing if a file no longer exists anywhere."""
         if self.spec.source is None:
             root.mkdir(parents=True)
         else:
             source.restore(self.spec.source, self.manifest, self.project, root, self.content, commit=self.commit)
-        for name, _ in self.used:
+
+    def bring(self, root: Path, names: Iterable[str]) -> None:
+        """Copy these files of the project into `root`, unless they exist there: the names are those of programs.
+
+        Raises Missing if a file does not exist, or if a product in the project is not the recorded one.
+        """
+        for name in names:
             path = Path(name.removeprefix(INSIDE))
-            if path.as_posix() in self.built:
-                if not products:
-                    continue
+            if path.as_posix() in self.built and not (root / path).exists():
                 self._check_product(path)
             if name.startswith(INSIDE) and not path.is_absolute() and ".." not in path.parts:
                 _copy_in(self.project / path, root, path)
@@ -134,7 +143,7 @@ def _copy_in(original: Path, root: Path, name: Path) -> None:
     Raises Missing if the file does not exist.
     """
     copy = root / name
-    if copy.exists() and not copy.is_symlink():
+    if copy.exists() and not (copy.is_symlink() and _leads_out(copy, root)):
         return
     if not original.is_file():
         raise Missing(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -22,13 +22,14 @@ from sierra.errors import ConfigError, Missing, QueryError
 from sierra.execution import commands
 from sierra.execution.build import recipe as build_recipe
 from sierra.execution.build.state import BuildState, look
-from sierra.execution.checkout import Checkout, programs_in
+from sierra.execution.checkout import INSIDE, Checkout, programs_in
 from sierra.ingest.base import Used
 from sierra.ingest.base import used as used_readers
 from sierra.ingest.recording_context import Context
 from sierra.model import Batch, Design, Experiment, Limits, Purpose, Query, Run, RunSpec, Set
 from sierra.provenance import environment, referenced_files, reported_versions, source
 from sierra.provenance.change_guard import ChangeGuard, guard
+from sierra.provenance.compiled_languages import is_compiled
 from sierra.provenance.dependency_model import Programs
 from sierra.query import grammar
 from sierra.query.query_request import QueryRequest
@@ -206,6 +207,7 @@ def plan(
             *_texts(designed, config, template),
             *_same(batch),
             *used.notes,
+            *(_unbuilt(built, used, held) if built else ()),
             *(f"{file} is named only by the query: changes of this file are not detected" for file in uncounted),
         ),
     )
@@ -240,6 +242,15 @@ def _used(spec: RunSpec, code: source.Source, root: Path, data: Programs, built:
         if built.reason is None:
             raise
         return data
+
+
+def _unbuilt(built: BuildState, used: Programs, held: Container[bytes]) -> Iterator[str]:
+    """Yield a note on compiled files of the project that runs use, and that are neither products nor source."""
+    own = (one for one in used.all if one.name.startswith(INSIDE) and is_compiled(one.path))
+    made = {one.name for one in built.products}
+    names = [name for one in own if (name := one.name.removeprefix(INSIDE)) not in made and os.fsencode(name) not in held]
+    if names and built.reason is None:
+        yield f"runs use {few(names, 3)}, which no pattern of [build] produces matches: add it if the build makes it"
 
 
 def this_environment(config: Project) -> EnvironmentRow:

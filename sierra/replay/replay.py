@@ -118,12 +118,14 @@ def replay(
         log.info("replay of %s %s on %s with %s", record.found.kind, record.found.id, options.runner, engine.name)
         root = session.paths.source
         checkout = record.of.checkout(project, store)
-        checkout.make(root, products=False)
+        checkout.restore(root)
         built = None
         if record.of.build is not None:
+            checkout.bring(root, record.of.build.inputs)
             observer.notice(f"building from the recorded source: {' '.join(record.of.build.row.command)}")
             built = rebuild(record.of.build, record.of.manifest, project, store, session, engine, image)
             record.notes += [built.text] if built.different else []
+        checkout.bring(root, (name for name, _ in checkout.used))
         if image is not None and engine.name == "none":
             record.notes += compare_host_with_image.unlike(
                 record.of.spec, plan_from_record.image_contents(store, image.id), root

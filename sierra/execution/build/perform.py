@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import re
@@ -97,7 +98,7 @@ def perform(recipe: Recipe, place: Place, store: Store, session: Session) -> End
     ended = datetime.now(UTC)
     log.info("build %s ended: %s", recipe.id, reason or "well")
     if reason is not None:
-        _check_disk(place.root, folder)
+        _check_disk(place.root, folder, folder / LOG)
         return Ended(started, ended, exit_code, reason)
     if lacking := products.unmatched(place.root, recipe.produces):
         return Ended(started, ended, exit_code, f"it made no file that matches {lacking[0]!r} of produces")
@@ -276,10 +277,14 @@ def _ending(process: subprocess.Popen[bytes]) -> Iterator[None]:
                     process.wait(GRACE_S)
 
 
-def _check_disk(*folders: Path) -> None:
-    """Raise Missing if a file system has no space left, which is why a build failed."""
-    for folder in folders:
+def _check_disk(root: Path, folder: Path, output: Path) -> None:
+    """Raise Missing if a full disk is why a build failed: it is full now, or the build said so and then removed files."""
+    for place in (root, folder):
         try:
-            worker.check_room(str(folder))
+            worker.check_room(str(place))
         except OSError as error:
-            raise Missing(f"cannot write to {folder}: {error.strerror}") from error
+            raise Missing(f"cannot write to {place}: {error.strerror}") from error
+    content, _ = kept_of(str(output))
+    for number in (errno.ENOSPC, errno.EDQUOT):
+        if os.strerror(number).encode() in content:
+            raise Missing(f"the build in {root} cannot write: {os.strerror(number)}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
-from sierra.execution import commands
+from sierra.execution import checkout, commands, row_queries
 from sierra.execution.build.products import Product
 from sierra.execution.build.recipe import PLATFORM, Recipe, complete
 from sierra.model import Purpose, RunSpec
@@ -29,6 +29,8 @@ class RecordedBuild:
 
     row: BuildRow
     products: tuple[Product, ...]
+    inputs: tuple[str, ...]
+    """The names of the project's files outside the source that the build used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +67,9 @@ def find(snapshot: Snapshot, source: str | None, programs: str) -> RecordedBuild
     if not rows:
         return None
     made = snapshot.select(BuildProductRow, PRODUCTS, b=rows[0].build, s=rows[0].session)
-    return RecordedBuild(rows[0], tuple(Product(row.name, row.size, row.sha256) for row in made))
+    used = row_queries.programs(snapshot, [rows[0].programs])
+    inputs = tuple(one.name for one in used if one.name.startswith(checkout.INSIDE))
+    return RecordedBuild(rows[0], tuple(Product(row.name, row.size, row.sha256) for row in made), inputs)
 
 
 def rebuild(
