@@ -11,15 +11,16 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from sierra.errors import Missing
 from sierra.execution import commands
 from sierra.model import RunSpec
 from sierra.provenance import fingerprint_programs as programs
 from sierra.provenance import referenced_files, source
-from sierra.provenance.dependency_model import NOTHING, Kind, Programs
+from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from sierra.store.layout import FIGURES, STORE
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
@@ -29,18 +30,47 @@ VENV = "pyvenv.cfg"
 """File name that marks a folder as a virtual environment."""
 
 
-def programs_in(spec: RunSpec, manifest: bytes, root: Path, data: Programs = NOTHING, project: Path | None = None) -> Programs:
+def programs_in(
+    spec: RunSpec,
+    manifest: bytes,
+    root: Path,
+    data: Programs = NOTHING,
+    project: Path | None = None,
+    *,
+    made: AbstractSet[str] = frozenset(),
+) -> Programs:
     """Return the programs that a spec's command starts, with the code in `root`, and the files that they need.
 
-    `data` are the files that nothing in the spec names. `project` is the user's project folder. Raises Missing.
+    `data` are the files that nothing in the spec names. `project` is the user's project folder. `made` are the names of the
+    products of a build: of the other files in their folders, only those count that a word names itself. Raises Missing.
     """
     command, variables = spec.command, spec.environment
     if spec.image is not None:
-        return _beside_image(spec, manifest, root, data)
+        return _without_leftovers(_beside_image(spec, manifest, root, data), spec, data, made)
     files = referenced_files.files((*command, *variables.values()), root, source.paths(manifest), data, project or root)
     words, declared = commands.fill(command, root, project=project), commands.declared(variables, root, project)
     found = programs.find(words, declared, root, files, project=project)
-    return programs.of_project(found, (root, project or root))
+    return _without_leftovers(programs.of_project(found, (root, project or root)), spec, data, made)
+
+
+def _without_leftovers(found: Programs, spec: RunSpec, data: Programs, made: AbstractSet[str]) -> Programs:
+    """Return the programs without the files that a build leaves beside its products, for example a compiler's caches.
+
+    A variable may name the whole folder (`LIBRARIES={project}/build`), but such files differ after each build.
+    """
+    folders = {folder for name in made if (folder := PurePosixPath(name).parent).parts}
+    if not folders:
+        return found
+    kept = {one.path for one in data.all}
+    words = (*spec.command, *spec.environment.values())
+
+    def counts(one: Program) -> bool:
+        name = one.name.removeprefix(INSIDE)
+        if one.kind is not Kind.FILE or name == one.name or name in made or one.path in kept:
+            return True
+        return folders.isdisjoint(PurePosixPath(name).parents) or any(one.name in word for word in words)
+
+    return replace(found, all=tuple(one for one in found.all if counts(one)))
 
 
 def _beside_image(spec: RunSpec, manifest: bytes, root: Path, data: Programs) -> Programs:
@@ -119,7 +149,7 @@ class Checkout:
         kept = (name for name, kind in self.used if kind == Kind.FILE and (not contained or name.startswith(INSIDE)))
         files = referenced_files.existing(kept, root)
         files = replace(files, all=(*files.all, *self.mounted.all))
-        return programs_in(self.spec, self.manifest, root, files, self.project)
+        return programs_in(self.spec, self.manifest, root, files, self.project, made=self.built.keys())
 
     def programs(self) -> Programs:
         """Return `programs_in` for a temporary checkout, which is removed again."""

@@ -237,7 +237,7 @@ def _used(spec: RunSpec, code: source.Source, root: Path, data: Programs, built:
     known = {one.path for one in data.all}
     data = Programs((*data.all, *(one for one in made.all if one.path not in known)), data.notes)
     try:
-        return programs_in(spec, code.manifest, root, data)
+        return programs_in(spec, code.manifest, root, data, made={one.name for one in built.products})
     except Missing:
         if built.reason is None:
             raise

@@ -7,6 +7,7 @@ import re
 import shlex
 import shutil
 from collections.abc import Iterator
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -86,9 +87,11 @@ def declared(table: BuildTable, runs: RunSpec, manifest: bytes) -> Recipe:
 def complete(recipe: Recipe, root: Path, project: Path, box: Container | None) -> Recipe:
     """Return the recipe with the programs that it uses; the code is in `root`. Raises Missing if a program is not found."""
     placed = recipe.placed(root)
+    made = {f"{checkout.INSIDE}{name}" for name in products.names(root, recipe.produces)}
     if recipe.spec.image is not None:
         mounted = container_setup.data(NOTHING, box, project) if box else NOTHING
-        return replace(recipe, programs=checkout.programs_in(placed, recipe.manifest, root, mounted, project))
+        used = checkout.programs_in(placed, recipe.manifest, root, mounted, project)
+        return replace(recipe, programs=_inputs(used, placed, made))
     variables = commands.declared(placed.environment, root, project)
     try:
         used = checkout.programs_in(placed, recipe.manifest, root, NOTHING, project)
@@ -98,9 +101,18 @@ def complete(recipe: Recipe, root: Path, project: Path, box: Container | None) -
             used = _with(used, tuple(replace(one, name=name) if one.path == path else one for one in own.all))
     except Missing as error:
         raise Missing(f"[build] command: {error}") from error
-    made = {f"{{project}}/{name}" for name in products.names(root, recipe.produces)}
-    kept = tuple(one for one in used.all if one.name not in made)
-    return replace(recipe, programs=Programs(kept, used.notes), compilers=tuple(found))
+    return replace(recipe, programs=_inputs(used, placed, made), compilers=tuple(found))
+
+
+def _inputs(used: Programs, placed: RunSpec, made: AbstractSet[str]) -> Programs:
+    """Return the programs without products, and without files that a word names only by their folder: builds change both."""
+    words = (*placed.command, *placed.environment.values())
+
+    def counts(one: Program) -> bool:
+        inside = one.kind is Kind.FILE and one.name.startswith(checkout.INSIDE)
+        return one.name not in made and (not inside or any(one.name in word for word in words))
+
+    return replace(used, all=tuple(one for one in used.all if counts(one)))
 
 
 def _with(programs: Programs, more: tuple[Program, ...]) -> Programs:

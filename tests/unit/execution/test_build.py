@@ -192,6 +192,21 @@ def test_a_pattern_that_matches_nothing_is_an_error(root: Path) -> None:
     assert "it made no file that matches 'build/*.so' of produces" in failing(root)
 
 
+def test_an_interrupted_build_is_ended_and_leaves_the_older_product(tmp_path: Path) -> None:
+    root = make(tmp_path / "project", ignored="build/\nbegun\n")
+    run(root)
+    edit(root)
+    (root / "compile.sh").write_text("echo $$ > begun; sleep 1000\n")
+    session = projects.start(root, *QUERY)
+    until(lambda: (root / "begun").read_text().strip())
+    session.send_signal(signal.SIGINT)
+    session.communicate()
+    assert session.returncode == 130
+    assert has_ended(int((root / "begun").read_text()))
+    assert (root / "build/sim").read_text() == f"{SIMULATOR}# \n"
+    assert list((root / ".sierra/work").glob("[0-9a-f]*")) == []
+
+
 def test_a_product_in_the_source_is_an_error_with_a_remedy(tmp_path: Path) -> None:
     root = make(tmp_path / "project", ignored="")
     assert "its product build/sim is part of the source" in failing(root)
@@ -371,6 +386,25 @@ def test_a_replay_names_products_that_are_not_reproducible_in_one_line(tmp_path:
     answer = json.loads(run(root, "replay", batch["batch"], "--json").stdout)
     assert answer["built"] == {"products": ["build/sim"], "different": ["build/sim"]}
     assert "0 executed, 2 reused" in run(root).stdout
+
+
+def test_files_beside_the_products_do_not_count_even_if_a_variable_names_their_folder(tmp_path: Path) -> None:
+    names = {"LIBRARIES": "build", "DATA": "build/data", "LOADED": "build/sim"}
+    variables = ", ".join(f'{name} = "{{project}}/{path}"' for name, path in names.items())
+    config = f"{CONFIG}[environment]\nset = {{ {variables} }}\n"
+    root = make(tmp_path / "project", config, compiler=f"{COMPILER}cp /proc/sys/kernel/random/uuid build/cache\n")
+    (root / "build").mkdir()
+    (root / "build/data").write_text("1")
+    run(root)
+    assert "0 executed, 2 reused" in run(root).stdout
+    counted = {row["name"] for row in rows(root, "SELECT name FROM programs WHERE name LIKE '{project}%'")}
+    assert counted == {"{project}/build/sim", "{project}/build/data"}
+    (root / "build/sim").unlink()
+    assert "0 executed, 2 reused" in run(root).stdout
+    [batch] = rows(root, "FROM batches")
+    assert "differ" not in run(root, "replay", batch["batch"]).stderr
+    (root / "build/data").write_text("2")
+    assert "2 executed, 0 reused" in run(root).stdout
 
 
 def test_a_replay_whose_build_fails_says_so(root: Path) -> None:
