@@ -245,6 +245,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
         success=recalled.success,
         readers=recalled.readers,
         seen=guard(project.root, b"", used),
+        build=recalled.build.state(recalled.manifest) if recalled.build else None,
     )
 
 

@@ -86,7 +86,7 @@ class Plan:
     """Guard that notices changes of the code and programs since planning."""
     notes: tuple[str, ...] = ()
     build: BuildState | None = None
-    """State of the products of `[build]`; None without it, and for a recorded batch."""
+    """State of the products of `[build]`; None without it."""
 
     def _repr_html_(self) -> str:
         batch = self.batch

@@ -122,7 +122,7 @@ def _build(plan: Plan, state: BuildState, store: Store, observer: Observer) -> N
         _move_aside(root, state, store)
         try:
             ended = _checked(plan, state, perform(recipe, place, store, session))
-            ended = _without_others(ended, root, store)
+            ended = _really_built(_without_others(ended, root, store), state, store)
         finally:
             _put_back(root, store)
         record(recipe, ended, place, store, session, batch=plan.batch.id, purpose=Purpose.RUN)
@@ -189,6 +189,25 @@ def _without_others(ended: Ended, root: Path, store: Store) -> Ended:
         return ended
     what = f"{few(others, SHOWN)} matches produces, but the command did not make it"
     return replace(ended, reason=f"{what}; remove it, or make the pattern narrower")
+
+
+OF_BUILD = "SELECT name || ' ' || sha256 FROM build_products WHERE build = $b"
+
+
+def _really_built(ended: Ended, state: BuildState, store: Store) -> Ended:
+    """Return the end of a build; as a failure, if the command gave products the bytes of files that no build made.
+
+    A tool may keep a link to a product, or a copy. If the file was changed, moving it aside does not help.
+    """
+    recorded = set(store.values(str, OF_BUILD, b=state.recipe.id))
+    if ended.reason is not None or not recorded:
+        return ended
+    made = {one.name: one.sha256 for one in ended.products}
+    before = [one for one in state.products if made.get(one.name) == one.sha256]
+    if not (same := [one.name for one in before if f"{one.name} {one.sha256}" not in recorded]):
+        return ended
+    what = f"the command left {few(same, SHOWN)} as it was, although it is not the file that was built from this source"
+    return replace(ended, reason=f"{what}; let the command build everything (cmake --build … --clean-first)")
 
 
 def _put_back(root: Path, store: Store) -> bool:

@@ -12,7 +12,9 @@ from sierra.containers.images.image import Image
 from sierra.execution import checkout, commands, row_queries
 from sierra.execution.build.products import Product
 from sierra.execution.build.recipe import PLATFORM, Recipe, complete
+from sierra.execution.build.state import BuildState
 from sierra.model import Purpose, RunSpec
+from sierra.provenance.dependency_model import Programs
 from sierra.store.row_types import BuildProductRow, BuildRow
 from sierra.store.store import Snapshot, Store
 from sierra.util.text import few
@@ -29,8 +31,16 @@ class RecordedBuild:
 
     row: BuildRow
     products: tuple[Product, ...]
-    inputs: tuple[str, ...]
-    """The names of the project's files outside the source that the build used."""
+    programs: Programs
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Return the names of the project's files outside the source that the build used."""
+        return tuple(one.name for one in self.programs.all if one.name.startswith(checkout.INSIDE))
+
+    def state(self, manifest: bytes) -> BuildState:
+        """Return the state of the products if they are those of this build; `manifest` is that of its source."""
+        return BuildState(replace(_recipe(self.row, manifest, None), programs=self.programs), self.products, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +77,8 @@ def find(snapshot: Snapshot, source: str | None, programs: str) -> RecordedBuild
     if not rows:
         return None
     made = snapshot.select(BuildProductRow, PRODUCTS, b=rows[0].build, s=rows[0].session)
-    used = row_queries.programs(snapshot, [rows[0].programs])
-    inputs = tuple(one.name for one in used if one.name.startswith(checkout.INSIDE))
-    return RecordedBuild(rows[0], tuple(Product(row.name, row.size, row.sha256) for row in made), inputs)
+    used = Programs(tuple(one.program() for one in row_queries.programs(snapshot, [rows[0].programs])))
+    return RecordedBuild(rows[0], tuple(Product(row.name, row.size, row.sha256) for row in made), used)
 
 
 def rebuild(
@@ -84,7 +93,8 @@ def rebuild(
     """Execute a recorded build in the restored source of a session, and record that. Raises SierraError if it fails."""
     from sierra.execution.build.perform import Place, failure, perform, record
 
-    recipe = _recipe(recorded.row, manifest, project)
+    table = project.config.build
+    recipe = _recipe(recorded.row, manifest, table.wall if table else None)
     hosted = image if engine.name == "none" else None
     if hosted is not None:
         variables = commands.within(hosted, recipe.spec.environment)
@@ -99,10 +109,9 @@ def rebuild(
     return _compared(recorded.products, ended.products)
 
 
-def _recipe(row: BuildRow, manifest: bytes, project: LoadedProject) -> Recipe:
-    table = project.config.build
+def _recipe(row: BuildRow, manifest: bytes, wall: float | None) -> Recipe:
     spec = RunSpec(PLATFORM, tuple(row.command), json.loads(row.variables), row.source, row.image, tuple(row.host_access))
-    return Recipe(spec, row.folder, tuple(row.produces), manifest, table.wall if table else None)
+    return Recipe(spec, row.folder, tuple(row.produces), manifest, wall)
 
 
 def _compared(recorded: tuple[Product, ...], made: tuple[Product, ...]) -> Rebuilt:

@@ -148,6 +148,33 @@ def test_a_changed_or_removed_product_is_built_again_even_if_the_tool_finds_it_u
     assert (root / "build/sim").read_text() == f"{SIMULATOR}# \n"
 
 
+def test_a_changed_product_that_the_tool_copies_from_elsewhere_is_never_taken_for_built(tmp_path: Path) -> None:
+    compiler = f"test -e build/copy || {{ {COMPILER}ln build/sim build/copy; }}\nln -f build/copy build/sim\n"
+    root = make(tmp_path / "project", compiler=compiler)
+    run(root)
+    with (root / "build/sim").open("a") as file:
+        file.write("echo 0,99 >> swarm.csv\n")
+    assert "the command left build/sim as it was, although it is not the file that was built" in failing(root)
+    assert "let the command build everything" in failing(root)
+    (root / "build/copy").unlink()
+    assert "0 executed, 2 reused" in run(root).stdout
+
+
+def test_the_probe_for_determinism_builds_in_its_replay(root: Path) -> None:
+    (root / "sierra.toml").write_text(CONFIG + "[determinism]\nprobe = true\n")
+    assert "both executions wrote the same bytes" in run(root).stderr
+    assert rows(root, "SELECT purpose FROM builds ORDER BY lamport") == [{"purpose": "run"}, {"purpose": "replay"}]
+
+
+def test_missing_runs_of_a_recorded_batch_refer_to_its_build(root: Path) -> None:
+    run(root)
+    [run_id] = [row["run"] for row in rows(root, "SELECT min(run) AS run FROM executions")]
+    [batch] = rows(root, "FROM batches")
+    run(root, "rm", run_id, "--yes")
+    assert "1 executed, 1 reused" in run(root, "run", batch["batch"], "--no-figures").stdout
+    assert len(rows(root, "SELECT DISTINCT build FROM sessions")) == 1
+
+
 def test_another_command_flag_or_compiler_builds_again_and_executes_with_the_other_product(root: Path) -> None:
     run(root)
     (root / "sierra.toml").write_text(CONFIG.replace("sh compile.sh", "env FLAVOUR=sweet sh compile.sh"))
@@ -192,6 +219,7 @@ def test_a_pattern_that_matches_nothing_is_an_error(root: Path) -> None:
     assert "it made no file that matches 'build/*.so' of produces" in failing(root)
 
 
+@pytest.mark.integration
 def test_an_interrupted_build_is_ended_and_leaves_the_older_product(tmp_path: Path) -> None:
     root = make(tmp_path / "project", ignored="build/\nbegun\n")
     run(root)
@@ -252,6 +280,7 @@ def test_a_command_whose_product_no_pattern_matches_is_an_error(root: Path) -> N
     assert "the command names 'build/sim', which the build makes; add it to [build] produces" in failing(root)
 
 
+@pytest.mark.integration
 def test_a_build_that_takes_too_long_is_ended_with_all_its_processes(root: Path) -> None:
     (root / "compile.sh").write_text("sleep 1000 & echo $! > build.pid; wait\n")
     (root / ".gitignore").write_text("build/\nbuild.pid\n")
@@ -315,6 +344,7 @@ def test_a_clean_commit_is_built_where_changes_are_refused(root: Path) -> None:
     assert built(root) == 1
 
 
+@pytest.mark.integration
 def test_two_sessions_at_once_build_once(tmp_path: Path) -> None:
     root = make(
         tmp_path / "project",
@@ -333,6 +363,7 @@ def test_two_sessions_at_once_build_once(tmp_path: Path) -> None:
     assert len(rows(root, "FROM executions")) == 2
 
 
+@pytest.mark.integration
 def test_after_a_kill_the_next_session_builds_again(tmp_path: Path) -> None:
     root = make(tmp_path / "project", ignored="build/\nbegun\n")
     run(root)
@@ -388,6 +419,7 @@ def test_a_replay_names_products_that_are_not_reproducible_in_one_line(tmp_path:
     assert "0 executed, 2 reused" in run(root).stdout
 
 
+@pytest.mark.integration
 def test_files_beside_the_products_do_not_count_even_if_a_variable_names_their_folder(tmp_path: Path) -> None:
     names = {"LIBRARIES": "build", "DATA": "build/data", "LOADED": "build/sim"}
     variables = ", ".join(f'{name} = "{{project}}/{path}"' for name, path in names.items())
@@ -422,6 +454,7 @@ def test_a_replay_whose_build_fails_says_so(root: Path) -> None:
 def test_a_recorded_batch_is_executed_only_with_the_products_of_its_source(root: Path) -> None:
     run(root)
     [batch] = rows(root, "FROM batches")
+    (root / "arena.xml").write_text(projects.TEMPLATE.replace("0.1", "0.2"))
     assert "0 executed, 2 reused" in run(root, "run", batch["batch"], "--no-figures").stdout
     edit(root)
     run(root)
@@ -462,6 +495,7 @@ def test_doctor_checks_the_command_of_the_build(root: Path) -> None:
     assert found("build")["state"] == "missing"
 
 
+@pytest.mark.integration
 def test_records_of_builds_stay_sound_and_are_removed_with_their_batch(root: Path) -> None:
     run(root)
     edit(root)
