@@ -20,10 +20,10 @@ import pyarrow as pa
 
 from sierra.design.expand import exact, run_id
 from sierra.errors import Missing, SierraError
-from sierra.ingest.observations import file_set
 from sierra.execution.build.products import Product
 from sierra.execution.build.products import result as products_hash
 from sierra.execution.build.recipe import PLATFORM, build_id
+from sierra.ingest.observations import file_set
 from sierra.ingest.recording_context import UNREAD
 from sierra.ingest.rejudge import judgement_id
 from sierra.maintenance.check_files import Contents, Objects

@@ -189,6 +189,7 @@ AROUND = {
     ),
     "builds": ("build", "SELECT build FROM gone_builds"),
     "build_products": ("build", "SELECT build FROM gone_builds"),
+    "stale_sessions": ("session", "SELECT session FROM sessions WHERE batch IN (SELECT batch FROM gone_batches)"),
     "sources": ("source", "SELECT source FROM gone_sources"),
     "images": ("image", "SELECT image FROM gone_images"),
     "isolations": ("isolation", "SELECT isolation FROM gone EXCEPT SELECT isolation FROM staying"),
