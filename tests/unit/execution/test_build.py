@@ -122,6 +122,7 @@ def test_changed_source_is_built_whatever_its_times_say(root: Path) -> None:
     assert rows(root, "SELECT coverage FROM swarm JOIN points USING (run) ORDER BY ALL")[-1] == {"coverage": 3}
 
 
+@pytest.mark.integration
 def test_a_source_that_was_built_before_is_built_again_if_the_product_is_another(root: Path) -> None:
     run(root)
     edit(root)
@@ -160,12 +161,14 @@ def test_a_changed_product_that_the_tool_copies_from_elsewhere_is_never_taken_fo
     assert "0 executed, 2 reused" in run(root).stdout
 
 
+@pytest.mark.integration
 def test_the_probe_for_determinism_builds_in_its_replay(root: Path) -> None:
     (root / "sierra.toml").write_text(CONFIG + "[determinism]\nprobe = true\n")
     assert "both executions wrote the same bytes" in run(root).stderr
     assert rows(root, "SELECT purpose FROM builds ORDER BY lamport") == [{"purpose": "run"}, {"purpose": "replay"}]
 
 
+@pytest.mark.integration
 def test_missing_runs_of_a_recorded_batch_refer_to_its_build(root: Path) -> None:
     run(root)
     [run_id] = [row["run"] for row in rows(root, "SELECT min(run) AS run FROM executions")]
@@ -266,6 +269,7 @@ def test_a_file_that_matches_but_is_no_product_is_kept_and_named(tmp_path: Path)
     assert (root / "build/data").read_text() == "precious"
 
 
+@pytest.mark.integration
 def test_a_product_that_is_not_built_any_more_is_removed(tmp_path: Path) -> None:
     root = make(tmp_path / "project", CONFIG.replace('"build/sim"', '"build/*"'), compiler=f"{COMPILER}cp sim.sh build/old\n")
     run(root)
@@ -396,6 +400,7 @@ def test_a_replay_builds_from_the_recorded_source_in_a_fresh_clone(root: Path, t
     assert build["session"] == rows(clone, "FROM replays")[0]["replay"]
 
 
+@pytest.mark.integration
 def test_a_replay_uses_the_recorded_source_after_the_code_has_changed(root: Path) -> None:
     run(root)
     [batch] = rows(root, "FROM batches")
@@ -405,6 +410,7 @@ def test_a_replay_uses_the_recorded_source_after_the_code_has_changed(root: Path
     assert "$((count + 1))" in (root / "build/sim").read_text()
 
 
+@pytest.mark.integration
 def test_a_replay_names_products_that_are_not_reproducible_in_one_line(tmp_path: Path) -> None:
     random = COMPILER.replace("# $FLAVOUR", "# $(cat /proc/sys/kernel/random/uuid)")
     root = make(tmp_path / "project", compiler=random)
@@ -439,6 +445,7 @@ def test_files_beside_the_products_do_not_count_even_if_a_variable_names_their_f
     assert "2 executed, 0 reused" in run(root).stdout
 
 
+@pytest.mark.integration
 def test_a_replay_whose_build_fails_says_so(root: Path) -> None:
     run(root)
     [batch] = rows(root, "FROM batches")
@@ -451,6 +458,7 @@ def test_a_replay_whose_build_fails_says_so(root: Path) -> None:
     assert "the build failed, so nothing was executed: exit status 5 of sh" in failing(root, "replay", batch["batch"])
 
 
+@pytest.mark.integration
 def test_a_recorded_batch_is_executed_only_with_the_products_of_its_source(root: Path) -> None:
     run(root)
     [batch] = rows(root, "FROM batches")

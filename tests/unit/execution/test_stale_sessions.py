@@ -21,7 +21,7 @@ print("tick,value", *(f"{tick},{int(factor) + int(more)}" for tick in range(3)),
 VALUES = "SELECT DISTINCT value FROM swarm ORDER BY ALL"
 
 
-@pytest.fixture(params=["first", "all"])
+@pytest.fixture(params=["first", pytest.param("all", marks=pytest.mark.integration)])
 def root(request: pytest.FixtureRequest, tmp_path: Path, require: Callable[..., str]) -> Path:
     """A project whose runs read a file outside the project that nothing names; `library` is its folder."""
     require("strace")
