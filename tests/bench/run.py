@@ -21,8 +21,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from idle import project
 
@@ -270,13 +272,19 @@ def listing(folder: Path) -> None:
     )
 
 
+def blank(kind: type[NamedTuple], now: datetime, **given: object) -> NamedTuple:
+    """Return a record with these values; the others are empty, 0 or `now`."""
+    empty = {str: "", int: 0, bool: False, list[str]: [], datetime: now}
+    columns = {name: hint.__origin__ for name, hint in kind.__annotations__.items()}
+    return kind(**{name: given.get(name, empty.get(column)) for name, column in columns.items()})
+
+
 def fill(store: object, *, batches: int, runs: int) -> None:
     """Write records of batches without execution, in the form of `sierra run`."""
-    from datetime import UTC, datetime
-
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    from sierra.store.row_types import BatchRow, SessionRow
     from sierra.store.schema import arrow_schema
     from sierra.store.store import Store
     from sierra.util.hashing import sha256
@@ -288,11 +296,9 @@ def fill(store: object, *, batches: int, runs: int) -> None:
         identity = sha256(str(batch).encode())
         ids = [sha256(f"{batch}.{run}".encode()) for run in range(runs)]
         writer = store.writer(store.paths.work / "bench", identity)
-        writer.rows(
-            "batches",
-            [{"batch": identity, "created": now, "query": "population_size.Log8", "axes": ["population_size"], "runs": runs}],
-        )
-        writer.rows("sessions", [{"session": identity, "batch": identity, "ended": now, "failed": 0, "missing": 0}])
+        own = {"batch": identity, "query": "population_size.Log8", "lamport": batch, "runs": runs}
+        writer.records([blank(BatchRow, now, **own, axes=["population_size"])])
+        writer.records([blank(SessionRow, now, **own, session=identity)])
         point = {"experiment": [identity], "batch": [identity], "ordinal": [0], "population_size": [1]}
         pq.write_table(pa.table(point), writer.path("experiments"))
         members = {"batch": [identity] * runs, "ordinal": [0] * runs, "number": range(runs), "run": ids, "seed": range(runs)}

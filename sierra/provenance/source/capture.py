@@ -29,7 +29,7 @@ from sierra.util.hashing import digest
 
 SWHID = "swh:1:dir:"
 LARGE = 50_000_000
-"""Size limit in bytes if `[source] large` is not set."""
+"""Size limit in bytes if `[source] max_untracked` is not set."""
 CACHES = LEFT_OUT | {".DS_Store", ".eggs", ".idea", ".ipynb_checkpoints", ".nox", ".tox", ".vscode"}
 """Files and folders of tools; no run needs them."""
 CACHE_SUFFIXES, VENV = (".egg-info", ".pyc"), "pyvenv.cfg"

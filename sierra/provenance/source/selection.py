@@ -49,8 +49,8 @@ def check_size(path: bytes, size: int, large: int, way_out: str) -> None:
     """Raise ConfigError for a file that is too large to be stored without the user's consent."""
     if size > large:
         raise ConfigError(
-            f"{shown([path])} has {_bytes(size)}, more than the {_bytes(large)} of [source] large; "
-            f"{way_out}, list the code in [source] paths, or raise [source] large"
+            f"{shown([path])} has {_bytes(size)}, more than the {_bytes(large)} of [source] max_untracked; "
+            f"{way_out}, list the code in [source] paths, or raise [source] max_untracked"
         )
 
 

@@ -561,7 +561,7 @@ def test_a_large_file_is_refused_and_the_error_names_the_remedies(folder: Path, 
         git("init", "-q")
     fill(folder, {"sub/big.bin": "x" * 2000})
     with pytest.raises(
-        ConfigError, match=r"sub/big\.bin has 2 kB, more than the 1 kB of \[source\] large; .*\[source\] paths"
+        ConfigError, match=r"sub/big\.bin has 2 kB, more than the 1 kB of \[source\] max_untracked; .*\[source\] paths"
     ) as error:
         capture(folder, large=1000)
     one_line(error)
