@@ -58,7 +58,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         log.info("query %s: batch %s on %s with %s", plan.text, plan.batch.id, options.runner, plan.engine.name)
         session_records.keep(plan, store, session)
         stale = session_records.keep_stale(plan, store, session)
-        if stale:
+        if stale and not all(state.succeeded for state in states(plan, store).values()):
             options.observer.notice(stale_sessions.reason(stale))
         stays = make().stays
         slots = None if stays else options.slots

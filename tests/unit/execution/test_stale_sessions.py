@@ -72,7 +72,9 @@ def test_executions_count_again_once_the_file_is_restored(root: Path) -> None:
     (library / "factor").write_text("2")
     run(root)
     (library / "factor").write_text("1")
-    assert run(root)[0]["executed"] == 0
+    summary, said = run(root)
+    assert (summary["executed"], summary["reused"]) == (0, 4)
+    assert "do not count" not in said
     assert sql(root, VALUES) == [{"value": 1}]
     (library / "factor").write_text("2")
     assert run(root)[0]["executed"] == 0
