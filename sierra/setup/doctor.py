@@ -54,6 +54,18 @@ def _machine() -> Iterator[Check]:
     reaper = Path(f"/proc/self/task/{os.getpid()}/children").exists()
     found = f"processes that leave their process group are {'found and ended' if reaper else 'not found'}"
     yield _check("process supervision", reaper, found, "use a Linux kernel with CONFIG_PROC_CHILDREN", "absent")
+    yield _observation()
+
+
+def _observation() -> Check:
+    """Return how the files that runs use can be observed here."""
+    from sierra.worker import file_trace
+
+    way, reasons = file_trace.usable()
+    if way and not reasons:
+        return Check("observation of files", "ok", f"all files that runs use, by {way.name}")
+    found = "only files that are mapped into memory" if way else "not possible"
+    return Check("observation of files", "absent", found, f"needed for observe: {'; '.join(reasons)}")
 
 
 def _settings() -> Iterator[Check]:

@@ -107,6 +107,10 @@ def test_show_counts_the_files_of_an_execution(root: Path) -> None:
     assert "observation" in projects.quick(root, "show", execution["execution"]).stdout
 
 
+def test_doctor_says_how_files_can_be_observed(root: Path) -> None:
+    assert "observation of files: all files that runs use, by strace" in projects.quick(root, "doctor").stdout
+
+
 def test_rm_removes_what_was_observed(root: Path) -> None:
     run(root)
     [batch] = json.loads(projects.quick(root, "ls", "--json").stdout)
