@@ -14,13 +14,14 @@ import argparse
 import os
 import random
 import resource
+import shlex
 import shutil
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -234,6 +235,48 @@ def commands(folder: Path) -> None:
         say(f"{name}, CPU / one SELECT by duckdb", *(statistics.median(measured[one]) for one in (name, "")), promise)
 
 
+FORKS = "i=0; while [ $i -lt 200 ]; do /bin/true; i=$((i+1)); done"
+IMPORTS = "import asyncio, concurrent.futures, email, http.client, json, logging, sqlite3, unittest, xml.dom, zipfile"
+STRACE = ("strace", "-f", "--seccomp-bpf", "-y", "-e", "trace=%file,getdents64", "-o")
+
+
+def observation(folder: Path) -> None:
+    """Measure runs whose files are observed, compared with bare strace and with runs that are not observed."""
+    commands = {"true": ("/bin/true",), "200 forks": ("sh", "-c", FORKS), "many imports": (sys.executable, "-c", IMPORTS)}
+    for name, words in commands.items():
+        spent = []
+        for observe in ("all", "none"):
+            here = observed(folder / f"{name} {observe}", observe, words)
+            spent.append(statistics.median(seconds(lambda: run_anew(here)) for _ in range(5)))  # noqa: B023
+        bare = statistics.median(seconds(lambda: quietly(*STRACE, str(folder / "log"), *words)) for _ in range(5))  # noqa: B023
+        plain = statistics.median(seconds(lambda: quietly(*words)) for _ in range(5))  # noqa: B023
+        say(f"observing one run of {name} / bare strace", spent[0] - spent[1] + plain, bare, "for information")
+    both = [observed(folder / f"sleep {observe}", observe, ("sleep", "0.1")) for observe in ("first", "none")]
+    ours, theirs = in_turn(3, *(partial(run_anew, here, "100") for here in both))
+    say("100 runs of 0.1 s, the first observed / none observed", ours, theirs, "at most 1.03")
+
+
+def observed(folder: Path, observe: str, words: Sequence[str]) -> Path:
+    """Make a project whose runs execute a command."""
+    here = project(folder, command="sh {project}/run.sh {input}")
+    (here / "run.sh").write_text(f"exec {shlex.join(words)}\n")
+    config = here / "sierra.toml"
+    config.write_text(f'observe = "{observe}"\n{config.read_text()}')
+    return here
+
+
+def run_anew(here: Path, runs: str = "1") -> None:
+    shutil.rmtree(here / ".sierra", ignore_errors=True)
+    quietly(SIERRA, "run", "population_size=1", "--runs", runs, "-j2", "--no-figures", cwd=here)
+
+
+def seconds(what: Callable[[], None]) -> float:
+    """Return the wall-clock time of a function."""
+    began = time.perf_counter()
+    what()
+    return time.perf_counter() - began
+
+
 def cpu_seconds(what: Callable[[], None]) -> float:
     """Return the CPU seconds, in user and kernel mode, of the processes that a function starts and waits for."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -412,6 +455,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "runs": runs,
     "planning": planning,
     "commands": commands,
+    "observation": observation,
     "linear": linear,
     "recording": recording,
     "listing": listing,
