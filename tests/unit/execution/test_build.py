@@ -149,6 +149,7 @@ def test_a_changed_or_removed_product_is_built_again_even_if_the_tool_finds_it_u
     assert (root / "build/sim").read_text() == f"{SIMULATOR}# \n"
 
 
+@pytest.mark.integration
 def test_a_changed_product_that_the_tool_copies_from_elsewhere_is_never_taken_for_built(tmp_path: Path) -> None:
     compiler = f"test -e build/copy || {{ {COMPILER}ln build/sim build/copy; }}\nln -f build/copy build/sim\n"
     root = make(tmp_path / "project", compiler=compiler)
@@ -178,6 +179,7 @@ def test_missing_runs_of_a_recorded_batch_refer_to_its_build(root: Path) -> None
     assert len(rows(root, "SELECT DISTINCT build FROM sessions")) == 1
 
 
+@pytest.mark.integration
 def test_another_command_flag_or_compiler_builds_again_and_executes_with_the_other_product(root: Path) -> None:
     run(root)
     (root / "sierra.toml").write_text(CONFIG.replace("sh compile.sh", "env FLAVOUR=sweet sh compile.sh"))
@@ -385,6 +387,7 @@ def test_after_a_kill_the_next_session_builds_again(tmp_path: Path) -> None:
     assert run(root, "fsck").returncode == 0
 
 
+@pytest.mark.integration
 def test_a_replay_builds_from_the_recorded_source_in_a_fresh_clone(root: Path, tmp_path: Path) -> None:
     run(root)
     [batch] = rows(root, "FROM batches")
@@ -471,6 +474,7 @@ def test_a_recorded_batch_is_executed_only_with_the_products_of_its_source(root:
     assert "is not the product that was built from the recorded source" in done.stderr
 
 
+@pytest.mark.integration
 def test_previews_say_whether_products_would_be_built_and_why(root: Path) -> None:
     assert "build: the products would be built first, because nothing has been built yet" in run(root, *QUERY, "-n").stdout
     assert "build: the products were built, because nothing has been built yet" in run(root, *QUERY, "--explain").stdout
@@ -482,6 +486,7 @@ def test_previews_say_whether_products_would_be_built_and_why(root: Path) -> Non
     assert "would be built first, because build/sim is missing" in run(root, "why", batch["batch"]).stdout
 
 
+@pytest.mark.integration
 def test_show_names_the_build_of_a_batch(root: Path) -> None:
     run(root)
     [batch] = rows(root, "FROM batches")
@@ -493,6 +498,7 @@ def test_show_names_the_build_of_a_batch(root: Path) -> None:
     assert record["build"]["products"][0]["name"] == "build/sim"
 
 
+@pytest.mark.integration
 def test_doctor_checks_the_command_of_the_build(root: Path) -> None:
     def found(name: str) -> dict[str, Any]:
         checks = json.loads(projects.quick(root, "doctor", "--json").stdout)

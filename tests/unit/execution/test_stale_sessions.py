@@ -88,12 +88,14 @@ def test_new_runs_are_never_mixed_with_stale_ones(root: Path) -> None:
     assert sql(root, "SELECT DISTINCT value FROM swarm JOIN effective USING (execution)") == [{"value": 2}]
 
 
+@pytest.mark.integration
 def test_a_file_that_no_run_used_changes_nothing(root: Path) -> None:
     run(root)
     (root.parent / "library" / "other").write_text("5")
     assert run(root)[0]["executed"] == 0
 
 
+@pytest.mark.integration
 def test_a_dry_run_predicts_executions(root: Path) -> None:
     run(root)
     (root.parent / "library" / "factor").write_text("2")
@@ -101,6 +103,7 @@ def test_a_dry_run_predicts_executions(root: Path) -> None:
     assert json.loads(done.stdout)["to_execute"] == 4
 
 
+@pytest.mark.integration
 def test_why_names_the_changed_file(root: Path) -> None:
     library = root.parent / "library"
     run(root)

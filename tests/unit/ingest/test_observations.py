@@ -98,6 +98,7 @@ def test_observation_changes_neither_ids_nor_outputs(root: Path, tmp_path: Path)
     assert [row["result"] for row in sql(root, same)] == [row["result"] for row in sql(plain, same)]
 
 
+@pytest.mark.integration
 def test_show_counts_the_files_of_an_execution(root: Path) -> None:
     run(root, "--runs", "1")
     [execution, _] = sql(root, "SELECT execution FROM executions")
@@ -107,10 +108,12 @@ def test_show_counts_the_files_of_an_execution(root: Path) -> None:
     assert "observation" in projects.quick(root, "show", execution["execution"]).stdout
 
 
+@pytest.mark.integration
 def test_doctor_says_how_files_can_be_observed(root: Path) -> None:
     assert "observation of files: all files that runs use, by strace" in projects.quick(root, "doctor").stdout
 
 
+@pytest.mark.integration
 def test_rm_removes_what_was_observed(root: Path) -> None:
     run(root)
     [batch] = json.loads(projects.quick(root, "ls", "--json").stdout)
@@ -148,6 +151,7 @@ def test_a_run_that_observation_would_change_is_executed_unobserved(root: Path, 
     assert sql(root, "SELECT count(*) AS n FROM observations") == [{"n": 0}]
 
 
+@pytest.mark.integration
 def test_a_run_whose_tracer_is_killed_is_executed_unobserved(root: Path) -> None:
     (root / "sim.py").write_text(
         "import os, re\n"
@@ -160,6 +164,7 @@ def test_a_run_whose_tracer_is_killed_is_executed_unobserved(root: Path) -> None
     assert sql(root, "SELECT count(*) AS n FROM observations") == [{"n": 0}]
 
 
+@pytest.mark.integration
 def test_limits_apply_to_observed_runs(root: Path) -> None:
     (root / "sim.py").write_text("import time\ntime.sleep(60)\n")
     config = root / "sierra.toml"
