@@ -283,15 +283,13 @@ class Strace:
         """Prepare to use a program of this path; by default the one that PATH finds."""
         self._program = program
 
-    @functools.lru_cache(maxsize=None)  # noqa: B019 - there are few objects of this class, and they live as long as the worker
     def trouble(self) -> str | None:
         if sys.platform != "linux":
             return "strace needs Linux"
         program = self.program
         if program is None:
             return "strace is not installed"
-        with tempfile.TemporaryDirectory(prefix="strace-") as folder:
-            return trouble_of(program, folder)
+        return trouble_of(program)
 
     @property
     def program(self) -> str | None:
@@ -302,8 +300,15 @@ class Strace:
         return Traced(self.program or "strace", os.path.abspath(log), cwd)
 
 
-def trouble_of(program: str, folder: str) -> str | None:
-    """Return why a strace cannot be used here: its version, its options, or the right to trace."""
+@functools.lru_cache(maxsize=None)
+def trouble_of(program: str) -> str | None:
+    """Return why a strace cannot be used here: its version, its options, or the right to trace. Finds out once."""
+    with tempfile.TemporaryDirectory(prefix="strace-") as folder:
+        return trouble_in(program, folder)
+
+
+def trouble_in(program: str, folder: str) -> str | None:
+    """Return why a strace cannot be used, found out by tracing in a folder."""
     try:
         said = subprocess.run([program, "-V"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=PROBE_S).stdout
     except (OSError, subprocess.TimeoutExpired) as error:
