@@ -543,7 +543,7 @@ class Worker:
         self.spare: dict[int, RunFolder] = {}
         self.shared = {place: entries_of(place) for place in places}
         self.hashes = Hashes()
-        self.hashing = threading.Lock()
+        self.observing = threading.Lock()
 
     def work(self, stream: TextIO) -> bool:
         """Execute all jobs in `stream`. Return True if it was read to its end and no run was cut off."""
@@ -721,7 +721,7 @@ class Worker:
         """Begin to observe a run, if that is requested."""
         if "observe" not in job or "client" in job:
             return None
-        with self.lock:
+        with self.observing:
             way, _ = file_trace().usable()
         return way.begin(folder + TRACE, os.path.join(folder, "output")) if way else None
 
@@ -733,20 +733,22 @@ class Worker:
         if running.observation is None:
             return False, None
         running.observation.end(orphans)
+        disturbed = None
         try:
             trace = running.observation.trace(os.path.join(running.folder, LOGS[1]), self.check_stop)
+            disturbed = trace.disturbed
             names = file_trace().Names({**job["observe"], "run": running.folder})
             seen = names.inputs(trace)
-            with self.hashing:
+            with self.observing:
                 contents = file_trace().contents(seen, running.observation.began, self.hashes.get, self.check_stop)
             with open(os.path.join(running.folder, OBSERVED), "w", encoding="ascii") as file:
                 json.dump(file_trace().as_record(seen, contents, names), file)
-        except (OSError, GivenUp):  # the run is not observed; its result is kept
+        except (OSError, GivenUp):  # the run is not observed; its result is kept, unless the observation has disturbed it
             unlink(os.path.join(running.folder, OBSERVED))
-            return False, None
+            return False, disturbed
         finally:
             unlink(running.folder + TRACE)
-        return True, trace.disturbed
+        return True, disturbed
 
     def await_signal(self) -> None:
         """Give a SIGTERM that has ended a run time to reach this process too: a scheduler sends it to one after the other."""
