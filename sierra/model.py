@@ -445,6 +445,6 @@ class Result:
     environment: str | None = None
     """The environment of the execution, if it differs from that of this process."""
     observed: bool = False
-    """Whether the file that names the files which it used is in its folder."""
+    """True if its folder has the list of the files that it used."""
     left_out: tuple[str, ...] = ()
     """Entries of its output folder that are neither files nor folders: links, sockets. A long list is incomplete."""

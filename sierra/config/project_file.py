@@ -604,7 +604,7 @@ class Project(Table):
     environment: Environment = Environment()
     container: Container | None = Field(None, description="the image in which runs execute; default: no container")
     source: Source = Source()
-    build: BuildTable | None = Field(None, description="how products are built from the source; default: they are not built")
+    build: BuildTable | None = Field(None, description="the build of products from the source; default: nothing is built")
     store: StoreTable = StoreTable()
     determinism: Determinism = Determinism()
     equivalence: Mapping[Name, Equivalence] = Field(

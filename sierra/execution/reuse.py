@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 from sierra.execution import stale_sessions
@@ -68,9 +68,10 @@ def is_answered(plan: Plan, store: Store) -> bool:
             return False  # its records are lost
         if last != [(plan.batch.id, now.programs, now.batch_rules)]:
             return False
-        if stale_sessions.recorded(snapshot) != stale_sessions.find(plan, snapshot).keys():
+        stale = stale_sessions.find(plan, snapshot)
+        if stale_sessions.recorded(snapshot) != stale.keys():
             return False
-        return all(state.succeeded for state in states(plan, snapshot).values())
+        return all(state.succeeded for state in states(plan, snapshot, stale).values())
 
 
 def is_repeated(plan: Plan, store: Store) -> bool:
@@ -79,8 +80,8 @@ def is_repeated(plan: Plan, store: Store) -> bool:
     return store.values(str, last, b=plan.batch.id) == [plan.programs.id]
 
 
-def states(plan: Plan, records: Store | Snapshot | None) -> dict[str, State]:
-    """Return the recorded state of each run of the batch, by run id."""
+def states(plan: Plan, records: Store | Snapshot | None, stale: Collection[str] | None = None) -> dict[str, State]:
+    """Return the recorded state of each run of the batch, by run id. `stale`: the stale sessions, if they are known."""
     new = State()
     runs = dict.fromkeys((run.id for run in plan.batch.runs), new)
     if records is None:
@@ -88,7 +89,7 @@ def states(plan: Plan, records: Store | Snapshot | None) -> dict[str, State]:
     same: dict[State, State] = {}
     with records.snapshot() if isinstance(records, Store) else contextlib.nullcontext(records) as snapshot:
         snapshot.run("SET threads = 1")  # each thread would hold its own copy of 100,000 runs
-        for run, worth, reason, failed, judgements in snapshot.each(*_statement(plan, snapshot, list(runs))):
+        for run, worth, reason, failed, judgements in snapshot.each(*_statement(plan, snapshot, list(runs), stale)):
             if run in runs:
                 state = runs[run].after(worth, reason, failed, judgements)
                 runs[run] = same.setdefault(state, state)
@@ -141,7 +142,9 @@ FROM (
 """SQL: executions as evaluated by the requested rules, or else as they were evaluated last."""
 
 
-def _statement(plan: Plan, snapshot: Snapshot, runs: list[str]) -> tuple[str, dict[str, str | list[str]]]:
+def _statement(
+    plan: Plan, snapshot: Snapshot, runs: list[str], stale: Collection[str] | None
+) -> tuple[str, dict[str, str | list[str]]]:
     """Return the statement for the executions that may belong to these runs, and its parameters."""
     spec = {"spec": plan.batch.spec_id}
     snapshot.views.make(("all_judgements", "batches"))
@@ -153,5 +156,5 @@ def _statement(plan: Plan, snapshot: Snapshot, runs: list[str]) -> tuple[str, di
     if count > MANY * len(runs):
         snapshot.add_table("asked", run=runs)
         statement += " AND run IN (SELECT run FROM asked)"
-    stale = [*stale_sessions.find(plan, snapshot)]
-    return statement, {**spec, "stale": stale, "programs": plan.programs.id, "ingest_rules": context(plan).ingest_rules}
+    found = stale_sessions.find(plan, snapshot) if stale is None else stale
+    return statement, {**spec, "stale": [*found], "programs": plan.programs.id, "ingest_rules": context(plan).ingest_rules}

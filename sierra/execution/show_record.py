@@ -262,7 +262,7 @@ class ShownRun:
 
 
 class ShownObservation(NamedTuple):
-    """How many files an observed execution used; the tables files_read and files_written name them."""
+    """The number of files that an observed execution used; the tables files_read and files_written name them."""
 
     method: str
     reason: str | None

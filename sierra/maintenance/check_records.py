@@ -145,7 +145,7 @@ def _environments(records: Records) -> Iterator[Finding]:
 
 
 class _Build(NamedTuple):
-    """What the id and the result of a build follow from."""
+    """The facts from which the id and the result of a build follow."""
 
     build: str
     session: str

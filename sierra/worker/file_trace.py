@@ -175,7 +175,7 @@ HEAD_BYTES = 4096
 
 
 class Trace(NamedTuple):
-    """What a run did with files: see the module's text. Paths are sorted."""
+    """The files that a run used and changed: see the module's text. Paths are sorted."""
 
     way: str
     executed: tuple[str, ...] = ()
@@ -193,7 +193,7 @@ class Trace(NamedTuple):
 
     @property
     def complete(self) -> bool:
-        """Whether everything was seen."""
+        """True if everything was seen."""
         return not self.reasons
 
     @property
@@ -1048,14 +1048,21 @@ class Log:
         elif path is not None:
             self._remove(self._real_name(path))
 
-    def link(self, call: Call) -> None:
-        form = TWO_AT if call.name == b"linkat" else TWO
+    def _pair(self, call: Call, form: re.Pattern[bytes]) -> tuple[bytes, bytes] | None:
+        """Return the two paths of a call; None if they are unknown, or if the call has failed."""
         old, new = self._path(call, form), self._path(call, form, 1)
         if old is None or new is None:
-            return
+            return None
         if call.error:
             self._failed_pair(old, new, call.error)
+            return None
+        return old, new
+
+    def link(self, call: Call) -> None:
+        pair = self._pair(call, TWO_AT if call.name == b"linkat" else TWO)
+        if pair is None:
             return
+        old, new = pair
         source, target = self._real_name(old), self._real_name(new)
         nameless = old.startswith(b"/proc/") or b"AT_EMPTY_PATH" in call.words.rpartition(b'"')[2]
         origin = MADE if nameless else self._origin(source)
@@ -1063,13 +1070,10 @@ class Log:
         self._set_origin(target, source if origin is None else origin)
 
     def rename(self, call: Call) -> None:
-        form = TWO if call.name == b"rename" else TWO_AT
-        old, new = self._path(call, form), self._path(call, form, 1)
-        if old is None or new is None:
+        pair = self._pair(call, TWO if call.name == b"rename" else TWO_AT)
+        if pair is None:
             return
-        if call.error:
-            self._failed_pair(old, new, call.error)
-            return
+        old, new = pair
         if b"RENAME_EXCHANGE" in call.words.rpartition(b'"')[2]:
             self._reasons["it exchanged two names"] = None
         source, target = self._real_name(old), self._real_name(new)

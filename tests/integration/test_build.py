@@ -136,21 +136,12 @@ def test_a_mistake_in_the_code_is_shown_with_its_line(root: Path) -> None:
     assert "core.c:2:" in told
 
 
-def test_a_full_disk_is_reported_in_one_line(root: Path, disk: Disk) -> None:
-    disk(root / "build", "4k")
+@pytest.mark.parametrize(("folder", "size"), [("build", "4k"), (".sierra", "40k")])
+def test_a_full_disk_is_reported_in_one_line(root: Path, disk: Disk, folder: str, size: str) -> None:
+    disk(root / folder, size)
     done = projects.quick(root, *QUERY)
     assert done.returncode == 3, done.stderr
     [line] = [line for line in done.stderr.splitlines() if not line.startswith("note: ")]
     assert "No space left on device" in line
-    disk(root / "build", "50m")
-    assert "4 executed" in run(root)
-
-
-def test_a_full_store_is_reported_in_one_line(root: Path, disk: Disk) -> None:
-    disk(root / ".sierra", "40k")
-    done = projects.quick(root, *QUERY)
-    assert done.returncode == 3, done.stderr
-    [line] = [line for line in done.stderr.splitlines() if not line.startswith("note: ")]
-    assert "No space left on device" in line
-    disk(root / ".sierra", "50m")
+    disk(root / folder, "50m")
     assert "4 executed" in run(root)

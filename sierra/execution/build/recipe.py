@@ -32,7 +32,7 @@ FLAGS = re.compile(r"\w*FLAGS|CMAKE_\w+|" + "|".join(variable for variable, _ in
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What a build executes, and its inputs."""
+    """The command of a build, and its inputs."""
 
     spec: RunSpec
     """Command, variables, source, image and host access; the command is as declared."""
