@@ -57,16 +57,16 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         session.take_number()
         log.info("query %s: batch %s on %s with %s", plan.text, plan.batch.id, options.runner, plan.engine.name)
         session_records.keep(plan, store, session)
-        stale = session_records.keep_stale(plan, store, session)
-        if stale and not all(state.succeeded for state in states(plan, store).values()):
-            options.observer.notice(stale_sessions.reason(stale))
+        found = session_records.keep_check(plan, store, session)
+        if found.stale and not all(state.succeeded for state in states(plan, store, found).values()):
+            options.observer.notice(stale_sessions.reason(found.stale))
         stays = make().stays
         slots = None if stays else options.slots
         begun = session_records.begun(plan, session, started=began, runner=options.runner, slots=slots)
         if stays:
             session_records.prepare(plan, store, session, begun)
         odd = find_odd(store, session.paths, context(plan, session.id, session.number))
-        executor = Executor(plan, store, session, make, options)
+        executor = Executor(plan, store, session, make, options, found)
         if executor.rules_changed:
             executor.failed |= odd
         executor.answer()
@@ -82,7 +82,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
 def _sum_up(executor: Executor) -> Summary:
     """Return the summary of an execution, counted from the store's current state."""
     plan, store = executor.plan, executor.store
-    now = states(plan, store)
+    now = states(plan, store, executor.found)
     runs = len(now)
     for run in [run for run, state in now.items() if state.succeeded]:
         del now[run]

@@ -13,7 +13,7 @@ from sierra.execution import expected_durations, recover, sessions
 from sierra.execution.attach import attach
 from sierra.execution.observer import Relay, Tally
 from sierra.execution.resolve_plan import Plan, context
-from sierra.execution.reuse import rules_changed, states
+from sierra.execution.reuse import FileCheck, rules_changed, states
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
@@ -36,8 +36,18 @@ NOTED = 4
 class Executor:
     """State of one session while it executes: finished runs, failed runs, and runs of other sessions."""
 
-    def __init__(self, plan: Plan, store: Store, session: Session, runner: Callable[[], Runner], options: RunOptions) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        store: Store,
+        session: Session,
+        runner: Callable[[], Runner],
+        options: RunOptions,
+        found: FileCheck | None = None,
+    ) -> None:
+        """`found`: the comparison of the files that recorded executions used, as the session has recorded it."""
         self.plan = plan
+        self.found = found
         self.store = store
         self.session = session
         self.interrupted = False
@@ -105,7 +115,7 @@ class Executor:
 
     def _wanted(self) -> set[str]:
         """Return the runs without a successful execution that no session has tried since this one began."""
-        now = states(self.plan, self.store)
+        now = states(self.plan, self.store, self.found)
         wanted = {run for run, state in now.items() if not state.succeeded}
         if self._before is None:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
-from sierra.execution import stale_sessions
+from sierra.execution import reusable_executions, stale_sessions
 from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
 from sierra.execution.resolve_plan import Plan, context
+from sierra.execution.reusable_executions import Reusable
 from sierra.store.store import Snapshot, Store
 
 MANY = 4
 """Ratio of executions to runs above which the query selects these runs only; that is fast, and takes memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileCheck:
+    """What a comparison of the files that recorded executions used with these files as they are now has found."""
+
+    stale: Mapping[str, str] = field(default_factory=dict)
+    """Sessions whose executions do not count, each with a file that has changed."""
+    reusable: Mapping[str, Reusable] = field(default_factory=dict)
+    """By run: an execution that counts although the source or the programs differ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +79,23 @@ def is_answered(plan: Plan, store: Store) -> bool:
             return False  # its records are lost
         if last != [(plan.batch.id, now.programs, now.batch_rules)]:
             return False
-        stale = stale_sessions.find(plan, snapshot)
-        if stale_sessions.recorded(snapshot) != stale.keys():
+        found, found_states = check(plan, snapshot)
+        if stale_sessions.recorded(snapshot) != found.stale.keys():
             return False
-        return all(state.succeeded for state in states(plan, snapshot, stale).values())
+        reused = {run: one.execution for run, one in found.reusable.items()}
+        if reused and reusable_executions.recorded(snapshot) != reused:
+            return False
+        return all(state.succeeded for state in found_states.values())
+
+
+def check(plan: Plan, records: Store | Snapshot) -> tuple[FileCheck, dict[str, State]]:
+    """Compare the files that recorded executions used with these files as they are now; return also the state of each run."""
+    with records.snapshot() if isinstance(records, Store) else contextlib.nullcontext(records) as snapshot:
+        stale = stale_sessions.find(plan, snapshot)
+        recorded = states(plan, snapshot, FileCheck(stale))
+        lacking = [run for run, state in recorded.items() if not state.succeeded]
+        reusable = reusable_executions.find(plan, snapshot, lacking)
+    return FileCheck(stale, reusable), {**recorded, **{run: replace(recorded[run], worth=REUSED) for run in reusable}}
 
 
 def is_repeated(plan: Plan, store: Store) -> bool:
@@ -80,19 +104,23 @@ def is_repeated(plan: Plan, store: Store) -> bool:
     return store.values(str, last, b=plan.batch.id) == [plan.programs.id]
 
 
-def states(plan: Plan, records: Store | Snapshot | None, stale: Collection[str] | None = None) -> dict[str, State]:
-    """Return the recorded state of each run of the batch, by run id. `stale`: the stale sessions, if they are known."""
+def states(plan: Plan, records: Store | Snapshot | None, found: FileCheck | None = None) -> dict[str, State]:
+    """Return the recorded state of each run of the batch, by run id. `found`: the comparison of files, if it is known."""
     new = State()
     runs = dict.fromkeys((run.id for run in plan.batch.runs), new)
     if records is None:
         return runs
+    if found is None:
+        return check(plan, records)[1]
     same: dict[State, State] = {}
     with records.snapshot() if isinstance(records, Store) else contextlib.nullcontext(records) as snapshot:
         snapshot.run("SET threads = 1")  # each thread would hold its own copy of 100,000 runs
-        for run, worth, reason, failed, judgements in snapshot.each(*_statement(plan, snapshot, list(runs), stale)):
+        for run, worth, reason, failed, judgements in snapshot.each(*_statement(plan, snapshot, list(runs), found.stale)):
             if run in runs:
                 state = runs[run].after(worth, reason, failed, judgements)
                 runs[run] = same.setdefault(state, state)
+    for run in found.reusable.keys() & runs.keys():
+        runs[run] = replace(runs[run], worth=REUSED)
     return runs
 
 
@@ -143,7 +171,7 @@ FROM (
 
 
 def _statement(
-    plan: Plan, snapshot: Snapshot, runs: list[str], stale: Collection[str] | None
+    plan: Plan, snapshot: Snapshot, runs: list[str], stale: Mapping[str, str]
 ) -> tuple[str, dict[str, str | list[str]]]:
     """Return the statement for the executions that may belong to these runs, and its parameters."""
     spec = {"spec": plan.batch.spec_id}
@@ -156,5 +184,4 @@ def _statement(
     if count > MANY * len(runs):
         snapshot.add_table("asked", run=runs)
         statement += " AND run IN (SELECT run FROM asked)"
-    found = stale_sessions.find(plan, snapshot) if stale is None else stale
-    return statement, {**spec, "stale": [*found], "programs": plan.programs.id, "ingest_rules": context(plan).ingest_rules}
+    return statement, {**spec, "stale": [*stale], "programs": plan.programs.id, "ingest_rules": context(plan).ingest_rules}

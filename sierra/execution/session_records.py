@@ -8,8 +8,10 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.errors import Damaged
-from sierra.execution import sessions, stale_sessions
+from sierra.execution import sessions
 from sierra.execution.resolve_plan import Plan, context
+from sierra.execution.reusable_executions import unused_changes
+from sierra.execution.reuse import FileCheck, check
 from sierra.execution.sessions import Session
 from sierra.model import Batch
 from sierra.provenance import source
@@ -17,7 +19,7 @@ from sierra.store.lamport_clock import stamp
 from sierra.store.layout import SessionPaths
 from sierra.store.objects import Objects
 from sierra.store.row_mapper import of_fields
-from sierra.store.row_types import BatchRow, BatchRunRow, BlobRow, SessionRow, SpecRow, StaleSessionRow
+from sierra.store.row_types import BatchRow, BatchRunRow, BlobRow, ReusedExecutionRow, SessionRow, SpecRow, StaleSessionRow
 from sierra.store.schema import sql_types
 from sierra.store.segments import Writer, disk_errors
 from sierra.store.store import Snapshot, Store
@@ -71,15 +73,16 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
             store.publish(writer)
 
 
-def keep_stale(plan: Plan, store: Store, session: Session) -> dict[str, str]:
-    """Record and return the sessions whose executions do not count in this one, each with a file that has changed."""
-    with store.snapshot() as snapshot:
-        stale = stale_sessions.find(plan, snapshot)
-    if stale:
+def keep_check(plan: Plan, store: Store, session: Session) -> FileCheck:
+    """Record and return which executions do not count in this session, or count although source or programs differ."""
+    found, _ = check(plan, store)
+    if found.stale or found.reusable:
         writer = store.writer(session.paths.segment, plan.batch.id)
-        writer.records(StaleSessionRow(session.id, one, path) for one, path in stale.items())
+        writer.records(StaleSessionRow(session.id, one, path) for one, path in found.stale.items())
+        writer.records(ReusedExecutionRow(session.id, run, one.execution) for run, one in found.reusable.items())
+        writer.records(unused_changes(plan, store, session.id, found.reusable.values()))
         store.publish(writer)
-    return stale
+    return found
 
 
 def close(plan: Plan, store: Store, session: Session, summary: Summary, begun: SessionRow) -> None:

@@ -7,12 +7,13 @@ the session count only as long as these do, because they used the same programs.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from sierra.errors import Missing
 from sierra.execution.resolve_plan import Plan
+from sierra.execution.search_path import found_elsewhere
 from sierra.provenance.hash_cache import HashCache
 from sierra.store.store import Snapshot
 from sierra.util.text import few
@@ -20,6 +21,14 @@ from sierra.util.text import few
 NAMED = 3
 IGNORED = ("/etc/ld.so.cache",)
 """Files whose change has no effect of its own: the libraries that they name are observed too."""
+
+
+class _Searched(NamedTuple):
+    """An executed program, and the search path (PATH) of its session."""
+
+    session: str
+    path: str
+    search: str | None
 
 
 class _Used(NamedTuple):
@@ -46,6 +55,12 @@ AND (u.session, f.path) NOT IN (
 ORDER BY ALL
 """
 """Files that a session has changed itself are no inputs."""
+SEARCHED = """
+SELECT DISTINCT e.session, f.path, json_extract_string(v.variables, '$.PATH') AS search
+FROM observations o JOIN executions e USING (execution) JOIN environments v USING (environment) JOIN files_read f USING (files)
+WHERE f.use = 'executed' AND list_contains($sessions, e.session)
+AND json_extract_string(v.variables, '$.PATH') IS DISTINCT FROM $now
+"""
 
 
 def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
@@ -57,6 +72,19 @@ def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
     stale: dict[str, str] = {}
     for row in rows:
         if (row.path, row.use, row.sha256) in changed:
+            stale.setdefault(row.session, row.path)
+    return {**_found_elsewhere(plan, snapshot, {row.session for row in rows}), **stale}
+
+
+def _found_elsewhere(plan: Plan, snapshot: Snapshot, sessions: Collection[str]) -> dict[str, str]:
+    """Return the sessions with another search path that would now find another program, each with one of these programs."""
+    if "PATH" in plan.batch.spec.environment:
+        return {}
+    now, named = os.environ.get("PATH", os.defpath), folders(plan)
+    stale: dict[str, str] = {}
+    for row in snapshot.select(_Searched, SEARCHED, sessions=sorted(sessions), now=now):
+        here = located(row.path, named)
+        if here is not None and found_elsewhere([here], row.search, now):
             stale.setdefault(row.session, row.path)
     return stale
 
@@ -86,24 +114,24 @@ def _changed(files: Iterable[tuple[str, str, str | None]], named: Mapping[str, P
     cache = HashCache()
     changed = set()
     for path, use, sha256 in files:
-        here = _located(path, named)
-        if here is None or path in IGNORED:
-            continue
-        if use == "missed":
-            if os.path.exists(here):  # noqa: PTH110 - for speed
-                changed.add((path, use, sha256))
-            continue
-        try:
-            same = cache.of(here) == sha256
-        except Missing:
-            same = False
-        if not same:
+        here = located(path, named)
+        if here is not None and path not in IGNORED and not is_same(here, use, sha256, cache):
             changed.add((path, use, sha256))
     cache.save()
     return changed
 
 
-def _located(path: str, named: Mapping[str, Path]) -> str | None:
+def is_same(here: str, use: str, sha256: str | None, cache: HashCache) -> bool:
+    """Check whether a file that was executed or read has the same content, or one that was missed still does not exist."""
+    if use == "missed":
+        return not os.path.exists(here)  # noqa: PTH110 - for speed
+    try:
+        return cache.of(here) == sha256
+    except Missing:
+        return False
+
+
+def located(path: str, named: Mapping[str, Path]) -> str | None:
     """Return where a file is on this machine; None if that is unknown."""
     if not path.startswith("{"):
         return path

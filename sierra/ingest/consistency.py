@@ -60,7 +60,7 @@ GOOD = f"""
 WITH good AS (
     SELECT m.ordinal, e.run, arg_max(e.judgement, {ORDER}) AS execution
     FROM (SELECT DISTINCT ordinal, run FROM batch_runs WHERE batch = $batch) m
-    JOIN all_judgements e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
+    JOIN all_candidates e ON e.run = m.run AND e.status = 'ok' AND e.purpose = 'run'
         AND {SAME_PROGRAMS} AND e.ingest_rules = $ingest_rules
     GROUP BY ALL
 )"""
@@ -254,7 +254,7 @@ family AS (
 good AS (
     SELECT f.ordinal, e.run, arg_max(e.judgement, {ORDER}) AS execution
     FROM family f
-    JOIN all_judgements e ON e.run = f.run AND e.status = 'ok' AND e.purpose = 'run'
+    JOIN all_candidates e ON e.run = f.run AND e.status = 'ok' AND e.purpose = 'run'
         AND {SAME_PROGRAMS} AND e.ingest_rules = $ingest_rules
     GROUP BY ALL
 )"""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TypedDict, cast
 
 from sierra.model import Result
-from sierra.store.row_types import FileReadRow, FileWrittenRow, ObservationRow
+from sierra.store.row_types import FileReadRow, FileWrittenRow, ListingRow, ObservationRow
 from sierra.util.fs import read_record
 from sierra.util.hashing import digest
 from sierra.util.text import few
@@ -25,6 +25,7 @@ class _Observed(TypedDict):
     reason: str | None
     notes: list[str]
     files: list[tuple[str, str, str | None, int | None]]
+    listings: dict[str, list[str]]
     written: list[tuple[str, str]]
 
 
@@ -34,6 +35,7 @@ class Observed:
 
     observation: ObservationRow
     read: tuple[FileReadRow, ...]
+    listings: tuple[ListingRow, ...]
     written: tuple[FileWrittenRow, ...]
 
 
@@ -47,6 +49,7 @@ def observed(result: Result) -> Observed | None:
     return Observed(
         ObservationRow(result.execution, identity, found["method"], found["reason"], list(map(_text, found["notes"]))),
         tuple(FileReadRow(identity, *file) for file in files),
+        tuple(ListingRow(sha256, list(map(_text, names))) for sha256, names in found["listings"].items()),
         tuple(FileWrittenRow(result.execution, _text(name), use) for name, use in found["written"]),
     )
 

@@ -214,6 +214,8 @@ class Recorder:
         writer.records(one.observation for one in found)
         sets = {one.observation.files: one.read for one in found if one.observation.files not in self._file_sets}
         writer.records(row for rows in sets.values() for row in rows)
+        new = {row.sha256: row for one in found if one.observation.files in sets for row in one.listings}
+        writer.records(new.values())
         writer.records(row for one in found for row in one.written)
         self._file_sets |= sets.keys()
         self._astray.update({row.path for one in found for row in one.written if row.use == WRITTEN})

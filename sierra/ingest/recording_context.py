@@ -24,9 +24,9 @@ from sierra.util.json_types import Json, JsonView
 ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
 UNREAD = {"units", "time", "tolerance", "ordered", "volatile"}
 """The settings of an output that do not influence how it is recorded."""
-SAME_PROGRAMS = """(e.programs = $programs
-    AND e.session NOT IN (SELECT s.stale FROM stale_sessions s WHERE s.session = $session))"""
-"""The SQL condition that an execution e used programs and files that are unchanged; see `Context.same_programs`."""
+SAME_PROGRAMS = """(CASE WHEN e.reusing IS NULL THEN e.programs = $programs
+    AND e.session NOT IN (SELECT s.stale FROM stale_sessions s WHERE s.session = $session) ELSE e.reusing = $session END)"""
+"""The SQL condition that a candidate e used programs and files that are unchanged; see `Context.same_programs`."""
 SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "shared", "enforced", "number", "raw", "engines")
 """The fields that are saved as they are."""
 

@@ -162,8 +162,8 @@ WITH last AS (
     SELECT e.run, e.execution, any_value(e.exit_code) AS exit_code, any_value(e.lamport) AS lamport,
            arg_max({{'judgement': e.judgement, 'status': e.status, 'reason': e.reason, 'ingest_rules': e.ingest_rules}},
                    (e.ingest_rules = $ingest_rules, e.place, e.judgement)) AS j
-    FROM all_judgements e SEMI JOIN wanted w ON w.run = e.run
-    WHERE e.purpose = 'run' AND {SAME_PROGRAMS} AND e.exit_code IS NOT NULL GROUP BY e.run, e.execution
+    FROM all_candidates e SEMI JOIN wanted w ON w.run = e.run
+    WHERE e.purpose = 'run' AND e.reusing IS NULL AND {SAME_PROGRAMS} AND e.exit_code IS NOT NULL GROUP BY e.run, e.execution
 ),
 may AS (
     SELECT l.*, f.execution IS NOT NULL AS found FROM last l LEFT JOIN findings f ON f.execution = l.j.judgement

@@ -369,12 +369,39 @@ class FileReadRow(NamedTuple):
     size: Annotated[int | None, "its size", "bytes"]
 
 
+class ListingRow(NamedTuple):
+    """Names in the folders that executions listed, without Python's caches and what the execution had written itself."""
+
+    sha256: Annotated[str, "the SHA-256 of these names, as in files_read"]
+    names: Annotated[list[str], "the names, sorted"]
+
+
 class StaleSessionRow(NamedTuple):
     """Sessions whose executions do not count in a later session's batch, because files that they used have changed."""
 
     session: Annotated[str, "the later session"]
     stale: Annotated[str, "the session whose executions do not count"]
     path: Annotated[str, "one of the files that have changed, as in files_read"]
+
+
+class ReusedExecutionRow(NamedTuple):
+    """Executions that a session reused although the source or the programs differ, because no file that they used has changed.
+
+    Each of them was observed: files_read has the files. What differs is in unused_changes.
+    """
+
+    session: Annotated[str, "the session that reused it"]
+    run: Annotated[str, "the run that it counts for; it has the input, seed and command of the run that was executed"]
+    execution: Annotated[str, "the execution, perhaps of another run: one with another source"]
+
+
+class UnusedChangeRow(NamedTuple):
+    """Files that differ between reused executions and the session that reused them, and that these executions did not use."""
+
+    session: Annotated[str, "the session that reused the executions"]
+    spec: Annotated[str, "the run specification of the executions"]
+    programs: Annotated[str, "the programs of the executions"]
+    name: Annotated[str, "the file in the project ({project}/…), or the program as in programs"]
 
 
 class FileWrittenRow(NamedTuple):
@@ -527,8 +554,11 @@ ROWS: dict[str, type[NamedTuple]] = {
     "programs": ProgramRow,
     "observations": ObservationRow,
     "files_read": FileReadRow,
+    "listings": ListingRow,
     "files_written": FileWrittenRow,
     "stale_sessions": StaleSessionRow,
+    "reused_executions": ReusedExecutionRow,
+    "unused_changes": UnusedChangeRow,
     "images": ImageRow,
     "objects": ObjectRow,
 }

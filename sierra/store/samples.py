@@ -222,7 +222,8 @@ class Frame:
         self._snapshot.run(
             f'CREATE TEMP TABLE {identifier("data " + table)} AS SELECT m.experiment AS "# experiment", '
             f'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment{file} '
-            'ORDER BY o.filename, o.file_row_number) - 1 AS "# place", o.* EXCLUDE (execution, filename, file_row_number) '
+            'ORDER BY o.filename, o.file_row_number) - 1 AS "# place", '
+            "o.* EXCLUDE (execution, filename, file_row_number) REPLACE (m.run AS run) "
             f"FROM {source.sql} o JOIN membership m ON o.execution = m.judgement"
         )
         self._loaded.add(table)

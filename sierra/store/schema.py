@@ -101,6 +101,19 @@ DERIVED = {
             ),
         ),
         _table(
+            "all_candidates",
+            "All judgements of executions, by the run that they may count for: their own run, and each run for which a session "
+            "reused them.",
+            ("reusing", ID, "the session that reused the execution (see reused_executions); NULL for its own run"),
+            ("judgement", ID, "the judgement, as in all_judgements"),
+            ("judged_at", TIME, "when it was evaluated"),
+            ("place", INT, "its position in the logical order, as in all_judgements"),
+            *(
+                (column.name, column.type, "the run that it may count for" if column.name == "run" else column.meaning)
+                for column in RECORDED["executions"].columns
+            ),
+        ),
+        _table(
             "all_artifacts",
             "Artifacts by each judgement; the table artifacts has only those by the last judgement.",
             ("execution", ID, "the judgement"),

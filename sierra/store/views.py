@@ -24,7 +24,8 @@ NEEDS = {
     "executions": ("all_judgements",),
     "artifacts": ("all_judgements",),
     "all_artifacts": ("artifacts",),
-    "effective": ("batch_runs", "sessions", "all_judgements", "stale_sessions"),
+    "all_candidates": ("all_judgements", "reused_executions"),
+    "effective": ("batch_runs", "sessions", "all_judgements", "all_candidates", "stale_sessions"),
     "nondeterminism": ("executions", "verdicts"),
     "points": ("batch_runs", "experiments", "batches"),
     "runs": ("batch_runs", "experiments", "batches", "executions", "effective"),
@@ -37,6 +38,7 @@ ONCE = {
     "sources": ("source",),
     "programs": ("programs", "name", "path"),
     "files_read": ("files", "path", "use"),
+    "listings": ("sha256",),
     "objects": ("sha256", "part"),
     "blobs": ("blob",),
     "images": ("image",),
@@ -117,6 +119,8 @@ class Views:
             body = self._runs()
         elif name == "points":
             body = self._points()
+        elif name == "all_candidates":
+            body = CANDIDATES if "reused_executions" in self._files else OWN
         elif name in DEFINED:
             body = DEFINED[name]
         elif name in RECORDED or name in ("all_judgements", "all_artifacts"):
@@ -275,9 +279,8 @@ class Views:
         ours = "".join(f"p.{identifier(axis)}, " for axis in axes)
         return (
             f"SELECT {ours}p.number, o.file_row_number AS {identifier(row)}, "
-            f"o.* EXCLUDE (file_row_number, filename) REPLACE (c.execution AS execution){rename} "
-            f"FROM {found.sql} o JOIN points p ON o.run = p.run "
-            f"JOIN ({COUNTED}) c ON o.execution = c.judgement"
+            f"o.* EXCLUDE (file_row_number, filename) REPLACE (c.run AS run, c.execution AS execution){rename} "
+            f"FROM {found.sql} o JOIN ({COUNTED}) c ON o.execution = c.judgement JOIN points p ON c.run = p.run"
         )
 
     def _holding(self, files: list[str]) -> list[str]:
@@ -306,7 +309,7 @@ WITH asked AS (
     SELECT batch, session, programs, ingest_rules, judged_at, place FROM all_judgements WHERE purpose = 'run'
 ),
 latest AS (
-    SELECT batch, programs, ingest_rules, submitted, lamport, s.stale AS stale
+    SELECT batch, session, programs, ingest_rules, submitted, lamport, s.stale AS stale
     FROM (
         SELECT batch, arg_max(session, lamport) AS session, arg_max(programs, lamport) AS programs,
                arg_max(ingest_rules, lamport) AS ingest_rules, arg_max(ended, lamport) AS submitted, max(lamport) AS lamport
@@ -317,10 +320,17 @@ latest AS (
 """
 """The relation `latest`: the programs and the rules of each batch's last session, and the sessions that were stale in it."""
 
-COUNTS = """e.status = 'ok' AND e.purpose = 'run' AND e.programs = l.programs AND e.ingest_rules = l.ingest_rules
-    AND NOT coalesce(list_contains(l.stale, e.session), false)"""
-"""The SQL condition that a judgement e may be effective in a batch with `latest` l. Of all such judgements of a run, the last
+COUNTS = """e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = l.ingest_rules
+    AND CASE WHEN e.reusing IS NULL THEN e.programs = l.programs AND NOT coalesce(list_contains(l.stale, e.session), false)
+        ELSE e.reusing = l.session END"""
+"""The SQL condition that a candidate e may be effective in a batch with `latest` l. Of all such candidates of a run, the last
 judgement of the last execution is effective.
+"""
+
+OWN = "SELECT NULL::VARCHAR AS reusing, * FROM all_judgements"
+CANDIDATES = f"""
+{OWN} UNION ALL BY NAME
+SELECT r.session AS reusing, e.* REPLACE (r.run AS run) FROM reused_executions r JOIN all_judgements e USING (execution)
 """
 
 ORDER = "(e.lamport, e.place, e.judgement)"
@@ -333,7 +343,7 @@ FROM (
            arg_max({{'execution': e.execution, 'judgement': e.judgement}}, {ORDER}) AS c
     FROM batch_runs m
     JOIN latest l ON m.batch = l.batch
-    JOIN all_judgements e ON e.run = m.run AND {COUNTS}
+    JOIN all_candidates e ON e.run = m.run AND {COUNTS}
     GROUP BY m.batch, m.ordinal, m.run
 )
 """

@@ -1449,6 +1449,8 @@ class Contents(NamedTuple):
     folders: Mapping[str, str]
     """For each listed folder the SHA-256 of its names: sorted, each before a NUL, without `__pycache__` and the run's own."""
     unusable: Mapping[str, str]
+    listings: Mapping[str, Sequence[str]] = {}
+    """The names behind each of these SHA-256."""
 
 
 Hashed = Callable[[], str]
@@ -1482,7 +1484,7 @@ def contents(trace: Trace, began: int, cache: Cache = no_cache, check_stop: Call
     for path in trace.missed:
         if os.path.exists(path) and path not in own:
             reader.unusable[path] = "it was made after the run had looked for it"
-    return Contents(reader.files, reader.folders, reader.unusable)
+    return Contents(reader.files, reader.folders, reader.unusable, reader.listings)
 
 
 class Reader:
@@ -1494,6 +1496,7 @@ class Reader:
         self.files: dict[str, File] = {}
         self.folders: dict[str, str] = {}
         self.unusable: dict[str, str] = {}
+        self.listings: dict[str, list[str]] = {}
 
     def try_to(self, read: Callable[[str], None], path: str) -> None:
         self._check_stop()
@@ -1535,11 +1538,13 @@ class Reader:
             self.unusable[path] = "it was changed after the run had listed it"
             return
         kept = [name for name in os.listdir(path) if name != PYTHON_CACHE and os.path.join(path, name) not in own]
-        names = sorted(map(os.fsencode, kept))
+        kept.sort(key=os.fsencode)
         if key_of(os.stat(path)) != key_of(before):
             self.unusable[path] = "it was changed after the run had listed it"
             return
-        self.folders[path] = hashlib.sha256(b"".join(name + b"\0" for name in names)).hexdigest()
+        digest = hashlib.sha256(b"".join(os.fsencode(name) + b"\0" for name in kept)).hexdigest()
+        self.folders[path] = digest
+        self.listings[digest] = kept
 
     def follow(self, real: str, path: str) -> None:
         status = os.lstat(path)
@@ -1640,6 +1645,7 @@ def as_record(trace: Trace, contents: Contents, names: Names) -> dict[str, objec
         "disturbed": trace.disturbed,
         "notes": list(trace.notes),
         "files": sorted(set(files), key=lambda file: file[:2]),
+        "listings": contents.listings,
         "written": sorted({(names.name(path), use) for use in ("written", "removed") for path in getattr(trace, use)}),
     }
 

@@ -79,7 +79,7 @@ m AS (
 e AS (
     SELECT e.run, e.judgement AS execution, e.execution AS own, md5_number(e.result) AS result, e.status, {order} AS place,
            {counts} AS counts
-    FROM all_judgements e LEFT JOIN latest l ON l.batch = $b WHERE {which}
+    FROM all_candidates e LEFT JOIN latest l ON l.batch = $b WHERE {which}
 ),
 one AS (
     SELECT ordinal, number, any_value(m.run) AS run, any_value(seed) AS seed, any_value(input) AS input,
@@ -95,7 +95,7 @@ FROM one
 
 def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool = False, only: str = "") -> None:
     """Create the table of one side's runs; with `good_first`, prefer the last successful execution if none is effective."""
-    snapshot.views.make(("stale_sessions",))
+    snapshot.views.make(("stale_sessions", "all_candidates"))
     named = {} if place.execution is None else {"named": place.execution}
     statement = RUNS.format(
         table=table,

@@ -1,0 +1,167 @@
+"""Executions that count for runs of a plan although the source or the programs differ: no file that they used has changed.
+
+Such an execution was observed from its beginning to its end. Its run has the command, input and seed of the run in the plan;
+only the source may be another one. Everything that it executed, read, listed, found or missed is still the same. Other
+executions never count for another source, because nobody knows what they have read.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from sierra.execution import commands
+from sierra.execution.resolve_plan import Plan, context
+from sierra.execution.row_queries import RecordedProgram
+from sierra.execution.stale_sessions import folders
+from sierra.execution.unchanged_files import FileSets, UsedFile, unchanged
+from sierra.model import RunSpec
+from sierra.provenance import source
+from sierra.provenance.dependency_model import Programs
+from sierra.store.row_types import UnusedChangeRow
+from sierra.store.store import Snapshot, Store
+
+MOST_CHANGES = 1000
+"""Maximum number of unused changes that are recorded for one specification and one list of programs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reusable:
+    """An execution that counts for a run of a plan."""
+
+    execution: str
+    spec: str
+    """The specification of the run that was executed."""
+    programs: str
+
+
+class _Candidate(NamedTuple):
+    run: str
+    execution: str
+    files: str
+    spec: str
+    programs: str
+
+
+CANDIDATES = """
+WITH kin AS (
+    SELECT spec FROM specs WHERE platform = $platform AND command = $command AND variables = $variables AND image IS NULL
+    AND host_access = $host_access AND files = $files
+),
+same AS (
+    SELECT DISTINCT s.run, m.run AS executed, m.spec
+    FROM sought s JOIN batch_runs m
+    ON m.seed = s.seed AND m.input = s.input AND array_to_string(m.other_inputs, ' ') = s.other_inputs
+    SEMI JOIN kin ON kin.spec = m.spec
+)
+SELECT s.run, e.execution, o.files, s.spec, e.programs
+FROM same s JOIN executions e ON e.run = s.executed JOIN observations o ON o.execution = e.execution
+WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules AND o.reason IS NULL
+ORDER BY s.run, s.spec = $spec, e.lamport
+"""
+"""The last row of each run is the best: an execution of the same run if there is one, and the last of several."""
+USED = "SELECT files, path, use, sha256 FROM files_read SEMI JOIN needed USING (files)"
+LISTINGS = "SELECT sha256, names FROM listings WHERE sha256 IN (SELECT sha256 FROM files_read SEMI JOIN needed USING (files))"
+WRITTEN = """
+SELECT DISTINCT path FROM files_written
+WHERE execution IN (SELECT execution FROM observations SEMI JOIN needed USING (files))
+"""
+SEARCHED = """
+SELECT DISTINCT o.files, json_extract_string(v.variables, '$.PATH') AS search
+FROM observations o SEMI JOIN needed USING (files) JOIN executions e USING (execution) JOIN environments v USING (environment)
+"""
+TABLES = ("batch_runs", "specs", "executions", "observations", "files_read", "listings", "files_written", "environments")
+
+
+class _Listing(NamedTuple):
+    sha256: str
+    names: list[str]
+
+
+def find(plan: Plan, snapshot: Snapshot, runs: Collection[str]) -> dict[str, Reusable]:
+    """Return the executions that count for these runs of the plan, by run."""
+    if not runs or plan.image is not None or plan.checkout is not None:
+        return {}  # an image covers the programs; a checkout is not the folder with the current files
+    if not any("observations" in segment.files for segment in snapshot.segments):
+        return {}
+    snapshot.views.make(TABLES)
+    sought = [run for run in {run.id: run for run in plan.batch.runs}.values() if run.id in runs]
+    digests = [[digest for _, digest in run.inputs] for run in sought]
+    snapshot.add_table(
+        "sought",
+        run=(run.id for run in sought),
+        seed=(run.seed for run in sought),
+        input=(first for first, *_ in digests),
+        other_inputs=(" ".join(others) for _, *others in digests),
+    )
+    names = [name for name, _ in sought[0].inputs]
+    rows = snapshot.select(
+        _Candidate,
+        CANDIDATES,
+        spec=plan.batch.spec_id,
+        files=names,
+        ingest_rules=context(plan).ingest_rules,
+        **_kin(plan.batch.spec),
+    )
+    snapshot.add_table("needed", files=sorted({row.files for row in rows}))
+    same = unchanged(_file_sets(plan, snapshot))
+    return {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
+
+
+def _file_sets(plan: Plan, snapshot: Snapshot) -> FileSets:
+    declared = "PATH" in plan.batch.spec.environment
+    now = commands.search_path(commands.declared(plan.batch.spec.environment, plan.project.root, plan.project.root))
+    searched: dict[str, set[str | None]] = {}
+    for files, before in snapshot.run(SEARCHED):
+        searched.setdefault(files, set()).add(now if declared else before)
+    return FileSets(
+        used=tuple(snapshot.select(UsedFile, USED)),
+        listings={one.sha256: frozenset(one.names) for one in snapshot.select(_Listing, LISTINGS)},
+        written=frozenset(snapshot.values(str, WRITTEN)),
+        folders=folders(plan),
+        searched={files: frozenset(paths) for files, paths in searched.items()},
+        search=now,
+        program=plan.programs.all[0].path if plan.programs.all else "",
+    )
+
+
+def _kin(spec: RunSpec) -> dict[str, str | list[str]]:
+    """Return the parts of a specification that must be equal."""
+    return {
+        "platform": spec.platform,
+        "command": list(spec.command),
+        "variables": json.dumps(dict(spec.environment), sort_keys=True),
+        "host_access": list(spec.host_access),
+    }
+
+
+def recorded(snapshot: Snapshot) -> dict[str, str]:
+    """Return the executions that the last session of the store reused in this way, by run."""
+    if not any("reused_executions" in segment.files for segment in snapshot.segments):
+        return {}
+    snapshot.views.make(("reused_executions", "sessions"))
+    last = "SELECT run, execution FROM reused_executions WHERE session = (SELECT arg_max(session, lamport) FROM sessions)"
+    return dict(snapshot.run(last))
+
+
+SOURCE_FILES = """
+SELECT any_value(files) FROM sources WHERE tree = (SELECT source FROM specs WHERE spec = $spec)
+"""
+PROGRAMS = "SELECT name, kind, version, path, sha256 FROM programs WHERE programs = $programs"
+
+
+def unused_changes(plan: Plan, store: Store, session: str, found: Iterable[Reusable]) -> Iterator[UnusedChangeRow]:
+    """Yield the files and programs that differ between reused executions and the plan, which the executions did not use."""
+    for spec, programs in sorted({(one.spec, one.programs) for one in found}):
+        names: list[str] = []
+        if spec != plan.batch.spec_id and plan.source is not None:
+            [files] = store.values(str, SOURCE_FILES, spec=spec) or [""]
+            before = store.object(files) if files else b""
+            names += [f"{{project}}/{path}" for path in source.changed(before, plan.source.manifest)]
+        if programs != plan.programs.id:
+            old = store.select(RecordedProgram, PROGRAMS, programs=programs)
+            names += Programs(tuple(row.program() for row in old)).unlike(plan.programs)
+        for name in names[:MOST_CHANGES]:
+            yield UnusedChangeRow(session, spec, programs, name)

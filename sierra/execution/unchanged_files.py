@@ -1,0 +1,177 @@
+"""Comparison of files that observed executions used with the files that are here now, as strictly as possible.
+
+A new name in a listed folder is harmless only in two cases: it is prose in the project, and the execution has read no prose;
+or it belongs to a distribution of Python that was installed since, and nothing that the execution has read names it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from sierra.execution.search_path import found_elsewhere
+from sierra.execution.stale_sessions import IGNORED, is_same, located
+from sierra.provenance.hash_cache import HashCache
+from sierra.provenance.source.plain_tree import LEFT_OUT
+from sierra.provenance.source.prose import is_prose
+from sierra.store.layout import CONFIG, FIGURES, LOCK, STORE
+
+OWN = frozenset((STORE, LOCK, CONFIG, FIGURES, *LEFT_OUT))
+"""Names in the project's folder that no run needs."""
+PROJECT = "{project}"
+PACKAGES = re.compile(r".*/(?:site|dist)-packages")
+METADATA = re.compile(r".*\.(?:dist|egg)-info")
+STARTED = re.compile(r".*\.(?:pth|egg-link)|(?:site|user)customize.*")
+"""Files in a folder of packages that Python executes when it starts."""
+COMPILED = (".so", ".pyd")
+
+
+class UsedFile(NamedTuple):
+    """One file of a set, as in the table `files_read`."""
+
+    files: str
+    path: str
+    use: str
+    sha256: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class FileSets:
+    """Sets of used files, and the names in the folders that were listed."""
+
+    used: tuple[UsedFile, ...]
+    listings: Mapping[str, frozenset[str]]
+    """Names by the SHA-256 of a listing."""
+    written: frozenset[str]
+    """Files that the executions have written themselves; they are in no listing."""
+    folders: Mapping[str, Path]
+    """Folders that names refer to."""
+    searched: Mapping[str, frozenset[str | None]]
+    """The search paths of the executions, by set; None for an unknown one."""
+    search: str
+    """The search path (PATH) of runs now."""
+    program: str
+    """The program that the command starts now."""
+
+
+def unchanged(sets: FileSets) -> set[str]:
+    """Return the sets in which every file has the same content, and nothing that was missed has come."""
+    known = {one.files for one in sets.used}
+    cache = HashCache()
+    same: dict[tuple[str, str, str | None], bool] = {}
+    for one in sets.used:
+        key = one[1:]
+        if one.use == "listed" or one.files not in known:
+            continue
+        if key not in same:
+            same[key] = _is_same(one, sets.folders, cache)
+        if not same[key]:
+            known.discard(one.files)
+    cache.save()
+    for one in sets.used:
+        if one.use == "listed" and one.files in known and not _is_listing_same(one, sets):
+            known.discard(one.files)
+    return {files for files in known if _are_programs_found(files, sets)}
+
+
+def _is_same(one: UsedFile, folders: Mapping[str, Path], cache: HashCache) -> bool:
+    here = located(one.path, folders)
+    if here is None:
+        return False
+    if one.path in IGNORED:
+        return True
+    if one.use == "found":
+        return os.path.lexists(here)
+    return (one.use == "missed" or one.sha256 is not None) and is_same(here, one.use, one.sha256, cache)
+
+
+def _are_programs_found(files: str, sets: FileSets) -> bool:
+    """Check whether the command starts one of the executed files, and the search path finds the same ones as before."""
+    executed = [here for path in _paths(files, sets, ("executed",)) if (here := located(path, sets.folders)) is not None]
+    if os.path.realpath(sets.program) not in map(os.path.realpath, executed):
+        return False
+    return all(found_elsewhere(executed, before, sets.search) is None for before in sets.searched.get(files, {None}))
+
+
+def _is_listing_same(one: UsedFile, sets: FileSets) -> bool:
+    """Check whether a listed folder has the same names, or other names that could not have had an effect."""
+    here = located(one.path, sets.folders)
+    before = sets.listings.get(one.sha256 or "")
+    if here is None or before is None:
+        return False
+    try:
+        names = {_shown(name) for name in os.listdir(here)}  # noqa: PTH208 - names are needed
+    except OSError:
+        return False
+    mine = {path.rpartition("/")[2] for path in sets.written if path.rpartition("/")[0] == one.path}
+    differing = (names ^ before) - mine - {"__pycache__"}
+    if not differing:
+        return True
+    if one.path == PROJECT or one.path.startswith(PROJECT + "/"):
+        return _are_prose(one, differing, sets)
+    if PACKAGES.fullmatch(one.path) and differing <= names:
+        return _are_unused_packages(one, differing, sets)
+    return False
+
+
+def _shown(name: str) -> str:
+    """Return a name as the store has it: escapes replace bytes that are not UTF-8."""
+    return name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
+def _are_prose(one: UsedFile, names: Iterable[str], sets: FileSets) -> bool:
+    """Check whether names in a folder of the project are those of prose, and the run has read no prose."""
+    folder = one.path.removeprefix(PROJECT).lstrip("/")
+    if not folder:
+        names = set(names) - OWN
+    if not all(is_prose(os.fsencode(f"{folder}/{name}" if folder else name)) for name in names):
+        return False
+    own = (path.removeprefix(PROJECT + "/") for path in _paths(one.files, sets, ("read", "executed")))
+    return not any(is_prose(os.fsencode(path)) for path in own if not path.startswith("{"))
+
+
+def _are_unused_packages(one: UsedFile, names: Iterable[str], sets: FileSets) -> bool:
+    """Check whether new names in a folder of packages are modules that nothing has tried to import.
+
+    A program that has looked at the metadata of distributions may search for plug-ins, so every distribution has an effect.
+    """
+    new = [name for name in names if not METADATA.fullmatch(name)]
+    if any(map(STARTED.fullmatch, new)):
+        return False
+    used = list(_paths(one.files, sets))
+    if any(METADATA.match(path) for path in used):
+        return False
+    modules = sorted({name.partition(".")[0] for name in new} - {""})
+    return not any(_mentions(file, modules) for file in _located(used, sets))
+
+
+def _paths(files: str, sets: FileSets, uses: tuple[str, ...] = ()) -> Iterator[str]:
+    for other in sets.used:
+        if other.files == files and (not uses or other.use in uses):
+            yield other.path
+
+
+def _located(paths: Iterable[str], sets: FileSets) -> Iterator[str]:
+    for path in paths:
+        if (here := located(path, sets.folders)) is not None and here.endswith((".py", *COMPILED)):
+            yield here
+
+
+def _mentions(file: str, modules: Iterable[str]) -> bool:
+    """Check whether a Python source imports one of these modules, or a library contains one of their names."""
+    try:
+        content = Path(file).read_bytes()
+    except OSError:
+        return True
+    names = [os.fsencode(module) for module in modules]
+    if file.endswith(COMPILED):
+        return any(name in content for name in names)
+    if not any(name in content for name in names):
+        return False
+    either = b"|".join(map(re.escape, names))
+    pattern = rb"^[^\n#]*\bimport\b[^\n]*\b(?:%s)\b|^[^\n#]*\bfrom[ \t]+(?:%s)\b|[\"'](?:%s)[\"'.]" % (either, either, either)
+    return re.search(pattern, content, re.MULTILINE) is not None
