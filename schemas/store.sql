@@ -363,6 +363,12 @@ CREATE TABLE files_read (
     "size" BIGINT  -- its size [bytes]
 );
 
+-- Names in the folders that executions listed, without Python's caches and what the execution had written itself.
+CREATE TABLE listings (
+    "sha256" VARCHAR,  -- the SHA-256 of these names, as in files_read
+    "names" VARCHAR[]  -- the names, sorted
+);
+
 -- Files that executions wrote or removed outside their own folders.
 CREATE TABLE files_written (
     "execution" VARCHAR,  -- the execution
@@ -375,6 +381,21 @@ CREATE TABLE stale_sessions (
     "session" VARCHAR,  -- the later session
     "stale" VARCHAR,  -- the session whose executions do not count
     "path" VARCHAR  -- one of the files that have changed, as in files_read
+);
+
+-- Executions that a session reused although the source or the programs differ, because no file that they used has changed. Each of them was observed: files_read has the files. What differs is in unused_changes.
+CREATE TABLE reused_executions (
+    "session" VARCHAR,  -- the session that reused it
+    "run" VARCHAR,  -- the run that it counts for; it has the input, seed and command of the run that was executed
+    "execution" VARCHAR  -- the execution, perhaps of another run: one with another source
+);
+
+-- Files that differ between reused executions and the session that reused them, and that these executions did not use.
+CREATE TABLE unused_changes (
+    "session" VARCHAR,  -- the session that reused the executions
+    "spec" VARCHAR,  -- the run specification of the executions
+    "programs" VARCHAR,  -- the programs of the executions
+    "name" VARCHAR  -- the file in the project ({project}/…), or the program as in programs
 );
 
 -- Container images in which runs were, or would have been, executed, each recorded once.
@@ -454,6 +475,39 @@ CREATE TABLE all_judgements (
     "environment" VARCHAR,  -- the environment in which it ran
     "programs" VARCHAR,  -- fingerprint of the programs outside source and image
     "ingest_rules" VARCHAR,  -- hash of the rules by which it was evaluated: [outputs] and [success] of the project; by this judgement
+    "purpose" VARCHAR,  -- run, or another purpose; only executions for run count in statistics
+    "isolation" VARCHAR,  -- how it was isolated in a container; NULL if it was not
+    "attempt" VARCHAR,  -- on a cluster, the attempt at an array task that executed it; NULL otherwise
+    "lamport" BIGINT  -- its position in the logical order, as in sessions
+);
+
+-- All judgements of executions, by the run that they may count for: their own run, and each run for which a session reused them.
+CREATE TABLE all_candidates (
+    "reusing" VARCHAR,  -- the session that reused the execution (see reused_executions); NULL for its own run
+    "judgement" VARCHAR,  -- the judgement, as in all_judgements
+    "judged_at" TIMESTAMP WITH TIME ZONE,  -- when it was evaluated
+    "place" BIGINT,  -- its position in the logical order, as in all_judgements
+    "execution" VARCHAR,  -- the execution's id
+    "run" VARCHAR,  -- the run that it may count for
+    "session" VARCHAR,  -- the session that executed it
+    "batch" VARCHAR,  -- the batch that it was executed for
+    "started" TIMESTAMP WITH TIME ZONE,  -- when its program started
+    "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended
+    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch or interrupted
+    "reason" VARCHAR,  -- why the status is not ok, in one line
+    "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
+    "signal" BIGINT,  -- the signal that ended it; NULL if none did
+    "wall_s" DOUBLE,  -- time from start to end
+    "user_s" DOUBLE,  -- CPU time in user mode of all its processes that ended; in a container, measured from outside
+    "system_s" DOUBLE,  -- CPU time in kernel mode, measured in the same way
+    "max_rss_bytes" BIGINT,  -- peak resident memory of its largest process (at least the worker's); in a container, measured from outside
+    "host" VARCHAR,  -- host name
+    "slot" BIGINT,  -- the slot of the worker that executed it
+    "result" VARCHAR,  -- Merkle hash of the names and digests of its outputs
+    "log_tail" VARCHAR,  -- the end of its standard error, or of its standard output if standard error is empty
+    "environment" VARCHAR,  -- the environment in which it ran
+    "programs" VARCHAR,  -- fingerprint of the programs outside source and image
+    "ingest_rules" VARCHAR,  -- hash of the rules by which it was evaluated: [outputs] and [success] of the project
     "purpose" VARCHAR,  -- run, or another purpose; only executions for run count in statistics
     "isolation" VARCHAR,  -- how it was isolated in a container; NULL if it was not
     "attempt" VARCHAR,  -- on a cluster, the attempt at an array task that executed it; NULL otherwise

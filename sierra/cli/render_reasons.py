@@ -24,6 +24,7 @@ PREVIEW = {
     ChangeReason.RULES: "[outputs] or [success] have changed",
     ChangeReason.PROGRAMS: "executed with other programs",
     ChangeReason.REUSED: "reused",
+    ChangeReason.UNCHANGED: "reused: source or programs have changed, but no file that these runs used",
     ChangeReason.REEVALUATED: "[outputs] or [success] have changed: evaluated again from the record, not executed",
     ChangeReason.ON_CLUSTER: "on a cluster now: followed, not executed again",
 }
@@ -41,6 +42,7 @@ HISTORY = {
 """Why a session executed a run."""
 EFFECTIVE = {
     ChangeReason.REUSED: "the last successful execution with the programs and rules of the batch's last session",
+    ChangeReason.UNCHANGED: "an execution with other source or programs, which did not use what differs: {}",
     ChangeReason.NEVER: "never executed",
     ChangeReason.FAILED: "no execution succeeded; the last one: {}",
     ChangeReason.STALE: "stale: the last successful execution differs from the batch's last session: {}",

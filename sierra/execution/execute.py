@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from sierra.errors import Missing
-from sierra.execution import recover, session_records, stale_sessions
+from sierra.execution import recover, reusable_executions, session_records, stale_sessions
 from sierra.execution.reasons import FAILED
 from sierra.execution.resolve_plan import Plan, context, versioned
 from sierra.execution.reuse import is_answered, states
@@ -60,6 +60,8 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         found = session_records.keep_check(plan, store, session)
         if found.stale and not all(state.succeeded for state in states(plan, store, found).values()):
             options.observer.notice(stale_sessions.reason(found.stale))
+        if found.reusable:
+            options.observer.notice(reusable_executions.reason(store, session.id, len(found.reusable)))
         stays = make().stays
         slots = None if stays else options.slots
         begun = session_records.begun(plan, session, started=began, runner=options.runner, slots=slots)

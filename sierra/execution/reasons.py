@@ -21,6 +21,8 @@ class ChangeReason(StrEnum):
     """The last successful execution used other programs."""
     REUSED = "reused"
     """A recorded execution is effective."""
+    UNCHANGED = "unchanged"
+    """An execution with another source or other programs is effective, because no file that it used has changed."""
     REEVALUATED = "reevaluated"
     """A recorded execution is evaluated again by changed rules."""
     ON_CLUSTER = "on cluster"

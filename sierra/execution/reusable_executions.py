@@ -1,8 +1,10 @@
 """Executions that count for runs of a plan although the source or the programs differ: no file that they used has changed.
 
 Such an execution was observed from its beginning to its end. Its run has the command, input and seed of the run in the plan;
-only the source may be another one. Everything that it executed, read, listed, found or missed is still the same. Other
-executions never count for another source, because nobody knows what they have read.
+only the source may be another one. Everything that it executed, read, listed, found or missed is still the same.
+
+An execution that was not observed never counts for another source, because nobody knows what it has read. It counts with
+other installed distributions of Python if all observed executions of its session still count.
 """
 
 from __future__ import annotations
@@ -19,10 +21,12 @@ from sierra.execution.stale_sessions import folders
 from sierra.execution.unchanged_files import FileSets, UsedFile, unchanged
 from sierra.model import RunSpec
 from sierra.provenance import source
-from sierra.provenance.dependency_model import Programs
+from sierra.provenance.dependency_model import Kind, Programs
 from sierra.store.row_types import UnusedChangeRow
 from sierra.store.store import Snapshot, Store
+from sierra.util.text import counted, few
 
+NAMED = 3
 MOST_CHANGES = 1000
 """Maximum number of unused changes that are recorded for one specification and one list of programs."""
 
@@ -45,6 +49,13 @@ class _Candidate(NamedTuple):
     programs: str
 
 
+class _Inheriting(NamedTuple):
+    run: str
+    execution: str
+    programs: str
+    sets: list[str]
+
+
 CANDIDATES = """
 WITH kin AS (
     SELECT spec FROM specs WHERE platform = $platform AND command = $command AND variables = $variables AND image IS NULL
@@ -55,13 +66,29 @@ same AS (
     FROM sought s JOIN batch_runs m
     ON m.seed = s.seed AND m.input = s.input AND array_to_string(m.other_inputs, ' ') = s.other_inputs
     SEMI JOIN kin ON kin.spec = m.spec
+    UNION SELECT s.run, e.run, $spec FROM sought s JOIN reused_executions r USING (run) JOIN executions e USING (execution)
 )
 SELECT s.run, e.execution, o.files, s.spec, e.programs
 FROM same s JOIN executions e ON e.run = s.executed JOIN observations o ON o.execution = e.execution
 WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules AND o.reason IS NULL
 ORDER BY s.run, s.spec = $spec, e.lamport
 """
-"""The last row of each run is the best: an execution of the same run if there is one, and the last of several."""
+"""The last row of each run is the best: an execution of the same run if there is one, and the last of several. The batch of an
+execution that was reused before may have been removed.
+"""
+INHERITING = """
+WITH mine AS (
+    SELECT s.run, e.execution, e.session, e.programs, e.lamport FROM sought s JOIN executions e USING (run)
+    WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules AND e.programs <> $programs
+    AND e.execution NOT IN (SELECT execution FROM observations WHERE reason IS NULL)
+),
+sets AS (
+    SELECT e.session, list(DISTINCT o.files ORDER BY o.files) AS sets
+    FROM observations o JOIN executions e USING (execution) WHERE o.reason IS NULL AND e.purpose = 'run' GROUP BY e.session
+)
+SELECT m.run, m.execution, m.programs, s.sets FROM mine m JOIN sets s USING (session) ORDER BY m.run, m.lamport
+"""
+"""Executions that were not observed, with the sets of files of the observed ones in their sessions."""
 USED = "SELECT files, path, use, sha256 FROM files_read SEMI JOIN needed USING (files)"
 LISTINGS = "SELECT sha256, names FROM listings WHERE sha256 IN (SELECT sha256 FROM files_read SEMI JOIN needed USING (files))"
 WRITTEN = """
@@ -72,7 +99,18 @@ SEARCHED = """
 SELECT DISTINCT o.files, json_extract_string(v.variables, '$.PATH') AS search
 FROM observations o SEMI JOIN needed USING (files) JOIN executions e USING (execution) JOIN environments v USING (environment)
 """
-TABLES = ("batch_runs", "specs", "executions", "observations", "files_read", "listings", "files_written", "environments")
+TABLES = (
+    "batch_runs",
+    "reused_executions",
+    "specs",
+    "executions",
+    "observations",
+    "files_read",
+    "listings",
+    "files_written",
+    "environments",
+    "programs",
+)
 
 
 class _Listing(NamedTuple):
@@ -105,9 +143,32 @@ def find(plan: Plan, snapshot: Snapshot, runs: Collection[str]) -> dict[str, Reu
         ingest_rules=context(plan).ingest_rules,
         **_kin(plan.batch.spec),
     )
-    snapshot.add_table("needed", files=sorted({row.files for row in rows}))
+    inheriting = _inheriting(plan, snapshot)
+    snapshot.add_table("needed", files=sorted({row.files for row in rows} | {one for row in inheriting for one in row.sets}))
     same = unchanged(_file_sets(plan, snapshot))
-    return {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
+    spec = plan.batch.spec_id
+    found = {row.run: Reusable(row.execution, spec, row.programs) for row in inheriting if same.issuperset(row.sets)}
+    return found | {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
+
+
+def _inheriting(plan: Plan, snapshot: Snapshot) -> list[_Inheriting]:
+    """Return executions of the sought runs that were not observed, with programs that differ only in Python's distributions."""
+    rows = snapshot.select(_Inheriting, INHERITING, ingest_rules=context(plan).ingest_rules, programs=plan.programs.id)
+    now = _without_distributions(plan.programs)
+    alike = {
+        programs
+        for programs in {row.programs for row in rows}
+        if _without_distributions(_recorded_programs(snapshot, programs)) == now
+    }
+    return [row for row in rows if row.programs in alike]
+
+
+def _recorded_programs(records: Store | Snapshot, programs: str) -> Programs:
+    return Programs(tuple(row.program() for row in records.select(RecordedProgram, PROGRAMS, programs=programs)))
+
+
+def _without_distributions(programs: Programs) -> set[tuple[str, str]]:
+    return {(one.called, one.sha256) for one in programs.all if one.kind != Kind.DISTRIBUTIONS}
 
 
 def _file_sets(plan: Plan, snapshot: Snapshot) -> FileSets:
@@ -161,7 +222,12 @@ def unused_changes(plan: Plan, store: Store, session: str, found: Iterable[Reusa
             before = store.object(files) if files else b""
             names += [f"{{project}}/{path}" for path in source.changed(before, plan.source.manifest)]
         if programs != plan.programs.id:
-            old = store.select(RecordedProgram, PROGRAMS, programs=programs)
-            names += Programs(tuple(row.program() for row in old)).unlike(plan.programs)
+            names += _recorded_programs(store, programs).unlike(plan.programs)
         for name in names[:MOST_CHANGES]:
             yield UnusedChangeRow(session, spec, programs, name)
+
+
+def reason(store: Store, session: str, runs: int) -> str:
+    """Return why a session reuses this many runs although the source or the programs differ."""
+    names = store.values(str, "SELECT DISTINCT name FROM unused_changes WHERE session = $s ORDER BY 1", s=session)
+    return f"{counted(runs, 'run')} reused, because the executions did not use what has changed: {few(names, NAMED)}"

@@ -41,6 +41,8 @@ class State:
     """True if a recorded execution would be evaluated again. Only `foreseen` sets this and `lack`."""
     lack: str | None = None
     """Reason why it cannot be evaluated again although the rules have changed."""
+    unchanged: bool = False
+    """True if an execution counts although the source or the programs differ."""
 
     @property
     def succeeded(self) -> bool:
@@ -51,12 +53,18 @@ class State:
         """Return the reason why the run is executed or reused."""
         if self.reevaluated:
             return Reason(ChangeReason.REEVALUATED)
+        if self.unchanged:
+            return Reason(ChangeReason.UNCHANGED)
         if self.worth is None:
             return Reason(ChangeReason.NEW)
         kind = WORTH[self.worth]
         if kind is ChangeReason.FAILED:
             return Reason(kind, self.reason or "")
         return Reason(kind, self.lack or "") if kind is ChangeReason.RULES else Reason(kind)
+
+    def reused(self) -> State:
+        """Return this state with an execution that counts although the source or the programs differ."""
+        return replace(self, worth=REUSED, unchanged=True)
 
     def after(self, worth: int, reason: str | None, failed: int, judgements: int) -> State:
         """Return this state with one more execution, which was evaluated `judgements` times."""
@@ -95,7 +103,7 @@ def check(plan: Plan, records: Store | Snapshot) -> tuple[FileCheck, dict[str, S
         recorded = states(plan, snapshot, FileCheck(stale))
         lacking = [run for run, state in recorded.items() if not state.succeeded]
         reusable = reusable_executions.find(plan, snapshot, lacking)
-    return FileCheck(stale, reusable), {**recorded, **{run: replace(recorded[run], worth=REUSED) for run in reusable}}
+    return FileCheck(stale, reusable), {**recorded, **{run: recorded[run].reused() for run in reusable}}
 
 
 def is_repeated(plan: Plan, store: Store) -> bool:
@@ -120,7 +128,7 @@ def states(plan: Plan, records: Store | Snapshot | None, found: FileCheck | None
                 state = runs[run].after(worth, reason, failed, judgements)
                 runs[run] = same.setdefault(state, state)
     for run in found.reusable.keys() & runs.keys():
-        runs[run] = replace(runs[run], worth=REUSED)
+        runs[run] = runs[run].reused()
     return runs
 
 

@@ -250,6 +250,8 @@ class ShownRun:
     row: Mapping[str, SqlValue]
     spec: SpecRow
     executions: Sequence[ExecutionRow]
+    reused_from: str | None
+    """The run that was executed, if the effective execution is one of a run with another source."""
     batches: Sequence[str]
     attempts: Sequence[Attempt]
     nondeterminism: Sequence[Nondeterminism]
@@ -536,6 +538,7 @@ def _run(snapshot: Snapshot, found: Found) -> ShownRun:
         row=row,
         spec=required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=str(row["spec"])),
         executions=snapshot.select(ExecutionRow, "SELECT * FROM executions WHERE run = $r ORDER BY lamport", r=found.id),
+        reused_from=next(iter(snapshot.values(str, REUSED_FROM, r=found.id)), None),
         batches=snapshot.values(str, BATCHES, r=found.id),
         attempts=snapshot.select(Attempt, ATTEMPTS_AT_RUN, r=found.id, e=None),
         nondeterminism=snapshot.select(Nondeterminism, NONDETERMINISM, b=None, r=found.id),
@@ -544,7 +547,14 @@ def _run(snapshot: Snapshot, found: Found) -> ShownRun:
     )
 
 
-SPEC_OF_RUN = "SELECT s.* FROM batch_runs m JOIN specs s USING (spec) WHERE m.run = $r LIMIT 1"
+SPEC_OF_RUN = """
+SELECT s.* FROM batch_runs m JOIN specs s USING (spec)
+WHERE m.run = $r OR m.run IN (SELECT r.run FROM reused_executions r JOIN executions e USING (execution) WHERE e.run = $r)
+ORDER BY m.run = $r DESC LIMIT 1
+"""
+REUSED_FROM = """
+SELECT e.run FROM runs r JOIN executions e USING (execution) WHERE r.run = $r AND e.run <> $r
+"""
 
 
 def _execution(snapshot: Snapshot, identity: str) -> ShownExecution:

@@ -142,7 +142,7 @@ def _are_unused_packages(one: UsedFile, names: Iterable[str], sets: FileSets) ->
     new = [name for name in names if not METADATA.fullmatch(name)]
     if any(map(STARTED.fullmatch, new)):
         return False
-    used = list(_paths(one.files, sets))
+    used = list(_paths(one.files, sets, ("read", "executed")))
     if any(METADATA.match(path) for path in used):
         return False
     modules = sorted({name.partition(".")[0] for name in new} - {""})
@@ -167,11 +167,8 @@ def _mentions(file: str, modules: Iterable[str]) -> bool:
         content = Path(file).read_bytes()
     except OSError:
         return True
-    names = [os.fsencode(module) for module in modules]
+    either = b"|".join(re.escape(os.fsencode(module)) for module in modules)
     if file.endswith(COMPILED):
-        return any(name in content for name in names)
-    if not any(name in content for name in names):
-        return False
-    either = b"|".join(map(re.escape, names))
+        return re.search(rb"(?<![\w])(?:%s)(?![\w])" % either, content) is not None
     pattern = rb"^[^\n#]*\bimport\b[^\n]*\b(?:%s)\b|^[^\n#]*\bfrom[ \t]+(?:%s)\b|[\"'](?:%s)[\"'.]" % (either, either, either)
     return re.search(pattern, content, re.MULTILINE) is not None

@@ -36,8 +36,9 @@ class EffectiveRuns:
 
 
 class Latest(NamedTuple):
-    """Programs and rules of the last session of a batch."""
+    """The last session of a batch, its programs and its rules."""
 
+    session: str | None
     programs: str | None
     ingest_rules: str | None
 
@@ -46,6 +47,8 @@ class Standing(NamedTuple):
     """Runs in the same situation; programs and rules are those of their last execution, if that was successful."""
 
     counts: bool
+    unchanged: bool
+    """True if the execution counts although the source or the programs differ."""
     tried: bool
     good: bool
     reason: str | None
@@ -56,9 +59,11 @@ class Standing(NamedTuple):
     execution: str | None
 
 
-OF_LAST_SESSION = f"{LATEST} SELECT programs, ingest_rules FROM latest WHERE batch = $b"  # noqa: S608 - of our own parts
+OF_LAST_SESSION = f"{LATEST} SELECT session, programs, ingest_rules FROM latest WHERE batch = $b"  # noqa: S608 - of our own parts
 STANDINGS = """
-SELECT t.counts, t.execution IS NOT NULL AS tried, coalesce(t.status = 'ok', false) AS good, e.reason, e.programs,
+SELECT t.counts,
+       coalesce(t.own IN (SELECT execution FROM reused_executions WHERE session = $session), false) AS unchanged,
+       t.execution IS NOT NULL AS tried, coalesce(t.status = 'ok', false) AS good, e.reason, e.programs,
        e.ingest_rules, count(*) AS runs, min(t.run) AS run, arg_min(t.own, t.run) AS execution
 FROM standing t LEFT JOIN (
     SELECT judgement AS execution, CASE WHEN status <> 'ok' THEN coalesce(reason, status) END AS reason,
@@ -71,23 +76,26 @@ GROUP BY ALL ORDER BY runs DESC, run
 
 def standings(snapshot: Snapshot, batches: list[str]) -> Iterator[EffectiveRuns]:
     """Yield the situation of the runs in the table `wanted`, in each of these batches."""
-    snapshot.views.make(("batch_runs", "sessions", "all_judgements", "batches", "stale_sessions"))
+    snapshot.views.make(("batch_runs", "sessions", "all_judgements", "batches", "stale_sessions", "reused_executions"))
     for batch in batches:
         make_runs(snapshot, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
-        latest = next(iter(snapshot.select(Latest, OF_LAST_SESSION, b=batch)), Latest(None, None))
-        for row in snapshot.select(Standing, STANDINGS):
+        latest = next(iter(snapshot.select(Latest, OF_LAST_SESSION, b=batch)), Latest(None, None, None))
+        for row in snapshot.select(Standing, STANDINGS, session=latest.session):
             yield EffectiveRuns(batch, row.runs, row.counts, _why(snapshot, row, latest), row.run, row.execution)
         snapshot.run("DROP TABLE standing")
 
 
 def _why(snapshot: Snapshot, row: Standing, latest: Latest) -> Reason:
+    if row.counts and row.unchanged:
+        names = snapshot.values(str, "SELECT DISTINCT name FROM unused_changes WHERE session = $s ORDER BY 1", s=latest.session)
+        return Reason(ChangeReason.UNCHANGED, few(names, SHOWN))
     if row.counts:
         return Reason(ChangeReason.REUSED)
     if not row.tried:
         return Reason(ChangeReason.NEVER)
     if not row.good:
         return Reason(ChangeReason.FAILED, row.reason or "")
-    if (row.programs, row.ingest_rules) == latest:
+    if (row.programs, row.ingest_rules) == latest[1:]:
         return Reason(ChangeReason.STALE, "files that it used have changed")
     differences = [one.line for one in _differences(snapshot, row, latest)]
     return Reason(ChangeReason.STALE, few(differences, SHOWN) or "the differing programs or rules are not recorded")

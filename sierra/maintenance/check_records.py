@@ -384,7 +384,8 @@ LOST_BY_EXECUTION = {
     "files or logs of executions are not in the store": """
         SELECT DISTINCT execution FROM all_artifacts a ANTI JOIN kept USING (sha256) WHERE a.kind IN ('file', 'log')""",
     ORPHANS: """
-        SELECT DISTINCT execution FROM executions ANTI JOIN batch_runs USING (run)""",
+        SELECT DISTINCT execution FROM executions ANTI JOIN batch_runs USING (run)
+        WHERE execution NOT IN (SELECT execution FROM reused_executions)""",
     "the ingest rules of executions are not recorded": """
         SELECT DISTINCT judgement FROM all_judgements ANTI JOIN ingest_rules USING (ingest_rules)""",
     "the isolation of executions is not recorded": """
@@ -397,6 +398,11 @@ LOST_BY_EXECUTION = {
         SELECT DISTINCT execution FROM observations ANTI JOIN files_read USING (files) WHERE files <> '{file_set(())}'""",
     "observations belong to executions that are not recorded": """
         SELECT DISTINCT execution FROM observations ANTI JOIN executions USING (execution)""",
+    "executions that other runs reuse are not recorded": """
+        SELECT DISTINCT execution FROM reused_executions ANTI JOIN executions USING (execution)""",
+    "the names in folders that executions listed are not recorded": """
+        SELECT DISTINCT execution FROM observations JOIN files_read f USING (files) ANTI JOIN listings l ON l.sha256 = f.sha256
+        WHERE f.use = 'listed' AND f.sha256 IS NOT NULL""",
     "judgements belong to executions that are not recorded": """
         SELECT DISTINCT judgement FROM judgements ANTI JOIN executions USING (execution)""",
     "verdicts belong to executions that are not recorded": """

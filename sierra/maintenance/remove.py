@@ -126,7 +126,10 @@ CREATE TEMP TABLE asked_members AS SELECT DISTINCT m.batch, m.ordinal, m.run
     OR x.experiment IN (SELECT id FROM named WHERE kind = 'experiment');
 CREATE TEMP TABLE shared AS SELECT DISTINCT a.run, m.batch FROM (SELECT DISTINCT run FROM asked_members) a
     JOIN (SELECT DISTINCT batch, ordinal, run FROM batch_runs
-          EXCEPT SELECT batch, ordinal, run FROM asked_members) m USING (run);
+          EXCEPT SELECT batch, ordinal, run FROM asked_members) m USING (run)
+    UNION SELECT e.run, f.batch FROM effective f JOIN executions e USING (execution)
+    WHERE e.run <> f.run AND e.run IN (SELECT run FROM asked_members)
+    AND f.batch NOT IN (SELECT batch FROM asked_members);
 CREATE TEMP TABLE gone AS
     SELECT judgement AS execution, execution AS own, run, environment, programs, ingest_rules, isolation FROM all_judgements
     WHERE execution IN (SELECT id FROM named WHERE kind = 'execution') OR run IN (SELECT id FROM named WHERE kind = 'run')
@@ -162,6 +165,7 @@ CREATE TEMP TABLE gone_images AS SELECT image, files FROM images WHERE
     AND image NOT IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM staying_specs) AND image IS NOT NULL);
 """
 BATCHES = "SELECT batch, query, experiments, runs FROM batches WHERE list_contains($b, batch) ORDER BY batch"
+GONE_SESSIONS = "SELECT session FROM sessions WHERE batch IN (SELECT batch FROM gone_batches)"
 AROUND = {
     "specs": ("spec", "SELECT spec FROM gone_members EXCEPT SELECT spec FROM staying_specs"),
     "environments": (
@@ -189,7 +193,15 @@ AROUND = {
     ),
     "builds": ("build", "SELECT build FROM gone_builds"),
     "build_products": ("build", "SELECT build FROM gone_builds"),
-    "stale_sessions": ("session", "SELECT session FROM sessions WHERE batch IN (SELECT batch FROM gone_batches)"),
+    "listings": (
+        "sha256",
+        "SELECT sha256 FROM files_read WHERE use = 'listed' AND files IN (SELECT files FROM observations) AND files NOT IN "
+        "(SELECT files FROM observations WHERE execution NOT IN (SELECT execution FROM gone)) EXCEPT "
+        "SELECT sha256 FROM files_read WHERE use = 'listed' AND files IN "
+        "(SELECT files FROM observations WHERE execution NOT IN (SELECT execution FROM gone))",
+    ),
+    "stale_sessions": ("session", GONE_SESSIONS),
+    "unused_changes": ("session", GONE_SESSIONS),
     "sources": ("source", "SELECT source FROM gone_sources"),
     "images": ("image", "SELECT image FROM gone_images"),
     "isolations": ("isolation", "SELECT isolation FROM gone EXCEPT SELECT isolation FROM staying"),
@@ -212,7 +224,7 @@ EXCEPT
 
 def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
     with store.snapshot() as snapshot:
-        snapshot.views.make((*(RECORDED.keys() - {"objects"}), "all_judgements", "all_artifacts"))
+        snapshot.views.make((*(RECORDED.keys() - {"objects"}), "all_judgements", "all_artifacts", "effective"))
         pairs = [(kind, identity) for kind, ids in named.items() for identity in sorted(ids)]
         snapshot.add_table("named", kind=[kind for kind, _ in pairs], id=[one for _, one in pairs])
         snapshot.run(FIND)
@@ -231,7 +243,9 @@ def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Remov
     [(replays,)] = snapshot.run("SELECT count(DISTINCT replay) FROM gone_replays")
     [(size,)] = snapshot.run("SELECT coalesce(sum(size), 0)::BIGINT FROM artifacts WHERE execution IN (SELECT own FROM gone)")
     losing = _column(
-        snapshot, "SELECT m.batch FROM batch_runs m JOIN gone USING (run) ANTI JOIN gone_batches g ON g.batch = m.batch"
+        snapshot,
+        "SELECT m.batch FROM (SELECT m.batch FROM batch_runs m JOIN gone USING (run) "
+        "UNION SELECT batch FROM effective WHERE execution IN (SELECT own FROM gone)) m ANTI JOIN gone_batches g USING (batch)",
     )
     kept = "SELECT run, batch FROM shared WHERE run NOT IN (SELECT run FROM gone)"
     shared = _column(snapshot, f"SELECT run FROM ({kept})")
@@ -249,6 +263,7 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
     drop: dict[str, dict[str, AbstractSet[str]]] = {
         **{table: {"execution": executions} for table in OF_EXECUTIONS},
         "judgements": {"judgement": executions},
+        "reused_executions": {"execution": executions, "session": _column(snapshot, GONE_SESSIONS)},
         **{table: {"batch": batches} for table in ("batches", "experiments", "batch_runs", "sessions")},
         "replays": {"replay": replays},
         "equivalences": {"replay": replays},

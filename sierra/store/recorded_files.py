@@ -135,12 +135,19 @@ def where(snapshot: Snapshot, found: Found) -> Place:
     if found.kind == "batch":
         return Place(found.id)
     if found.kind == "execution":
-        [(run,)] = snapshot.run("SELECT run FROM executions WHERE execution = $e", {"e": found.id})
+        snapshot.views.make(("reused_executions",))
+        [(run,)] = snapshot.run(RUN_OF_EXECUTION, {"e": found.id})
     experiment = found.id if found.kind == "experiment" else None
     [(batch, ordinal), *_] = snapshot.run(LATEST, {"run": run, "experiment": experiment})
     return Place(batch, ordinal, run, found.id if found.kind == "execution" else None)
 
 
+RUN_OF_EXECUTION = """
+SELECT CASE WHEN run IN (SELECT run FROM batch_runs) THEN run
+    ELSE coalesce((SELECT max(run) FROM reused_executions WHERE execution = $e), run) END
+FROM executions WHERE execution = $e
+"""
+"""The run that was executed, or one that reuses the execution, if the batches of the first run were removed."""
 LATEST = """
 SELECT m.batch, m.ordinal
 FROM batch_runs m JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)

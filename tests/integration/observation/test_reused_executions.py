@@ -1,0 +1,230 @@
+"""Observed executions count although the source or the programs differ, as long as no file that they used has changed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests import projects
+
+SIMULATOR = """\
+import os, sys
+from pathlib import Path
+here = Path(__file__).parent
+factor = int((here / "factor.txt").read_text())
+extra = here / "extra.txt"
+factor += int(extra.read_text()) if extra.exists() else 0
+maps = len(list((here / "maps").glob("*.map")))
+seed = int(open(sys.argv[1]).read().split('<random seed="')[1].split('"')[0])
+with open("swarm.csv", "w") as file:
+    print("tick,value", *(f"{tick},{factor + 100 * maps + seed % 2}" for tick in range(3)), sep="\\n", file=file)
+"""
+QUERY = ("run", "population_size=1,2", "--no-figures", "--json")
+
+
+@pytest.fixture
+def root(tmp_path: Path, require: Callable[..., str]) -> Path:
+    """A project whose runs read two files of the project, all observed."""
+    require("strace")
+    folder = projects.make(
+        tmp_path / "project", projects.CONFIG.replace("runs = 2", 'runs = 2\nobserve = "all"'), simulator=SIMULATOR
+    )
+    (folder / "factor.txt").write_text("2")
+    (folder / "unused.py").write_text("1")
+    (folder / "maps").mkdir()
+    (folder / "maps" / "a.map").write_text("a")
+    (folder / ".gitignore").write_text(".sierra\n")
+    return projects.commit(folder)
+
+
+def run(root: Path, *words: str) -> tuple[dict[str, Any], str]:
+    done = projects.quick(root, *QUERY, *words)
+    assert done.returncode == 0, done.stderr
+    summary: dict[str, Any] = json.loads(done.stdout)
+    return summary, done.stderr
+
+
+def sql(root: Path, statement: str) -> list[dict[str, Any]]:
+    done = projects.quick(root, "sql", "--format", "json", statement)
+    assert done.returncode == 0, done.stderr
+    found: list[dict[str, Any]] = json.loads(done.stdout)
+    return found
+
+
+def values(root: Path, batch: str) -> list[int]:
+    """Return the values of the effective executions of a batch, without what their seeds add."""
+    rows = sql(
+        root,
+        "SELECT DISTINCT s.value - r.seed % 2 AS value FROM swarm s JOIN runs r USING (run) "
+        f"JOIN effective e ON s.run = e.run AND s.execution = e.execution WHERE e.batch = '{batch}' ORDER BY 1",
+    )
+    return [row["value"] for row in rows]
+
+
+def test_an_edit_of_a_file_that_no_run_read_executes_nothing(root: Path) -> None:
+    first, _ = run(root)
+    (root / "unused.py").write_text("2")
+    second, said = run(root)
+    assert second["batch"] != first["batch"]
+    assert (second["executed"], second["reused"]) == (0, 4)
+    assert "4 runs reused, because the executions did not use what has changed: {project}/unused.py" in said
+    assert values(root, second["batch"]) == [102]
+    again, said = run(root)
+    assert (again["executed"], said) == (0, "")
+    assert len(sql(root, "SELECT * FROM sessions")) == 2
+    assert projects.quick(root, "fsck").returncode == 0
+
+
+@pytest.mark.parametrize("change", ["factor.txt", "extra.txt", "maps/b.map", "sim.py"])
+def test_an_edit_of_anything_that_runs_used_executes_them_again(root: Path, change: str) -> None:
+    run(root)
+    content = SIMULATOR.replace("100 * maps", "200 * maps") if change == "sim.py" else "40"
+    (root / change).write_text(content)
+    summary, _ = run(root)
+    assert (summary["executed"], summary["reused"]) == (4, 0)
+    assert values(root, summary["batch"]) != [102]
+
+
+def test_statistics_tables_and_files_of_reused_executions_are_those_of_the_new_run(root: Path) -> None:
+    first, _ = run(root)
+    (root / "unused.py").write_text("2")
+    second, _ = run(root)
+    rows = sql(
+        root,
+        f"SELECT r.run, r.execution, e.run AS executed FROM runs r JOIN executions e USING (execution) "
+        f"JOIN batch_runs m ON m.run = r.run WHERE m.batch = '{second['batch']}'",
+    )
+    assert len(rows) == 4
+    assert all(row["run"] != row["executed"] for row in rows)
+    assert json.loads(projects.quick(root, "show", rows[0]["run"], "--json").stdout)["reused_from"] == rows[0]["executed"]
+    assert "swarm.csv" in projects.quick(root, "files", rows[0]["run"]).stdout
+    before, now = (
+        json.loads(projects.quick(root, "stats", "swarm", "value", "--batch", one["batch"], "--format", "json").stdout)
+        for one in (first, second)
+    )
+    assert before == now
+    assert projects.quick(root, "replay", second["batch"][:10]).returncode == 0
+    assert "did not use what differs: {project}/unused.py" in projects.quick(root, "why", second["batch"][:10]).stdout
+
+
+def test_removing_the_first_batch_keeps_what_the_second_reuses(root: Path) -> None:
+    first, _ = run(root)
+    (root / "unused.py").write_text("2")
+    second, _ = run(root)
+    done = projects.quick(root, "rm", "--yes", first["batch"][:10])
+    assert done.returncode == 0, done.stderr
+    assert "which also belong to batch" in done.stdout + done.stderr
+    assert projects.quick(root, "gc", "--yes").returncode == 0
+    assert projects.quick(root, "fsck").returncode == 0
+    assert values(root, second["batch"]) == [102]
+    execution = sql(root, "SELECT execution FROM executions LIMIT 1")[0]["execution"]
+    for words in (("show",), ("files",), ("why",)):
+        assert projects.quick(root, *words, execution).returncode == 0
+    assert run(root)[0]["executed"] == 0
+
+
+def test_removing_an_execution_executes_each_run_that_reused_it_again(root: Path) -> None:
+    run(root)
+    (root / "unused.py").write_text("2")
+    second, _ = run(root)
+    [row] = sql(root, f"SELECT execution FROM effective WHERE batch = '{second['batch']}' ORDER BY 1 LIMIT 1")
+    done = projects.quick(root, "rm", "--yes", row["execution"])
+    assert "also belong to batch" in done.stdout + done.stderr
+    assert run(root)[0]["executed"] == 1
+    assert projects.quick(root, "fsck").returncode == 0
+
+
+def test_runs_that_were_not_observed_are_executed_again_for_another_source(root: Path) -> None:
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace('observe = "all"', 'observe = "first"'))
+    run(root)
+    (root / "unused.py").write_text("2")
+    summary, _ = run(root)
+    assert (summary["executed"], summary["reused"]) == (3, 1)
+
+
+def test_other_rules_evaluate_only_executions_of_the_same_run(root: Path) -> None:
+    run(root)
+    (root / "unused.py").write_text("2")
+    config = root / "sierra.toml"
+    config.write_text(config.read_text() + '[outputs.swarm]\nfile = "swarm.csv"\nmismatch = "ragged"\n')
+    assert run(root)[0]["executed"] == 4
+
+
+@pytest.fixture
+def venv(root: Path) -> Path:
+    """A virtual environment that the runs use, with a way to install an empty package."""
+    folder = root.parent / "venv"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("python3 sim.py", f"{folder}/bin/python3 sim.py"))
+    return folder
+
+
+def install(venv: Path, name: str) -> None:
+    [packages] = venv.glob("lib/python3*/site-packages")
+    (packages / name).mkdir()
+    (packages / name / "__init__.py").write_text("")
+    information = packages / f"{name}-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (information / "RECORD").write_text(
+        f"{name}/__init__.py,,\n{name}-1.0.dist-info/METADATA,,\n{name}-1.0.dist-info/RECORD,,\n"
+    )
+
+
+@pytest.mark.parametrize("observe", ["all", "first"])
+def test_an_unused_distribution_executes_nothing(root: Path, venv: Path, observe: str) -> None:
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace('observe = "all"', f'observe = "{observe}"'))
+    assert run(root)[0]["executed"] == 4
+    install(venv, "unused_package")
+    summary, said = run(root)
+    assert (summary["executed"], summary["reused"]) == (0, 4)
+    assert "installed distributions" in said
+
+
+@pytest.mark.parametrize("how", ["import", "startup", "removed"])
+def test_a_distribution_that_runs_could_use_executes_them_again(root: Path, venv: Path, how: str) -> None:
+    if how == "import":
+        simulator = "try:\n    import optional_package\nexcept ImportError:\n    pass\n" + SIMULATOR
+        (root / "sim.py").write_text(simulator)
+    if how == "removed":
+        install(venv, "optional_package")
+        (root / "sim.py").write_text("import optional_package\n" + SIMULATOR.replace("100 * maps", "100 * maps"))
+    run(root)
+    [packages] = venv.glob("lib/python3*/site-packages")
+    if how == "removed":
+        (packages / "optional_package" / "__init__.py").write_text("x = 1\n")
+    else:
+        install(venv, "optional_package")
+    if how == "startup":
+        (packages / "optional_package.pth").write_text("import sys\n")
+    assert run(root)[0]["executed"] == 4
+
+
+def test_another_program_on_the_search_path_executes_again(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tool = shutil.which("cat")
+    assert tool is not None
+    folders = [root.parent / name for name in ("one", "two")]
+    for folder, word in zip(folders, ("1", "2"), strict=True):
+        folder.mkdir()
+        (folder / "solver").write_text(f"#!/bin/sh\nprintf 'tick,value\\n0,{word}\\n' > swarm.csv\n")
+        (folder / "solver").chmod(0o755)
+    (root / "run.sh").write_text("exec solver\n")
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("python3 sim.py {input}", "sh run.sh {input}"))
+    path = f"{Path(tool).parent}:/usr/bin:/bin"
+    monkeypatch.setenv("PATH", f"{folders[0]}:{path}")
+    run(root)
+    monkeypatch.setenv("PATH", f"{folders[1]}:{folders[0]}:{path}")
+    summary, said = run(root)
+    assert (summary["executed"], "have changed" in said) == (4, True)
+    assert sql(root, "SELECT DISTINCT value FROM swarm") == [{"value": 2}]
