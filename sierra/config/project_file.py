@@ -398,7 +398,11 @@ class ClusterTable(Table):
 class Source(Table):
     """The part of the project that is the source of runs: the code that is part of their identity."""
 
-    paths: tuple[str, ...] = Field((), description="files and folders; default: the whole project")
+    paths: tuple[str, ...] = Field(
+        (),
+        description="files and folders; default: the whole project without files that describe it, for example README and *.md; "
+        '`["."]` is everything',
+    )
     dirty: Literal["record", "refuse", "ignore"] = Field(
         "record",
         description="uncommitted changes: `record` them, `refuse` them with an error, or `ignore` them and execute a checkout",

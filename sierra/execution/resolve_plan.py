@@ -302,6 +302,7 @@ def _code(project: LoadedProject, own: Sequence[str], dirty: str | None = None) 
         project.root,
         paths=wanted.paths,
         without=own,
+        prose=bool(wanted.paths) or project.config.build is not None,  # a build may read what describes the project
         dirty=dirty or wanted.dirty,
         large=wanted.max_untracked,
         memory=store.files if store.format.is_file() else None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypedDict, cast
+from typing import NotRequired, TypedDict, cast
 
 from sierra.model import Result
 from sierra.store.row_types import FileReadRow, FileWrittenRow, ListingRow, ObservationRow
@@ -25,7 +25,8 @@ class _Observed(TypedDict):
     reason: str | None
     notes: list[str]
     files: list[tuple[str, str, str | None, int | None]]
-    listings: dict[str, list[str]]
+    listings: NotRequired[dict[str, list[str]]]
+    """Sessions that an older version of SIERRA began have none."""
     written: list[tuple[str, str]]
 
 
@@ -49,7 +50,7 @@ def observed(result: Result) -> Observed | None:
     return Observed(
         ObservationRow(result.execution, identity, found["method"], found["reason"], list(map(_text, found["notes"]))),
         tuple(FileReadRow(identity, *file) for file in files),
-        tuple(ListingRow(sha256, list(map(_text, names))) for sha256, names in found["listings"].items()),
+        tuple(ListingRow(sha256, list(map(_text, names))) for sha256, names in found.get("listings", {}).items()),
         tuple(FileWrittenRow(result.execution, _text(name), use) for name, use in found["written"]),
     )
 

@@ -72,12 +72,14 @@ def capture(
     *,
     paths: Sequence[str],
     without: Iterable[str],
+    prose: bool = True,
     dirty: str = "record",
     large: int = LARGE,
     memory: Path | None = None,
 ) -> Source:
     """Return the source of the project `root`: all files or those in `paths`, except those in `without`.
 
+    Without `prose`, files that describe the project to people are left out too (see `sierra.provenance.source.prose`).
     `dirty` has the meaning of `[source] dirty`. An untracked file may have up to `large` bytes. The file `memory` caches the
     hashes of files outside git. Raises ConfigError for a path that does not exist, a file that is too large, or changes that
     are refused. Raises Missing if git is needed and fails.
@@ -87,7 +89,7 @@ def capture(
             raise ConfigError(f"[source] paths: {path!r} does not exist in {root}")
         if inside(path).startswith((b"..", b"/")):
             raise ConfigError(f"[source] paths: {path!r} is outside {root}; use files and folders in it")
-    chosen = PathSelection(paths, without)
+    chosen = PathSelection(paths, without, prose=prose)
     source, files = _git(root, chosen, dirty, large) if _in_git(root) else _outside(root, chosen, dirty, large, memory)
     for path in paths:
         if not any(map(PathSelection([path]), files)):

@@ -7,13 +7,16 @@ import re
 from collections.abc import Iterable, Sequence
 
 from sierra.errors import ConfigError
+from sierra.provenance.source.prose import is_prose
 from sierra.util.text import few
 
 
 class PathSelection:
     """A predicate on paths relative to the project's root: True for paths that belong to the source."""
 
-    def __init__(self, only: Iterable[str] = (), without: Iterable[str] = ()) -> None:
+    def __init__(self, only: Iterable[str] = (), without: Iterable[str] = (), *, prose: bool = True) -> None:
+        """`prose`: files that describe the project to people belong to the source too (see `sierra.provenance.source.prose`)."""
+        self._prose = prose
         self.only = tuple(path for path in map(inside, only) if path != b".")
         self._without = tuple(map(inside, without))
         self._never = _below(self._without)
@@ -21,17 +24,17 @@ class PathSelection:
 
     def never(self, path: bytes) -> bool:
         """Return True if a file, or a folder with all its content, is excluded."""
-        return bool(self._without) and self._never.match(path) is not None
+        return (bool(self._without) and self._never.match(path) is not None) or (not self._prose and is_prose(path))
 
     def __call__(self, path: bytes) -> bool:
         return not self.never(path) and (not self.only or self._kept.match(path) is not None)
 
     def others(self, paths: Iterable[bytes]) -> list[bytes]:
         """Return the paths that do not belong to the source."""
-        never, kept = self._never.match, self._kept.match
+        kept = self._kept.match
         if self.only:
-            return [path for path in paths if not kept(path) or (self._without and never(path))]
-        return [path for path in paths if never(path)] if self._without else []
+            return [path for path in paths if not kept(path) or self.never(path)]
+        return [path for path in paths if self.never(path)] if self._without or not self._prose else []
 
     def pathspecs(self) -> list[str]:
         """Return pathspecs for git, relative to the project; a name may begin with a colon or contain a star."""

@@ -44,12 +44,12 @@ def test_runs_that_may_have_used_changed_code_are_never_effective(simulate: Call
 @pytest.mark.integration
 def test_the_error_for_notes_that_change_meanwhile_says_how_to_exclude_them(simulate: Callable[..., Any]) -> None:
     project = simulate(held(1))
-    (project.folder / "notes.md").write_text("before")
+    (project.folder / "notes.txt").write_text("before")
     (project.folder / "figures").mkdir()
     (project.folder / "figures" / "a.png").write_text("before")
     asking = project.start("run", "size=1,2,3", "--runs", "1", "-j", "1", "--no-figures")
     project.until_executed(2, asking)
-    (project.folder / "notes.md").write_text("after")
+    (project.folder / "notes.txt").write_text("after")
     project.open()
     ended = project.end_of(asking)
     advice = 'if these are not code, write paths = ["sim.sh"] under [source] in sierra.toml'
@@ -57,7 +57,7 @@ def test_the_error_for_notes_that_change_meanwhile_says_how_to_exclude_them(simu
     with (project.folder / "sierra.toml").open("a") as toml:
         toml.write('[source]\npaths = ["sim.sh"]\n')
     assert project.quick("run", "size=1,2,3", "--runs", "1", "--no-figures").returncode == 0
-    (project.folder / "notes.md").write_text("later")
+    (project.folder / "notes.txt").write_text("later")
     assert "0 of 3 runs would execute" in project.quick("run", "size=1,2,3", "--runs", "1", "-n").stdout
 
 

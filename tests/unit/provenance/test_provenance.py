@@ -19,6 +19,7 @@ from sierra.execution.reasons import ChangeReason, Reason
 from sierra.explain import why_new_runs
 from sierra.provenance import fingerprint_programs, source
 from sierra.provenance.source.capture import SWHID, Source
+from tests import projects
 
 Git = Callable[..., str]
 WITHOUT = ("sierra.toml", ".sierra", "figures", "./t.xml")
@@ -364,12 +365,37 @@ def test_a_changed_source_file_is_named(tmp_path: Path) -> None:
 def test_the_advice_for_changed_notes_says_how_to_exclude_them_from_the_source(tmp_path: Path) -> None:
     project = make_project(tmp_path / "p", "sh sim.sh {input}")
     (project.root / "sim.sh").write_text("exit 0\n")
-    (project.root / "README.md").write_text("before\n")
+    (project.root / "notes.txt").write_text("before\n")
     project.run("n=1", figures=False)
-    (project.root / "README.md").write_text("after\n")
+    (project.root / "notes.txt").write_text("after\n")
     told = new_runs(why_new_runs.why_new(project.plan("n=1"), project.store))
-    assert told[1] == "the source has changed: README.md"
+    assert told[1] == "the source has changed: notes.txt"
     assert 'write paths = ["sim.sh"] under [source] in sierra.toml' in told[2]
+
+
+@pytest.mark.parametrize("git", [False, True])
+def test_prose_is_no_source_unless_paths_names_it(tmp_path: Path, git: bool) -> None:
+    project = make_project(tmp_path / "p", "sh sim.sh {input}")
+    (project.root / "sim.sh").write_text("exit 0\n")
+    for name in ("README", "docs/a.txt", "maps/notes.md", "LICENSE", "CITATION.cff"):
+        file = project.root / name
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("before\n")
+    (project.root / "maps" / "LICENSE").write_text("a map\n")
+    if git:
+        (project.root / ".gitignore").write_text(".sierra\n")
+        projects.commit(project.root)
+    before = project.plan("n=1")
+    held = {os.fsdecode(path) for path in source.paths(before.source.manifest)} if before.source else set()
+    assert held == {"sim.sh", "maps/LICENSE", *([".gitignore"] if git else [])}
+    (project.root / "README").write_text("after\n")
+    (project.root / "docs" / "b.txt").write_text("after\n")
+    assert project.plan("n=1").batch.id == before.batch.id
+    config = project.root / "sierra.toml"
+    config.write_text(config.read_text() + '[source]\npaths = ["."]\n')
+    whole = sierra.open(project.root).plan("n=1")
+    (project.root / "README").write_text("later\n")
+    assert sierra.open(project.root).plan("n=1").batch.id != whole.batch.id
 
 
 def make_project(folder: Path, command: str) -> sierra.Project:
