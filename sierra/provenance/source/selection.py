@@ -15,7 +15,7 @@ class PathSelection:
     """A predicate on paths relative to the project's root: True for paths that belong to the source."""
 
     def __init__(self, only: Iterable[str] = (), without: Iterable[str] = (), *, prose: bool = True) -> None:
-        """`prose`: files that describe the project to people belong to the source too (see `sierra.provenance.source.prose`)."""
+        """`prose`: files that describe the project belong to the source too (see `sierra.provenance.source.prose`)."""
         self._prose = prose
         self.only = tuple(path for path in map(inside, only) if path != b".")
         self._without = tuple(map(inside, without))
