@@ -400,8 +400,8 @@ class Source(Table):
 
     paths: tuple[str, ...] = Field(
         (),
-        description='files and folders; default: the whole project without files that describe it, for example *.md; `["."]` is '
-        "everything",
+        description="files and folders; default: the whole project without files that describe it, for example `*.md`; "
+        '`["."]` is everything',
     )
     dirty: Literal["record", "refuse", "ignore"] = Field(
         "record",

@@ -122,7 +122,7 @@ def find(plan: Plan, snapshot: Snapshot, runs: Collection[str]) -> dict[str, Reu
     """Return the executions that count for these runs of the plan, by run."""
     if not runs or plan.image is not None or plan.checkout is not None:
         return {}  # an image covers the programs; a checkout is not the folder with the current files
-    if not any("observations" in segment.files for segment in snapshot.segments):
+    if not snapshot.holds("observations"):
         return {}
     snapshot.views.make(TABLES)
     sought = [run for run in {run.id: run for run in plan.batch.runs}.values() if run.id in runs]
@@ -200,7 +200,7 @@ def _kin(spec: RunSpec) -> dict[str, str | list[str]]:
 
 def recorded(snapshot: Snapshot) -> dict[str, str]:
     """Return the executions that the last session of the store reused in this way, by run."""
-    if not any("reused_executions" in segment.files for segment in snapshot.segments):
+    if not snapshot.holds("reused_executions"):
         return {}
     snapshot.views.make(("reused_executions", "sessions"))
     last = "SELECT run, execution FROM reused_executions WHERE session = (SELECT arg_max(session, lamport) FROM sessions)"

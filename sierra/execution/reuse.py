@@ -185,7 +185,7 @@ def _statement(
     spec = {"spec": plan.batch.spec_id}
     snapshot.views.make(("all_judgements", "batches"))
     [(count,)] = snapshot.run(f"SELECT count(*) {OF_SPEC.format(judged='all_judgements')}", spec)
-    reevaluated = any("judgements" in segment.files for segment in snapshot.segments)
+    reevaluated = snapshot.holds("judgements")
     statement = (
         EACH.format(judged=REEVALUATED, count="judgements") if reevaluated else EACH.format(judged="all_judgements", count="1")
     )

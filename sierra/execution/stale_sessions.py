@@ -65,7 +65,7 @@ AND json_extract_string(v.variables, '$.PATH') IS DISTINCT FROM $now
 
 def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
     """Return the sessions that executed runs of this plan with files that have changed, each with one of these files."""
-    if not any("observations" in segment.files for segment in snapshot.segments):
+    if not snapshot.holds("observations"):
         return {}
     rows = snapshot.select(_Used, USED, spec=plan.batch.spec_id, programs=plan.programs.id)
     changed = _changed({(row.path, row.use, row.sha256) for row in rows}, folders(plan))
@@ -91,7 +91,7 @@ def _found_elsewhere(plan: Plan, snapshot: Snapshot, sessions: Collection[str]) 
 
 def recorded(snapshot: Snapshot) -> set[str]:
     """Return the sessions whose executions do not count in the batch of the last session."""
-    if not any("stale_sessions" in segment.files for segment in snapshot.segments):
+    if not snapshot.holds("stale_sessions"):
         return set()
     last = "SELECT stale FROM stale_sessions WHERE session = (SELECT arg_max(session, lamport) FROM sessions)"
     return set(snapshot.values(str, last))

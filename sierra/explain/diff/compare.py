@@ -12,7 +12,7 @@ from functools import partial
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import Damaged, NotFound, SqlError
-from sierra.explain.diff import code, environment, images, query, results, run_inputs
+from sierra.explain.diff import code, environment, images, query, results, run_inputs, used_files
 from sierra.explain.diff.load_sides import AFTER, BEFORE, check, gather, pair
 from sierra.explain.diff.model import KINDS, Difference, Note
 from sierra.store.store import Found, Store
@@ -103,6 +103,8 @@ def _parts(
                 yield (kind,), compared(snapshot, before, after)
             else:
                 notes.append(Note(NOT_EXECUTED.format(kind=kind), kind))
+        if all(used_files.is_known(snapshot, side) for side in (before, after)):
+            yield ("files",), used_files.files(snapshot, before, after)
         if any(side.spec.image for side in (before, after)):
             if all(environment.executed(snapshot, side) for side in (before, after)):
                 yield ("isolation",), environment.isolations(snapshot, before, after)

@@ -19,6 +19,7 @@ ORDER = (
     "command",
     "image",
     "programs",
+    "files",
     "source",
     "variables",
     "inputs",

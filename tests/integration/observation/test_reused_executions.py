@@ -228,3 +228,13 @@ def test_another_program_on_the_search_path_executes_again(root: Path, monkeypat
     summary, said = run(root)
     assert (summary["executed"], "have changed" in said) == (4, True)
     assert sql(root, "SELECT DISTINCT value FROM swarm") == [{"value": 2}]
+
+
+def test_diff_names_the_files_that_executions_used(root: Path) -> None:
+    first, _ = run(root)
+    (root / "factor.txt").write_text("3")
+    (root / "extra.txt").write_text("4")
+    second, _ = run(root)
+    said = projects.quick(root, "diff", first["batch"][:10], second["batch"][:10]).stdout
+    expected = "files that executions used: other content: {project}/factor.txt; only used after: {project}/extra.txt"
+    assert expected in said
