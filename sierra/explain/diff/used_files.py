@@ -20,7 +20,7 @@ class _Used(NamedTuple):
 
 
 USED = """
-SELECT f.path, f.use, list(DISTINCT coalesce(f.sha256, '') ORDER BY ALL) AS contents
+SELECT f.path, f.use, list_sort(list(DISTINCT coalesce(f.sha256, ''))) AS contents
 FROM {table} t JOIN observations o ON o.execution = t.own JOIN files_read f USING (files)
 WHERE f.use IN ('executed', 'read') GROUP BY ALL
 """
