@@ -19,6 +19,7 @@ from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
 from sierra.ingest.consistency import find_odd
 from sierra.ingest.rejudge import reevaluate
+from sierra.ingest.success import Doubt
 from sierra.model import Run
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner
@@ -69,7 +70,7 @@ class Executor:
         self._service: Service | None = None
         self._before: dict[str, int] | None = None
         self._claimed: AbstractSet[str] = frozenset()
-        self._doubted: str | None = None
+        self._doubted: Doubt | None = None
         self._looked_at: set[str] = set()
 
     @property
@@ -184,14 +185,18 @@ class Executor:
             self.notes += self._service.isolation.notes
         return self._service
 
-    def _doubt(self) -> str | None:
+    def _doubt(self) -> Doubt | None:
         """Return the reason why results do not belong to the plan (files have changed, even if only for a while); else None."""
-        if self._doubted is None and self._service is not None:
-            self._doubted = self._service.doubt(self.plan.seen)
+        if self._service is not None and (self._doubted is None or self._doubted.files is not None):
+            self._doubted = self._service.doubt(self.plan.seen) or self._doubted
         return self._doubted
 
     def _is_enough(self) -> bool:
-        return self._doubted is not None or (self._options.fail_fast and bool(self.failed or self._tally.failed))
+        """Check whether to execute no more runs. Observed runs go on while they do not use the files that have changed."""
+        failed = bool(self.failed or self._tally.failed)
+        if self._doubted is None:
+            return self._options.fail_fast and failed
+        return failed or self._doubted.files is None or self.plan.project.config.observe != "all"
 
     def _inputs(self, wanted: AbstractSet[str]) -> Iterator[tuple[Run, Files]]:
         """Yield these runs with their input files, each run once."""

@@ -20,6 +20,7 @@ from sierra.execution.observer import Tally
 from sierra.execution.sessions import Session
 from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
+from sierra.ingest.success import Doubt
 from sierra.model import Job, Limits, Run, RunSpec, Times
 from sierra.provenance import environment
 from sierra.provenance.change_guard import ChangeGuard
@@ -67,9 +68,11 @@ class Service:
             elsewhere=stays,
         )
 
-    def doubt(self, files: ChangeGuard) -> str | None:
+    def doubt(self, files: ChangeGuard) -> Doubt | None:
         """Return why results cannot be attributed to the programs or the image at the start; None if nothing has changed."""
-        return files.doubt() or self.isolation.doubt()
+        if reason := self.isolation.doubt():
+            return Doubt(reason)
+        return Doubt(reason, files.changed_source()) if (reason := files.doubt()) else None
 
     def execute(
         self,
@@ -82,7 +85,7 @@ class Service:
         *,
         times: Times | None = None,
         detach: bool = False,
-        doubt: Callable[[], str | None] = lambda: None,
+        doubt: Callable[[], Doubt | None] = lambda: None,
         enough: Callable[[], bool] = lambda: False,
         kept: Path | None = None,
     ) -> Followed:

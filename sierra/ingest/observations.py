@@ -39,6 +39,12 @@ class Observed:
     listings: tuple[ListingRow, ...]
     written: tuple[FileWrittenRow, ...]
 
+    def concerned(self, changed: Collection[str]) -> bool:
+        """Check whether the execution may have used one of these files, or that is unknown."""
+        if self.observation.reason is not None:
+            return True
+        return not ({row.path for row in self.read} | {row.path for row in self.written}).isdisjoint(changed)
+
 
 def observed(result: Result) -> Observed | None:
     """Return the records of an execution; None if it was not observed."""

@@ -19,7 +19,7 @@ from sierra.ingest.model import Shape
 from sierra.ingest.observations import WRITTEN, astray, observed
 from sierra.ingest.read_into_segment import TableIngest, artifact_rows, tabled
 from sierra.ingest.recording_context import Context
-from sierra.ingest.success import Judgement, doubted, judge
+from sierra.ingest.success import Doubt, Judgement, doubted, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
 from sierra.model import OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
@@ -62,12 +62,12 @@ class Recorder:
         session: SessionPaths,
         context: Context,
         kept: Path | None = None,
-        doubt: Callable[[], str | None] = lambda: None,
+        doubt: Callable[[], Doubt | None] = lambda: None,
     ) -> None:
         """`kept`: the folder to which the runs' folders are moved once they are recorded; if None, they are removed.
 
-        `doubt`: a function that is called before each write. It returns the reason why none of the
-        pending executions can be successful, or None.
+        `doubt`: a function that is called before each write. It returns the reason why pending executions cannot be
+        successful, or None.
         """
         self._folder = kept
         self._doubt = doubt

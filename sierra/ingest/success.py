@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.config.project_file import Output, Success
+from sierra.ingest.observations import observed
 from sierra.model import Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
 
@@ -30,9 +31,23 @@ class Judgement:
     """The reason why it is not successful."""
 
 
-def doubted(one: Judgement, doubt: str) -> Judgement:
-    """Return the judgement as failed because of the doubt, if it was successful."""
-    return Judgement(one.result, Status.FAILED, doubt) if one.status is Status.OK else one
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """The reason why results may not belong to the code, the programs or the image of their session."""
+
+    reason: str
+    files: frozenset[str] | None = None
+    """The files that have changed, as in the table `files_read`; None if the doubt concerns every execution."""
+
+
+def doubted(one: Judgement, doubt: Doubt) -> Judgement:
+    """Return the judgement as failed because of the doubt, if it was successful and may have used what has changed."""
+    if one.status is not Status.OK:
+        return one
+    seen = observed(one.result) if doubt.files is not None else None
+    if seen is not None and doubt.files is not None and not seen.concerned(doubt.files):
+        return one
+    return Judgement(one.result, Status.FAILED, doubt.reason)
 
 
 def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tuple[Status, str | None]:

@@ -34,11 +34,20 @@ class ChangeGuard:
 
     def doubt(self, since: str = "since the runs began") -> str | None:
         """Return one line that names the changed files, or None if nothing has changed."""
-        changed = [path for path, state in self.states.items() if _state(path) != state]
-        if not changed:
-            return None
+        names = [path.removeprefix(self.root + b"/") for path in self.changed()]
+        return f"code or programs have changed {since}: {shown(names)} ({self.advice(names)})" if names else None
+
+    def changed(self) -> list[bytes]:
+        """Return the absolute paths of the changed files."""
+        return [path for path, state in self.states.items() if _state(path) != state]
+
+    def changed_source(self) -> frozenset[str] | None:
+        """Return the changed files as `{project}/…` if all of them are source and exist; None otherwise."""
+        changed = self.changed()
         names = [path.removeprefix(self.root + b"/") for path in changed]
-        return f"code or programs have changed {since}: {shown(names)} ({self.advice(names)})"
+        if not frozenset(self.source).issuperset(names) or None in map(_state, changed):
+            return None
+        return frozenset("{project}/" + os.fsdecode(name) for name in names)
 
     def advice(self, names: Iterable[bytes]) -> str:
         """Return advice for the case that the changed files are not code."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -238,3 +240,26 @@ def test_diff_names_the_files_that_executions_used(root: Path) -> None:
     said = projects.quick(root, "diff", first["batch"][:10], second["batch"][:10]).stdout
     expected = "files that executions used: other content: {project}/factor.txt; only used after: {project}/extra.txt"
     assert expected in said
+
+
+@pytest.mark.parametrize(("change", "expected"), [("unused.py", (0, 0)), ("factor.txt", (1, 1))])
+def test_an_edit_meanwhile_fails_only_executions_that_use_the_file(root: Path, change: str, expected: tuple[int, int]) -> None:
+    """The second run waits until the file was edited; the first one had ended before. They talk through files in a cache."""
+    begun, waiting, go = (Path(os.environ["XDG_CACHE_HOME"], change, name) for name in ("begun", "waiting", "go"))
+    begun.parent.mkdir(parents=True, exist_ok=True)
+    (root / "sim.py").write_text(
+        "import os, sys, time\n"
+        f"if os.path.exists({str(begun)!r}):\n"
+        f"    open({str(waiting)!r}, 'w').close()\n"
+        f"    while not os.path.exists({str(go)!r}): time.sleep(0.01)\n"
+        f"open({str(begun)!r}, 'w').close()\n" + SIMULATOR
+    )
+    asking = projects.start(root, "run", "population_size=1", "--no-figures", "-j", "1")
+    while not waiting.exists():
+        assert asking.poll() is None
+        time.sleep(0.01)
+    (root / change).write_text("2 ")
+    go.touch()
+    said, _ = asking.communicate(timeout=100)
+    failed = sql(root, "SELECT count(*) AS failed FROM executions WHERE reason LIKE 'code or programs have changed%'")
+    assert (asking.returncode, failed[0]["failed"] > 0) == (expected[0], bool(expected[1])), said
