@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
+import json
 import os
 import signal
 import subprocess
@@ -112,3 +113,19 @@ def quick(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
         for number, handler in handlers.items():
             signal.signal(number, handler)
     raise AssertionError("the command line always exits")
+
+
+def run(folder: Path, *words: str) -> tuple[dict[str, Any], str]:
+    """Execute a query without figures; return its summary and its standard error."""
+    done = quick(folder, "run", *words, "--no-figures", "--json")
+    assert done.returncode == 0, done.stderr
+    summary: dict[str, Any] = json.loads(done.stdout)
+    return summary, done.stderr
+
+
+def sql(folder: Path, statement: str) -> list[dict[str, Any]]:
+    """Return the rows of a statement on the store."""
+    done = quick(folder, "sql", "--format", "json", statement)
+    assert done.returncode == 0, done.stderr
+    found: list[dict[str, Any]] = json.loads(done.stdout)
+    return found

@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -28,7 +27,7 @@ seed = int(open(sys.argv[1]).read().split('<random seed="')[1].split('"')[0])
 with open("swarm.csv", "w") as file:
     print("tick,value", *(f"{tick},{factor + 100 * maps + seed % 2}" for tick in range(3)), sep="\\n", file=file)
 """
-QUERY = ("run", "population_size=1,2", "--no-figures", "--json")
+QUERY = "population_size=1,2"
 
 
 @pytest.fixture
@@ -46,23 +45,9 @@ def root(tmp_path: Path, require: Callable[..., str]) -> Path:
     return projects.commit(folder)
 
 
-def run(root: Path, *words: str) -> tuple[dict[str, Any], str]:
-    done = projects.quick(root, *QUERY, *words)
-    assert done.returncode == 0, done.stderr
-    summary: dict[str, Any] = json.loads(done.stdout)
-    return summary, done.stderr
-
-
-def sql(root: Path, statement: str) -> list[dict[str, Any]]:
-    done = projects.quick(root, "sql", "--format", "json", statement)
-    assert done.returncode == 0, done.stderr
-    found: list[dict[str, Any]] = json.loads(done.stdout)
-    return found
-
-
 def values(root: Path, batch: str) -> list[int]:
     """Return the values of the effective executions of a batch, without what their seeds add."""
-    rows = sql(
+    rows = projects.sql(
         root,
         "SELECT DISTINCT s.value - r.seed % 2 AS value FROM swarm s JOIN runs r USING (run) "
         f"JOIN effective e ON s.run = e.run AND s.execution = e.execution WHERE e.batch = '{batch}' ORDER BY 1",
@@ -71,34 +56,34 @@ def values(root: Path, batch: str) -> list[int]:
 
 
 def test_an_edit_of_a_file_that_no_run_read_executes_nothing(root: Path) -> None:
-    first, _ = run(root)
+    first, _ = projects.run(root, QUERY)
     (root / "unused.py").write_text("2")
-    second, said = run(root)
+    second, said = projects.run(root, QUERY)
     assert second["batch"] != first["batch"]
     assert (second["executed"], second["reused"]) == (0, 4)
     assert "4 runs reused, because the executions did not use what has changed: {project}/unused.py" in said
     assert values(root, second["batch"]) == [102]
-    again, said = run(root)
+    again, said = projects.run(root, QUERY)
     assert (again["executed"], said) == (0, "")
-    assert len(sql(root, "SELECT * FROM sessions")) == 2
+    assert len(projects.sql(root, "SELECT * FROM sessions")) == 2
     assert projects.quick(root, "fsck").returncode == 0
 
 
 @pytest.mark.parametrize("change", ["factor.txt", "extra.txt", "maps/b.map", "sim.py"])
 def test_an_edit_of_anything_that_runs_used_executes_them_again(root: Path, change: str) -> None:
-    run(root)
+    projects.run(root, QUERY)
     content = SIMULATOR.replace("100 * maps", "200 * maps") if change == "sim.py" else "40"
     (root / change).write_text(content)
-    summary, _ = run(root)
+    summary, _ = projects.run(root, QUERY)
     assert (summary["executed"], summary["reused"]) == (4, 0)
     assert values(root, summary["batch"]) != [102]
 
 
 def test_statistics_tables_and_files_of_reused_executions_are_those_of_the_new_run(root: Path) -> None:
-    first, _ = run(root)
+    first, _ = projects.run(root, QUERY)
     (root / "unused.py").write_text("2")
-    second, _ = run(root)
-    rows = sql(
+    second, _ = projects.run(root, QUERY)
+    rows = projects.sql(
         root,
         f"SELECT r.run, r.execution, e.run AS executed FROM runs r JOIN executions e USING (execution) "
         f"JOIN batch_runs m ON m.run = r.run WHERE m.batch = '{second['batch']}'",
@@ -117,47 +102,47 @@ def test_statistics_tables_and_files_of_reused_executions_are_those_of_the_new_r
 
 
 def test_removing_the_first_batch_keeps_what_the_second_reuses(root: Path) -> None:
-    first, _ = run(root)
+    first, _ = projects.run(root, QUERY)
     (root / "unused.py").write_text("2")
-    second, _ = run(root)
+    second, _ = projects.run(root, QUERY)
     done = projects.quick(root, "rm", "--yes", first["batch"][:10])
     assert done.returncode == 0, done.stderr
     assert "which also belong to batch" in done.stdout + done.stderr
     assert projects.quick(root, "gc", "--yes").returncode == 0
     assert projects.quick(root, "fsck").returncode == 0
     assert values(root, second["batch"]) == [102]
-    execution = sql(root, "SELECT execution FROM executions LIMIT 1")[0]["execution"]
+    execution = projects.sql(root, "SELECT execution FROM executions LIMIT 1")[0]["execution"]
     for words in (("show",), ("files",), ("why",)):
         assert projects.quick(root, *words, execution).returncode == 0
-    assert run(root)[0]["executed"] == 0
+    assert projects.run(root, QUERY)[0]["executed"] == 0
 
 
 def test_removing_an_execution_executes_each_run_that_reused_it_again(root: Path) -> None:
-    run(root)
+    projects.run(root, QUERY)
     (root / "unused.py").write_text("2")
-    second, _ = run(root)
-    [row] = sql(root, f"SELECT execution FROM effective WHERE batch = '{second['batch']}' ORDER BY 1 LIMIT 1")
+    second, _ = projects.run(root, QUERY)
+    [row] = projects.sql(root, f"SELECT execution FROM effective WHERE batch = '{second['batch']}' ORDER BY 1 LIMIT 1")
     done = projects.quick(root, "rm", "--yes", row["execution"])
     assert "also belong to batch" in done.stdout + done.stderr
-    assert run(root)[0]["executed"] == 1
+    assert projects.run(root, QUERY)[0]["executed"] == 1
     assert projects.quick(root, "fsck").returncode == 0
 
 
 def test_runs_that_were_not_observed_are_executed_again_for_another_source(root: Path) -> None:
     config = root / "sierra.toml"
     config.write_text(config.read_text().replace('observe = "all"', 'observe = "first"'))
-    run(root)
+    projects.run(root, QUERY)
     (root / "unused.py").write_text("2")
-    summary, _ = run(root)
+    summary, _ = projects.run(root, QUERY)
     assert (summary["executed"], summary["reused"]) == (3, 1)
 
 
 def test_other_rules_evaluate_only_executions_of_the_same_run(root: Path) -> None:
-    run(root)
+    projects.run(root, QUERY)
     (root / "unused.py").write_text("2")
     config = root / "sierra.toml"
     config.write_text(config.read_text() + '[outputs.swarm]\nfile = "swarm.csv"\nmismatch = "ragged"\n')
-    assert run(root)[0]["executed"] == 4
+    assert projects.run(root, QUERY)[0]["executed"] == 4
 
 
 @pytest.fixture
@@ -186,9 +171,9 @@ def install(venv: Path, name: str) -> None:
 def test_an_unused_distribution_executes_nothing(root: Path, venv: Path, observe: str) -> None:
     config = root / "sierra.toml"
     config.write_text(config.read_text().replace('observe = "all"', f'observe = "{observe}"'))
-    assert run(root)[0]["executed"] == 4
+    assert projects.run(root, QUERY)[0]["executed"] == 4
     install(venv, "unused_package")
-    summary, said = run(root)
+    summary, said = projects.run(root, QUERY)
     assert (summary["executed"], summary["reused"]) == (0, 4)
     assert "installed distributions" in said
 
@@ -201,7 +186,7 @@ def test_a_distribution_that_runs_could_use_executes_them_again(root: Path, venv
     if how == "removed":
         install(venv, "optional_package")
         (root / "sim.py").write_text("import optional_package\n" + SIMULATOR.replace("100 * maps", "100 * maps"))
-    run(root)
+    projects.run(root, QUERY)
     [packages] = venv.glob("lib/python3*/site-packages")
     if how == "removed":
         (packages / "optional_package" / "__init__.py").write_text("x = 1\n")
@@ -209,7 +194,7 @@ def test_a_distribution_that_runs_could_use_executes_them_again(root: Path, venv
         install(venv, "optional_package")
     if how == "startup":
         (packages / "optional_package.pth").write_text("import sys\n")
-    assert run(root)[0]["executed"] == 4
+    assert projects.run(root, QUERY)[0]["executed"] == 4
 
 
 def test_another_program_on_the_search_path_executes_again(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,18 +210,18 @@ def test_another_program_on_the_search_path_executes_again(root: Path, monkeypat
     config.write_text(config.read_text().replace("python3 sim.py {input}", "sh run.sh {input}"))
     path = f"{Path(tool).parent}:/usr/bin:/bin"
     monkeypatch.setenv("PATH", f"{folders[0]}:{path}")
-    run(root)
+    projects.run(root, QUERY)
     monkeypatch.setenv("PATH", f"{folders[1]}:{folders[0]}:{path}")
-    summary, said = run(root)
+    summary, said = projects.run(root, QUERY)
     assert (summary["executed"], "have changed" in said) == (4, True)
-    assert sql(root, "SELECT DISTINCT value FROM swarm") == [{"value": 2}]
+    assert projects.sql(root, "SELECT DISTINCT value FROM swarm") == [{"value": 2}]
 
 
 def test_diff_names_the_files_that_executions_used(root: Path) -> None:
-    first, _ = run(root)
+    first, _ = projects.run(root, QUERY)
     (root / "factor.txt").write_text("3")
     (root / "extra.txt").write_text("4")
-    second, _ = run(root)
+    second, _ = projects.run(root, QUERY)
     said = projects.quick(root, "diff", first["batch"][:10], second["batch"][:10]).stdout
     expected = "files that executions used: other content: {project}/factor.txt; only used after: {project}/extra.txt"
     assert expected in said
@@ -261,5 +246,5 @@ def test_an_edit_meanwhile_fails_only_executions_that_use_the_file(root: Path, c
     (root / change).write_text("2 ")
     go.touch()
     said, _ = asking.communicate(timeout=100)
-    failed = sql(root, "SELECT count(*) AS failed FROM executions WHERE reason LIKE 'code or programs have changed%'")
+    failed = projects.sql(root, "SELECT count(*) AS failed FROM executions WHERE reason LIKE 'code or programs have changed%'")
     assert (asking.returncode, failed[0]["failed"] > 0) == (expected[0], bool(expected[1])), said

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -33,71 +32,60 @@ def root(request: pytest.FixtureRequest, tmp_path: Path, require: Callable[..., 
     return projects.make(tmp_path / "project", config, simulator=SIMULATOR)
 
 
-def run(root: Path, *words: str) -> tuple[dict[str, Any], str]:
-    done = projects.quick(root, "run", "population_size=1,2", "--no-figures", "--json", *words)
-    assert done.returncode == 0, done.stderr
-    summary: dict[str, Any] = json.loads(done.stdout)
-    return summary, done.stderr
-
-
-def sql(root: Path, statement: str) -> list[dict[str, Any]]:
-    done = projects.quick(root, "sql", "--format", "json", statement)
-    assert done.returncode == 0, done.stderr
-    found: list[dict[str, Any]] = json.loads(done.stdout)
-    return found
+QUERY = "population_size=1,2"
 
 
 def test_a_changed_file_executes_all_runs_again(root: Path) -> None:
     library = root.parent / "library"
-    assert run(root)[0]["executed"] == 4
-    assert run(root)[0]["executed"] == 0
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    assert projects.run(root, QUERY)[0]["executed"] == 0
     (library / "factor").write_text("2")
-    summary, said = run(root)
+    summary, said = projects.run(root, QUERY)
     assert (summary["executed"], summary["reexecuted"]) == (4, 4)
     assert f"files that they used have changed: {library}/factor" in said
-    assert sql(root, VALUES) == [{"value": 2}]
-    assert run(root)[0]["executed"] == 0
+    assert projects.sql(root, VALUES) == [{"value": 2}]
+    assert projects.run(root, QUERY)[0]["executed"] == 0
 
 
 def test_a_file_that_comes_into_existence_executes_all_runs_again(root: Path) -> None:
-    run(root)
+    projects.run(root, QUERY)
     (root.parent / "library" / "extra").write_text("5")
-    assert run(root)[0]["executed"] == 4
-    assert sql(root, VALUES) == [{"value": 6}]
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    assert projects.sql(root, VALUES) == [{"value": 6}]
 
 
 def test_executions_count_again_once_the_file_is_restored(root: Path) -> None:
     library = root.parent / "library"
-    run(root)
+    projects.run(root, QUERY)
     (library / "factor").write_text("2")
-    run(root)
+    projects.run(root, QUERY)
     (library / "factor").write_text("1")
-    summary, said = run(root)
+    summary, said = projects.run(root, QUERY)
     assert (summary["executed"], summary["reused"]) == (0, 4)
     assert "do not count" not in said
-    assert sql(root, VALUES) == [{"value": 1}]
+    assert projects.sql(root, VALUES) == [{"value": 1}]
     (library / "factor").write_text("2")
-    assert run(root)[0]["executed"] == 0
-    assert sql(root, VALUES) == [{"value": 2}]
+    assert projects.run(root, QUERY)[0]["executed"] == 0
+    assert projects.sql(root, VALUES) == [{"value": 2}]
 
 
 def test_new_runs_are_never_mixed_with_stale_ones(root: Path) -> None:
-    run(root)
+    projects.run(root, QUERY)
     (root.parent / "library" / "factor").write_text("2")
-    assert run(root, "--runs", "4")[0]["executed"] == 8
-    assert sql(root, "SELECT DISTINCT value FROM swarm JOIN effective USING (execution)") == [{"value": 2}]
+    assert projects.run(root, QUERY, "--runs", "4")[0]["executed"] == 8
+    assert projects.sql(root, "SELECT DISTINCT value FROM swarm JOIN effective USING (execution)") == [{"value": 2}]
 
 
 @pytest.mark.integration
 def test_a_file_that_no_run_used_changes_nothing(root: Path) -> None:
-    run(root)
+    projects.run(root, QUERY)
     (root.parent / "library" / "other").write_text("5")
-    assert run(root)[0]["executed"] == 0
+    assert projects.run(root, QUERY)[0]["executed"] == 0
 
 
 @pytest.mark.integration
 def test_a_dry_run_predicts_executions(root: Path) -> None:
-    run(root)
+    projects.run(root, QUERY)
     (root.parent / "library" / "factor").write_text("2")
     done = projects.quick(root, "run", "population_size=1,2", "-n", "--json")
     assert json.loads(done.stdout)["to_execute"] == 4
@@ -106,12 +94,12 @@ def test_a_dry_run_predicts_executions(root: Path) -> None:
 @pytest.mark.integration
 def test_why_names_the_changed_file(root: Path) -> None:
     library = root.parent / "library"
-    run(root)
+    projects.run(root, QUERY)
     (library / "factor").write_text("2")
     predicted = projects.quick(root, "run", "population_size=1,2", "-n", "--explain")
     assert f"files that they used have changed: {library}/factor" in predicted.stdout + predicted.stderr
-    run(root)
-    execution = sql(root, "SELECT run FROM executions ORDER BY lamport LIMIT 1")[0]["run"]
+    projects.run(root, QUERY)
+    execution = projects.sql(root, "SELECT run FROM executions ORDER BY lamport LIMIT 1")[0]["run"]
     said = projects.quick(root, "why", execution).stdout
     assert f"executed with other programs before: files that they used have changed: {library}/factor" in said
     assert "without this session's knowledge" not in said

@@ -1,0 +1,153 @@
+"""Changes of files that no command, variable or template names are noticed, because runs were observed to use the files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests import projects
+
+QUERY = "population_size=1,2"
+VALUES = "SELECT DISTINCT value FROM swarm ORDER BY ALL"
+MAIN = r"""
+#include <dlfcn.h>
+#include <stdio.h>
+#include <stdlib.h>
+int main(int argc, char **argv) {
+    char path[4096];
+    snprintf(path, sizeof path, "%s/libphysics.so", getenv("PLUGINS"));
+    void *plugin = dlopen(path, RTLD_NOW);
+    if (!plugin) { fprintf(stderr, "%s\n", dlerror()); return 1; }
+    double (*force)(void) = (double (*)(void)) dlsym(plugin, "force");
+    FILE *file = fopen("swarm.csv", "w");
+    fprintf(file, "tick,value\n0,%g\n", force());
+    return fclose(file);
+}
+"""
+PLUGIN = "double force(void) {{ return {force}; }}\n"
+
+
+@pytest.fixture
+def build(tmp_path: Path, require: Callable[..., str]) -> Callable[..., Path]:
+    """Compile a text in C into a file."""
+    require("strace")
+    require("gcc")
+
+    def build(text: str, file: Path, *options: str) -> Path:
+        source = tmp_path / "source.c"
+        source.write_text(text)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        subprocess.run(["gcc", "-w", *options, "-o", file, source, "-ldl"], check=True)
+        return file
+
+    return build
+
+
+def project(folder: Path, command: str, *, observe: str = "first", more: str = "") -> Path:
+    config = projects.CONFIG.replace("python3 sim.py {input}", command).replace("runs = 2", f'runs = 2\nobserve = "{observe}"')
+    return projects.make(folder, config + more)
+
+
+@pytest.fixture
+def simulator(tmp_path: Path, build: Callable[..., Path]) -> Path:
+    """A project with an installed simulator in C, which loads a plug-in that nothing declares; returns the project's folder."""
+    program = build(MAIN, tmp_path / "usr" / "bin" / "simulator")
+    library = build(PLUGIN.format(force=1), tmp_path / "usr" / "lib" / "libphysics.so", "-shared", "-fPIC")
+    return project(
+        tmp_path / "project", f"{program} {{input}}", more=f'[environment]\nset = {{ PLUGINS = "{library.parent}" }}\n'
+    )
+
+
+@pytest.fixture
+def rebuild(simulator: Path, build: Callable[..., Path]) -> Callable[[int], Path]:
+    """Build the plug-in again, with another force."""
+    return lambda force: build(
+        PLUGIN.format(force=force), simulator.parent / "usr" / "lib" / "libphysics.so", "-shared", "-fPIC"
+    )
+
+
+def test_a_plug_in_that_was_rebuilt_executes_all_runs_again(simulator: Path, rebuild: Callable[[int], Path]) -> None:
+    projects.run(simulator, QUERY)
+    rebuild(300)
+    summary, said = projects.run(simulator, QUERY)
+    assert (summary["executed"], "libphysics.so" in said) == (4, True)
+    assert projects.sql(simulator, VALUES) == [{"value": 300}]
+
+
+def test_more_runs_are_never_mixed_with_those_of_another_plug_in(simulator: Path, rebuild: Callable[[int], Path]) -> None:
+    projects.run(simulator, QUERY)
+    rebuild(300)
+    summary, _ = projects.run(simulator, QUERY, "--runs", "5")
+    assert summary["executed"] == 10
+    shown = json.loads(projects.quick(simulator, "stats", "swarm", "value", "--format", "json").stdout)
+    assert {(row["mean"], row["sd"]) for row in shown} == {(300, 0)}
+
+
+def test_a_plug_in_that_was_rebuilt_without_a_change_executes_nothing(simulator: Path, rebuild: Callable[[int], Path]) -> None:
+    projects.run(simulator, QUERY)
+    rebuild(1)
+    assert projects.run(simulator, QUERY)[0]["executed"] == 0
+
+
+def test_an_edited_file_of_an_installed_package_executes_all_runs_again(tmp_path: Path, require: Callable[..., str]) -> None:
+    require("strace")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "venv"], check=True)
+    [packages] = (tmp_path / "venv").glob("lib/python3*/site-packages")
+    (packages / "physics.py").write_text("force = 1\n")
+    root = project(tmp_path / "project", f"{tmp_path}/venv/bin/python3 sim.py {{input}}")
+    (root / "sim.py").write_text(
+        "import physics\nprint('tick,value', f'0,{physics.force}', sep='\\n', file=open('swarm.csv', 'w'))\n"
+    )
+    projects.run(root, QUERY)
+    (packages / "physics.py").write_text("force = 300\n")
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    assert projects.sql(root, VALUES) == [{"value": 300}]
+
+
+def test_a_script_that_the_input_names_by_its_absolute_path_is_noticed(tmp_path: Path, require: Callable[..., str]) -> None:
+    require("strace")
+    script = tmp_path / "scripts" / "controller.lua"
+    script.parent.mkdir()
+    script.write_text("1")
+    root = project(tmp_path / "project", "python3 sim.py {input}")
+    (root / "arena.xml").write_text(projects.TEMPLATE.replace('controller="none"', f'controller="{script}"'))
+    (root / "sim.py").write_text(
+        "import sys\n"
+        "script = open(sys.argv[1]).read().split('controller=\"')[1].split('\"')[0]\n"
+        "print('tick,value', f'0,{open(script).read()}', sep='\\n', file=open('swarm.csv', 'w'))\n"
+    )
+    batch = projects.run(root, QUERY)[0]["batch"]
+    script.write_text("300")
+    done = projects.quick(root, "replay", batch[:10])
+    assert (done.returncode, "controller.lua" in done.stdout + done.stderr) == (1, True)
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    assert projects.sql(root, VALUES) == [{"value": 300}]
+
+
+def test_products_that_a_build_makes_again_execute_nothing_if_they_are_the_same(
+    tmp_path: Path, build: Callable[..., Path]
+) -> None:
+    """A variable names the build folder, in which a second build changes files that no run reads."""
+    root = project(
+        tmp_path / "project",
+        "{project}/simulator {input}",
+        observe="all",
+        more='[environment]\nset = { PLUGINS = "{project}/build" }\n',
+    )
+    build(MAIN, root / "simulator")
+    build(PLUGIN.format(force=1), root / "build" / "libphysics.so", "-shared", "-fPIC")
+    (root / ".gitignore").write_text("build\n.sierra\n")
+    (root / "build" / "CMakeCache.txt").write_text("1")
+    projects.commit(root)
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    build(PLUGIN.format(force=1), root / "build" / "libphysics.so", "-shared", "-fPIC")
+    (root / "build" / "CMakeCache.txt").write_text("2")
+    assert projects.run(root, QUERY)[0]["executed"] == 0
+    build(PLUGIN.format(force=300), root / "build" / "libphysics.so", "-shared", "-fPIC")
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    assert projects.sql(root, VALUES) == [{"value": 300}]
