@@ -1,6 +1,7 @@
 """Executions that count for runs of a plan although the source or the programs differ: no file that they used has changed.
 
-Such an execution was observed from its beginning to its end. Its run has the command, input and seed of the run in the plan;
+Such an execution was observed from its beginning to its end, and it has asked no daemon and no other machine, which may have
+read files for it. Its run has the command, input and seed of the run in the plan;
 only the source may be another one. Everything that it executed, read, listed, found or missed is still the same.
 
 An execution that was not observed never counts for another source, because nobody knows what it has read. It counts with
@@ -70,7 +71,7 @@ same AS (
 )
 SELECT s.run, e.execution, o.files, s.spec, e.programs
 FROM same s JOIN executions e ON e.run = s.executed JOIN observations o ON o.execution = e.execution
-WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules AND o.reason IS NULL
+WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules AND o.reason IS NULL AND len(o.notes) = 0
 ORDER BY s.run, s.spec = $spec, e.lamport
 """
 """The last row of each run is the best: an execution of the same run if there is one, and the last of several. The batch of an
@@ -80,11 +81,12 @@ INHERITING = """
 WITH mine AS (
     SELECT s.run, e.execution, e.session, e.programs, e.lamport FROM sought s JOIN executions e USING (run)
     WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules AND e.programs <> $programs
-    AND e.execution NOT IN (SELECT execution FROM observations WHERE reason IS NULL)
+    AND e.execution NOT IN (SELECT execution FROM observations WHERE reason IS NULL AND len(notes) = 0)
 ),
 sets AS (
     SELECT e.session, list(DISTINCT o.files ORDER BY o.files) AS sets
-    FROM observations o JOIN executions e USING (execution) WHERE o.reason IS NULL AND e.purpose = 'run' GROUP BY e.session
+    FROM observations o JOIN executions e USING (execution) WHERE o.reason IS NULL AND e.purpose = 'run'
+    GROUP BY e.session HAVING max(len(o.notes)) = 0
 )
 SELECT m.run, m.execution, m.programs, s.sets FROM mine m JOIN sets s USING (session) ORDER BY m.run, m.lamport
 """

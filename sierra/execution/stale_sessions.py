@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra.errors import Missing
+from sierra.execution import shared_libraries
 from sierra.execution.resolve_plan import Plan
 from sierra.execution.search_path import found_elsewhere
 from sierra.provenance.hash_cache import HashCache
@@ -19,8 +20,6 @@ from sierra.store.store import Snapshot
 from sierra.util.text import few
 
 NAMED = 3
-IGNORED = ("/etc/ld.so.cache",)
-"""Files whose change has no effect of its own: the libraries that they name are observed too."""
 
 
 class _Searched(NamedTuple):
@@ -73,7 +72,23 @@ def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
     for row in rows:
         if (row.path, row.use, row.sha256) in changed:
             stale.setdefault(row.session, row.path)
-    return {**_found_elsewhere(plan, snapshot, {row.session for row in rows}), **stale}
+    return {
+        **_found_elsewhere(plan, snapshot, {row.session for row in rows}),
+        **_libraries_elsewhere(rows, folders(plan)),
+        **stale,
+    }
+
+
+def _libraries_elsewhere(rows: Iterable[_Used], named: Mapping[str, Path]) -> dict[str, str]:
+    """Return the sessions with libraries that the loader's cache would now find elsewhere, each with one of these libraries."""
+    cache, used = HashCache(), list(rows)
+    cached = {row.session: row.sha256 for row in used if row.path == shared_libraries.CACHE}
+    stale: dict[str, str] = {}
+    for session in [one for one, sha256 in cached.items() if not is_same(shared_libraries.CACHE, "read", sha256, cache)]:
+        paths = (located(row.path, named) for row in used if row.session == session and row.use in ("executed", "read"))
+        if path := shared_libraries.found_elsewhere(path for path in paths if path is not None):
+            stale[session] = path
+    return stale
 
 
 def _found_elsewhere(plan: Plan, snapshot: Snapshot, sessions: Collection[str]) -> dict[str, str]:
@@ -115,7 +130,7 @@ def _changed(files: Iterable[tuple[str, str, str | None]], named: Mapping[str, P
     changed = set()
     for path, use, sha256 in files:
         here = located(path, named)
-        if here is not None and path not in IGNORED and not is_same(here, use, sha256, cache):
+        if here is not None and path != shared_libraries.CACHE and not is_same(here, use, sha256, cache):
             changed.add((path, use, sha256))
     cache.save()
     return changed

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from sierra.execution import shared_libraries
 from sierra.execution.search_path import found_elsewhere
-from sierra.execution.stale_sessions import IGNORED, is_same, located
+from sierra.execution.stale_sessions import is_same, located
 from sierra.provenance.hash_cache import HashCache
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.prose import is_prose
@@ -75,14 +76,14 @@ def unchanged(sets: FileSets) -> set[str]:
     for one in sets.used:
         if one.use == "listed" and one.files in known and not _is_listing_same(one, sets):
             known.discard(one.files)
-    return {files for files in known if _are_programs_found(files, sets)}
+    return {files for files in known if _are_programs_found(files, sets) and _are_libraries_found(files, sets)}
 
 
 def _is_same(one: UsedFile, folders: Mapping[str, Path], cache: HashCache) -> bool:
     here = located(one.path, folders)
     if here is None:
         return False
-    if one.path in IGNORED:
+    if one.path == shared_libraries.CACHE:
         return True
     if one.use == "found":
         return os.path.lexists(here)
@@ -95,6 +96,15 @@ def _are_programs_found(files: str, sets: FileSets) -> bool:
     if os.path.realpath(sets.program) not in map(os.path.realpath, executed):
         return False
     return all(found_elsewhere(executed, before, sets.search) is None for before in sets.searched.get(files, {None}))
+
+
+def _are_libraries_found(files: str, sets: FileSets) -> bool:
+    """Check whether the loader's cache finds the same libraries as before."""
+    cached = [one for one in sets.used if one.files == files and one.path == shared_libraries.CACHE]
+    if not cached or is_same(shared_libraries.CACHE, "read", cached[0].sha256, HashCache()):
+        return True
+    used = (here for path in _paths(files, sets, ("read", "executed")) if (here := located(path, sets.folders)) is not None)
+    return shared_libraries.found_elsewhere(used) is None
 
 
 def _is_listing_same(one: UsedFile, sets: FileSets) -> bool:

@@ -151,3 +151,35 @@ def test_products_that_a_build_makes_again_execute_nothing_if_they_are_the_same(
     build(PLUGIN.format(force=300), root / "build" / "libphysics.so", "-shared", "-fPIC")
     assert projects.run(root, QUERY)[0]["executed"] == 4
     assert projects.sql(root, VALUES) == [{"value": 300}]
+
+
+BOUND = 'mount --bind "$1" /etc/ld.so.cache && shift && exec "$@"'
+
+
+def test_a_library_that_the_loader_finds_elsewhere_executes_all_runs_again(
+    tmp_path: Path, build: Callable[..., Path], require: Callable[..., str]
+) -> None:
+    """The loader's cache finds the library in a folder that comes first since, and the old file is unchanged."""
+    alone = ("unshare", "--mount", "--propagation", "private", "sh", "-c", BOUND, "sh")
+    possible = subprocess.run([*alone, "/etc/ld.so.cache", "true"], check=False, capture_output=True).returncode == 0
+    require("the right to mount a file", there=possible)
+    name, cache, settings = "libsierra_test.so", tmp_path / "cache", tmp_path / "conf"
+    folders = [tmp_path / "first", tmp_path / "second"]
+    program = build(MAIN.replace('"%s/libphysics.so", getenv("PLUGINS")', f'"{name}"'), tmp_path / "simulator")
+    build(PLUGIN.format(force=1), folders[1] / name, "-shared", "-fPIC", f"-Wl,-soname,{name}")
+    folders[0].mkdir()
+    root = project(tmp_path / "project", f"{program} {{input}}")
+    settings.write_text(f"{folders[0]}\n{folders[1]}\ninclude /etc/ld.so.conf\n")
+
+    def executed() -> int:
+        subprocess.run(["ldconfig", "-C", cache, "-f", settings], check=True)
+        words = (projects.SIERRA, "run", QUERY, "--no-figures", "--json")
+        done = subprocess.run([*alone, cache, *words], cwd=root, check=True, capture_output=True, text=True)
+        return int(json.loads(done.stdout)["executed"])
+
+    assert executed() == 4
+    build(PLUGIN.format(force=5), folders[0] / "libunused.so", "-shared", "-fPIC", "-Wl,-soname,libunused.so")
+    assert executed() == 0
+    build(PLUGIN.format(force=300), folders[0] / name, "-shared", "-fPIC", f"-Wl,-soname,{name}")
+    assert executed() == 4
+    assert projects.sql(root, VALUES) == [{"value": 300}]
