@@ -5,12 +5,11 @@ The cache changes whenever any library is installed, so its content says nothing
 
 from __future__ import annotations
 
-import functools
 import os
 import re
 import shutil
 import subprocess
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable
 
 CACHE = "/etc/ld.so.cache"
 LINE = re.compile(r"\s*(\S+) \((.*)\) => (.*)")
@@ -19,27 +18,22 @@ LIMIT_S = 30
 
 def found_elsewhere(used: Iterable[str]) -> str | None:
     """Return a used library in a folder of the loader's cache that the cache would now find in another file; None if none."""
-    try:
-        known = _known(os.stat(CACHE).st_mtime_ns)  # noqa: PTH116 - for speed
-    except FileNotFoundError:
-        return None
-    folders = {os.path.dirname(path) for paths in known.values() for path in paths}  # noqa: PTH120 - for speed
+    known: dict[str, dict[str, str]] = {}
+    folders = set()
+    for name, architecture, path in _cached():
+        known.setdefault(name, {}).setdefault(architecture, path)
+        folders.add(os.path.dirname(path))  # noqa: PTH120 - for speed
     for path in used:
         folder, name = os.path.split(path)
-        if folder in folders and name in known and os.path.realpath(path) not in map(os.path.realpath, known[name]):
+        if folder in folders and name in known and os.path.realpath(path) not in map(os.path.realpath, known[name].values()):
             return path
     return None
 
 
-@functools.lru_cache(maxsize=1)
-def _known(changed: int) -> Mapping[str, Collection[str]]:
-    """Return where the loader's cache, which was last `changed` then, finds each library: a path for each architecture."""
+def _cached() -> list[tuple[str, str, str]]:
+    """Return the entries of the loader's cache, in its order: name, architecture, path. The first of several is found."""
     program = shutil.which("ldconfig", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin:/sbin")
-    if program is None:
-        return {}
+    if program is None or not os.path.exists(CACHE):  # noqa: PTH110 - for speed
+        return []
     done = subprocess.run([program, "-p"], capture_output=True, text=True, timeout=LIMIT_S, check=False)
-    found: dict[str, dict[str, str]] = {}
-    for match in map(LINE.fullmatch, done.stdout.splitlines()):
-        if match:
-            found.setdefault(match[1], {}).setdefault(match[2], match[3])
-    return {name: paths.values() for name, paths in found.items()}
+    return [(match[1], match[2], match[3]) for match in map(LINE.fullmatch, done.stdout.splitlines()) if match]
