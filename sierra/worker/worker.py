@@ -36,7 +36,9 @@ there is none. If a list of several devices can be divided among the slots, each
 
 If all processes of a run are stopped (SIGSTOP) for STALLED_S, the worker writes an event `stalled`, with `since` in seconds
 since the epoch. The run's time limit continues to apply, and the run may be continued. The worker continues the processes that
-it tells to end, so that a program can react to SIGTERM.
+it tells to end, so that a program can react to SIGTERM. Under a tracer, the state of a process is `t` both if a signal has
+stopped it and if it waits for the tracer. A signal has stopped it if, between two looks, it was never on a processor, and the
+tracer sleeps: the tracer has then seen the stop, and has let the process stay in it.
 
 A worker that stops, for whatever reason, continues for GIVE_UP_S to read the outputs of runs that had ended by then. Runs whose
 outputs are not read by then count as interrupted. Outputs are counted, and read, by their apparent size: the size of a file
@@ -307,6 +309,8 @@ class Running:
         self.kill_at: float | None = None
         self.look_at = self.started + 1.0
         self.stalled_since: float | None = None
+        self.switches: dict[int, int] = {}
+        """How often each traced process had left its processor when the worker last looked at it."""
         self.over = False
         self.lock = threading.Lock()
 
@@ -343,7 +347,7 @@ class Running:
         if now < self.look_at:
             return False
         self.look_at = now + 1.0
-        if self.stopped is not None or not is_stopped(self.pid if not self.meter else None, self.pids):
+        if self.stopped is not None or not self.is_stopped():
             self.stalled_since = None
             return False
         self.stalled_since = self.stalled_since or now
@@ -351,6 +355,23 @@ class Running:
             return False
         self.stalled_since = float("inf")
         return True
+
+    def is_stopped(self) -> bool:
+        """Return whether a signal has stopped all processes, and at least one exists. Call it at intervals."""
+        if not self.meter and stat_of(self.pid)[:1] not in ([b"T"], [b"t"]):
+            return False  # so that the others need not be searched
+        states = {self.state_of(pid) for pid in self.pids()}
+        return b"T" in states and states <= {b"T", b"Z", None}
+
+    def state_of(self, pid: int) -> bytes | None:
+        """Return the state of a process: T if a signal has stopped it, also under the tracer; None if there is no process."""
+        state = next(iter(stat_of(pid)), None)
+        if state != b"t" or self.observation is None:
+            return state
+        tracer, switches = number_in(pid, b"TracerPid:"), number_in(pid, b"voluntary_ctxt_switches:")
+        before, self.switches[pid] = self.switches.get(pid), switches
+        asleep = self.is_tracer(tracer) and stat_of(tracer)[:1] == [b"S"]
+        return b"T" if asleep and before == switches else state
 
     def skip_grace(self) -> None:
         """Skip the rest of the grace time."""
@@ -1305,8 +1326,13 @@ def cpu_of(pids: list[int]) -> tuple[float, float]:
 
 def peak_of(pid: int) -> int:
     """Return the greatest resident size in bytes that a process has had; 0 if there is no such process."""
-    lines = [line.split() for line in read_proc("%d/status" % pid).splitlines() if line.startswith(b"VmHWM:")]
-    return int(lines[0][1]) * 1024 if lines else 0
+    return number_in(pid, b"VmHWM:") * 1024
+
+
+def number_in(pid: int, field: bytes) -> int:
+    """Return a number in /proc/PID/status; 0 if there is no such process."""
+    lines = [line.split() for line in read_proc("%d/status" % pid).splitlines() if line.startswith(field)]
+    return int(lines[0][1]) if lines else 0
 
 
 def environment_of(pid: int) -> list[bytes]:
@@ -1418,14 +1444,6 @@ def await_orphans() -> None:
 def orphans() -> list[int]:
     """Return the children of the main thread, which starts none itself."""
     return children("self", os.getpid())
-
-
-def is_stopped(first: int | None, pids: Callable[[], list[int]]) -> bool:
-    """Return whether all processes are stopped, and at least one exists. `first` is checked before the others are searched."""
-    if first is not None and stat_of(first)[:1] != [b"T"]:
-        return False
-    states = [fields[0] for fields in map(stat_of, pids()) if fields]
-    return b"T" in states and set(states) <= {b"T", b"Z"}
 
 
 def group_of(pid: int) -> int | None:

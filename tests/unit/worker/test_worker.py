@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 
 from sierra.worker import worker
-from sierra.worker.worker import cpu_of
+from sierra.worker.worker import STALLED_S, cpu_of, number_in, stat_of
 from tests.waiting import PATIENCE_S, until
 
 PROGRAM = str(Path(worker.__file__))
@@ -373,9 +373,15 @@ def test_a_stopped_program_that_ignores_sigterm_is_killed(execute: Callable[...,
 
 
 @pytest.mark.integration
-def test_a_stalled_run_is_reported_once_each_time_it_stalls(start: Callable[..., Worker]) -> None:
+@pytest.mark.parametrize("observed", [False, True])
+def test_a_stalled_run_is_reported_once_each_time_it_stalls(
+    start: Callable[..., Worker], require: Callable[..., str], *, observed: bool
+) -> None:
+    if observed:
+        require("strace")
     worker = start()
-    worker.send(shell("kill -STOP $$; sleep 4; kill -STOP $$; echo x > x"), {"end": True})
+    more = {"observe": {}} if observed else {}
+    worker.send(shell("kill -STOP $$; sleep 4; kill -STOP $$; echo x > x", **more), {"end": True})
     for count in (1, 2):
         until(lambda count=count: len(worker.events("stalled")) == count)  # type: ignore[misc]
         event = worker.events("stalled")[-1]
@@ -384,6 +390,28 @@ def test_a_stalled_run_is_reported_once_each_time_it_stalls(start: Callable[...,
     assert worker.wait() == 0
     assert worker.events("end")[0]["exit_code"] == 0
     assert len(worker.events("stalled")) == 2
+    assert worker.events("end")[0].get("observed", False) is observed
+
+
+@pytest.mark.integration
+def test_an_observed_run_that_waits_for_its_tracer_is_not_reported_as_stalled(
+    start: Callable[..., Worker], require: Callable[..., str]
+) -> None:
+    require("strace")
+    worker = start()
+    worker.send(python("import os, time\nwhile not os.path.exists('go'): time.sleep(0.1)", observe={}), {"end": True})
+    worker.until_started()
+    run = worker.events("start")[0]["pid"]
+    tracer = number_in(run, b"TracerPid:")
+    os.kill(tracer, signal.SIGSTOP)
+    until(lambda: stat_of(run)[0] == b"t")
+    time.sleep(2 * STALLED_S)
+    assert stat_of(run)[0] == b"t"
+    assert worker.events("stalled") == []
+    os.kill(tracer, signal.SIGCONT)
+    (worker.folder / "1" / "output" / "go").touch()
+    assert worker.wait() == 0
+    assert worker.events("end")[0]["observed"]
 
 
 # ---------------------------------------------------------------- no process is left running
