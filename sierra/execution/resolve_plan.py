@@ -296,6 +296,11 @@ def _own(project: LoadedProject) -> tuple[str, ...]:
     )
 
 
+def not_in_checkouts(project: LoadedProject) -> tuple[str, ...]:
+    """Return the files and folders of a project that no checkout of its source has, except those that git ignores."""
+    return (*_own(project), ".git")
+
+
 def _code(project: LoadedProject, own: Sequence[str], dirty: str | None = None) -> source.Source:
     wanted, store = project.config.source, StorePaths(ProjectPaths(project.root).store)
     return source.capture(

@@ -17,6 +17,7 @@ from sierra.containers.images.image import Image
 from sierra.execution import commands
 from sierra.execution.follow import Followed, follow
 from sierra.execution.observer import Tally
+from sierra.execution.resolve_plan import not_in_checkouts
 from sierra.execution.sessions import Session
 from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
@@ -132,10 +133,14 @@ class Service:
     def _observed(self, jobs: Iterable[Job]) -> Iterator[Job]:
         """Yield the jobs; those that are to be observed have the folders that names of files refer to."""
         project = self._setup.project
-        observe = "none" if self._stays or self._setup.image else project.config.observe
+        observe = "none" if self._setup.image else project.config.observe
         home, cache = Path.home(), Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         folders = {"project": self._setup.root, "store": self._store.paths.root, "home": home, "cache": cache}
         named = {name: str(folder.resolve()) for name, folder in folders.items()}
+        root = str(project.root.resolve())
+        if root != named["project"]:
+            named["project:given"] = root  # links in a checkout may lead there
+        named |= {f"unlisted:{number}": f"{root}/{name}" for number, name in enumerate(not_in_checkouts(project))}
         for number, job in enumerate(jobs):
             yield replace(job, observe=named) if observe == "all" or (observe == "first" and number == 0) else job
 

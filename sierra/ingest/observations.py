@@ -48,9 +48,10 @@ class Observed:
 
 def observed(result: Result) -> Observed | None:
     """Return the records of an execution; None if it was not observed."""
-    if not result.observed:
+    record = Path(result.directory, OBSERVED)
+    if not (result.observed and record.is_file()):
         return None
-    found = cast("_Observed", read_record(Path(result.directory, OBSERVED)))
+    found = cast("_Observed", read_record(record))
     files = [(_text(name), use, sha256, size) for name, use, sha256, size in found["files"]]
     identity = file_set(files)
     return Observed(

@@ -2,9 +2,9 @@
 
     python3 -I -S FOLDER/array_task.py FOLDER [--wall=SECONDS] INDEX
 
-Three files that need only the standard library (Python 3.8 or newer) are in the session's folder, FOLDER, on the file system
-that nodes and login nodes share: this one, `worker.py`, which executes runs, and `machine.py`, which describes a node. Beside
-them:
+Four files that need only the standard library (Python 3.8 or newer) are in the session's folder, FOLDER, on the file system
+that nodes and login nodes share: this one, `worker.py`, which executes runs, `file_trace.py`, with which it observes them, and
+`machine.py`, which describes a node. Beside them:
 
     element.json            settings that all elements of the session share: see `Settings`
     elements/INDEX.jobs     the element's jobs: gzip (possibly several members), lines of JSON; see `jobs`
@@ -106,6 +106,8 @@ if TYPE_CHECKING:
         limits: Limits
         client: Program
         shared: bool
+        observe: Mapping[str, str]
+        """Not in the common job."""
         end: int
         """The number of jobs; only in the last line."""
 
@@ -114,7 +116,8 @@ if TYPE_CHECKING:
 
         event: Literal["end"]
         files: List["File"]
-        """In the order of the payload: `stdout`, `stderr` (omitted if empty), and `output/…` for each of the outputs."""
+        """In the order of the payload: `stdout`, `stderr` (omitted if empty), `observed.json` (if the run was observed), and
+        `output/…` for each of the outputs."""
         size: int
 
     @final
@@ -140,6 +143,7 @@ A run that has left little frees its place when it has ended, any other run when
 CHUNK = 1 << 20
 LINE_BYTES = 1 << 28
 LOGS = ("stdout", "stderr")
+OBSERVED = "observed.json"
 CHECK = b',"check":"'
 CHECK_DIGITS = 16
 SECRET = ("TOKEN", "SECRET", "PASSWORD", "CREDENTIAL")
@@ -464,10 +468,17 @@ class Feeder(threading.Thread):
     """A thread that sends missing jobs to the worker; few in advance, so that large outputs do not fill up the node."""
 
     def __init__(
-        self, path: str, wanted: Callable[[str], bool], ahead: int, pipe: "IO[bytes]", write: Callable[[int, bytes], None]
+        self,
+        path: str,
+        wanted: Callable[[str], bool],
+        ahead: int,
+        scratch: str,
+        pipe: "IO[bytes]",
+        write: Callable[[int, bytes], None],
     ) -> None:
         super().__init__(daemon=True)
         self._path = path
+        self._scratch = scratch
         self._wanted = wanted
         self._pipe = pipe
         self._write = write
@@ -484,6 +495,8 @@ class Feeder(threading.Thread):
                     self.permits.acquire()
                     if "client" not in job:
                         job["used"] = self.spare.popleft() if self.spare else None
+                    if "observe" in job:
+                        job["observe"] = {**job["observe"], "work": self._scratch}
                     self._send(job)
                     self.sent += 1
             self._send({"end": True})
@@ -512,9 +525,9 @@ def opened(root: int, path: str) -> int:
     return file
 
 
-def logs_in(root: int) -> Iterator[File]:
-    """Yield the non-empty logs of a run."""
-    for name in LOGS:
+def described(root: int, names: Iterable[str]) -> Iterator[File]:
+    """Yield the non-empty files with these names in a run's folder."""
+    for name in names:
         try:
             if not os.stat(name, dir_fd=root, follow_symlinks=False).st_size:
                 continue
@@ -866,7 +879,7 @@ class Execution:
         self._needs = needs
         self._journal = Journal(os.path.join(scratch, "journal.jsonl"))
         self._held: Deque[Tuple[float, End]] = deque()
-        self._begun = ""
+        self._begun: Set[str] = set()
         self._ended = 0
         self._stopping = False
         self._check_at = 0.0
@@ -884,7 +897,8 @@ class Execution:
             start_new_session=True,
         )
         pipe = self._worker.stdin_of(self._process)
-        self._feeder = Feeder(path, wanted, AHEAD + slots * AHEAD_EACH, pipe, self._worker.write_all)
+        ahead, scratch = AHEAD + slots * AHEAD_EACH, os.path.dirname(self._scratch)
+        self._feeder = Feeder(path, wanted, ahead, scratch, pipe, self._worker.write_all)
         self._feeder.start()
         try:
             self._follow()
@@ -923,9 +937,9 @@ class Execution:
 
     def begin(self, execution: str, *, alone: bool = False) -> None:
         """Record once that a run begins. With `alone`, write that to the disk first."""
-        if execution != self._begun:
+        if execution not in self._begun:  # else it begins again, because its observation has changed it
             self._pack.note(Started(execution, time.time(), alone), sync=alone)
-        self._begun = execution
+        self._begun.add(execution)
 
     def _check_stop(self, now: float) -> None:
         """End the worker if that was requested, or if nobody waits for the results any more."""
@@ -987,13 +1001,14 @@ class Execution:
             self._add({**event, "outputs": [], "error": error}, -1, [])
             return
         try:
-            logs = list(logs_in(root))
+            logs = list(described(root, LOGS))
+            seen = list(described(root, [OBSERVED])) if event.get("observed") else []
             outputs = [("output/" + file["path"], file["bytes"], file["sha256"]) for file in event["outputs"]]
             try:
-                self._add(event, root, logs + outputs)
+                self._add({**event, "observed": bool(seen)}, root, logs + seen + outputs)
             except Changed as changed:
                 error = event["error"] or "its outputs cannot be read: %s" % changed
-                self._add({**event, "outputs": [], "error": error}, root, logs)
+                self._add({**event, "outputs": [], "error": error, "observed": False}, root, logs)
         finally:
             os.close(root)
 

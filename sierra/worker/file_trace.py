@@ -1447,7 +1447,8 @@ class Contents(NamedTuple):
 
     files: Mapping[str, File]
     folders: Mapping[str, str]
-    """For each listed folder the SHA-256 of its names: sorted, each before a NUL, without `__pycache__` and the run's own."""
+    """For each listed folder the SHA-256 of its names: sorted, each before a NUL, without `__pycache__` and the run's own, and
+    without those that `is_listed` leaves out."""
     unusable: Mapping[str, str]
     listings: Mapping[str, Sequence[str]] = {}
     """The names behind each of these SHA-256."""
@@ -1463,8 +1464,21 @@ def no_cache(path: str, status: os.stat_result, hashed: Hashed) -> str:
     return hashed()
 
 
-def contents(trace: Trace, began: int, cache: Cache = no_cache, check_stop: Callable[[], None] = nothing) -> Contents:
+def everything(path: str) -> bool:
+    """Return True: the default of `is_listed`."""
+    return True
+
+
+def contents(
+    trace: Trace,
+    began: int,
+    cache: Cache = no_cache,
+    check_stop: Callable[[], None] = nothing,
+    is_listed: Callable[[str], bool] = everything,
+) -> Contents:
     """Return the content of all that a run executed, read or listed: of a trace that `Names.inputs` has returned.
+
+    `is_listed` tells which paths count in a listed folder: `Names.is_listed`.
 
     `began` is `Observation.began`. A file is unusable if it was changed since then, or while it is hashed, because the run may
     have read something else; and so is a link or a folder. A time in the future counts as changed if it is the ctime, which
@@ -1475,7 +1489,7 @@ def contents(trace: Trace, began: int, cache: Cache = no_cache, check_stop: Call
         reader.try_to(reader.read, path)
     own = set(trace.written)
     for path in trace.listed:
-        reader.try_to(functools.partial(reader.list, own), path)
+        reader.try_to(functools.partial(reader.list, own, is_listed), path)
     for path, real in trace.links.items():
         reader.try_to(functools.partial(reader.follow, real), path)
     for path in trace.found:
@@ -1532,12 +1546,13 @@ class Reader:
                 digest.update(chunk)
         return digest.hexdigest()
 
-    def list(self, own: set[str], path: str) -> None:
+    def list(self, own: set[str], is_listed: Callable[[str], bool], path: str) -> None:
         before = os.stat(path)
         if self._changed(before):
             self.unusable[path] = "it was changed after the run had listed it"
             return
-        kept = [name for name in os.listdir(path) if name != PYTHON_CACHE and os.path.join(path, name) not in own]
+        paths = ((name, os.path.join(path, name)) for name in os.listdir(path) if name != PYTHON_CACHE)
+        kept = [name for name, entry in paths if entry not in own and is_listed(entry)]
         kept.sort(key=os.fsencode)
         if key_of(os.stat(path)) != key_of(before):
             self.unusable[path] = "it was changed after the run had listed it"
@@ -1565,7 +1580,8 @@ def key_of(status: os.stat_result) -> tuple[int, ...]:
 
 KERNEL = ("/proc", "/sys", "/dev")
 SHARED_MEMORY = "/dev/shm"  # noqa: S108 - what another program has left there may be an input
-OWN_ROOTS = {"run": "the run's own folder", "store": "the store", "cache": "a cache"}
+OWN_ROOTS = {"run": "the run's own folder", "work": "a folder of runs", "store": "the store", "cache": "a cache"}
+UNLISTED = "unlisted"
 CACHES = ("/var/cache/fontconfig", "/usr/share/fonts/.uuid", "/usr/lib/fontconfig/cache")
 PYTHON_CACHE = "__pycache__"
 
@@ -1573,18 +1589,27 @@ PYTHON_CACHE = "__pycache__"
 class Names:
     """Names of files that are the same on every machine, and rules for what is no input at all.
 
-    `roots` maps names to folders, for example project, home, tmp, prefix (of a Python), run (the run's own folder), store,
-    cache (XDG_CACHE_HOME). A path below a root is named `{root}/…`, by the deepest root; a Python's installed packages are
-    `{prefix}/site-packages/…`, wherever its version keeps them. All other paths are their own names.
+    `roots` maps names to folders, for example project, home, tmp, prefix (of a Python), run (the run's own folder), work (where
+    runs have their folders), store, cache (XDG_CACHE_HOME). A path below a root is named `{root}/…`, by the deepest root; a
+    Python's installed packages are `{prefix}/site-packages/…`, wherever its version keeps them. All other paths are their own
+    names. If several folders have one name, their keys end in a colon and a word: `project`, `project:given`.
 
-    Left out: what the kernel makes up (/proc, /sys, and /dev except the shared memory in /dev/shm); what is below run, store
-    and cache; a folder `.cache` in home, and fontconfig's caches; and Python's compiled modules (`__pycache__`), if their
-    source is there. Listed folders of a Python's packages are kept: a program may try to import an optional one.
+    Left out: what the kernel makes up (/proc, /sys, and /dev except the shared memory in /dev/shm); what is below run, work,
+    store and cache, unless a deeper root is not among these (a checkout of the project in the store); a folder `.cache` in
+    home, and fontconfig's caches; and Python's compiled modules (`__pycache__`), if their source is there. Listed folders of a
+    Python's packages are kept: a program may try to import an optional one. The existence of roots and of the folders above
+    them is no input, because it depends on where the run's folder is.
+
+    In a listed folder, what is left out does not count, and neither do paths with the name `unlisted`: a checkout of the
+    project lacks some files, for example the template.
     """
 
     def __init__(self, roots: Mapping[str, str]) -> None:
-        pairs = {(real(given), name) for name, given in roots.items() for real in (os.path.abspath, os.path.realpath)}
-        self._roots = sorted(pairs, key=lambda pair: (-len(pair[0]), pair))
+        named = [(name.partition(":")[0], given) for name, given in roots.items()]
+        pairs = {(real(given), name) for name, given in named for real in (os.path.abspath, os.path.realpath)}
+        self._unlisted = frozenset(folder for folder, name in pairs if name == UNLISTED)
+        self._roots = sorted((pair for pair in pairs if pair[1] != UNLISTED), key=lambda pair: (-len(pair[0]), pair))
+        self._above = {"/", *(above for folder, _ in self._roots for above in folders_to(folder))}
         homes = [folder for folder, name in pairs if name == "home"]
         self._caches = (*CACHES, *(os.path.join(home, ".cache") for home in homes))
 
@@ -1600,14 +1625,18 @@ class Names:
         """Return what makes a path no input; None if it is one."""
         if any(is_below(path, folder) for folder in KERNEL) and not is_below(path, SHARED_MEMORY):
             return "the kernel"
-        for folder, name in self._roots:
-            if name in OWN_ROOTS and is_below(path, folder):
-                return OWN_ROOTS[name]
+        root = next((name for folder, name in self._roots if is_below(path, folder)), None)
+        if root in OWN_ROOTS:
+            return OWN_ROOTS[root]
         if any(is_below(path, folder) for folder in self._caches):
             return "a cache"
         if "/%s/" % PYTHON_CACHE in path + "/" and (not path.endswith(".pyc") or source_of(path) is not None):
             return "Python's compiled modules"
         return None
+
+    def is_listed(self, path: str) -> bool:
+        """Return whether a path counts in the folder that it is in, if a run lists this folder."""
+        return path not in self._unlisted and not self.left_out(path)
 
     def inputs(self, trace: Trace) -> Trace:
         """Return a trace without what is left out.
@@ -1619,7 +1648,7 @@ class Names:
         compiled = {source_of(path) for path in trace.read if path.endswith(".pyc")}
         sources |= {os.path.realpath(path) for path in compiled if path is not None and not self.left_out(path)}
         lists["read"] = sorted((sources | set(lists["read"])) - set(trace.executed))
-        lists["found"] = [path for path in lists["found"] if os.path.realpath(path) not in sources]
+        lists["found"] = [path for path in lists["found"] if path not in self._above and os.path.realpath(path) not in sources]
         links = {path: real for path, real in trace.links.items() if not self.left_out(path) and not self.left_out(real)}
         return filled(trace._replace(links=links), {name: tuple(paths) for name, paths in lists.items()})
 
@@ -1648,6 +1677,11 @@ def as_record(trace: Trace, contents: Contents, names: Names) -> dict[str, objec
         "listings": contents.listings,
         "written": sorted({(names.name(path), use) for use in ("written", "removed") for path in getattr(trace, use)}),
     }
+
+
+def folders_to(path: str) -> Iterator[str]:
+    """Yield a path and all folders above it but the root."""
+    return map(os.fsdecode, with_folders(os.fsencode(path)))
 
 
 def is_below(path: str, folder: str) -> bool:

@@ -95,6 +95,7 @@ if TYPE_CHECKING:
 FOLDERS = ("home", "tmp", "output")
 LOGS = ("stdout", "stderr")
 OBSERVED = "observed.json"  # in a run's folder: what the run did with files
+TRACER = "file_trace.py"  # beside this file: it observes runs
 TRACE = ".trace"  # the end of the name of a tracer's log, beside the run's folder
 RUNS = "runs"
 POLL_S = 0.25
@@ -452,7 +453,7 @@ class Container:
     def execute(self, job: Job) -> Iterator[Event]:
         """Yield the events of the worker in the container about a run, until the run or the container has ended."""
         seal = base64.b64encode(os.urandom(18)).decode()
-        inner = {name: value for name, value in job.items() if name not in ("client", "shared")}
+        inner = {name: value for name, value in job.items() if name not in ("client", "shared", "observe")}
         self.allow(job["limits"], START_S)
         try:
             self.send({**inner, "seal": seal})
@@ -565,6 +566,8 @@ class Worker:
         self.shared = {place: entries_of(place) for place in places}
         self.hashes = Hashes()
         self.observing = threading.Lock()
+        self.unusable: tuple[str, ...] = ()
+        """Why better ways to observe runs cannot be used here."""
 
     def work(self, stream: TextIO) -> bool:
         """Execute all jobs in `stream`. Return True if it was read to its end and no run was cut off."""
@@ -716,13 +719,15 @@ class Worker:
         # a run with a seal is alone in its container
         alone = end_orphans(None if running.seal else running.execution, running.pid, running.is_tracer)
         observed, disturbed = self.keep_observation(job, running)
-        if disturbed and running.stopped is None and not self.stopping:
+        if disturbed:
+            self.await_signal()  # a scheduler may kill the tracer before it tells this process to end
+        if disturbed and not self.stopping:
             remove(folder)
             unobserved = job.copy()
             del unobserved["observe"]
             self.execute(unobserved, slot)
             return
-        if running.stopped is None and self.stopping and os.WIFSIGNALED(status):
+        if disturbed or (running.stopped is None and self.stopping and os.WIFSIGNALED(status)):
             running.stopped = "interrupted"
         if running.stopped != "interrupted" and not running.seal:
             check_room(self.folder)
@@ -743,7 +748,7 @@ class Worker:
         if "observe" not in job or "client" in job:
             return None
         with self.observing:
-            way, _ = file_trace().usable()
+            way, self.unusable = file_trace().usable()
         return way.begin(folder + TRACE, os.path.join(folder, "output")) if way else None
 
     def keep_observation(self, job: Job, running: Running) -> tuple[bool, str | None]:
@@ -754,18 +759,21 @@ class Worker:
         if running.observation is None:
             return False, None
         running.observation.end(orphans)
+        path = os.path.join(running.folder, OBSERVED)
         disturbed = None
         try:
             trace = running.observation.trace(os.path.join(running.folder, LOGS[1]), self.check_stop)
             disturbed = trace.disturbed
-            names = file_trace().Names({**job["observe"], "run": running.folder})
-            seen = names.inputs(trace)
+            names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder})
+            seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
             with self.observing:
-                contents = file_trace().contents(seen, running.observation.began, self.hashes.get, self.check_stop)
-            with open(os.path.join(running.folder, OBSERVED), "w", encoding="ascii") as file:
+                began = running.observation.began
+                contents = file_trace().contents(seen, began, self.hashes.get, self.check_stop, names.is_listed)
+            unlink(path)  # a link or a pipe that the run has put there
+            with open(path, "x", encoding="ascii") as file:
                 json.dump(file_trace().as_record(seen, contents, names), file)
         except (OSError, GivenUp):  # the run is not observed; its result is kept, unless the observation has disturbed it
-            unlink(os.path.join(running.folder, OBSERVED))
+            unlink(path)
             return False, disturbed
         finally:
             unlink(running.folder + TRACE)
@@ -1388,7 +1396,7 @@ def file_trace() -> ModuleType:
     """Load the module beside this file that observes runs."""
     import importlib.util
 
-    path = os.path.join(os.path.dirname(os.path.abspath(__file__)), "file_trace.py")
+    path = os.path.join(os.path.dirname(os.path.abspath(__file__)), TRACER)
     spec = importlib.util.spec_from_file_location("file_trace", path)
     if spec is None or spec.loader is None:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)

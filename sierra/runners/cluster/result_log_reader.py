@@ -19,6 +19,7 @@ from sierra.runners.journal_reader import Stalled, made, result_of
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
 from sierra.store.segments import disk_errors
 from sierra.worker import array_task
+from sierra.worker.worker import OBSERVED
 
 if TYPE_CHECKING:
     from sierra.worker.array_task import Other, Packed
@@ -80,6 +81,8 @@ class Pack:
         result = result_of(record, directory="", attempt=self.attempt)
         if not {(f"{RUN_OUTPUT}/{file.path}", file.bytes, file.sha256) for file in result.outputs} <= set(files):
             raise ValueError("the record lists outputs that it does not contain")
+        if result.observed and OBSERVED not in {path for path, _, _ in files}:
+            raise ValueError("the record lacks the files that the run used")
         return Ended(result, files, at)
 
     def extract(self, ended: Ended, folder: Path) -> Result:
@@ -109,7 +112,7 @@ class Pack:
     def _place(self, folder: Path, path: str) -> Path:
         """Return the path for a file, and create its folder."""
         parts = path.split("/")
-        within = path in (RUN_STDOUT, RUN_STDERR) or (parts[0] == RUN_OUTPUT and len(parts) > 1)
+        within = path in (RUN_STDOUT, RUN_STDERR, OBSERVED) or (parts[0] == RUN_OUTPUT and len(parts) > 1)
         if not within or "\0" in path or not {"", ".", ".."}.isdisjoint(parts):
             raise Damaged(f"{self.path}: {path!r} is not in a run's folder")
         place = Path(folder, os.fsdecode(path.encode("utf-8", "surrogateescape")))

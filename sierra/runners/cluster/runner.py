@@ -72,6 +72,8 @@ ASKED = re.compile(r"asked to end after (\d+) s$")
 """Matches an element's own message that it was asked to end; the number is the time that it had lasted."""
 MISHAP = re.compile(rf"{TIMED.pattern}|node|preempt|memory|boot|requeue|deadline", re.IGNORECASE)
 """Matches a scheduler's end reason that means that nobody ended the element on purpose."""
+PROGRAMS = (*(Path(str(one.__file__)) for one in (worker, array_task, machine)), Path(worker.__file__).with_name(worker.TRACER))
+"""What nodes execute: each is one file without SIERRA."""
 RELAUNCHED = "launch failed"
 """Text in the scheduler's reason for a job that could not be started, though it can. Such a job is submitted again."""
 
@@ -101,8 +103,8 @@ class Cluster:
             session.results.mkdir()
             session.logs.mkdir()
             counts, rest = self._deal(work, sized, session)
-            for module in (worker, array_task, machine):
-                shutil.copyfile(str(module.__file__), session.root / Path(str(module.__file__)).name)
+            for program in PROGRAMS:
+                shutil.copyfile(program, session.root / program.name)
             write_whole(session.element_settings, json.dumps(self._settings(work, session)).encode())
         probed = Preflight(self.name, self._table, session).is_needed()
         table = self._table.model_dump(mode="json")

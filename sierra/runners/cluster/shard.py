@@ -110,7 +110,7 @@ class _Share:
         if self._common is None:
             self._common = job
             self._templates = defaultdict(_Template, ((name, _Template(content)) for name, content in job.files))
-            self.begin(_line({"common": local.record(job)}))
+            self.begin(_line({"common": local.record(replace(job, observe=None))}))
         return self.put(_line(_difference(job, self._common, self._templates)))
 
     def begin(self, common: bytes) -> None:
@@ -200,6 +200,8 @@ def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> Di
         record["limits"] = complete["limits"]
         if "client" in complete:
             record["client"], record["shared"] = complete["client"], complete["shared"]
+    if job.observe is not None:
+        record["observe"] = dict(job.observe)
     return record
 
 
