@@ -887,7 +887,7 @@ class Execution:
     def run(self, slots: int, path: str, wanted: Callable[[str], bool]) -> bool:
         """Execute the wanted jobs of a file, and return whether all were executed. Raises CannotContinue, OSError."""
         self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-X", "utf8", self._program, self._scratch, str(slots)],
+            [sys.executable, "-I", "-S", "-B", "-X", "utf8", self._program, self._scratch, str(slots)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,18 +30,25 @@ from sierra.provenance import machine
 from sierra.runners.cluster.result_log_reader import Ended, Pack
 from sierra.runners.cluster.shard import deal
 from sierra.store.layout import SessionPaths
-from sierra.worker import array_task, worker
+from sierra.worker import array_task, file_trace, worker
 from sierra.worker.array_task import Attempt, Finished, Requeued, Started, Trouble
 from tests.pythons import python_of
 from tests.waiting import PATIENCE_S, until
 
-SCRIPTS = {"worker.py": worker, "array_task.py": array_task, "machine.py": machine}
+SCRIPTS = {"worker.py": worker, "array_task.py": array_task, "machine.py": machine, "file_trace.py": file_trace}
 
 
-def job(name: str, code: str, *, limits: Limits | None = None, files: tuple[tuple[str, bytes], ...] = ()) -> Job:
+def job(
+    name: str,
+    code: str,
+    *,
+    limits: Limits | None = None,
+    files: tuple[tuple[str, bytes], ...] = (),
+    observe: Mapping[str, str] | None = None,
+) -> Job:
     """A run that executes a shell script."""
     variables = {"PATH": os.defpath, "HOME": "\0/home", "SIERRA_RUN_DIR": "\0", "SIERRA_EXECUTION": name, "NAME": name}
-    return Job(name, name, ("/bin/sh", "-c", code), variables, files, limits or Limits(grace_s=1))
+    return Job(name, name, ("/bin/sh", "-c", code), variables, files, limits or Limits(grace_s=1), observe=observe)
 
 
 def many(count: int, code: str) -> list[Job]:
@@ -154,6 +161,7 @@ def test_jobs_are_read_as_they_were_distributed(folder: Folder) -> None:
         job("other", "false", limits=Limits(wall_s=3.5), files=(("in.xml", b"abc" * 399 + b"abd"), ("b", b"\xff"))),
         job("less", "true", files=(("in.xml", b"abcabc"), ("c", b"new"))),
     ]
+    jobs = [replace(jobs[0], observe={"home": "/home"}), *jobs[1:3], replace(jobs[3], observe={"home": "/other"})]
     assert folder.deal(jobs) == (4,)
     arrived = list(array_task.jobs(str(folder.paths.jobs(0))))
     assert arrived == [json.loads(local.line(one)) for one in jobs]
@@ -267,13 +275,94 @@ def test_sigterm_stops_the_runs_of_an_array_task_without_results(folder: Folder)
 
 
 @pytest.mark.integration
-def test_a_signal_to_all_processes_of_an_array_task_gives_no_result(folder: Folder) -> None:
-    folder.deal(many(8, "trap 'echo partial > out; exit 0' TERM; sleep 60 & wait"))
+@pytest.mark.parametrize("observed", [False, True])
+def test_a_signal_to_all_processes_of_an_array_task_gives_no_result(
+    folder: Folder, require: Callable[..., str], *, observed: bool
+) -> None:
+    if observed:
+        require("strace")
+    runs = many(8, "trap 'echo partial > out; exit 0' TERM; sleep 60 & wait")
+    folder.deal([replace(one, observe={}) for one in runs] if observed else runs)
     process = folder.start()
     folder.until_started(2)
     for pid in sorted(folder.left_running(), reverse=True):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGTERM)
+    assert process.wait(PATIENCE_S) == 1
+    assert folder.ended() == {}
+
+
+def test_an_observed_run_is_packed_with_the_files_that_it_used(
+    folder: Folder, tmp_path: Path, require: Callable[..., str]
+) -> None:
+    require("strace")
+    code = tmp_path / "store" / "code"
+    code.mkdir(parents=True)
+    (code / "data").write_text("x")
+    roots = {"store": str(code.parent), "project": str(code)}
+    folder.deal(
+        [job("one", f"cat '{code}/data'; cat \"$(realpath /proc/self/cwd)/../../none\"", observe=roots), job("two", "true")]
+    )
+    assert folder.run() == (0, "")
+    ended = folder.ended()
+    assert (ended["one"].result.observed, ended["two"].result.observed) == (True, False)
+    found = json.loads(Path(folder.packs()[0].extract(ended["one"], tmp_path / "taken").directory, "observed.json").read_text())
+    assert (found["method"], found["reason"], found["written"]) == ("strace", None, [])
+    assert ["{project}/data", "read", hashlib.sha256(b"x").hexdigest(), 1] in found["files"]
+    assert [name for name, *_ in found["files"] if str(tmp_path) in name] == [], "the folders of runs are left out"
+    assert not (folder.root / "__pycache__").exists()
+
+
+@pytest.mark.integration
+def test_a_node_without_strace_observes_the_files_that_are_mapped_and_says_why(folder: Folder, tmp_path: Path) -> None:
+    folder.deal([job("one", "sleep 2", observe={})])
+    assert folder.run(PATH=str(tmp_path)) == (0, "")
+    ended = folder.ended()["one"]
+    found = json.loads(Path(folder.packs()[0].extract(ended, tmp_path / "taken").directory, "observed.json").read_text())
+    assert found["method"] == "maps"
+    assert found["reason"] == "only files that were mapped into memory were seen; strace: strace is not installed"
+    assert any(use == "executed" for _, use, *_ in found["files"])
+
+
+@pytest.mark.parametrize("plant", ["ln -s '{}' {}", "mkfifo {1}", "mkdir {1}"], ids=["link", "pipe", "folder"])
+def test_a_run_cannot_lead_its_observation_elsewhere(
+    folder: Folder, tmp_path: Path, require: Callable[..., str], plant: str
+) -> None:
+    require("strace")
+    (tmp_path / "other").write_text("mine")
+    folder.deal([job("one", plant.format(tmp_path / "other", "../observed.json") + "; echo 1 > out", observe={})])
+    assert folder.run() == (0, "")
+    result = folder.ended()["one"].result
+    assert (result.observed, len(result.outputs)) == (not plant.startswith("mkdir"), 1)
+    assert (tmp_path / "other").read_text() == "mine"
+
+
+KILLS = "kill -9 $(sed -n 's/TracerPid:[^0-9]*\\([1-9]\\)/\\1/p' /proc/$$/status)"
+"""A shell command that kills the tracer, if there is one."""
+
+
+@pytest.mark.integration
+def test_a_run_whose_tracer_is_killed_begins_once_and_is_executed_unobserved(
+    folder: Folder, tmp_path: Path, require: Callable[..., str]
+) -> None:
+    require("strace")
+    folder.deal([job("one", f"echo x >> '{tmp_path}/log'; {KILLS}; echo 1 > out", observe={})])
+    assert folder.run() == (0, "")
+    assert (tmp_path / "log").read_text() == "x\nx\n"
+    assert len(folder.events(Started)) == 1
+    result = folder.ended()["one"].result
+    assert (result.observed, result.exit_code, [file.path for file in result.outputs]) == (False, 0, ["out"])
+
+
+@pytest.mark.integration
+def test_a_run_whose_tracer_is_killed_at_the_end_of_its_array_task_has_no_result(
+    folder: Folder, tmp_path: Path, require: Callable[..., str]
+) -> None:
+    require("strace")
+    code = f"until [ -s '{tmp_path}/task' ]; do :; done; read task < '{tmp_path}/task'; {KILLS}; kill -TERM $task; exit 0"
+    folder.deal([job("one", code, observe={})])
+    process = folder.start()
+    (tmp_path / "task").write_text(f"{process.pid}\n")
     assert process.wait(PATIENCE_S) == 1
     assert folder.ended() == {}
 
@@ -630,7 +719,7 @@ def test_scratch_files_of_a_dead_attempt_are_removed_and_those_of_others_are_kep
     assert (alive.poll(), third.poll()) == (None, None)
 
 
-@pytest.mark.parametrize("name", ["array_task.py", "worker.py", "machine.py"])
+@pytest.mark.parametrize("name", SCRIPTS)
 def test_scripts_for_nodes_need_only_python_3_8_and_the_standard_library(name: str) -> None:
     tree = ast.parse(Path(str(SCRIPTS[name].__file__)).read_text(), feature_version=(3, 8))
     for node in tree.body:
@@ -653,9 +742,10 @@ def test_a_python_that_is_too_old_is_reported(folder: Folder, require: Any) -> N
 def test_the_oldest_supported_python_executes_an_array_task(folder: Folder, require: Any) -> None:
     oldest = python_of("3.8")
     require("Python 3.8", there=oldest is not None)
-    folder.deal(many(3, "echo 1 > out"))
+    folder.deal([*many(3, "echo 1 > out"), job("observed", "true", observe={})])
     assert folder.run(python=str(oldest)) == (0, "")
-    assert len(folder.ended()) == 3
+    assert {name for name, one in folder.ended().items() if one.result.observed} == {"observed"}
+    assert len(folder.ended()) == 4
     assert folder.events(Attempt)[0].python.startswith("3.8.")
     assert not (folder.root / "__pycache__").exists()
 

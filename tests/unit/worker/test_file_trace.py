@@ -371,6 +371,49 @@ def test_what_is_no_input_is_left_out(tmp_path: Path) -> None:
     assert given.left_out("/dev/shm/x") is None
 
 
+def test_a_checkout_in_the_store_has_the_names_of_the_project(tmp_path: Path) -> None:
+    checkout, project = tmp_path / "p/.sierra/work/1/source", tmp_path / "p"
+    given = Names({"project": str(checkout), "project:given": str(project), "store": str(project / ".sierra"), "home": "/root"})
+    for folder in (checkout, project):
+        assert given.name(f"{folder}/sim.py") == "{project}/sim.py"
+        assert given.left_out(f"{folder}/sim.py") is None
+    assert given.left_out(f"{tmp_path}/p/.sierra/work/1/journal.jsonl")
+
+
+def test_the_existence_of_folders_above_a_run_is_no_input(tmp_path: Path) -> None:
+    given = Names({"project": str(tmp_path / "p"), "run": "/scratch/s/runs/7", "work": "/scratch/s"})
+    found = (
+        "/",
+        "/scratch",
+        "/scratch/other",
+        "/scratch/s",
+        "/scratch/s/runs",
+        str(tmp_path),
+        f"{tmp_path}/p",
+        f"{tmp_path}/p/x",
+    )
+    assert given.inputs(Trace("strace", found=found)).found == ("/scratch/other", f"{tmp_path}/p/x")
+
+
+def test_a_listed_project_has_the_same_content_as_its_checkout(tmp_path: Path) -> None:
+    for folder in ("p", "p/.sierra", "p/.git", "p/figures", "checkout"):
+        (tmp_path / folder).mkdir()
+    for file in ("p/sim.py", "p/sierra.toml", "checkout/sim.py"):
+        (tmp_path / file).touch()
+    hidden = {f"unlisted:{number}": f"{tmp_path}/p/{name}" for number, name in enumerate((".git", "figures", "sierra.toml"))}
+
+    def listed(folder: str) -> str:
+        path, given = (
+            str(tmp_path / folder),
+            Names({"project": str(tmp_path / folder), "store": f"{tmp_path}/p/.sierra", **hidden}),
+        )
+        return contents(Trace("strace", listed=(path,)), settle(tmp_path), is_listed=given.is_listed).folders[path]
+
+    assert listed("p") == listed("checkout")
+    (tmp_path / "p" / "plugin.so").touch()
+    assert listed("p") != listed("checkout")
+
+
 def test_a_compiled_module_stands_for_its_source(tmp_path: Path) -> None:
     module = tmp_path.resolve() / "p" / "m.py"
     (module.parent / "__pycache__").mkdir(parents=True)
