@@ -618,8 +618,8 @@ class Project(Table):
     observe: Literal["none", "first", "all"] = Field(
         "none",
         description="the runs of which SIERRA records all files that they execute, read, look for and write: `first` is the "
-        "first run that executes. Needs strace, else it sees only files that are mapped into memory; not in containers or on "
-        "clusters",
+        "first run that executes. Needs strace (on a cluster on its nodes), else it sees only files that are mapped into "
+        "memory; not in containers",
     )
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="named queries")
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")

@@ -206,11 +206,22 @@ def plan(
             *_outdated(root, image),
             *_texts(designed, config, template),
             *_same(batch),
+            *_unobserved(config, image),
             *used.notes,
             *(_unbuilt(built, used, held) if built else ()),
             *(f"{file} is named only by the query: changes of this file are not detected" for file in uncounted),
         ),
     )
+
+
+def _unobserved(config: Project, image: Image | None) -> Iterator[str]:
+    """Yield a note if the project requests an observation that is not possible.
+
+    A tracer outside a container sees the engine, and paths of the container's own root folder. For an ordinary user, engines
+    need setuid programs, which get no rights under a tracer.
+    """
+    if image is not None and "observe" in config.model_fields_set and config.observe != "none":
+        yield f'observe = "{config.observe}" has no effect on runs in containers: their image identifies their programs'
 
 
 def _build_state(project: LoadedProject, spec: RunSpec, code: source.Source, engine: Engine) -> BuildState | None:

@@ -199,6 +199,10 @@ def _project() -> Iterator[Check]:
         absent = required_packages.missing(project.config, contained=project.config.container is not None)
         found = f"not installed: {', '.join(absent)}" if absent else ", ".join(project.config.requires)
         yield _check("requires", not absent, found, required_packages.remedy(absent))
+    clusters = [name for name in project.config.runners if name != "local"]
+    if clusters and project.config.observe != "none":
+        found = f"{', '.join(clusters)}: checked on the node when a run is observed"
+        yield Check("observation on clusters", "ok", found)
     if project.paths.store.exists():
         yield _tried("store", lambda: f"{len(project.batches)} batches")
 

@@ -139,6 +139,18 @@ def test_runs_are_isolated_by_default(tmp_path: Path, python: Path, isolation: s
     assert (row["mode"], row["host"] != "run") == (isolation, True)
 
 
+def test_runs_in_containers_are_not_observed_and_a_note_says_so(tmp_path: Path, busybox: Path) -> None:
+    root = containers.make(tmp_path / "project", busybox)
+    config = (root / "sierra.toml").read_text()
+    done = quick(root, "run", "population_size=1", "--no-figures")
+    assert (done.returncode, "observe" in done.stderr) == (0, False), done.stderr
+    (root / "sierra.toml").write_text(f'observe = "all"\n{config}')
+    done = quick(root, "run", "population_size=2", "--no-figures")
+    assert (done.returncode, 'observe = "all" has no effect on runs in containers' in done.stderr) == (0, True), done.stderr
+    counted = quick(root, "sql", "--format", "json", "SELECT count(*) AS n FROM observations")
+    assert json.loads(counted.stdout) == [{"n": 0}]
+
+
 def test_runs_do_not_share_a_container_of_an_image_without_python(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, 'isolation = "worker"')
     assert "each run gets its own container" in says(folder, *RUN)

@@ -111,6 +111,10 @@ def test_show_counts_the_files_of_an_execution(root: Path) -> None:
 @pytest.mark.integration
 def test_doctor_says_how_files_can_be_observed(root: Path) -> None:
     assert "observation of files: all files that runs use, by strace" in projects.quick(root, "doctor").stdout
+    with (root / "sierra.toml").open("a") as file:
+        file.write("[runners.slurm]\n")
+    said = "observation on clusters: slurm: checked on the node when a run is observed"
+    assert said in projects.quick(root, "doctor").stdout
 
 
 @pytest.mark.integration
