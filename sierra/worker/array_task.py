@@ -309,13 +309,11 @@ class Pack:
         """Create the file. Raises FileExistsError if the name is taken."""
         self.path = os.path.join(folder, "%s.%s.pack" % (index, attempt))
         self._file = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644)
+        self.clock = time.time() - os.fstat(self._file).st_mtime
+        """The seconds that this node's clock is ahead of the file system's, by the time of the new file."""
         self._whole = self._synced = 0
         self._pending = bytearray()
         self._sync_at = 0.0
-
-    def ahead(self) -> float:
-        """Return the seconds that this node's clock is ahead of the file system's, by the time of the new file."""
-        return time.time() - os.fstat(self._file).st_mtime
 
     def note(self, record: Record, *, sync: bool = False) -> None:
         """Append a record; with `sync`, write it to the disk."""
@@ -464,6 +462,15 @@ def content_of(file: Union[str, Between], common: str) -> str:
     return binascii.b2a_base64(content, newline=False).decode()
 
 
+class Observing(NamedTuple):
+    """What the worker needs on this node to observe a run."""
+
+    scratch: str
+    """The attempt's folder, in which runs have their folders."""
+    ahead: float
+    """Seconds that the node's clock is ahead of the shared file system's."""
+
+
 class Feeder(threading.Thread):
     """A thread that sends missing jobs to the worker; few in advance, so that large outputs do not fill up the node."""
 
@@ -472,13 +479,13 @@ class Feeder(threading.Thread):
         path: str,
         wanted: Callable[[str], bool],
         ahead: int,
-        scratch: str,
+        more: "Observing",
         pipe: "IO[bytes]",
         write: Callable[[int, bytes], None],
     ) -> None:
         super().__init__(daemon=True)
         self._path = path
-        self._scratch = scratch
+        self._more = more
         self._wanted = wanted
         self._pipe = pipe
         self._write = write
@@ -496,7 +503,8 @@ class Feeder(threading.Thread):
                     if "client" not in job:
                         job["used"] = self.spare.popleft() if self.spare else None
                     if "observe" in job:
-                        job["observe"] = {**job["observe"], "work": self._scratch}
+                        job["observe"] = {**job["observe"], "work": self._more.scratch}
+                        job["ahead"] = self._more.ahead
                     self._send(job)
                     self.sent += 1
             self._send({"end": True})
@@ -623,7 +631,7 @@ def new_pack(folder: str, index: str, first: Attempt) -> Pack:
         with contextlib.suppress(FileExistsError):
             pack = Pack(folder, index, name)
             break
-    pack.note(first._replace(attempt=name, clock=pack.ahead()), sync=True)
+    pack.note(first._replace(attempt=name, clock=pack.clock), sync=True)
     return pack
 
 
@@ -897,8 +905,8 @@ class Execution:
             start_new_session=True,
         )
         pipe = self._worker.stdin_of(self._process)
-        ahead, scratch = AHEAD + slots * AHEAD_EACH, os.path.dirname(self._scratch)
-        self._feeder = Feeder(path, wanted, ahead, scratch, pipe, self._worker.write_all)
+        observing = Observing(os.path.dirname(self._scratch), max(0.0, self._pack.clock))
+        self._feeder = Feeder(path, wanted, AHEAD + slots * AHEAD_EACH, observing, pipe, self._worker.write_all)
         self._feeder.start()
         try:
             self._follow()

@@ -1600,8 +1600,8 @@ class Names:
     Python's packages are kept: a program may try to import an optional one. The existence of roots and of the folders above
     them is no input, because it depends on where the run's folder is.
 
-    In a listed folder, what is left out does not count, and neither do paths with the name `unlisted`: a checkout of the
-    project lacks some files, for example the template.
+    Paths with the name `unlisted` are those that a checkout of the project lacks, for example the template: they do not count
+    in a listed folder. If there is `project:given`, the runs are executed in a checkout, where they are not missed either.
     """
 
     def __init__(self, roots: Mapping[str, str]) -> None:
@@ -1609,6 +1609,7 @@ class Names:
         pairs = {(real(given), name) for name, given in named for real in (os.path.abspath, os.path.realpath)}
         self._unlisted = frozenset(folder for folder, name in pairs if name == UNLISTED)
         self._roots = sorted((pair for pair in pairs if pair[1] != UNLISTED), key=lambda pair: (-len(pair[0]), pair))
+        self._lacking = tuple(lacking(roots)) if "project:given" in roots else ()
         self._above = {"/", *(above for folder, _ in self._roots for above in folders_to(folder))}
         homes = [folder for folder, name in pairs if name == "home"]
         self._caches = (*CACHES, *(os.path.join(home, ".cache") for home in homes))
@@ -1648,9 +1649,18 @@ class Names:
         compiled = {source_of(path) for path in trace.read if path.endswith(".pyc")}
         sources |= {os.path.realpath(path) for path in compiled if path is not None and not self.left_out(path)}
         lists["read"] = sorted((sources | set(lists["read"])) - set(trace.executed))
+        lists["missed"] = [path for path in lists["missed"] if not any(is_below(path, one) for one in self._lacking)]
         lists["found"] = [path for path in lists["found"] if path not in self._above and os.path.realpath(path) not in sources]
         links = {path: real for path, real in trace.links.items() if not self.left_out(path) and not self.left_out(real)}
         return filled(trace._replace(links=links), {name: tuple(paths) for name, paths in lists.items()})
+
+
+def lacking(roots: Mapping[str, str]) -> Iterator[str]:
+    """Yield the paths that a checkout of a project lacks, as they would be in the checkout."""
+    for checkout in {os.path.abspath(roots["project"]), os.path.realpath(roots["project"])}:
+        for name, path in roots.items():
+            if name.partition(":")[0] == UNLISTED:
+                yield os.path.join(checkout, os.path.relpath(path, roots["project:given"]))
 
 
 SITE = re.compile(r"^(?:/local)?/lib(?:64)?/(?:python3?(?:\.\d+t?)?/)(?:site|dist)-packages(?=/|$)")

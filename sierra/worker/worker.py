@@ -151,6 +151,8 @@ class Job(Program):
     seal: NotRequired[str]
     observe: NotRequired[Mapping[str, str]]
     """The folders by which observed files are named, if this run is observed: see `file_trace.Names`."""
+    ahead: NotRequired[float]
+    """How many seconds this host's clock may be ahead of that of a file system with files that the run uses."""
 
 
 class OutputFile(TypedDict):
@@ -767,7 +769,7 @@ class Worker:
             names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder})
             seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
             with self.observing:
-                began = running.observation.began
+                began = running.observation.began - int(job.get("ahead", 0.0) * 1e9)
                 contents = file_trace().contents(seen, began, self.hashes.get, self.check_stop, names.is_listed)
             unlink(path)  # a link or a pipe that the run has put there
             with open(path, "x", encoding="ascii") as file:

@@ -27,6 +27,7 @@ from hypothesis import strategies as st
 from sierra.errors import Damaged
 from sierra.model import Client, Job, Limits
 from sierra.provenance import machine
+from sierra.runners import local
 from sierra.runners.cluster.result_log_reader import Ended, Pack
 from sierra.runners.cluster.shard import deal
 from sierra.store.layout import SessionPaths
@@ -153,8 +154,6 @@ def test_an_array_task_executes_its_runs_and_packs_their_results(folder: Folder,
 
 
 def test_jobs_are_read_as_they_were_distributed(folder: Folder) -> None:
-    from sierra.runners import local
-
     jobs = [
         job("empty", "true", files=(("in.xml", b""), ("b", b"\0\xff"))),
         job("same", "true", files=(("in.xml", b"abc" * 400), ("b", b"\0\xff"))),
@@ -170,8 +169,6 @@ def test_jobs_are_read_as_they_were_distributed(folder: Folder) -> None:
 @given(contents=st.lists(st.binary(max_size=12), min_size=2, max_size=6))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_contents_of_inputs_are_read_as_they_were_distributed(tmp_path: Path, contents: list[bytes]) -> None:
-    from sierra.runners import local
-
     jobs = [job("x", "true", files=(("in", content),)) for content in contents]
     deal(jobs, 1, SessionPaths(tmp_path))
     assert list(array_task.jobs(str(SessionPaths(tmp_path).jobs(0)))) == [json.loads(local.line(one)) for one in jobs]
@@ -335,6 +332,25 @@ def test_a_run_cannot_lead_its_observation_elsewhere(
     result = folder.ended()["one"].result
     assert (result.observed, len(result.outputs)) == (not plant.startswith("mkdir"), 1)
     assert (tmp_path / "other").read_text() == "mine"
+
+
+def test_a_file_that_may_have_changed_meanwhile_by_another_clock_is_reported(
+    folder: Folder, tmp_path: Path, require: Callable[..., str]
+) -> None:
+    require("strace")
+    (tmp_path / "data").write_text("x")
+    time.sleep(0.1)
+    one = local.record(job("one", f"cat '{tmp_path}/data'", observe={}))
+    for number, ahead in enumerate((0.0, 3600.0)):
+        runs = folder.scratch / str(number)
+        runs.mkdir()
+        jobs = tmp_path / "jobs"
+        jobs.write_text("".join(json.dumps(line) + "\n" for line in ({**one, "ahead": ahead}, {"end": True})))
+        command = [sys.executable, "-I", "-S", str(folder.root / "worker.py"), str(runs), "1"]
+        with jobs.open() as file:
+            subprocess.run(command, stdin=file, check=True)
+        reason = json.loads((runs / "1" / "observed.json").read_text())["reason"]
+        assert (f"{tmp_path}/data: it was changed after the run had opened it" in (reason or "")) is (ahead > 0)
 
 
 KILLS = "kill -9 $(sed -n 's/TracerPid:[^0-9]*\\([1-9]\\)/\\1/p' /proc/$$/status)"

@@ -380,6 +380,14 @@ def test_a_checkout_in_the_store_has_the_names_of_the_project(tmp_path: Path) ->
     assert given.left_out(f"{tmp_path}/p/.sierra/work/1/journal.jsonl")
 
 
+def test_a_run_in_a_checkout_does_not_miss_what_no_checkout_has(tmp_path: Path) -> None:
+    roots = {"project": str(tmp_path / "checkout"), "unlisted:0": f"{tmp_path}/p/.git", "unlisted:1": f"{tmp_path}/p/in.xml"}
+    missed = tuple(f"{tmp_path}/checkout/{name}" for name in (".git", ".git/HEAD", ".gitx", "in.xml", "plugin.so"))
+    inputs = Names({**roots, "project:given": str(tmp_path / "p")}).inputs(Trace("strace", missed=missed))
+    assert [Path(path).name for path in inputs.missed] == [".gitx", "plugin.so"]
+    assert Names(roots).inputs(Trace("strace", missed=missed)).missed == missed
+
+
 def test_the_existence_of_folders_above_a_run_is_no_input(tmp_path: Path) -> None:
     given = Names({"project": str(tmp_path / "p"), "run": "/scratch/s/runs/7", "work": "/scratch/s"})
     found = (
