@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from sierra.execution import commands
-from sierra.execution.resolve_plan import Plan, context
+from sierra.execution.resolve_plan import Plan, context, not_in_checkouts
 from sierra.execution.row_queries import RecordedProgram
 from sierra.execution.stale_sessions import folders
 from sierra.execution.unchanged_files import FileSets, UsedFile, unchanged
@@ -187,6 +187,7 @@ def _file_sets(plan: Plan, snapshot: Snapshot) -> FileSets:
         searched={files: frozenset(paths) for files, paths in searched.items()},
         search=now,
         program=plan.programs.all[0].path if plan.programs.all else "",
+        lacking=frozenset(not_in_checkouts(plan.project)),
     )
 
 

@@ -57,6 +57,8 @@ class FileSets:
     """The search path (PATH) of runs now."""
     program: str
     """The program that the command starts now."""
+    lacking: frozenset[str] = frozenset()
+    """Files and folders of the project, relative to it, that no checkout has; they are in no listing."""
 
 
 def unchanged(sets: FileSets) -> set[str]:
@@ -119,6 +121,7 @@ def _is_listing_same(one: UsedFile, sets: FileSets) -> bool:
         return False
     mine = {path.rpartition("/")[2] for path in sets.written if path.rpartition("/")[0] == one.path}
     differing = (names ^ before) - mine - {"__pycache__"}
+    differing = {name for name in differing if f"{one.path}/{name}".removeprefix(PROJECT + "/") not in sets.lacking}
     if not differing:
         return True
     if one.path == PROJECT or one.path.startswith(PROJECT + "/"):

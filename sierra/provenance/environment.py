@@ -48,9 +48,14 @@ def capture(version: str, record: Sequence[str] = ()) -> dict[str, JsonView]:
 def elsewhere(
     around: Mapping[str, JsonView], machine: Mapping[str, JsonView], variables: Mapping[str, str]
 ) -> dict[str, JsonView]:
-    """Return the record of another host, from the facts and variables that it reported, and `around`, this host's record."""
+    """Return the record of another host, from the facts and variables that it reported, and `around`, this host's record.
+
+    PATH is this host's, because runs search for programs in it wherever they are executed.
+    """
     kept = {name: value for name, value in around.items() if name != "environment"}
-    return _record(kept, machine, variables, {name: value for name, value in variables.items() if name != LOADED})
+    own = _table("variables", str(around.get("variables") or ""))
+    search = {name: str(value) for name, value in own.items() if name == "PATH"}
+    return _record(kept, machine, variables, {name: value for name, value in {**variables, **search}.items() if name != LOADED})
 
 
 def _record(

@@ -105,6 +105,24 @@ def test_executions_on_a_cluster_count_while_the_files_that_they_used_are_unchan
     assert sql(root, "SELECT DISTINCT value FROM swarm") == [{"value": 1}]
 
 
+def test_executions_on_a_cluster_count_for_another_source_if_they_did_not_use_what_differs(
+    tmp_path: Path, slurm: Slurm, require: Callable[..., str]
+) -> None:
+    require("strace")
+    root = made(tmp_path / "project", "all")
+    (root / "unused.py").write_text("1")
+    projects.commit(root)
+    assert run(root, "--on", "slurm")["executed"] == 4
+    [variables] = sql(root, "SELECT DISTINCT variables FROM environments JOIN executions USING (environment)")
+    assert json.loads(variables["variables"])["PATH"] == os.environ["PATH"], "runs search for programs in it"
+    (root / "unused.py").write_text("2")
+    (root / "arena.xml").touch()
+    summary = run(root)
+    assert (summary["executed"], summary["reused"]) == (0, 4)
+    (root / "data" / "map.txt").write_text("door\n")
+    assert run(root, "--on", "slurm")["executed"] == 4
+
+
 def test_a_node_without_strace_says_so(tmp_path: Path, slurm: Slurm) -> None:
     (tmp_path / "empty").mkdir()
     python = tmp_path / "python"

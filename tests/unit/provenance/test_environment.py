@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -97,13 +98,13 @@ def test_locale_time_zone_and_modules_are_recorded(monkeypatch: pytest.MonkeyPat
     )
 
 
-def test_modules_loaded_on_a_node_are_recorded() -> None:
+def test_modules_loaded_on_a_node_are_recorded_with_the_search_path_of_runs() -> None:
     here = environment.capture("1")
-    node = {"LOADEDMODULES": "gcc/14.2:openmpi/5.0", "LANG": "C.UTF-8", "HOME": "/root"}
+    node = {"LOADEDMODULES": "gcc/14.2:openmpi/5.0", "LANG": "C.UTF-8", "HOME": "/root", "PATH": "/node/bin"}
     told = {name: value for name, value in node.items() if array_task.is_recorded(name, list(environment.recorded(())))}
     there = environment.elsewhere(here, machine.facts(), told)
     assert there["modules"] == ["gcc/14.2", "openmpi/5.0"]
-    assert json.loads(there["variables"]) == {"LANG": "C.UTF-8"}
+    assert json.loads(there["variables"]) == {"LANG": "C.UTF-8", "PATH": os.environ["PATH"]}
 
 
 def test_recorded_limits_equal_those_of_ulimit() -> None:
