@@ -71,6 +71,23 @@ def test_files_that_a_run_uses_are_recorded_once_for_all_runs(root: Path) -> Non
     assert projects.quick(root, "fsck").returncode == 0
 
 
+@pytest.mark.integration
+@pytest.mark.parametrize("where", ["a checkout", "a work folder"])
+def test_names_of_files_do_not_depend_on_where_runs_execute(root: Path, tmp_path: Path, where: str) -> None:
+    projects.commit(root)
+    run(root)
+    there = tmp_path / "there" / "project"
+    shutil.copytree(root, there, ignore=shutil.ignore_patterns(".sierra", "data.log"))
+    setting = '[source]\ndirty = "ignore"\n' if where == "a checkout" else f'[store]\nwork_folder = "{tmp_path}/work"\n'
+    with (there / "sierra.toml").open("a") as file:
+        file.write(setting)
+    (there / "sim.py").write_text(SIMULATOR + ("raise SystemExit(1)\n" if where == "a checkout" else ""))
+    (tmp_path / "work").mkdir()
+    run(there)
+    files = "SELECT DISTINCT o.files, path, use, sha256 FROM observations o JOIN files_read USING (files) ORDER BY ALL"
+    assert sql(there, files) == sql(root, files)
+
+
 def test_files_written_outside_the_runs_folders_are_named(root: Path) -> None:
     assert "runs wrote files elsewhere: {project}/data.log (" in run(root)
     rows = sql(root, "SELECT path, use, count(*) AS n FROM files_written GROUP BY ALL")
