@@ -21,13 +21,12 @@ from sierra.model import RunSpec
 from sierra.provenance import fingerprint_programs as programs
 from sierra.provenance import referenced_files, source
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
+from sierra.provenance.hash_cache import VENV
 from sierra.store.layout import FIGURES, STORE
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
 
 INSIDE = "{project}/"
-VENV = "pyvenv.cfg"
-"""File name that marks a folder as a virtual environment."""
 
 
 def programs_in(

@@ -23,7 +23,7 @@ from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Doubt
 from sierra.model import Job, Limits, Run, RunSpec, Times
-from sierra.provenance import environment
+from sierra.provenance import environment, pythons
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner, Work, needed
@@ -100,7 +100,7 @@ class Service:
         record = self._setup.project.config.environment.record
         builder = self._builder()
         work = Work(
-            self._observed(builder.job(run, files) for run, files in inputs),
+            self._observed((builder.job(run, files) for run, files in inputs), programs),
             count,
             context.batch,
             (*needed(programs, self._search()), *self.isolation.needed),
@@ -130,7 +130,7 @@ class Service:
             script=self._session.paths.worker if self._stays else None,
         )
 
-    def _observed(self, jobs: Iterable[Job]) -> Iterator[Job]:
+    def _observed(self, jobs: Iterable[Job], programs: Programs) -> Iterator[Job]:
         """Yield the jobs; those that are to be observed have the folders that names of files refer to."""
         project = self._setup.project
         observe = "none" if self._setup.image else project.config.observe
@@ -141,6 +141,8 @@ class Service:
         if root != named["project"]:
             named["project:given"] = root  # links in a checkout may lead there
         named |= {f"unlisted:{number}": f"{root}/{name}" for number, name in enumerate(not_in_checkouts(project))}
+        if observe != "none" and (prefix := pythons.environment(programs, self._search())):
+            named["prefix"] = str(prefix)
         for number, job in enumerate(jobs):
             yield replace(job, observe=named) if observe == "all" or (observe == "first" and number == 0) else job
 

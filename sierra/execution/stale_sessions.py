@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra.errors import Missing
-from sierra.execution import shared_libraries
+from sierra.execution import commands, shared_libraries
 from sierra.execution.resolve_plan import Plan
 from sierra.execution.search_path import found_elsewhere
+from sierra.provenance import pythons
 from sierra.provenance.hash_cache import HashCache
 from sierra.store.store import Snapshot
 from sierra.util.text import few
@@ -121,7 +122,10 @@ def reason(stale: Mapping[str, str]) -> str:
 
 def folders(plan: Plan) -> dict[str, Path]:
     """Return the folders that names of observed files refer to, by name."""
-    return {"project": plan.project.root.resolve(), "home": Path.home().resolve()}
+    named = {"project": plan.project.root.resolve(), "home": Path.home().resolve()}
+    search = commands.declared(plan.batch.spec.environment, plan.project.root, plan.project.root)["PATH"]
+    environment = pythons.environment(plan.programs, search)
+    return {**named, "prefix": environment} if environment else named
 
 
 def _changed(files: Iterable[tuple[str, str, str | None]], named: Mapping[str, Path]) -> set[tuple[str, str, str | None]]:
@@ -130,7 +134,9 @@ def _changed(files: Iterable[tuple[str, str, str | None]], named: Mapping[str, P
     changed = set()
     for path, use, sha256 in files:
         here = located(path, named)
-        if here is not None and path != shared_libraries.CACHE and not is_same(here, use, sha256, cache):
+        if path == shared_libraries.CACHE:
+            continue
+        if here is None or not is_same(here, use, sha256, cache):  # None: in a virtual environment, and there is none now
             changed.add((path, use, sha256))
     cache.save()
     return changed
@@ -141,7 +147,7 @@ def is_same(here: str, use: str, sha256: str | None, cache: HashCache) -> bool:
     if use == "missed":
         return not os.path.exists(here)  # noqa: PTH110 - for speed
     try:
-        return cache.of(here) == sha256
+        return cache.counted(here) == sha256
     except Missing:
         return False
 

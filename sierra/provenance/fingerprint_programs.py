@@ -1,6 +1,7 @@
 """Fingerprints of programs outside the source and outside an image: a run is only reused if they are the same.
 
-The fingerprint of a program is the SHA-256 of its file. Every word of a command that names a program is included (as in
+The fingerprint of a program is the SHA-256 of its file. In a script of a virtual environment, the path of the environment does
+not count, so that it may be moved, or made again elsewhere. Every word of a command that names a program is included (as in
 `nice -n 5 simulator`), and so is the interpreter that a script names in its first line. A program includes the libraries that
 the loader loads for it in the runs' own environment (`sierra.provenance.libraries`). A Python interpreter includes its
 installed distributions (`pythons`). Files that the command, a variable or the template names are included too
@@ -103,7 +104,7 @@ class _Finding:
         """Add a program and everything that it needs. If it is `needed`, a missing library is an error."""
         if path in self._programs:
             return
-        self._programs[path] = Program(name, path, self._digests.of(path))
+        self._programs[path] = Program(name, path, self._digests.counted(path))
         self._load(name, path, needed=needed)
         if pythons.is_python(path):
             self._python(name, path, needed=needed)

@@ -7,8 +7,10 @@ changed within the last seconds is hashed again next time, because another chang
 
 from __future__ import annotations
 
+import functools
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from sierra.errors import Missing
@@ -16,6 +18,8 @@ from sierra.store.layout import user_digests
 from sierra.util.cache import Cache
 from sierra.util.hashing import sha256_file
 
+VENV = "pyvenv.cfg"
+"""File name that marks a folder as a virtual environment."""
 SMALL = 1 << 16
 """Maximum size in bytes of files that are not cached, because hashing them is as fast as a look-up."""
 RACY_NS = 2 * 10**9
@@ -27,26 +31,47 @@ class HashCache:
 
     def __init__(self) -> None:
         self._cache = Cache(user_digests(), MAX_ENTRIES)
+        self._folders: dict[str, bool] = {}
+        """Whether folders are in a virtual environment of Python."""
 
     def of(self, path: str) -> str:
         """Return the SHA-256 of a file's content. Raises Missing if the file cannot be read."""
-        try:
-            return self._of(os.path.abspath(path))  # noqa: PTH100 - links stay
-        except OSError as error:
-            raise Missing(f"{path} cannot be read: {error.strerror}") from error
+        return self._known_or(path, lambda there: sha256_file(Path(there)))
+
+    def counted(self, path: str) -> str:
+        """Return the SHA-256 of what counts of a file: in a virtual environment of Python, the environment's path does not.
+
+        It is that of the content for all other files: see `sierra.worker.file_trace.counted`. Raises Missing.
+        """
+        if not self._is_in_environment(os.path.dirname(path)):  # noqa: PTH120 - for speed
+            return self.of(path)
+        from sierra.worker import file_trace
+
+        hashed = functools.partial(file_trace.sha256_of, environments=file_trace.Environments())
+        return _or_missing(path, hashed) if file_trace.is_record(path) else self._known_or(path, hashed)
+
+    def _is_in_environment(self, folder: str) -> bool:
+        if folder not in self._folders:
+            above = os.path.dirname(folder)  # noqa: PTH120 - for speed
+            inside = os.path.isfile(folder + "/" + VENV) or (above != folder and self._is_in_environment(above))  # noqa: PTH113
+            self._folders[folder] = inside
+        return self._folders[folder]
 
     def save(self) -> None:
         self._cache.save()
 
-    def _of(self, path: str) -> str:
+    def _known_or(self, path: str, hashed: Callable[[str], str]) -> str:
+        return _or_missing(path, lambda there: self._find(there, hashed))
+
+    def _find(self, path: str, hashed: Callable[[str], str]) -> str:
         state = _state(path)
         if state[2] <= SMALL:
-            return sha256_file(Path(path))
+            return hashed(path)
         known = self._cache.get(path)
         if isinstance(known, list) and known[:-1] == state and isinstance(known[-1], str):
             return known[-1]
         now = time.time_ns()
-        digest = sha256_file(Path(path))
+        digest = hashed(path)
         if _state(path) == state and max(state[3:]) < now - RACY_NS:
             self._cache.put(path, [*state, digest])
         return digest
@@ -58,6 +83,13 @@ def cached_sha256(path: Path | str) -> str:
     found = cache.of(str(path))
     cache.save()
     return found
+
+
+def _or_missing(path: str, hashed: Callable[[str], str]) -> str:
+    try:
+        return hashed(os.path.abspath(path))  # noqa: PTH100 - links stay
+    except OSError as error:
+        raise Missing(f"{path} cannot be read: {error.strerror}") from error
 
 
 def _state(path: str) -> list[int]:

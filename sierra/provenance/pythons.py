@@ -9,9 +9,11 @@ from a folder, the entries in its RECORD are used; for one that was installed fr
 from __future__ import annotations
 
 import ast
+import itertools
 import json
 import os
 import re
+import shutil
 import subprocess
 import tempfile
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
@@ -20,7 +22,8 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from sierra.errors import Missing
-from sierra.provenance.hash_cache import HashCache
+from sierra.provenance.dependency_model import INSTALLED, Programs
+from sierra.provenance.hash_cache import VENV, HashCache
 from sierra.util.hashing import digest
 from sierra.util.json_types import as_object
 
@@ -111,6 +114,20 @@ def ask(path: str, variables: Mapping[str, str], root: Path, project: Path) -> I
     beside = [f for f in seen if f not in installed and not _is_in(f, Path(prefix), Path(base))]
     others = [folder for folder in beside if not _is_in(folder, root, project)]
     return Interpreter(executable, tuple(installed), tuple(others), tuple(f for f in beside if _is_in(f, project)))
+
+
+def environment(programs: Programs, search: str) -> Path | None:
+    """Return the virtual environment that runs use: that of their command's Python, or else of the first Python in `search`.
+
+    `search` is the PATH of runs: a command that is no Python may start one. None if that Python is in no such environment.
+    """
+    lists = (one.path.split(os.pathsep) for one in programs.all if one.name.endswith(INSTALLED))
+    folders = [Path(folder) for one in itertools.islice(lists, 1) for folder in one]
+    if not folders:
+        beside = (shutil.which(name, path=search) for name in ("python3", "python"))
+        folders = [Path(found) for found in itertools.islice(filter(None, beside), 1)]
+    above = (parent for folder in folders for parent in folder.parents)
+    return next((parent for parent in above if (parent / VENV).is_file()), None)
 
 
 def _is_in(folder: Path, *above: Path) -> bool:
@@ -223,7 +240,7 @@ def _code(folder: Path, own: Sequence[Path]) -> Iterator[Path]:
     """Yield the Python files in a folder, except those in nested environments, in hidden folders, and in the project."""
     left = {one.resolve() for one in own}
     for here, folders, files in os.walk(folder):
-        if "pyvenv.cfg" in files or Path(here).resolve() in left:
+        if VENV in files or Path(here).resolve() in left:
             folders.clear()
             continue
         folders[:] = sorted(

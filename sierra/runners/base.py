@@ -8,6 +8,7 @@ a runner are in `[runners.NAME]`; those of a scheduler are in the table of each 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
@@ -17,9 +18,10 @@ from typing import ClassVar, Protocol
 
 from sierra.config.plugin_registry import RUNNERS, SCHEDULERS, Tables
 from sierra.config.project_file import ClusterTable, Table
-from sierra.errors import ConfigError, SierraError
+from sierra.errors import ConfigError, Missing, SierraError
 from sierra.model import Job, Requirement, Result, Times
 from sierra.provenance.dependency_model import INSTALLED, Kind, Program, Programs
+from sierra.provenance.hash_cache import HashCache
 from sierra.runners import schedulers
 from sierra.store.layout import SessionPaths
 from sierra.util.json_types import JsonView, RecordValue
@@ -132,16 +134,25 @@ def needed(programs: Programs, search: str) -> tuple[Requirement, ...]:
     """
     from sierra.worker import array_task
 
+    digests = HashCache()
     files = [one for one in programs.all if one.kind != Kind.DISTRIBUTIONS]
     called = {one.path for one in files[1:] if _is_called(one, search)}
     folders = (one for one in programs.all if one.kind == Kind.DISTRIBUTIONS and one.name.endswith(INSTALLED))
     return (
         *(
-            Requirement(one.name, one.path, one.sha256, search if one.path in called else "", link=one.kind == Kind.LINK)
-            for one in files
+            Requirement(one.name, one.path, sha256, search if one.path in called else "", link=one.kind == Kind.LINK)
+            for one, sha256 in ((one, _content(one, digests)) for one in files)
         ),
         *(Requirement(one.name, one.path, holds=array_task.installed(one.path)) for one in folders),
     )
+
+
+def _content(program: Program, digests: HashCache) -> str:
+    """Return the SHA-256 of a program's whole file, because nodes compare that."""
+    with contextlib.suppress(Missing):
+        if program.kind == Kind.PROGRAM and digests.counted(program.path) == program.sha256:
+            return digests.of(program.path)
+    return program.sha256
 
 
 def _is_called(program: Program, search: str) -> bool:

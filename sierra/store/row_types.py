@@ -359,13 +359,17 @@ class FileReadRow(NamedTuple):
     """Sets of files that executions used, outside their own folders; executions that used the same files share one."""
 
     files: Annotated[str, "the set: a hash of the columns path, use and sha256"]
-    path: Annotated[str, "its path; folders such as {project} and {home} stand for those of the executing machine"]
+    path: Annotated[str, "its path; {project}, {home} and {prefix} (a Python virtual environment) stand for folders"]
     use: Annotated[
         str,
         "executed, read, found (it was only looked for), missed (looked for and absent), listed (a folder whose names were "
         "read)",
     ]
-    sha256: Annotated[str | None, "SHA-256 of its content, or of the names in the folder; NULL if it has none"]
+    sha256: Annotated[
+        str | None,
+        "SHA-256 of its content (in a virtual environment, without the environment's own path), or of the names in the folder; "
+        "NULL if it has none",
+    ]
     size: Annotated[int | None, "its size", "bytes"]
 
 

@@ -1507,6 +1507,7 @@ class Reader:
     def __init__(self, began: int, cache: Cache, check_stop: Callable[[], None]) -> None:
         self._began = began
         self._cache, self._check_stop = cache, check_stop
+        self._environments = Environments()
         self.files: dict[str, File] = {}
         self.folders: dict[str, str] = {}
         self.unusable: dict[str, str] = {}
@@ -1539,12 +1540,7 @@ class Reader:
         self.files[path] = File(sha256, status.st_size, key_of(status))
 
     def _hashed(self, path: str) -> str:
-        digest = hashlib.sha256()
-        with open(path, "rb", buffering=0) as file:
-            for chunk in iter(lambda: file.read(CHUNK), b""):
-                self._check_stop()
-                digest.update(chunk)
-        return digest.hexdigest()
+        return sha256_of(path, self._environments, self._check_stop)
 
     def list(self, own: set[str], is_listed: Callable[[str], bool], path: str) -> None:
         before = os.stat(path)
@@ -1571,6 +1567,77 @@ class Reader:
 
 
 CHANGED = "it was changed after the run had opened it"
+SMALL = 1 << 16
+"""The largest file in a virtual environment in which paths are looked for."""
+VENV = "pyvenv.cfg"
+COSMETIC = frozenset((b"command", b"executable", b"prompt", b"relocatable", b"uv", b"virtualenv"))
+"""Keys of pyvenv.cfg that Python does not read: they say how the environment was made."""
+NAME_BYTE = rb"[\w.+~\x80-\xff-]"
+
+
+class Environments:
+    """The virtual environments of Python that files are in, known by their `pyvenv.cfg`. Each folder is looked at once."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, str | None] = {"/": None, "": None}
+
+    def of(self, path: str) -> str | None:
+        """Return the environment that a file is in; None if it is in none."""
+        return self._above(os.path.dirname(path))
+
+    def _above(self, folder: str) -> str | None:
+        if folder not in self._known:
+            inside = os.path.isfile(os.path.join(folder, VENV))
+            self._known[folder] = folder if inside else self._above(os.path.dirname(folder))
+        return self._known[folder]
+
+
+def sha256_of(path: str, environments: Environments, check_stop: Callable[[], None] = nothing) -> str:
+    """Return the SHA-256 of a file's content, or of what counts of it if it is a small file in a virtual environment."""
+    digest = hashlib.sha256()
+    folder = environments.of(path)
+    with open(path, "rb", buffering=0) as file:
+        size = os.fstat(file.fileno()).st_size
+        if folder and (size <= SMALL or is_record(path)):
+            return hashlib.sha256(counted(path, file.read(), folder)).hexdigest()
+        for chunk in iter(lambda: file.read(CHUNK), b""):
+            check_stop()
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def counted(path: str, content: bytes, environment: str) -> bytes:
+    """Return what counts of the content of a file in a virtual environment: the same wherever the environment lies.
+
+    The path of the environment itself does not count: it is in the first line of each script, for example. All other words of
+    that line count, and so does the path of another environment. Nor does it count how the environment was made (`pyvenv.cfg`),
+    and what RECORD says about scripts, in which that path is, and about compiled modules.
+    """
+    kept = content
+    if path == os.path.join(environment, VENV):
+        lines = (line.strip() for line in content.splitlines())
+        kept = b"\n".join(sorted(line for line in lines if line.partition(b"=")[0].strip().lower() not in COSMETIC))
+        kept = without(kept, os.path.expanduser("~"), b"{home}")
+    elif is_record(path):
+        lines = (line.rstrip() for line in content.splitlines())
+        kept = b"\n".join(sorted(line for line in lines if not line.startswith(b"..") and b".pyc," not in line))
+    elif b"\0" not in content:
+        for folder in {environment, os.path.realpath(environment)}:
+            kept = without(kept, folder, b"{prefix}")
+    return content if kept == content else b"{prefix}\0" + kept
+
+
+def is_record(path: str) -> bool:
+    """Return whether a file is the list of the files of an installed distribution of Python."""
+    return path.endswith(".dist-info/RECORD")
+
+
+def without(content: bytes, folder: str, name: bytes) -> bytes:
+    """Return a text in which a name stands for the path of a folder. Longer names that contain the path stay."""
+    path = os.fsencode(folder)
+    if path == b"/" or path not in content:
+        return content
+    return re.sub(b"(?<!" + NAME_BYTE + b")" + re.escape(path) + b"(?!" + NAME_BYTE + b")", lambda _: name, content)
 
 
 def key_of(status: os.stat_result) -> tuple[int, ...]:
@@ -1589,16 +1656,17 @@ PYTHON_CACHE = "__pycache__"
 class Names:
     """Names of files that are the same on every machine, and rules for what is no input at all.
 
-    `roots` maps names to folders, for example project, home, tmp, prefix (of a Python), run (the run's own folder), work (where
-    runs have their folders), store, cache (XDG_CACHE_HOME). A path below a root is named `{root}/…`, by the deepest root; a
-    Python's installed packages are `{prefix}/site-packages/…`, wherever its version keeps them. All other paths are their own
-    names. If several folders have one name, their keys end in a colon and a word: `project`, `project:given`.
+    `roots` maps names to folders, for example project, home, prefix (the virtual environment of the runs' Python), run (the
+    run's own folder, with its output and temporary files), work (where runs have their folders), store, cache
+    (XDG_CACHE_HOME). A path below a root is named `{root}/…`, by the deepest root. All other paths are their own names. If
+    several folders have one name, their keys end in a colon and a word: `project`, `project:given`.
 
     Left out: what the kernel makes up (/proc, /sys, and /dev except the shared memory in /dev/shm); what is below run, work,
     store and cache, unless a deeper root is not among these (a checkout of the project in the store); a folder `.cache` in
-    home, and fontconfig's caches; and Python's compiled modules (`__pycache__`), if their source is there. Listed folders of a
-    Python's packages are kept: a program may try to import an optional one. The existence of roots and of the folders above
-    them is no input, because it depends on where the run's folder is.
+    home, and fontconfig's caches; and Python's compiled modules (`__pycache__`), if their source is there. Python has compared
+    its size and time then, and so the source counts; a compiled module that says that it is not to be compared counts itself.
+    Listed folders of a Python's packages are kept: a program may try to import an optional one. The existence of roots and of
+    the folders above them is no input, because it depends on where the run's folder is.
 
     Paths with the name `unlisted` are those that a checkout of the project lacks, for example the template: they do not count
     in a listed folder. If there is `project:given`, the runs are executed in a checkout, where they are not missed either.
@@ -1618,8 +1686,7 @@ class Names:
         """Return the name of an absolute path."""
         for folder, name in self._roots:
             if is_below(path, folder):
-                rest = path[len(folder.rstrip("/")) :]
-                return "{%s}%s" % (name, SITE.sub("/site-packages", rest) if name.endswith("prefix") else rest)
+                return "{%s}%s" % (name, path[len(folder.rstrip("/")) :])
         return path
 
     def left_out(self, path: str) -> str | None:
@@ -1631,7 +1698,7 @@ class Names:
             return OWN_ROOTS[root]
         if any(is_below(path, folder) for folder in self._caches):
             return "a cache"
-        if "/%s/" % PYTHON_CACHE in path + "/" and (not path.endswith(".pyc") or source_of(path) is not None):
+        if "/%s/" % PYTHON_CACHE in path + "/" and not (path.endswith(".pyc") and counts_itself(path)):
             return "Python's compiled modules"
         return None
 
@@ -1661,9 +1728,6 @@ def lacking(roots: Mapping[str, str]) -> Iterator[str]:
         for name, path in roots.items():
             if name.partition(":")[0] == UNLISTED:
                 yield os.path.join(checkout, os.path.relpath(path, roots["project:given"]))
-
-
-SITE = re.compile(r"^(?:/local)?/lib(?:64)?/(?:python3?(?:\.\d+t?)?/)(?:site|dist)-packages(?=/|$)")
 
 
 def as_record(trace: Trace, contents: Contents, names: Names) -> dict[str, object]:
@@ -1706,6 +1770,18 @@ def source_of(path: str) -> str | None:
         return None
     source = "%s/%s.py" % (folder[: -len(PYTHON_CACHE) - 1], name.split(".", 1)[0])
     return source if os.path.isfile(source) else None
+
+
+def counts_itself(path: str) -> bool:
+    """Return whether Python executes a compiled module without a look at its source (see PEP 552), or without one."""
+    if source_of(path) is None:
+        return True
+    try:
+        with open(path, "rb") as file:
+            head = file.read(8)
+    except OSError:
+        return False
+    return len(head) == 8 and struct.unpack("<I", head[4:])[0] & 3 == 1
 
 
 class Distributions:

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from sierra.testing.observers import settle
 from sierra.worker import file_trace
-from sierra.worker.file_trace import Contents, Distributions, Names, Strace, Trace, contents, parsed
+from sierra.worker.file_trace import Contents, Distributions, Environments, Names, Strace, Trace, contents, parsed, sha256_of
 from tests.pythons import python_of
 
 SOURCE = Path(file_trace.__file__).read_text("utf-8")
@@ -348,8 +348,10 @@ def test_names_are_the_same_on_every_machine(tmp_path: Path) -> None:
     assert given.name(f"{tmp_path}/p") == "{project}"
     assert given.name(f"{tmp_path}/px") == f"{tmp_path}/px"
     assert given.name(f"{tmp_path}/p/.sierra/work/1/7/output/x") == "{run}/output/x"
-    assert given.name(f"{tmp_path}/venv/lib/python3.11/site-packages/numpy/x.py") == "{prefix}/site-packages/numpy/x.py"
-    assert given.name(f"{tmp_path}/venv/lib/python3.11/os.py") == "{prefix}/lib/python3.11/os.py"
+    assert (
+        given.name(f"{tmp_path}/venv/lib/python3.11/site-packages/numpy/x.py")
+        == "{prefix}/lib/python3.11/site-packages/numpy/x.py"
+    )
     assert given.name("/usr/lib/x.so") == "/usr/lib/x.so"
 
 
@@ -432,6 +434,76 @@ def test_a_compiled_module_stands_for_its_source(tmp_path: Path) -> None:
     inputs = names(tmp_path.resolve()).inputs(trace)
     assert inputs.read == (str(orphan), str(module))
     assert inputs.found == inputs.written == ()
+
+
+@pytest.mark.parametrize(("flags", "counts"), [(0, False), (3, False), (1, True)])
+def test_a_compiled_module_that_python_does_not_compare_counts_itself(tmp_path: Path, flags: int, *, counts: bool) -> None:
+    module = tmp_path.resolve() / "p" / "m.py"
+    (module.parent / "__pycache__").mkdir(parents=True)
+    module.touch()
+    compiled = module.parent / "__pycache__" / "m.cpython-311.pyc"
+    compiled.write_bytes(b"\xa7\r\r\n" + flags.to_bytes(4, "little") + bytes(8))
+    inputs = names(tmp_path.resolve()).inputs(Trace("strace", read=(str(compiled),)))
+    assert (str(compiled) in inputs.read) is counts
+
+
+def test_that_roots_and_the_folders_above_them_exist_is_left_out(tmp_path: Path) -> None:
+    place = tmp_path.resolve()
+    trace = Trace("strace", found=(str(place), str(place / "h"), str(place / "p" / "x"), "/usr"))
+    assert names(place).inputs(trace).found == (str(place / "p" / "x"), "/usr")
+
+
+def environment(folder: Path, name: str, content: str) -> str:
+    """Make a virtual environment with one file; return the file's SHA-256."""
+    (folder / "bin").mkdir(parents=True)
+    (folder / "pyvenv.cfg").touch()
+    file = folder / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(content)
+    return sha256_of(str(file), Environments())
+
+
+RECORD = "lib/python3.11/site-packages/x-1.dist-info/RECORD"
+SAME = {
+    "bin/tool": "#!{0}/bin/python3 -I\nimport tool\n",
+    "bin/long": "#!/bin/sh\n'''exec' \"{0}/bin/python3\" \"$0\" \"$@\"\n' '''\n",
+    "lib/x.pth": "import x; x.map('{0}')\n",
+    "pyvenv.cfg": "home = /usr/bin\nversion = 3.11.2\ncommand = /usr/bin/python3 -m venv {0}\n",
+    RECORD: "x.py,sha256=a,1\n../../../bin/x,sha256={0},9\n__pycache__/x.pyc,,\n",
+    "lib/other": "#!/usr/bin/python3\n",
+}
+DIFFERENT = {
+    "the interpreter": ("bin/tool", "#!{0}/bin/python3\n", "#!{0}/bin/python3.12\n"),
+    "its options": ("bin/tool", "#!{0}/bin/python3\n", "#!{0}/bin/python3 -I\n"),
+    "another environment": ("bin/tool", "#!{0}/bin/python3\n", "#!/else/bin/python3\n"),
+    "a folder beside it": ("bin/tool", "#!{0}2/bin/python3\n", "#!{0}2/bin/python3\n"),
+    "a folder that ends alike": ("bin/tool", "#!/root{0}/python3\n", "#!/root{0}/python3\n"),
+    "the words that replace it": ("bin/tool", "#!{0}/bin/python3\n", "#!{{prefix}}/bin/python3\n"),
+    "the rest of a script": ("bin/tool", "#!{0}/bin/python3\n1\n", "#!{0}/bin/python3\n2\n"),
+    "the base of the environment": ("pyvenv.cfg", "home = /usr/bin\n", "home = /opt/bin\n"),
+    "the packages of the system": ("pyvenv.cfg", "home = /x\n", "home = /x\ninclude-system-site-packages = true\n"),
+    "a recorded file": (RECORD, "x.py,sha256=a,1\n", "x.py,sha256=b,1\n"),
+}
+
+
+@pytest.mark.parametrize("name", SAME)
+def test_the_path_of_a_virtual_environment_does_not_count(tmp_path: Path, name: str) -> None:
+    one, two = (environment(tmp_path / place, name, SAME[name].format(tmp_path / place)) for place in ("one", "two/deep"))
+    assert one == two
+
+
+@pytest.mark.parametrize(("name", "one", "two"), DIFFERENT.values(), ids=list(DIFFERENT))
+def test_all_else_in_a_virtual_environment_counts(tmp_path: Path, name: str, one: str, two: str) -> None:
+    texts = {tmp_path / "one": one, tmp_path / "two": two}
+    first, second = (environment(place, name, text.format(place)) for place, text in texts.items())
+    assert first != second
+
+
+def test_a_script_outside_virtual_environments_is_hashed_as_it_is(tmp_path: Path) -> None:
+    script = tmp_path / "bin" / "tool"
+    script.parent.mkdir()
+    script.write_text(f"#!{tmp_path}/bin/python3\n")
+    assert sha256_of(str(script), Environments()) == hashlib.sha256(script.read_bytes()).hexdigest()
 
 
 def test_a_file_belongs_to_the_distribution_that_has_installed_it(tmp_path: Path) -> None:
