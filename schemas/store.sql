@@ -351,7 +351,8 @@ CREATE TABLE observations (
     "files" VARCHAR,  -- the set of files that it executed, read, looked for or listed, as in files_read
     "method" VARCHAR,  -- the program or the interface by which they were seen
     "reason" VARCHAR,  -- why it may have used other files too, in one line; NULL if all were seen
-    "notes" VARCHAR[]  -- what cannot be seen: files that a service or another machine may have read for it
+    "notes" VARCHAR[],  -- what cannot be seen: files that a service or another machine may have read for it
+    "distributions" VARCHAR[]  -- Python distributions whose files it used, as name==version, those of which it used most bytes first
 );
 
 -- Sets of files that executions used, outside their own folders; executions that used the same files share one.

@@ -38,6 +38,23 @@ def programs(snapshot: Snapshot, ids: Sequence[str]) -> list[RecordedProgram]:
     return snapshot.select(RecordedProgram, PROGRAMS, p=list(ids))
 
 
+USED = """
+WITH last AS (
+    SELECT distributions FROM observations JOIN executions e USING (execution)
+    WHERE list_contains($p, e.programs) AND distributions IS NOT NULL ORDER BY e.lamport DESC LIMIT 1
+)
+SELECT unnest(distributions) FROM last
+"""
+
+
+def used_distributions(snapshot: Snapshot, programs: Sequence[str]) -> list[str]:
+    """Return the names of the Python distributions that the last observed execution with some sets of programs used.
+
+    Those of which it used most come first. None if no such execution was observed.
+    """
+    return [line.partition("==")[0] for line in snapshot.values(str, USED, p=list(programs))]
+
+
 def required_row(kind: type[R], snapshot: Snapshot, statement: str, **parameters: str) -> R:
     """Return the first row of a statement's result. Raises Damaged if there is none."""
     rows = snapshot.select(kind, statement, **parameters)

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.containers import images
 from sierra.containers.container_setup import other_host_access
 from sierra.errors import Damaged, Missing, NotFound
-from sierra.execution import stale_sessions
+from sierra.execution import row_queries, stale_sessions
 from sierra.execution.resolve_plan import Plan
-from sierra.execution.row_queries import RecordedProgram
 from sierra.execution.session_records import batch_row, is_kept
 from sierra.explain.plan_changes import Aspect, Basis, NewRuns, PlanChange
 from sierra.provenance import fingerprint_programs, source
@@ -118,12 +117,9 @@ def _changes(plan: Plan, store: Store, before: Recorded) -> tuple[PlanChange, ..
     return (*changes, *_query(plan, before)) or (OTHER_SETTINGS,)
 
 
-PROGRAMS = """
-SELECT name, kind, version, path, sha256 FROM programs
-WHERE programs = (
-    SELECT arg_max(programs, lamport) FROM executions JOIN batch_runs USING (run)
-    WHERE batch_runs.batch = $batch AND purpose = 'run'
-)
+LAST_PROGRAMS = """
+SELECT arg_max(programs, lamport) FROM executions JOIN batch_runs USING (run)
+WHERE batch_runs.batch = $batch AND purpose = 'run'
 """
 
 
@@ -132,9 +128,11 @@ def other_programs(plan: Plan, store: Store) -> tuple[PlanChange, ...]:
     words = mentioned(plan.batch.spec.command, plan.project.root)
     with store.snapshot() as snapshot:
         stale = stale_sessions.find(plan, snapshot)
-    recorded = Programs(tuple(row.program() for row in store.select(RecordedProgram, PROGRAMS, batch=plan.batch.id)))
+        last = [one for one in snapshot.values(str, LAST_PROGRAMS, batch=plan.batch.id) if one]
+        recorded = Programs(tuple(row.program() for row in row_queries.programs(snapshot, last)))
+        used = row_queries.used_distributions(snapshot, last)
     lines = [
-        *fingerprint_programs.differences(recorded, plan.programs, words),
+        *fingerprint_programs.differences(recorded, plan.programs, words, used),
         *([stale_sessions.reason(stale)] if stale else []),
     ]
     return tuple(PlanChange(Aspect.PROGRAM, details=(line,)) for line in lines)

@@ -24,6 +24,7 @@ class _Observed(TypedDict):
     method: str
     reason: str | None
     notes: list[str]
+    distributions: list[str]
     files: list[tuple[str, str, str | None, int | None]]
     listings: NotRequired[dict[str, list[str]]]
     """Sessions that an older version of SIERRA began have none."""
@@ -54,8 +55,9 @@ def observed(result: Result) -> Observed | None:
     found = cast("_Observed", read_record(record))
     files = [(_text(name), use, sha256, size) for name, use, sha256, size in found["files"]]
     identity = file_set(files)
+    lists = (list(map(_text, texts)) for texts in (found["notes"], found["distributions"]))
     return Observed(
-        ObservationRow(result.execution, identity, found["method"], found["reason"], list(map(_text, found["notes"]))),
+        ObservationRow(result.execution, identity, found["method"], found["reason"], *lists),
         tuple(FileReadRow(identity, *file) for file in files),
         tuple(ListingRow(sha256, list(map(_text, names))) for sha256, names in found.get("listings", {}).items()),
         tuple(FileWrittenRow(result.execution, _text(name), use) for name, use in found["written"]),

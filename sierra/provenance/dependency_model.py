@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -77,7 +77,13 @@ def fingerprint(programs: Iterable[tuple[str, str]]) -> str:
 
 def versions(listed: str | None) -> dict[str, str]:
     """Return the versions by name from a list of distributions, which has a line `name==version` for each."""
-    return dict(line.partition("==")[::2] for line in (listed or "").splitlines())
+    pairs = (line.partition("==")[::2] for line in (listed or "").splitlines())
+    return {normalized(name): version for name, version in pairs}
+
+
+def normalized(name: str) -> str:
+    """Return the name of a distribution as it is compared: `JSBSim` and `jsbsim` are one (see PEP 503)."""
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def called(name: str) -> str:
@@ -110,12 +116,16 @@ def mentioned(command: Iterable[str], root: Path) -> frozenset[str]:
     return frozenset(words) - EVERYWHERE
 
 
-def by_likelihood(names: Iterable[str], words: frozenset[str] = frozenset()) -> list[str]:
-    """Return packages ordered by how likely results depend on them: those named in `words` first, tools last."""
+def by_likelihood(names: Iterable[str], words: frozenset[str] = frozenset(), used: Sequence[str] = ()) -> list[str]:
+    """Return packages ordered by how likely results depend on them: those named in `words` first, tools last.
 
-    def weight(name: str) -> tuple[bool, bool, str]:
+    Those that executions were observed to use (`used`) come before the rest, in their order.
+    """
+    ranks = {name: rank for rank, name in enumerate(used)}
+
+    def weight(name: str) -> tuple[bool, int, bool, str]:
         plain = name.lower().replace("-", "_")
         begin = plain.partition("_")[0]
-        return not {plain, begin} & words, begin in TOOLS, name
+        return not {plain, begin} & words, ranks.get(name, len(ranks)), begin in TOOLS, name
 
     return sorted(names, key=weight)

@@ -157,10 +157,13 @@ def _interpreter(script: Path) -> list[str]:
     return os.fsdecode(line[2:]).split() if line.startswith(b"#!") else []
 
 
-def differences(before: Programs, now: Programs, words: frozenset[str] = frozenset()) -> Iterator[str]:
+def differences(
+    before: Programs, now: Programs, words: frozenset[str] = frozenset(), used: Sequence[str] = ()
+) -> Iterator[str]:
     """Yield one line for each difference to the recorded programs, and one line for all libraries.
 
-    The most likely causes come first: programs, then files, then packages. Packages that `words` name come before others.
+    The most likely causes come first: programs, then files, then packages. Packages that `words` name come before others, then
+    those that executions were observed to use (`used`).
     """
     several = {name for programs in (before, now) for name in _ambiguous(programs.all)}
 
@@ -177,7 +180,7 @@ def differences(before: Programs, now: Programs, words: frozenset[str] = frozens
         if one.kind == Kind.LIBRARY:
             loaded.append(name)
         elif was and program and one.kind == Kind.DISTRIBUTIONS and was.version != program.version:
-            yield f"{name}: {few(list(_versions(was.version, program.version, words)), SHOWN)}"
+            yield f"{name}: {few(list(_versions(was.version, program.version, words, used)), SHOWN)}"
         else:
             yield f"{name}: {_described(was)} recorded, {_described(program)} found"
     if loaded:
@@ -203,9 +206,9 @@ def _is_list(one: Program | None) -> bool:
     return one is not None and one.name.endswith(INSTALLED)
 
 
-def _versions(before: str | None, now: str | None, words: frozenset[str]) -> Iterator[str]:
+def _versions(before: str | None, now: str | None, words: frozenset[str], used: Sequence[str]) -> Iterator[str]:
     """Yield one line for each distribution that differs between two lists."""
     was, found = versions(before), versions(now)
-    for name in by_likelihood(was.keys() | found.keys(), words):
+    for name in by_likelihood(was.keys() | found.keys(), words, used):
         if was.get(name) != found.get(name):
             yield f"{name} {was.get(name, 'not')} recorded, {found.get(name, 'not')} found"

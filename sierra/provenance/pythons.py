@@ -22,7 +22,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from sierra.errors import Missing
-from sierra.provenance.dependency_model import INSTALLED, Programs
+from sierra.provenance.dependency_model import INSTALLED, Programs, normalized
 from sierra.provenance.hash_cache import VENV, HashCache
 from sierra.util.hashing import digest
 from sierra.util.json_types import as_object
@@ -31,7 +31,7 @@ NAME = re.compile(r"python(\d(\.\d+)?t?)?")
 ASK = "import sys; print('\\n' + ascii([sys.executable, sys.prefix, sys.base_prefix, sys.path]))"
 TIMEOUT_S = 10.0
 CODE = (".py", ".so")
-OWN = "sierra_experiments"
+OWN = "sierra-experiments"
 """SIERRA's own distribution. Runs do not depend on it, so its code is ignored even if the install is editable."""
 
 
@@ -56,7 +56,7 @@ class Distribution:
 
     @property
     def line(self) -> str:
-        return f"{self.name}=={self.version}"
+        return f"{normalized(self.name)}=={self.version}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +146,7 @@ def distributions(folders: Sequence[Path]) -> list[Distribution]:
         for entry in sorted(entry.name for entry in os.scandir(folder)):
             if entry.endswith((".dist-info", ".egg-info")):
                 one = _distribution(folder / entry)
-                found.setdefault(one.name.lower(), one)
+                found.setdefault(normalized(one.name), one)
     return [found[name] for name in sorted(found)]
 
 
@@ -200,12 +200,12 @@ def contents(
             continue
         if origin.editable and origin.folder.is_dir():
             editable.add(origin.folder.resolve())
-            if one.name != OWN:
-                yield Content(one.name, str(origin.folder), _folder(origin.folder, own, digests), one.line)
+            if normalized(one.name) != OWN:
+                yield Content(normalized(one.name), str(origin.folder), _folder(origin.folder, own, digests), one.line)
             continue
         identity = {"commit": origin.commit} if origin.commit is not None else {"files": _recorded(one.info)}
         url = re.sub(r"(?<=://)[^/]*@", "", origin.url)
-        yield Content(one.name, url, digest("installed", identity), one.line)
+        yield Content(normalized(one.name), url, digest("installed", identity), one.line)
     for folder in interpreter.others:
         if folder.resolve() not in editable:
             yield Content(folder.name, str(folder), _folder(folder, own, digests))

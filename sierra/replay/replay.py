@@ -19,7 +19,7 @@ from sierra import runners
 from sierra.config.project_file import LoadedProject, Output
 from sierra.containers.engines.base import Engine
 from sierra.errors import Missing, NotFound, UsageError
-from sierra.execution import commands, expected_durations, plan_from_record, recover
+from sierra.execution import commands, expected_durations, plan_from_record, recover, row_queries
 from sierra.execution.build.recorded import rebuild
 from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.plan_from_record import Recalled
@@ -88,6 +88,8 @@ class _Record:
     tables: dict[str, list[str]]
     """Columns of each output that is a table."""
     environment: str
+    used: list[str]
+    """Names of the Python distributions that executions were observed to use."""
     notes: list[str]
 
 
@@ -140,7 +142,7 @@ def replay(
             *record.notes,
             *service.isolation.notes,
             *now.notes,
-            *_other_programs(record.of, now, root),
+            *_other_programs(record, now, root),
             *_other_machine(store, record, around),
         )
         for text in notes:
@@ -233,6 +235,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
             "SELECT DISTINCT programs, ingest_rules, environment "
             "FROM all_judgements e SEMI JOIN taken t ON t.execution = e.judgement ORDER BY ALL",
         )
+        used = row_queries.used_distributions(snapshot, [row.programs for row in by])
         cells = snapshot.cells(batch)
         [(axes,)] = snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": batch})
         tables = dict(snapshot.select(_Forms, TABLES))
@@ -248,6 +251,7 @@ def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
         seeds=seeds,
         tables={name: _columns(forms) for name, forms in sorted(tables.items())},
         environment=by[0].environment,
+        used=used,
         notes=[],
     )
     left = sum(one.judgement in wrote for one in taken)
@@ -346,14 +350,17 @@ def _metrics(
         return None
 
 
-def _other_programs(of: Recalled, now: Programs, root: Path) -> Iterator[str]:
+def _other_programs(record: _Record, now: Programs, root: Path) -> Iterator[str]:
     """Yield a line for each program that differs from the record; the code is in `root`."""
+    of = record.of
     if now.id != of.fingerprint:
         words = mentioned(of.spec.command, root)
         built = {f"{{project}}/{one.name}" for one in of.build.products} if of.build else set()
         recorded = Programs(tuple(one.program() for one in of.programs if one.name not in built))
         now = Programs(tuple(one for one in now.all if one.name not in built))
-        yield from (f"different programs: {line}" for line in fingerprint_programs.differences(recorded, now, words))
+        yield from (
+            f"different programs: {line}" for line in fingerprint_programs.differences(recorded, now, words, record.used)
+        )
 
 
 def _other_machine(store: Store, record: _Record, around: EnvironmentRow) -> Iterator[str]:

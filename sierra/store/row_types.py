@@ -353,6 +353,9 @@ class ObservationRow(NamedTuple):
     method: Annotated[str, "the program or the interface by which they were seen"]
     reason: Annotated[str | None, "why it may have used other files too, in one line; NULL if all were seen"]
     notes: Annotated[list[str], "what cannot be seen: files that a service or another machine may have read for it"]
+    distributions: Annotated[
+        list[str] | None, "Python distributions whose files it used, as name==version, those of which it used most bytes first"
+    ]
 
 
 class FileReadRow(NamedTuple):

@@ -1740,6 +1740,7 @@ def as_record(trace: Trace, contents: Contents, names: Names) -> dict[str, objec
     files += [(names.name(path), "found", None, None) for path in trace.found]
     files += [(names.name(path), "missed", None, None) for path in trace.missed]
     files += [(names.name(path), "listed", contents.folders.get(path), None) for path in trace.listed]
+    sizes = ((path, file.size) for path, file in contents.files.items())
     changed = ["%s: %s" % (names.name(path), reason) for path, reason in sorted(contents.unusable.items())]
     reasons = (*trace.reasons, *changed[:MOST_NAMED])
     return {
@@ -1747,6 +1748,7 @@ def as_record(trace: Trace, contents: Contents, names: Names) -> dict[str, objec
         "reason": "; ".join(reasons) or None,
         "disturbed": trace.disturbed,
         "notes": list(trace.notes),
+        "distributions": DISTRIBUTIONS.used(sizes),
         "files": sorted(set(files), key=lambda file: file[:2]),
         "listings": contents.listings,
         "written": sorted({(names.name(path), use) for use in ("written", "removed") for path in getattr(trace, use)}),
@@ -1785,31 +1787,88 @@ def counts_itself(path: str) -> bool:
 
 
 class Distributions:
-    """Which installed distribution of Python a file belongs to, by the RECORD files beside it; each folder is read once."""
+    """Which installed distributions of Python files belong to, by the RECORD files beside them; each folder is read once."""
 
     def __init__(self) -> None:
-        self._folders: dict[str, dict[str, str]] = {}
+        self._folders: dict[str, Mapping[str, list[str]]] = {}
 
     def of(self, path: str) -> str | None:
-        """Return the distribution of a file, for example `numpy-2.3.1`; None if no RECORD names the file."""
-        match = re.match(r"(.*/(?:site|dist)-packages)/(.*)", path, re.S)
+        """Return the distribution of a file, for example `numpy-2.3.1`; None if none has installed it.
+
+        A distribution without a RECORD, as Debian installs them, has the modules of its top_level.txt, or of its own name.
+        """
+        match = INSTALLED.fullmatch(path)
         if match is None:
             return None
         folder, name = match.groups()
         if folder not in self._folders:
-            self._folders[folder] = dict(recorded(folder))
-        return self._folders[folder].get(name)
+            self._folders[folder] = owners(folder)
+        top = name.partition("/")[0]
+        found = self._folders[folder].get(top, [])
+        several = (one for one in found if len(found) == 1 or name in recorded(folder, one))
+        unrecorded = self._folders[folder].get("=" + normalized(top.partition(".")[0]), [])[:1]
+        return next(iter((*several, *unrecorded)), None)
+
+    def used(self, files: Iterable[tuple[str, int]]) -> list[str]:
+        """Return the distributions whose code is in files with these sizes, as `name==version`, those with most bytes first."""
+        sizes: dict[str, int] = {}
+        for path, size in files:
+            one = None if METADATA.search(path) else self.of(path)
+            if one is not None:
+                sizes[one] = sizes.get(one, 0) + size
+        named = (one.partition("-") for one in sorted(sizes, key=lambda one: (-sizes[one], one)))
+        return ["%s==%s" % (normalized(name), version) for name, _, version in named]
 
 
-def recorded(folder: str) -> Iterator[tuple[str, str]]:
-    """Yield each file that a distribution has installed in a folder, with the distribution's name and version."""
+INSTALLED = re.compile(r"(.*/(?:site|dist)-packages)/(.*)", re.S)
+METADATA = re.compile(r"\.(?:dist|egg)-info(?:/|$)|\.pth$")
+"""Files that tools read although nobody imports the distribution."""
+TOP = re.compile(rb"^\"?([^/,\"\n]+)", re.M)
+DISTRIBUTIONS = Distributions()
+
+
+def normalized(name: str) -> str:
+    """Return the name of a distribution as it is compared: `JSBSim` and `jsbsim` are one (see PEP 503)."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def owners(folder: str) -> dict[str, list[str]]:
+    """Return the distributions that have installed something in a folder, by the first part of its path.
+
+    Modules of a distribution without a RECORD are there by their names, after `=`.
+    """
+    found: dict[str, list[str]] = {}
+    for entry in sorted(entries(folder)):
+        name, _, kind = entry.rpartition(".")
+        if kind not in ("dist-info", "egg-info"):
+            continue
+        tops = {os.fsdecode(top) for top in TOP.findall(content_of(os.path.join(folder, entry, "RECORD")))}
+        if not tops:
+            modules = os.fsdecode(content_of(os.path.join(folder, entry, "top_level.txt"))).split()
+            tops = {"=" + normalized(module) for module in modules or [name.partition("-")[0]]}
+        for top in tops:
+            found.setdefault(top, []).append(re.sub(r"-py\d.*", "", name))
+    return found
+
+
+def recorded(folder: str, distribution: str) -> Iterator[str]:
+    """Yield the files that a distribution has installed in a folder."""
+    for line in os.fsdecode(content_of(os.path.join(folder, distribution + ".dist-info", "RECORD"))).splitlines():
+        yield line[1:].partition('"')[0] if line.startswith('"') else line.partition(",")[0]
+
+
+def entries(folder: str) -> list[str]:
+    """Return the names in a folder; none if it cannot be read."""
     try:
-        entries = sorted(name for name in os.listdir(folder) if name.endswith(".dist-info"))
+        return os.listdir(folder)
     except OSError:
-        return
-    for entry in entries:
-        path = os.path.join(folder, entry, "RECORD")
-        with contextlib.suppress(OSError), open(path, encoding="utf-8", errors="surrogateescape") as file:
-            for line in file:
-                name = line[1:].partition('"')[0] if line.startswith('"') else line.partition(",")[0]
-                yield name, entry[: -len(".dist-info")]
+        return []
+
+
+def content_of(path: str) -> bytes:
+    """Return the content of a file; empty if it cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            return file.read()
+    except OSError:
+        return b""

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from sierra.containers import container_setup
+from sierra.execution.row_queries import used_distributions
 from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Compared, Difference, changed, shown
 from sierra.provenance.dependency_model import INSTALLED, by_likelihood, called, mentioned, versions
@@ -24,7 +25,7 @@ USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN all_judgements e ON e
 def programs(snapshot: Snapshot, before: Side, after: Side, root: Path) -> Iterator[Difference]:
     """Yield differences of programs by name; their paths are not compared.
 
-    Versions that the command or its scripts in `root` name come first.
+    Versions that the command or its scripts in `root` name come first, then those that executions were observed to use.
     """
     words = mentioned((*before.spec.command, *after.spec.command), root)
     was, now = (_used(snapshot, side, "programs") for side in (before, after))
@@ -36,12 +37,13 @@ def other_programs(
 ) -> Iterator[Difference]:
     """Yield differences of two groups of program sets, by the ids of the sets."""
     old, new = (_programs(snapshot.select(ProgramRow, PROGRAMS, i=list(ids))) for ids in (before, after))
+    used = used_distributions(snapshot, (*before, *after))
     names = dict.fromkeys((*old, *new))
     for name in sorted(names, key=lambda name: (name[1].endswith(INSTALLED), KINDS.get(name[0], len(KINDS)))):
         was, now = old.get(name, []), new.get(name, [])
         if {row.sha256 for row in was} != {row.sha256 for row in now}:
             line = f"{name[1]}: {_which(was)} {ARROW} {_which(now)}"
-            yield Difference("programs", name[1], line, list(was), list(now), tuple(_versions(was, now, words)))
+            yield Difference("programs", name[1], line, list(was), list(now), tuple(_versions(was, now, words, used)))
 
 
 PROGRAMS = "SELECT programs, name, kind, version, path, sha256 FROM programs WHERE list_contains($i, programs)"
@@ -66,13 +68,15 @@ def _one(row: ProgramRow) -> str:
     return f"{shown(version)} ({digest})" if version and "\n" not in version else digest
 
 
-def _versions(was: Sequence[ProgramRow], now: Sequence[ProgramRow], words: frozenset[str]) -> Iterator[str]:
+def _versions(
+    was: Sequence[ProgramRow], now: Sequence[ProgramRow], words: frozenset[str], used: Sequence[str]
+) -> Iterator[str]:
     """Yield the differing versions of a list of versions, such as distributions, and the paths if they differ."""
     if len(was) == len(now) == 1:
         listed = [rows[0].version or "" for rows in (was, now)]
         if any("\n" in text for text in listed):
             old, new = map(versions, listed)
-            for name in by_likelihood(old.keys() | new.keys(), words):
+            for name in by_likelihood(old.keys() | new.keys(), words, used):
                 if old.get(name) != new.get(name):
                     yield f"{name} {old.get(name) or 'not present'} {ARROW} {new.get(name) or 'not present'}"
         if was[0].path != now[0].path:

@@ -91,6 +91,13 @@ def test_the_same_environment_in_another_folder_has_the_same_set_of_files(root: 
     assert sql(root, f"SELECT path FROM files_read WHERE path LIKE '{machine}'") == []
 
 
+def test_the_distributions_that_an_execution_used_are_recorded(root: Path) -> None:
+    unused = root.parent / "one" / "bin" / "unused"
+    unused.write_text("")
+    run(root, "one")
+    assert sql(root, "SELECT distributions FROM observations") == [{"distributions": ["swarms==1.5"]}]
+
+
 def test_a_changed_package_executes_all_runs_again(root: Path) -> None:
     run(root, "one")
     site = install(root.parent / "two")

@@ -150,6 +150,7 @@ def test_names_that_are_not_utf_8_are_escaped(tmp_path: Path) -> None:
         "reason": None,
         "disturbed": None,
         "notes": [],
+        "distributions": [],
         "files": files,
         "written": [["/\udcfe", "written"]],
     }

@@ -15,7 +15,7 @@ import pytest
 
 import sierra
 from sierra.errors import Missing
-from sierra.provenance import dependency_model, fingerprint_programs, libraries, referenced_files
+from sierra.provenance import dependency_model, fingerprint_programs, libraries, pythons, referenced_files
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from tests import projects
 
@@ -188,7 +188,7 @@ def test_the_interpreter_and_its_distributions_are_recorded(python: Path, tmp_pa
     install(python, "Brax_x", "1!0.1+local")
     found = seen(python, tmp_path)
     [installed] = [one for one in found.all if one.kind == "distributions"]
-    assert installed.version == "Brax_x==1!0.1+local\nnumpy==2.0.1"
+    assert installed.version == "brax-x==1!0.1+local\nnumpy==2.0.1"
     real = os.path.realpath(sys.executable)
     assert [one.path for one in found.all if one.kind == "program"] == [str(python), real]
 
@@ -486,3 +486,24 @@ def test_packages_that_the_simulator_uses_are_reported_first(tmp_path: Path) -> 
     told = list(fingerprint_programs.differences(installed[0], installed[1], words))
     assert told[0].startswith("sim: ")
     assert told[1].startswith("python3: installed distributions: mujoco 1 recorded, 2 found, attrs")
+    _, seen = fingerprint_programs.differences(installed[0], installed[1], words, ["numpy", "glfw"])
+    listed = [part.split()[0] for part in seen.partition("distributions: ")[2].split(", ")[::2]]
+    assert listed[:4] == ["mujoco", "numpy", "glfw", "attrs"]
+
+
+def test_spellings_of_a_distribution_are_one(tmp_path: Path) -> None:
+    def installed(text: str, digest: str) -> Programs:
+        return Programs((Program("python3: installed distributions", "/x", digest * 64, Kind.DISTRIBUTIONS, text),))
+
+    before, now = (
+        installed("JSBSim==1.2\nRuamel.YAML==1\nzip_x==1", "a"),
+        installed("jsbsim==1.3\nruamel-yaml==1\nzip-x==1", "b"),
+    )
+    assert list(fingerprint_programs.differences(before, now)) == [
+        "python3: installed distributions: jsbsim 1.2 recorded, 1.3 found"
+    ]
+    found = []
+    for folder, name in (("one", "JSBSim"), ("two", "jsbsim")):
+        (tmp_path / folder / f"{name}-1.2.dist-info").mkdir(parents=True)
+        found += [one.line for one in pythons.distributions([tmp_path / folder])]
+    assert found == ["jsbsim==1.2"] * 2

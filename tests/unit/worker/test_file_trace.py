@@ -516,6 +516,38 @@ def test_a_file_belongs_to_the_distribution_that_has_installed_it(tmp_path: Path
     assert found.of("/usr/lib/x") is None
 
 
+def test_distributions_that_share_a_folder_are_told_apart_by_their_files(tmp_path: Path) -> None:
+    site = tmp_path / "lib/python3.11/site-packages"
+    for name in ("one", "two"):
+        (site / f"{name}-1.dist-info").mkdir(parents=True)
+        (site / f"{name}-1.dist-info/RECORD").write_text(f"shared/{name}.py,sha256=x,3\n")
+    found = Distributions()
+    assert found.of(f"{site}/shared/one.py") == "one-1"
+    assert found.of(f"{site}/shared/two.py") == "two-1"
+    assert found.of(f"{site}/shared/three.py") is None
+
+
+def test_distributions_without_a_record_have_the_modules_that_they_name(tmp_path: Path) -> None:
+    site = tmp_path / "dist-packages"
+    (site / "PyYAML-6.0.dist-info").mkdir(parents=True)
+    (site / "PyYAML-6.0.dist-info/top_level.txt").write_text("_yaml\nyaml\n")
+    (site / "JSBSim-1.2-py3.11.egg-info").mkdir()
+    found = Distributions()
+    assert found.of(f"{site}/yaml/loader.py") == "PyYAML-6.0"
+    assert found.of(f"{site}/jsbsim.cpython-311-x86_64-linux-gnu.so") == "JSBSim-1.2"
+    sizes = [(f"{site}/yaml/loader.py", 5), (f"{site}/jsbsim.so", 9), (f"{site}/yaml/x.py", 5), ("/usr/lib/x", 99)]
+    assert found.used(sizes) == ["pyyaml==6.0", "jsbsim==1.2"]
+
+
+def test_reading_metadata_is_not_using_a_distribution(tmp_path: Path) -> None:
+    site = tmp_path / "site-packages"
+    (site / "x-1.dist-info").mkdir(parents=True)
+    (site / "x-1.dist-info/RECORD").write_text("x-1.dist-info/METADATA,,\nx.pth,,\nx.py,,\n")
+    found = Distributions()
+    assert found.used([(f"{site}/x-1.dist-info/METADATA", 9), (f"{site}/x.pth", 9)]) == []
+    assert found.used([(f"{site}/x.py", 0)]) == ["x==1"]
+
+
 def test_it_runs_alone_on_python_3_8(require: Callable[..., str], tmp_path: Path) -> None:
     oldest = python_of("3.8")
     require("Python 3.8", there=oldest is not None)
