@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 
 from sierra.errors import Damaged
 from sierra.execution.list_batches import OnCluster, on_clusters, whole
+from sierra.execution.observed_words import UsedFile, summary
 from sierra.execution.row_queries import RecordedProgram, axis_values, programs, required_row
 from sierra.model import Value
 from sierra.store.layout import STORE, WORK
@@ -263,8 +264,19 @@ class ShownRun:
         return {"kind": self.kind, **_without_nulls(self.row), **_members(self), "executions": executions}
 
 
-class ShownObservation(NamedTuple):
-    """The number of files that an observed execution used; the tables files_read and files_written name them."""
+@dataclass(frozen=True, slots=True)
+class ShownObservation:
+    """What an observed execution used, in words and in numbers; the tables files_read and files_written name the files."""
+
+    used: str
+    row: CountedFiles
+
+    def as_dict(self) -> Record:
+        return {"used": self.used, **self.row._asdict()}
+
+
+class CountedFiles(NamedTuple):
+    """The number of files that an observed execution used."""
 
     method: str
     reason: str | None
@@ -294,7 +306,7 @@ class ShownExecution:
     programs: Sequence[RecordedProgram]
     environment: ShownEnvironment | None
     observation: ShownObservation | None = None
-    """The number of files that it used; None if it was not observed."""
+    """The files that it used; None if it was not observed."""
     log_file: str | None = None
     """Log file of its session."""
 
@@ -328,7 +340,7 @@ def _members(shown: ShownBatch | ShownRun | ShownExecution | ShownEnvironment) -
 
 def _form(value: object) -> object:
     match value:
-        case ShownBuild() | ShownImage() | ShownIsolation() | ShownEnvironment() | CountedExperiment():
+        case ShownBuild() | ShownImage() | ShownIsolation() | ShownEnvironment() | ShownObservation() | CountedExperiment():
             return value.as_dict()
         case list():
             return [_form(inner) for inner in value]
@@ -570,10 +582,25 @@ def _execution(snapshot: Snapshot, identity: str) -> ShownExecution:
         isolation=_isolation_of(snapshot, row.isolation),
         programs=_programs(snapshot, row.programs),
         environment=_environment(snapshot, row.environment),
-        observation=next(iter(snapshot.select(ShownObservation, OBSERVATION, e=identity)), None),
+        observation=_observation(snapshot, row),
     )
 
 
+def _observation(snapshot: Snapshot, row: ExecutionRow) -> ShownObservation | None:
+    counts = snapshot.select(CountedFiles, OBSERVATION, e=row.execution)
+    if not counts:
+        return None
+    files = snapshot.select(UsedFile, USED_FILES, e=row.execution)
+    distributions = snapshot.values(str, USED_DISTRIBUTIONS, e=row.execution)
+    used = programs(snapshot, [row.programs]) if row.programs else []
+    return ShownObservation(summary(files, used, distributions), counts[0])
+
+
+USED_DISTRIBUTIONS = "SELECT unnest(distributions) FROM observations WHERE execution = $e"
+USED_FILES = """
+SELECT DISTINCT f.path, f.use, f.sha256 FROM observations o JOIN files_read f USING (files)
+WHERE o.execution = $e AND f.use IN ('executed', 'read') ORDER BY ALL
+"""
 OBSERVATION = """
 SELECT o.method, o.reason, count(*) FILTER (f.use = 'executed') AS executed, count(*) FILTER (f.use = 'read') AS read,
        count(*) FILTER (f.use = 'missed') AS missed, count(*) FILTER (f.use = 'listed') AS listed,

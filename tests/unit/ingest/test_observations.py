@@ -122,7 +122,8 @@ def test_show_counts_the_files_of_an_execution(root: Path) -> None:
     shown = json.loads(projects.quick(root, "show", execution["execution"], "--json").stdout)["observation"]
     assert (shown["method"], shown["reason"], shown["written"]) == ("strace", None, 1)
     assert shown["read"] > 3
-    assert "observation" in projects.quick(root, "show", execution["execution"]).stdout
+    assert re.search(r"Python 3\.\d+.*; .*dirname.*; 2 scripts, 1 other file$", shown["used"])
+    assert shown["used"] in projects.quick(root, "show", execution["execution"]).stdout
 
 
 @pytest.mark.integration
