@@ -127,6 +127,7 @@ def _answer(answer: Replay) -> dict[str, object]:
         "interrupted": answer.interrupted,
         "kept": answer.kept,
         "built": asdict(answer.built) if answer.built else None,
+        "same_files": answer.files.same if answer.files else None,
         "experiments": [_experiment(experiment) for experiment in answer.experiments],
         "outputs": [_output(run, path, found) for run in answer.runs for path, found in run.outputs.items()],
     }
@@ -183,8 +184,9 @@ def _print(answer: Replay) -> None:
     built = f"; built from source: {few(answer.built.products, SHOWN)}" if answer.built else ""
     print(f"{answer.found.kind} {short(answer.found.id)}: {answer.verdict} ({runs}: {counts}{built})")
     if answer.verdict == "different" and not answer.notes:
-        print("the recorded code, inputs, programs and machine are the same: the cause is randomness, the clock, threads,")
-        print("or something that is not recorded; declare allowed differences in [outputs] or [equivalence]")
+        print(f"the recorded code, inputs and machine, {answer.files.words if answer.files else 'and the image, are the same'}")
+        print("the cause is randomness, the clock, threads, or something that is not recorded;")
+        print("declare allowed differences in [outputs] or [equivalence]")
     if answer.kept:
         print(f"kept: {answer.kept}")
 

@@ -27,13 +27,14 @@ from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
 from sierra.model import Purpose, Run, Status, Value
-from sierra.provenance import environment, fingerprint_programs, reported_versions
+from sierra.provenance import environment, fingerprint_programs, pythons, reported_versions
 from sierra.provenance.change_guard import guard
-from sierra.provenance.dependency_model import Programs, mentioned
-from sierra.replay import compare_host_with_image, equivalence
+from sierra.provenance.dependency_model import Kind, Programs, mentioned
+from sierra.replay import compare_host_with_image, equivalence, same_files
 from sierra.replay.compare_outputs import compare_all
 from sierra.replay.compare_values import Agreement, Verdict
 from sierra.replay.equivalence import Metric
+from sierra.replay.same_files import UsedFiles
 from sierra.replay.verdicts import Compared, OfExperiment, Replay, Tolerances, metric_rows, plain, verdict_rows
 from sierra.store.lamport_clock import stamp
 from sierra.store.layout import SessionPaths
@@ -138,11 +139,13 @@ def replay(
         limits = commands.limits(project.config)
         setup = Setup(project, record.of.spec, engine, image, limits, root, around)
         service = Service(setup, store, session, stays=runner.stays)
+        files = _used_files(store, record, now, root, variables["PATH"]) if image is None else None
         notes = (
             *record.notes,
             *service.isolation.notes,
             *now.notes,
             *_other_programs(record, now, root),
+            *(files.notes if files else ()),
             *_other_machine(store, record, around),
         )
         for text in notes:
@@ -194,6 +197,7 @@ def replay(
             of=record.named,
             kept=kept,
             built=built,
+            files=files,
         )
         _keep(answer, store, session, record, now, around, began, options, engine)
         return answer
@@ -361,6 +365,16 @@ def _other_programs(record: _Record, now: Programs, root: Path) -> Iterator[str]
         yield from (
             f"different programs: {line}" for line in fingerprint_programs.differences(recorded, now, words, record.used)
         )
+
+
+def _used_files(store: Store, record: _Record, now: Programs, root: Path, search: str) -> UsedFiles:
+    """Compare the files that the recorded executions used with those now; programs and products are compared elsewhere."""
+    named = {"project": root.resolve(), "home": Path.home().resolve()}
+    environment = pythons.environment(now, search)
+    built = [str(root / one.name) for one in record.of.build.products] if record.of.build else []
+    known = [one.path for one in now.all if one.kind != Kind.DISTRIBUTIONS] + built
+    executions = [str(one.execution) for one in record.runs]
+    return same_files.compare(store, executions, {**named, "prefix": environment} if environment else named, known)
 
 
 def _other_machine(store: Store, record: _Record, around: EnvironmentRow) -> Iterator[str]:

@@ -12,6 +12,7 @@ from sierra.execution.build.recorded import Rebuilt
 from sierra.model import Value
 from sierra.replay.compare_values import Agreement, Verdict, worst
 from sierra.replay.equivalence import Metric
+from sierra.replay.same_files import UsedFiles
 from sierra.stats.equivalence import Tested
 from sierra.store.recorded_files import ChosenExecution
 from sierra.store.row_types import EquivalenceRow, VerdictRow
@@ -73,6 +74,8 @@ class Replay:
     """Folder where the restored source and the folders of the runs are kept."""
     built: Rebuilt | None = None
     """The products that were built from the restored source; None without `[build]`."""
+    files: UsedFiles | None = None
+    """The files that the recorded executions used, compared with those now; None if an image has them."""
 
     def _repr_html_(self) -> str:
         axes = tuple(self.experiments[0].values) if self.experiments else ()
