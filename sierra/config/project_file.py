@@ -25,6 +25,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    NonNegativeInt,
     PositiveInt,
     StringConstraints,
     ValidationError,
@@ -139,6 +140,11 @@ Size = Annotated[
     PositiveInt,
     BeforeValidator(size),
     WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer", "exclusiveMinimum": 0}]}),
+]
+SizeOrNone = Annotated[
+    NonNegativeInt,
+    BeforeValidator(size),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer", "minimum": 0}]}),
 ]
 Line = Annotated[str, StringConstraints(pattern=r"^[^\n\r]+$")]
 Inside = Annotated[
@@ -409,6 +415,11 @@ class Source(Table):
     )
     max_untracked: Size = Field(
         50_000_000, description="maximum size of an untracked file, in bytes or as in `50 MB`; a larger file is an error"
+    )
+    max_ignored: SizeOrNone = Field(
+        50_000_000,
+        description="maximum total size of the project's programs that git ignores and a session's runs use, in bytes or as in "
+        "`50 MB`; the store keeps these for replays, the smallest first; 0 keeps none",
     )
 
 

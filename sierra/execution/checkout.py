@@ -97,6 +97,12 @@ class Checkout:
     """The commit that was checked out; error messages name it if something is missing."""
     built: Mapping[str, str] = field(default_factory=dict)
     """The SHA-256 of each product that a recorded build made from this source, by its name in the project."""
+    recorded: Mapping[str, str] = field(default_factory=dict)
+    """The recorded SHA-256 of used files, by name."""
+    observed: Mapping[str, str] = field(default_factory=dict)
+    """The recorded SHA-256 of the project's files that executions were observed to use, by name."""
+    kept: Callable[[str], bytes | None] = lambda _: None
+    """Function that returns the content of a file that the store keeps, by its SHA-256."""
 
     def make(self, root: Path) -> None:
         """Create `root` and write the code into it.
@@ -105,6 +111,7 @@ class Checkout:
         """
         self.restore(root)
         self.bring(root, (name for name, _ in self.used))
+        self.supply(root)
 
     def restore(self, root: Path) -> None:
         """Create `root` and write the source into it. Raises Missing if a file no longer exists anywhere."""
@@ -116,14 +123,44 @@ class Checkout:
     def bring(self, root: Path, names: Iterable[str]) -> None:
         """Copy these files of the project into `root`, unless they exist there: the names are those of programs.
 
+        If the store keeps the recorded file, that is written instead of the project's file, which may have changed.
+
         Raises Missing if a file does not exist, or if a product in the project is not the recorded one.
         """
         for name in names:
             path = Path(name.removeprefix(INSIDE))
             if path.as_posix() in self.built and not (root / path).exists():
                 self._check_product(path)
-            if name.startswith(INSIDE) and not path.is_absolute() and ".." not in path.parts:
+            if not name.startswith(INSIDE) or path.is_absolute() or ".." in path.parts:
+                continue
+            if path.as_posix() in self.built or not self._put_back(root, path, self.recorded.get(name)):
                 _copy_in(self.project / path, root, path)
+
+    def supply(self, root: Path) -> None:
+        """Write the other files that runs were observed to use into `root`.
+
+        A file that exists there stays. One of which nobody has the recorded content any more is left out.
+        """
+        for name, digest in self.observed.items():
+            path = Path(name.removeprefix(INSIDE))
+            original = self.project / path
+            if not name.startswith(INSIDE) or path.is_absolute() or ".." in path.parts or (root / path).exists():
+                continue
+            if not self._put_back(root, path, digest) and original.is_file() and sha256_file(original) == digest:
+                _copy_in(original, root, path)
+
+    def _put_back(self, root: Path, path: Path, digest: str | None) -> bool:
+        """Write a kept file into `root`. Return False if it is there already, or not kept."""
+        copy = root / path
+        if digest is None or (copy.exists() and not (copy.is_symlink() and _leads_out(copy, root))):
+            return False
+        content = self.kept(digest)
+        if content is None:
+            return False
+        copy = _make_room(root, path)
+        copy.write_bytes(content)
+        copy.chmod(0o755)
+        return True
 
     def _check_product(self, name: Path) -> None:
         """Raise Missing if a product in the project is not the one that was built from this source."""
@@ -180,13 +217,19 @@ def _copy_in(original: Path, root: Path, name: Path) -> None:
         )
     if len(name.parts) > 2 and (original.parent.parent / VENV).is_file():
         original, name = original.parent.parent, name.parent.parent
+    copy = _make_room(root, name)
+    if original.is_dir():
+        copy.symlink_to(original)
+    else:
+        shutil.copy2(original, copy)
+
+
+def _make_room(root: Path, name: Path) -> Path:
+    """Return the place of a file in `root`, with its folders and without what is there; links that lead out are removed."""
     for folder in reversed(name.parents):
         if (root / folder).is_symlink() and _leads_out(root / folder, root):
             (root / folder).unlink()
     copy = inside(root, str(name), link=True)
     copy.parent.mkdir(parents=True, exist_ok=True)
     copy.unlink(missing_ok=True)
-    if original.is_dir():
-        copy.symlink_to(original)
-    else:
-        shutil.copy2(original, copy)
+    return copy

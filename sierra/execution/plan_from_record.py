@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from sierra.config.plugin_registry import Tables
@@ -95,6 +95,8 @@ class Recalled:
     """Readers of other packages with the recorded options."""
     build: RecordedBuild | None = None
     """The build that made the products from the source."""
+    observed: Mapping[str, str] = field(default_factory=dict)
+    """The SHA-256 of the project's files that executions were observed to use, by name."""
 
     def checkout(self, project: LoadedProject, store: Store) -> Checkout:
         """Return the checkout that restores the code."""
@@ -102,7 +104,33 @@ class Recalled:
         container = project.config.container if self.spec.image else None
         mounted = container_setup.data(NOTHING, container, project.root) if container else NOTHING
         built = {one.name: one.sha256 for one in self.build.products} if self.build else {}
-        return Checkout(project.root, self.spec, self.manifest, used, store.blob, mounted, self.commit, built)
+        digests = {program.name: program.sha256 for program in self.programs}
+        return Checkout(
+            project.root,
+            self.spec,
+            self.manifest,
+            used,
+            store.blob,
+            mounted,
+            self.commit,
+            built,
+            digests,
+            self.observed,
+            store.kept,
+        )
+
+
+class _Observed(NamedTuple):
+    path: str
+    sha256: str
+
+
+OBSERVED = """
+SELECT f.path, arg_max(f.sha256, e.lamport) AS sha256
+FROM observations o JOIN executions e USING (execution) JOIN files_read f USING (files)
+WHERE e.programs = $p AND e.purpose = 'run' AND e.run IN (SELECT run FROM batch_runs WHERE batch = $b)
+AND starts_with(f.path, '{project}/') AND f.use IN ('executed', 'read') AND f.sha256 IS NOT NULL GROUP BY f.path
+"""
 
 
 def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recalled:
@@ -112,6 +140,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         rules = required_row(IngestRulesRow, snapshot, "SELECT * FROM ingest_rules WHERE ingest_rules = $r", r=ingest_rules)
         used = row_queries.programs(snapshot, [programs])
         build = recorded_build.find(snapshot, row.source, programs)
+        observed = {one.path: one.sha256 for one in snapshot.select(_Observed, OBSERVED, b=batch, p=programs)}
         code = snapshot.select(SourceRow, "SELECT * FROM sources WHERE tree = $t LIMIT 1", t=row.source)
     outputs, success, readers = rules_of(json.loads(rules.declared))
     spec = RunSpec(
@@ -123,7 +152,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         tuple(row.host_access),
     )
     manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
-    return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers), build)
+    return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers), build, observed)
 
 
 def installed(readers: Used) -> Used:

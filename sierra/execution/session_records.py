@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.errors import Damaged
-from sierra.execution import sessions
+from sierra.execution import kept_programs, sessions
 from sierra.execution.resolve_plan import Plan, context
 from sierra.execution.reusable_executions import unused_changes
 from sierra.execution.reuse import FileCheck, check
@@ -91,6 +91,8 @@ def close(plan: Plan, store: Store, session: Session, summary: Summary, begun: S
     counts = Counts(summary.executed, summary.reexecuted, summary.failed)
     writer.records([_ended(session, begun, counts, summary.reused, summary.missing, interrupted=summary.interrupted)])
     _write_source_and_host(plan, writer, executed=bool(summary.executed))
+    if summary.executed:
+        _write_programs(plan, store, session, writer)
     store.publish(writer)
 
 
@@ -101,6 +103,7 @@ def prepare(plan: Plan, store: Store, session: Session, begun: SessionRow) -> No
     """
     writer = store.writer(session.paths.segment, plan.batch.id)
     _write_source_and_host(plan, writer, executed=True)
+    _write_programs(plan, store, session, writer)
     store.publish(writer)
     known = {name: value for name, value in begun._asdict().items() if name not in RESULT}
     record = {"runs": len({run.id for run in plan.batch.runs}), **known}
@@ -211,6 +214,16 @@ def _write_source_and_host(plan: Plan, writer: Writer, *, executed: bool) -> Non
         writer.records([plan.source.row(sha256(plan.source.manifest))])
     if executed:
         _write_host(plan, writer)
+
+
+def _write_programs(plan: Plan, store: Store, session: Session, writer: Writer) -> None:
+    """Keep programs of the project that git ignores."""
+    found = list(kept_programs.contents(plan, store, session.id))
+    if found:
+        objects = Objects(writer.path("objects"))
+        for content in found:
+            objects.add(content)
+        objects.close()
 
 
 def is_kept(plan: Plan, records: Store | Snapshot) -> bool:

@@ -218,8 +218,11 @@ EXCEPT
  UNION SELECT files FROM sources WHERE source NOT IN (SELECT source FROM gone_sources)
  UNION SELECT log FROM builds WHERE build NOT IN (SELECT build FROM gone_builds)
  UNION SELECT files FROM images WHERE image NOT IN (SELECT image FROM gone_images)
- UNION SELECT sha256 FROM blobs WHERE blob NOT IN (SELECT blob FROM gone_blobs))
+ UNION SELECT sha256 FROM blobs WHERE blob NOT IN (SELECT blob FROM gone_blobs)
+ UNION SELECT sha256 FROM programs WHERE starts_with(name, '{project}/')
+ UNION SELECT sha256 FROM files_read WHERE starts_with(path, '{project}/'))
 """
+"""The files to remove. Kept programs stay until `gc`."""
 
 
 def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:

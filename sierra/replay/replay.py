@@ -129,6 +129,7 @@ def replay(
             built = rebuild(record.of.build, record.of.manifest, project, store, session, engine, image)
             record.notes += [built.text] if built.different else []
         checkout.bring(root, (name for name, _ in checkout.used))
+        checkout.supply(root)
         if image is not None and engine.name == "none":
             record.notes += compare_host_with_image.unlike(
                 record.of.spec, plan_from_record.image_contents(store, image.id), root

@@ -206,6 +206,13 @@ class Store:
             raise Damaged(f"the recorded file {digest} differs from the record")
         return content
 
+    def kept(self, digest: str) -> bytes | None:
+        """Return the content of a recorded file by its SHA-256; None if the store does not keep it. Raises Damaged."""
+        try:
+            return self.object(digest)
+        except NotFound:
+            return None
+
     def blob(self, blob: str) -> bytes | None:
         """Return the content of a source file by its git hash; None if only git has it. Raises NotFound or Damaged."""
         found = self.values(str, "SELECT sha256 FROM blobs WHERE blob = $b LIMIT 1", b=blob)

@@ -1,4 +1,4 @@
-"""Programs built in a folder of the project that git ignores: a replay uses the present build, and reports it."""
+"""Programs in a folder that git ignores, if the store does not keep them: a replay uses the present build, and reports it."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ int main(void) {
 }
 """
 CONFIG = 'template = "arena.xml"\ncommand = "./build/sim {input}"\nruns = 2\n[variables]\npopulation_size = "//swarm/@count"\n'
+CONFIG += "[source]\nmax_ignored = 0\n"
 compiled = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 
 

@@ -1,0 +1,70 @@
+"""Programs of the project that git ignores and that executions used: the store keeps small ones, so that replays have them.
+
+A program is a file that was executed, or that is an ELF file or a script: for example `build/libcontroller.so`. Data is not
+kept. The records of programs and of observed files have their SHA-256. Products of `[build]` are not kept, because a replay
+builds them again, and neither are files of a virtual environment, which a replay uses where it is.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from sierra.execution.checkout import INSIDE
+from sierra.execution.resolve_plan import Plan
+from sierra.provenance import source
+from sierra.provenance.hash_cache import VENV
+from sierra.store.store import Store
+from sierra.util.hashing import sha256
+
+MAGIC = (b"\x7fELF", b"#!")
+
+
+class _Used(NamedTuple):
+    path: str
+    use: str
+    sha256: str
+
+
+OBSERVED = """
+SELECT DISTINCT f.path, f.use, f.sha256
+FROM observations o JOIN executions e USING (execution) JOIN files_read f USING (files)
+WHERE e.session = $s AND starts_with(f.path, $inside) AND f.use IN ('executed', 'read') AND f.sha256 IS NOT NULL ORDER BY ALL
+"""
+STORED = "SELECT DISTINCT sha256 FROM objects WHERE list_contains($d, sha256)"
+
+
+def contents(plan: Plan, store: Store, session: str) -> Iterator[bytes]:
+    """Yield the programs to keep that the store does not have, the smallest first, up to the limit of `[source]`."""
+    if plan.source is None:  # a recorded batch
+        return
+    used = _used(plan, store, session)
+    stored = set(store.values(str, STORED, d=sorted({one.sha256 for one in used.values()}))) if used else set()
+    left = plan.project.config.source.max_ignored
+    for size, path, one in sorted((path.stat().st_size, path, one) for path, one in used.items() if path.is_file()):
+        if size > left:
+            return
+        content = b"" if one.sha256 in stored else path.read_bytes()
+        if (one.use == "executed" or content.startswith(MAGIC)) and sha256(content) == one.sha256:
+            left -= size
+            yield content
+
+
+def _used(plan: Plan, store: Store, session: str) -> Mapping[Path, _Used]:
+    """Return the project's files outside the source that are known to be used."""
+    derived = [_Used(one.name, str(one.kind), one.sha256) for one in plan.programs.all if one.name.startswith(INSIDE)]
+    observed = [] if plan.project.config.observe == "none" else store.select(_Used, OBSERVED, s=session, inside=INSIDE)
+    root, known = plan.project.root, source.paths(plan.source.manifest) if plan.source else set()
+    made = {one.name for one in plan.build.products} if plan.build else set()
+    found = {one.path.removeprefix(INSIDE): one for one in (*derived, *observed)}
+    return {
+        root / name: one
+        for name, one in found.items()
+        if os.fsencode(name) not in known and name not in made and not _is_in_environment(root, name)
+    }
+
+
+def _is_in_environment(root: Path, name: str) -> bool:
+    return any((root / folder / VENV).is_file() for folder in Path(name).parents)
