@@ -358,7 +358,7 @@ CREATE TABLE observations (
 -- Sets of files that executions used, outside their own folders; executions that used the same files share one.
 CREATE TABLE files_read (
     "files" VARCHAR,  -- the set: a hash of the columns path, use and sha256
-    "path" VARCHAR,  -- its path; {project}, {home} and {prefix} (a Python virtual environment) stand for folders
+    "path" VARCHAR,  -- its path; {project}, {home} and {prefix} (a Python virtual environment) stand for folders, {gpu} for GPUs and drivers
     "use" VARCHAR,  -- executed, read, found (it was only looked for), missed (looked for and absent), listed (a folder whose names were read)
     "sha256" VARCHAR,  -- SHA-256 of its content (in a virtual environment, without the environment's own path), or of the names in the folder; NULL if it has none
     "size" BIGINT  -- its size [bytes]

@@ -14,6 +14,7 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from sierra.execution.row_queries import RecordedProgram
+from sierra.execution.stale_sessions import GPU
 from sierra.util.text import counted, few
 
 NAMED = 4
@@ -65,6 +66,7 @@ def summary(files: Iterable[UsedFile], programs: Sequence[RecordedProgram], dist
         ", ".join([few(named, NAMED), *loaded] if named else loaded),
         *(_python(name, programs, distributions) for name in pythons),
         few(common, NAMED),
+        "a GPU" if any(file.path == GPU for file in files) else "",
         ", ".join(_plural(found[kind], kind) for kind in (*KINDS, OTHER) if found[kind]),
     ]
     return "; ".join(filter(None, parts))
@@ -95,7 +97,7 @@ def _names(one: RecordedProgram) -> Iterator[str]:
 
 def _kind(file: UsedFile, programs: Sequence[RecordedProgram]) -> str | None:
     """Return the kind of a file that is data or a plug-in; None for all others."""
-    if file.use != "read" or OF_PYTHON.search(file.path):
+    if file.use != "read" or file.path == GPU or OF_PYTHON.search(file.path):
         return None
     if SHARED.search(file.path):
         known = any(one.sha256 == file.sha256 for one in programs)

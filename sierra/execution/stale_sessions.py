@@ -21,6 +21,8 @@ from sierra.store.store import Snapshot
 from sierra.util.text import few
 
 NAMED = 3
+GPU = "{gpu}"
+"""The name of the graphics processors among observed files: see `sierra.worker.file_trace`."""
 
 
 class _Searched(NamedTuple):
@@ -146,6 +148,10 @@ def is_same(here: str, use: str, sha256: str | None, cache: HashCache) -> bool:
     """Check whether a file that was executed or read has the same content, or one that was missed still does not exist."""
     if use == "missed":
         return not os.path.exists(here)  # noqa: PTH110 - for speed
+    if here == GPU:
+        from sierra.worker import file_trace
+
+        return file_trace.graphics_sha256() == sha256
     try:
         return cache.counted(here) == sha256
     except Missing:
@@ -154,7 +160,7 @@ def is_same(here: str, use: str, sha256: str | None, cache: HashCache) -> bool:
 
 def located(path: str, named: Mapping[str, Path]) -> str | None:
     """Return where a file is on this machine; None if that is unknown."""
-    if not path.startswith("{"):
+    if not path.startswith("{") or path == GPU:
         return path
     name, _, rest = path[1:].partition("}")
     return f"{named[name]}{rest}" if name in named else None

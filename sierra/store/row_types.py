@@ -362,7 +362,10 @@ class FileReadRow(NamedTuple):
     """Sets of files that executions used, outside their own folders; executions that used the same files share one."""
 
     files: Annotated[str, "the set: a hash of the columns path, use and sha256"]
-    path: Annotated[str, "its path; {project}, {home} and {prefix} (a Python virtual environment) stand for folders"]
+    path: Annotated[
+        str,
+        "its path; {project}, {home} and {prefix} (a Python virtual environment) stand for folders, {gpu} for GPUs and drivers",
+    ]
     use: Annotated[
         str,
         "executed, read, found (it was only looked for), missed (looked for and absent), listed (a folder whose names were "

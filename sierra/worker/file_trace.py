@@ -1730,8 +1730,52 @@ def lacking(roots: Mapping[str, str]) -> Iterator[str]:
                 yield os.path.join(checkout, os.path.relpath(path, roots["project:given"]))
 
 
-def as_record(trace: Trace, contents: Contents, names: Names) -> dict[str, object]:
-    """Return a trace and the contents of its files as JSON; `files` are name, use, SHA-256 and size (null if there is none)."""
+GPU = "{gpu}"
+"""Stands among the files for the graphics processors with their drivers, if a run has used one. It is no path."""
+GPU_DEVICE = re.compile(r"/dev/(?:nvidia|dri/|kfd)")
+GPU_LIBRARY = re.compile(
+    r".*/lib(?:cuda|cudart|cublas|cudnn|nvrtc|nvidia-\w+|amdhip64|hsa-runtime64|rocm\w*|OpenCL|ze_loader)(?![a-z])[^/]*\.so[^/]*"
+)
+
+
+def uses_gpu(trace: Trace) -> bool:
+    """Return whether a run has opened a graphics processor, or loaded a library that computes on one."""
+    used = (*trace.executed, *trace.read, *trace.written, *trace.links)
+    return any(GPU_DEVICE.match(path) or GPU_LIBRARY.fullmatch(path) for path in used)
+
+
+def graphics(root: str = "/") -> list[str]:
+    """Return the graphics processors, each with its driver, as the kernel describes them below a folder."""
+    found = ["driver " + line for line in lines_of(os.path.join(root, "proc/driver/nvidia/version")) if line]
+    cards = os.path.join(root, "proc/driver/nvidia/gpus")
+    for name in sorted(entries(cards)):
+        found += [line for line in lines_of(os.path.join(cards, name, "information")) if line.startswith("Model:")]
+    devices = os.path.join(root, "sys/class/drm")
+    for name in sorted(entries(devices)):
+        if re.fullmatch(r"card\d+", name):
+            device = os.path.join(devices, name, "device")
+            ids = [line for key in ("vendor", "device") for line in lines_of(os.path.join(device, key))]
+            driver = os.path.basename(os.path.realpath(os.path.join(device, "driver")))
+            version = lines_of(os.path.join(device, "driver/module/version"))
+            found.append(" ".join((*ids, driver, *version)))
+    return found
+
+
+def graphics_sha256(root: str = "/") -> str:
+    """Return a hash of the graphics processors and their drivers."""
+    return hashlib.sha256("".join(line + "\n" for line in graphics(root)).encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def lines_of(path: str) -> list[str]:
+    """Return the lines of a file, each with single blanks; none if it cannot be read."""
+    return [" ".join(line.split()) for line in os.fsdecode(content_of(path)).splitlines()]
+
+
+def as_record(trace: Trace, contents: Contents, names: Names, *, gpu: bool = False) -> dict[str, object]:
+    """Return a trace and the contents of its files as JSON; `files` are name, use, SHA-256 and size (null if there is none).
+
+    `gpu` is what `uses_gpu` says about the whole trace.
+    """
     files: list[tuple[str, str, str | None, int | None]] = []
     for use in ("executed", "read"):
         for path in getattr(trace, use):
@@ -1740,6 +1784,7 @@ def as_record(trace: Trace, contents: Contents, names: Names) -> dict[str, objec
     files += [(names.name(path), "found", None, None) for path in trace.found]
     files += [(names.name(path), "missed", None, None) for path in trace.missed]
     files += [(names.name(path), "listed", contents.folders.get(path), None) for path in trace.listed]
+    files += [(GPU, "read", graphics_sha256(), None)] if gpu else []
     sizes = ((path, file.size) for path, file in contents.files.items())
     changed = ["%s: %s" % (names.name(path), reason) for path, reason in sorted(contents.unusable.items())]
     reasons = (*trace.reasons, *changed[:MOST_NAMED])

@@ -771,9 +771,10 @@ class Worker:
             with self.observing:
                 began = running.observation.began - int(job.get("ahead", 0.0) * 1e9)
                 contents = file_trace().contents(seen, began, self.hashes.get, self.check_stop, names.is_listed)
+            record = file_trace().as_record(seen, contents, names, gpu=file_trace().uses_gpu(trace))
             unlink(path)  # a link or a pipe that the run has put there
             with open(path, "x", encoding="ascii") as file:
-                json.dump(file_trace().as_record(seen, contents, names), file)
+                json.dump(record, file)
         except (OSError, GivenUp):  # the run is not observed; its result is kept, unless the observation has disturbed it
             unlink(path)
             return False, disturbed

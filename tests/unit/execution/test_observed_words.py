@@ -35,6 +35,7 @@ CASES = {
         ("{project}/b.OBJ", "read"),
         ("{project}/map.pgm", "read"),
     ],
+    "train, 1 plug-in; a GPU": [("{home}/train", "executed"), ("/usr/lib/libcuda.so", "read"), ("{gpu}", "read")],
     "ngspice; Python 3.11.7 with mujoco 3.2, numpy 2.3.1; dirname, sh; 1 other file": [
         ("/bin/sh", "executed"),
         ("/usr/bin/dirname", "executed"),

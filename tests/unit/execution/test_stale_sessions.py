@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from sierra.worker.file_trace import graphics
 from tests import projects
 
 SIMULATOR = """\
@@ -104,3 +105,32 @@ def test_why_names_the_changed_file(root: Path) -> None:
     assert f"executed with other programs before: files that they used have changed: {library}/factor" in said
     assert "without this session's knowledge" not in said
     assert projects.quick(root, "fsck").returncode == 0
+
+
+LIKE_A_GPU_PROGRAM = """\
+import ctypes.util, os, sys
+open(os.environ["LIBRARY"] + "/libcuda.so.1").read()
+print("tick,value", *(f"{tick},1" for tick in range(3)), sep="\\n", file=open("swarm.csv", "w"))
+"""
+
+
+def test_runs_that_use_a_gpu_depend_on_it_and_its_driver(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (root / "sim.py").write_text(LIKE_A_GPU_PROGRAM)
+    (root.parent / "library" / "libcuda.so.1").touch()
+    assert run(root)[0]["executed"] == 4
+    assert sql(root, "SELECT count(*) AS n FROM files_read WHERE path = '{gpu}'") == [{"n": 1}]
+    assert run(root)[0]["executed"] == 0
+    monkeypatch.setattr("sierra.worker.file_trace.graphics", lambda root="/": ["another driver"])
+    summary, said = run(root)
+    assert summary["executed"] == 4
+    assert "files that they used have changed: {gpu}" in said
+
+
+GPUS = [*Path("/proc/driver/nvidia/gpus").glob("*"), *Path("/sys/class/drm").glob("card[0-9]/device")]
+
+
+@pytest.mark.real
+@pytest.mark.integration
+@pytest.mark.skipif(not GPUS, reason="needs a GPU")
+def test_the_kernel_describes_this_machines_gpu() -> None:
+    assert graphics()

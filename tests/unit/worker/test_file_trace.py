@@ -548,6 +548,66 @@ def test_reading_metadata_is_not_using_a_distribution(tmp_path: Path) -> None:
     assert found.used([(f"{site}/x.py", 0)]) == ["x==1"]
 
 
+@pytest.mark.parametrize(
+    ("path", "expected"),
+    [
+        ("/usr/lib/x86_64-linux-gnu/libcuda.so.535.54.03", True),
+        ("/opt/rocm/lib/libamdhip64.so.6", True),
+        ("/usr/lib/libOpenCL.so.1.0.0", True),
+        ("/v/site-packages/nvidia/cudnn/lib/libcudnn_ops.so.9", True),
+        ("/dev/nvidia0", True),
+        ("/dev/dri/renderD128", True),
+        ("/dev/kfd", True),
+        ("/usr/lib/libcudaless.so", False),
+        ("/usr/lib/libGL.so.1", False),
+        ("/dev/null", False),
+        ("/home/me/nvidia/notes", False),
+    ],
+)
+def test_the_use_of_a_gpu_is_seen_by_its_libraries_and_devices(path: str, *, expected: bool) -> None:
+    assert file_trace.uses_gpu(Trace("strace", read=(path,))) is expected
+    assert file_trace.uses_gpu(Trace("strace", written=(path,))) is expected
+    assert not file_trace.uses_gpu(Trace("strace", missed=(path,)))
+
+
+def gpus(root: Path, driver: str = "535.54.03", vendor: str = "0x1002") -> str:
+    files = {
+        "proc/driver/nvidia/version": f"NVRM version: NVIDIA UNIX x86_64 Kernel Module  {driver}\nGCC version:  gcc 12\n",
+        "proc/driver/nvidia/gpus/0000:01:00.0/information": "Model: \t\t NVIDIA A100\nIRQ: 16\n",
+        "sys/class/drm/card1/device/vendor": f"{vendor}\n",
+        "sys/class/drm/card1/device/device": "0x73bf\n",
+        "sys/class/drm/card1-DP-1/status": "connected\n",
+    }
+    for name, text in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+    (root / "sys/drivers/amdgpu/module").mkdir(parents=True, exist_ok=True)
+    (root / "sys/drivers/amdgpu/module/version").write_text("6.7.0\n")
+    driver_link = root / "sys/class/drm/card1/device/driver"
+    driver_link.unlink(missing_ok=True)
+    driver_link.symlink_to(root / "sys/drivers/amdgpu")
+    return file_trace.graphics_sha256(str(root))
+
+
+def test_gpus_and_their_drivers_are_part_of_the_set(tmp_path: Path) -> None:
+    before = gpus(tmp_path)
+    assert file_trace.graphics(str(tmp_path)) == [
+        "driver NVRM version: NVIDIA UNIX x86_64 Kernel Module 535.54.03",
+        "driver GCC version: gcc 12",
+        "Model: NVIDIA A100",
+        "0x1002 0x73bf amdgpu 6.7.0",
+    ]
+    assert len({before, gpus(tmp_path, driver="550.1.2"), gpus(tmp_path, vendor="0x8086")}) == 3
+    assert gpus(tmp_path) == before
+
+
+def test_a_gpu_that_was_used_is_recorded_with_the_files(tmp_path: Path) -> None:
+    nothing = Contents({}, {}, {})
+    record = file_trace.as_record(Trace("strace"), nothing, Names({}), gpu=True)
+    assert record["files"] == [("{gpu}", "read", file_trace.graphics_sha256(), None)]
+    assert file_trace.as_record(Trace("strace"), nothing, Names({}))["files"] == []
+
+
 def test_it_runs_alone_on_python_3_8(require: Callable[..., str], tmp_path: Path) -> None:
     oldest = python_of("3.8")
     require("Python 3.8", there=oldest is not None)
