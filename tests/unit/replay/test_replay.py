@@ -469,8 +469,9 @@ def test_runs_without_comparable_outputs_are_not_reported_as_identical(make: Mak
 
 
 @pytest.mark.integration
-def test_a_changed_program_that_git_ignores_is_used_and_reported(tmp_path: Path) -> None:
-    root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", "build/sim"))
+def test_a_changed_program_that_git_ignores_and_that_is_not_kept_is_used_and_reported(tmp_path: Path) -> None:
+    config = projects.CONFIG.replace("python3 sim.py", "build/sim") + "[source]\nmax_ignored = 0\n"
+    root = projects.make(tmp_path / "project", config)
     program = root / "build" / "sim"
     program.parent.mkdir()
     program.write_text("#!/bin/sh\nprintf 'tick,v\\n0,1\\n' > out.csv\n")
