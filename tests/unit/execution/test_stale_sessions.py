@@ -117,11 +117,11 @@ print("tick,value", *(f"{tick},1" for tick in range(3)), sep="\\n", file=open("s
 def test_runs_that_use_a_gpu_depend_on_it_and_its_driver(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (root / "sim.py").write_text(LIKE_A_GPU_PROGRAM)
     (root.parent / "library" / "libcuda.so.1").touch()
-    assert run(root)[0]["executed"] == 4
-    assert sql(root, "SELECT count(*) AS n FROM files_read WHERE path = '{gpu}'") == [{"n": 1}]
-    assert run(root)[0]["executed"] == 0
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    assert projects.sql(root, "SELECT count(*) AS n FROM files_read WHERE path = '{gpu}'") == [{"n": 1}]
+    assert projects.run(root, QUERY)[0]["executed"] == 0
     monkeypatch.setattr("sierra.worker.file_trace.graphics", lambda root="/": ["another driver"])
-    summary, said = run(root)
+    summary, said = projects.run(root, QUERY)
     assert summary["executed"] == 4
     assert "files that they used have changed: {gpu}" in said
 
