@@ -11,8 +11,9 @@ other installed distributions of Python if all observed executions of its sessio
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 from sierra.execution import commands
@@ -174,20 +175,29 @@ def _without_distributions(programs: Programs) -> set[tuple[str, str]]:
 
 
 def _file_sets(plan: Plan, snapshot: Snapshot) -> FileSets:
-    declared = "PATH" in plan.batch.spec.environment
+    program = plan.programs.all[0].path if plan.programs.all else ""
     now = commands.search_path(commands.declared(plan.batch.spec.environment, plan.project.root, plan.project.root))
+    sets = file_sets(snapshot, folders(plan), now, program, declared="PATH" in plan.batch.spec.environment)
+    return replace(sets, lacking=frozenset(not_in_checkouts(plan.project)))
+
+
+def file_sets(snapshot: Snapshot, named: Mapping[str, Path], search: str, program: str, *, declared: bool) -> FileSets:
+    """Return the sets in the table `needed`, with all that is needed to compare them.
+
+    `named` are the folders that names refer to. `search` is the search path (PATH) of runs now, and `declared` whether it is
+    part of their specification. `program` is the one that the command starts now.
+    """
     searched: dict[str, set[str | None]] = {}
     for files, before in snapshot.run(SEARCHED):
-        searched.setdefault(files, set()).add(now if declared else before)
+        searched.setdefault(files, set()).add(search if declared else before)
     return FileSets(
         used=tuple(snapshot.select(UsedFile, USED)),
         listings={one.sha256: frozenset(one.names) for one in snapshot.select(_Listing, LISTINGS)},
         written=frozenset(snapshot.values(str, WRITTEN)),
-        folders=folders(plan),
+        folders=named,
         searched={files: frozenset(paths) for files, paths in searched.items()},
-        search=now,
-        program=plan.programs.all[0].path if plan.programs.all else "",
-        lacking=frozenset(not_in_checkouts(plan.project)),
+        search=search,
+        program=program,
     )
 
 

@@ -375,7 +375,10 @@ def _used_files(store: Store, record: _Record, now: Programs, root: Path, search
     built = [str(root / one.name) for one in record.of.build.products] if record.of.build else []
     known = [one.path for one in now.all if one.kind != Kind.DISTRIBUTIONS] + built
     executions = [str(one.execution) for one in record.runs]
-    return same_files.compare(store, executions, {**named, "prefix": environment} if environment else named, known)
+    if environment:
+        named["prefix"] = environment
+    current = same_files.Current(named, search, now.all[0].path if now.all else "")
+    return same_files.compare(store, executions, current, known, declared="PATH" in record.of.spec.environment)
 
 
 def _other_machine(store: Store, record: _Record, around: EnvironmentRow) -> Iterator[str]:

@@ -8,16 +8,29 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
-from sierra.execution.stale_sessions import IGNORED, is_same, located
+from sierra.execution import reusable_executions, shared_libraries
+from sierra.execution.stale_sessions import is_same, located
+from sierra.execution.unchanged_files import UsedFile, unchanged
 from sierra.provenance.hash_cache import HashCache
-from sierra.store.store import Store
+from sierra.store.store import Snapshot, Store
 from sierra.util.text import few
 
 SHOWN = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Current:
+    """Where files are now."""
+
+    folders: Mapping[str, Path]
+    """Folders that names of files refer to."""
+    search: str
+    """The search path (PATH) of runs."""
+    program: str
+    """The program that the command starts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +43,13 @@ class UsedFiles:
     compared: int
     """Number of compared files; 0 if no execution of their sessions was observed."""
     changed: tuple[str, ...]
+    found: bool
+    """True if programs and libraries are found where they were, and folders outside the project have the same names."""
 
     @property
     def same(self) -> bool | None:
         """True if all used files are the same, False if not; None if not all of them are known."""
-        return False if self.changed else True if self.observed == self.executions else None
+        return False if self.changed else True if self.observed == self.executions and self.found else None
 
     @property
     def notes(self) -> Iterator[str]:
@@ -53,16 +68,12 @@ class UsedFiles:
             return "and all files that the runs used, are the same"
         if not self.compared:
             return "and the programs, are the same; what was loaded was not recorded (observe in sierra.toml records it)"
+        if self.observed == self.executions:
+            return "and the files that runs read, are the same; but programs, libraries or other files may be found elsewhere"
         rest = (
             f"only {self.observed} of {self.executions} runs was observed" if self.observed else "these runs were not observed"
         )
         return f"and the files that observed runs used, are the same; {rest}: what else was loaded was not recorded"
-
-
-class _File(NamedTuple):
-    path: str
-    use: str
-    sha256: str | None
 
 
 OWN = """
@@ -79,7 +90,7 @@ sets AS (
     UNION SELECT files FROM complete
     WHERE session IN (SELECT session FROM mine WHERE execution NOT IN (SELECT execution FROM complete))
 )
-SELECT DISTINCT f.path, f.use, f.sha256 FROM files_read f SEMI JOIN sets USING (files)
+SELECT DISTINCT f.files, f.path, f.use, f.sha256 FROM files_read f SEMI JOIN sets USING (files)
 WHERE (f.use = 'missed' OR (f.use IN ('executed', 'read') AND f.sha256 IS NOT NULL))
 AND f.path NOT IN (
     SELECT w.path FROM files_written w JOIN executions e USING (execution) WHERE e.session IN (SELECT session FROM mine)
@@ -89,22 +100,34 @@ ORDER BY ALL
 """The sets of these executions; for those without one, the sets of their sessions. What they have written is no input."""
 
 
-def compare(store: Store, executions: Collection[str], folders: Mapping[str, Path], known: Collection[str]) -> UsedFiles:
-    """Return the comparison of the files that executions used. `known` are paths that are compared elsewhere.
+def compare(
+    store: Store, executions: Collection[str], current: Current, known: Collection[str], *, declared: bool
+) -> UsedFiles:
+    """Return the comparison of the files that executions used with the current ones.
 
-    `folders` are those that names of files refer to.
+    `known` are paths that are compared elsewhere. `declared`: the search path is part of the specification.
     """
     with store.snapshot() as snapshot:
         [observed] = snapshot.values(int, OWN, e=sorted(executions))
-        files = snapshot.select(_File, USED, e=sorted(executions))
-    cache, elsewhere = HashCache(), {os.path.realpath(path) for path in known}
-    changed = [one.path for one in files if not _is_same(one, folders, elsewhere, cache)]
-    cache.save()
-    return UsedFiles(len(set(executions)), observed, len(files), tuple(dict.fromkeys(changed)))
+        files = snapshot.select(UsedFile, USED, e=sorted(executions))
+        cache, elsewhere = HashCache(), {os.path.realpath(path) for path in known}
+        changed = [one.path for one in files if not _is_same(one, current.folders, elsewhere, cache)]
+        cache.save()
+        found = bool(files) and not changed and _are_found(snapshot, {one.files for one in files}, current, declared=declared)
+    return UsedFiles(len(set(executions)), observed, len(files), tuple(dict.fromkeys(changed)), found)
 
 
-def _is_same(file: _File, folders: Mapping[str, Path], elsewhere: Collection[str], cache: HashCache) -> bool:
+def _are_found(snapshot: Snapshot, needed: Collection[str], current: Current, *, declared: bool) -> bool:
+    """Check what the search for files depends on, except for the project's folders: only the source is restored."""
+    snapshot.views.make(reusable_executions.TABLES)
+    snapshot.add_table("needed", files=sorted(needed))
+    sets = reusable_executions.file_sets(snapshot, current.folders, current.search, current.program, declared=declared)
+    outside = (one for one in sets.used if one.use != "listed" or not one.path.startswith("{project}"))
+    return unchanged(replace(sets, used=tuple(outside))) == set(needed)
+
+
+def _is_same(file: UsedFile, folders: Mapping[str, Path], elsewhere: Collection[str], cache: HashCache) -> bool:
     here = located(file.path, folders)
-    if file.path in IGNORED or (here is not None and os.path.realpath(here) in elsewhere):
+    if file.path == shared_libraries.CACHE or (here is not None and os.path.realpath(here) in elsewhere):
         return True
     return here is not None and is_same(here, file.use, file.sha256, cache)

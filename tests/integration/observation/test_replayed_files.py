@@ -76,6 +76,16 @@ def test_a_file_that_has_come_since_is_named(make: Make) -> None:
     assert [note for note in answer["notes"] if note.endswith(f"not the same now: {root.parent}/library/extra")]
 
 
+def test_a_name_that_has_come_into_a_listed_folder_leaves_the_files_in_doubt(make: Make) -> None:
+    root = make("all", "noise")
+    (root / "sim.py").write_text("import os\nos.listdir(os.environ['LIBRARY'])\n" + SIMULATOR)
+    batch = stores.ask(root, "population_size=1")
+    assert replay(root, batch)[1]["same_files"] is True
+    (root.parent / "library" / "new").touch()
+    assert replay(root, batch)[1]["same_files"] is None
+    assert "may be found elsewhere" in projects.quick(root, "replay", batch).stdout
+
+
 def test_an_identical_replay_with_the_same_files_has_no_notes(make: Make) -> None:
     root = make("all", "one")
     code, answer = replay(root, stores.ask(root, "population_size=1"))
