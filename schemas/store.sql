@@ -359,8 +359,8 @@ CREATE TABLE observations (
 CREATE TABLE files_read (
     "files" VARCHAR,  -- the set: a hash of the columns path, use and sha256
     "path" VARCHAR,  -- its path; {project}, {home} and {prefix} (a Python virtual environment) stand for folders, {gpu} for GPUs and drivers
-    "use" VARCHAR,  -- executed, read, found (it was only looked for), missed (looked for and absent), listed (a folder whose names were read)
-    "sha256" VARCHAR,  -- SHA-256 of its content (in a virtual environment, without the environment's own path), or of the names in the folder; NULL if it has none
+    "use" VARCHAR,  -- executed, read, found (it was only looked for), missed (looked for and absent), listed (a folder whose names were read), linked (a link to a file that was read), link (any other link that was followed)
+    "sha256" VARCHAR,  -- SHA-256 of its content (in a virtual environment, without the environment's own path), of the names in the folder, or of the path that the link leads to; NULL if it has none
     "size" BIGINT  -- its size [bytes]
 );
 

@@ -6,6 +6,7 @@ the session count only as long as these do, because they used the same programs.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
@@ -50,7 +51,7 @@ WITH used AS (
 )
 SELECT DISTINCT u.session, f.path, f.use, f.sha256
 FROM used u JOIN files_read f USING (files)
-WHERE (f.use = 'missed' OR (f.use IN ('executed', 'read') AND f.sha256 IS NOT NULL))
+WHERE (f.use = 'missed' OR (f.use IN ('executed', 'read', 'linked', 'link') AND f.sha256 IS NOT NULL))
 AND (u.session, f.path) NOT IN (
     SELECT (e.session, w.path) FROM files_written w JOIN executions e USING (execution)
 )
@@ -87,8 +88,10 @@ def _libraries_elsewhere(rows: Iterable[_Used], named: Mapping[str, Path]) -> di
     cache, used = HashCache(), list(rows)
     cached = {row.session: row.sha256 for row in used if row.path == shared_libraries.CACHE}
     stale: dict[str, str] = {}
-    for session in [one for one, sha256 in cached.items() if not is_same(shared_libraries.CACHE, "read", sha256, cache)]:
-        paths = (located(row.path, named) for row in used if row.session == session and row.use in ("executed", "read"))
+    for session in [one for one, sha256 in cached.items() if not is_same(shared_libraries.CACHE, "read", sha256, {}, cache)]:
+        paths = (
+            located(row.path, named) for row in used if row.session == session and row.use in ("executed", "read", "linked")
+        )
         if path := shared_libraries.found_elsewhere(path for path in paths if path is not None):
             stale[session] = path
     return stale
@@ -138,16 +141,25 @@ def _changed(files: Iterable[tuple[str, str, str | None]], named: Mapping[str, P
         here = located(path, named)
         if path == shared_libraries.CACHE:
             continue
-        if here is None or not is_same(here, use, sha256, cache):  # None: in a virtual environment, and there is none now
+        if here is None or not is_same(
+            here, use, sha256, named, cache
+        ):  # None: in a virtual environment, and there is none now
             changed.add((path, use, sha256))
     cache.save()
     return changed
 
 
-def is_same(here: str, use: str, sha256: str | None, cache: HashCache) -> bool:
-    """Check whether a file that was executed or read has the same content, or one that was missed still does not exist."""
+def is_same(here: str, use: str, sha256: str | None, named: Mapping[str, Path], cache: HashCache) -> bool:
+    """Check whether a file that was executed or read has the same content, or one that was missed still does not exist.
+
+    A link must lead to a file with the same content if the execution has read it, and to the same path otherwise.
+    """
     if use == "missed":
         return not os.path.exists(here)  # noqa: PTH110 - for speed
+    if use in ("linked", "link"):
+        here = os.path.realpath(here)
+    if use == "link":
+        return hashlib.sha256(os.fsencode(name_of(here, named))).hexdigest() == sha256
     if here == GPU:
         from sierra.worker import file_trace
 
@@ -156,6 +168,14 @@ def is_same(here: str, use: str, sha256: str | None, cache: HashCache) -> bool:
         return cache.counted(here) == sha256
     except Missing:
         return False
+
+
+def name_of(path: str, named: Mapping[str, Path]) -> str:
+    """Return the name of a path, the opposite of `located`: the deepest of the folders decides."""
+    for name, folder in sorted(named.items(), key=lambda one: len(str(one[1])), reverse=True):
+        if path == str(folder) or path.startswith(f"{folder}/"):
+            return f"{{{name}}}{path.removeprefix(str(folder))}"
+    return path
 
 
 def located(path: str, named: Mapping[str, Path]) -> str | None:

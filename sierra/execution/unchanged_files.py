@@ -89,7 +89,7 @@ def _is_same(one: UsedFile, folders: Mapping[str, Path], cache: HashCache) -> bo
         return True
     if one.use == "found":
         return os.path.lexists(here)
-    return (one.use == "missed" or one.sha256 is not None) and is_same(here, one.use, one.sha256, cache)
+    return (one.use == "missed" or one.sha256 is not None) and is_same(here, one.use, one.sha256, folders, cache)
 
 
 def _are_programs_found(files: str, sets: FileSets) -> bool:
@@ -103,9 +103,13 @@ def _are_programs_found(files: str, sets: FileSets) -> bool:
 def _are_libraries_found(files: str, sets: FileSets) -> bool:
     """Check whether the loader's cache finds the same libraries as before."""
     cached = [one for one in sets.used if one.files == files and one.path == shared_libraries.CACHE]
-    if not cached or is_same(shared_libraries.CACHE, "read", cached[0].sha256, HashCache()):
+    if not cached or is_same(shared_libraries.CACHE, "read", cached[0].sha256, {}, HashCache()):
         return True
-    used = (here for path in _paths(files, sets, ("read", "executed")) if (here := located(path, sets.folders)) is not None)
+    used = (
+        here
+        for path in _paths(files, sets, ("read", "executed", "linked"))
+        if (here := located(path, sets.folders)) is not None
+    )
     return shared_libraries.found_elsewhere(used) is None
 
 

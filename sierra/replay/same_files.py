@@ -91,7 +91,7 @@ sets AS (
     WHERE session IN (SELECT session FROM mine WHERE execution NOT IN (SELECT execution FROM complete))
 )
 SELECT DISTINCT f.files, f.path, f.use, f.sha256 FROM files_read f SEMI JOIN sets USING (files)
-WHERE (f.use = 'missed' OR (f.use IN ('executed', 'read') AND f.sha256 IS NOT NULL))
+WHERE (f.use = 'missed' OR (f.use IN ('executed', 'read', 'linked', 'link') AND f.sha256 IS NOT NULL))
 AND f.path NOT IN (
     SELECT w.path FROM files_written w JOIN executions e USING (execution) WHERE e.session IN (SELECT session FROM mine)
 )
@@ -130,4 +130,4 @@ def _is_same(file: UsedFile, folders: Mapping[str, Path], elsewhere: Collection[
     here = located(file.path, folders)
     if file.path == shared_libraries.CACHE or (here is not None and os.path.realpath(here) in elsewhere):
         return True
-    return here is not None and is_same(here, file.use, file.sha256, cache)
+    return here is not None and is_same(here, file.use, file.sha256, folders, cache)

@@ -369,12 +369,12 @@ class FileReadRow(NamedTuple):
     use: Annotated[
         str,
         "executed, read, found (it was only looked for), missed (looked for and absent), listed (a folder whose names were "
-        "read)",
+        "read), linked (a link to a file that was read), link (any other link that was followed)",
     ]
     sha256: Annotated[
         str | None,
-        "SHA-256 of its content (in a virtual environment, without the environment's own path), or of the names in the folder; "
-        "NULL if it has none",
+        "SHA-256 of its content (in a virtual environment, without the environment's own path), of the names in the folder, or "
+        "of the path that the link leads to; NULL if it has none",
     ]
     size: Annotated[int | None, "its size", "bytes"]
 

@@ -840,6 +840,7 @@ class Log:
         else:
             call.process.folder.path = path
             self._find(path)
+            self._read_links.add(path)
 
     def change_to_open_folder(self, call: Call) -> None:
         match = OPENED.match(call.words)
@@ -1784,6 +1785,10 @@ def as_record(trace: Trace, contents: Contents, names: Names, *, gpu: bool = Fal
     files += [(names.name(path), "found", None, None) for path in trace.found]
     files += [(names.name(path), "missed", None, None) for path in trace.missed]
     files += [(names.name(path), "listed", contents.folders.get(path), None) for path in trace.listed]
+    for path, real in trace.links.items():
+        file = contents.files.get(real)
+        named = hashlib.sha256(os.fsencode(names.name(real))).hexdigest()
+        files.append((names.name(path), "linked", file.sha256, file.size) if file else (names.name(path), "link", named, None))
     files += [(GPU, "read", graphics_sha256(), None)] if gpu else []
     sizes = ((path, file.size) for path, file in contents.files.items())
     changed = ["%s: %s" % (names.name(path), reason) for path, reason in sorted(contents.unusable.items())]

@@ -183,3 +183,41 @@ def test_a_library_that_the_loader_finds_elsewhere_executes_all_runs_again(
     build(PLUGIN.format(force=300), folders[0] / name, "-shared", "-fPIC", f"-Wl,-soname,{name}")
     assert executed() == 4
     assert projects.sql(root, VALUES) == [{"value": 300}]
+
+
+def test_a_replay_names_the_plug_in_and_not_chance(simulator: Path, rebuild: Callable[[int], Path]) -> None:
+    batch = projects.run(simulator, QUERY)[0]["batch"]
+    rebuild(300)
+    done = projects.quick(simulator, "replay", batch[:10])
+    said = done.stdout + done.stderr
+    assert (done.returncode, "libphysics.so" in said, "chance" in said) == (1, True, False)
+
+
+@pytest.mark.parametrize("what", ["data", "folder", "program"])
+def test_a_link_that_leads_elsewhere_is_noticed(tmp_path: Path, require: Callable[..., str], what: str) -> None:
+    """Nothing changes but a link: to a file that is read, to a folder that is listed, or to a program that a script starts."""
+    require("strace")
+    for version in ("1", "2"):
+        folder = tmp_path / f"v{version}"
+        folder.mkdir()
+        (folder / "value").write_text(version)
+        (folder / f"a{version}.map").write_text("")
+        (folder / "solver").write_text(f"#!/bin/sh\nprintf 'tick,value\\n0,{version}\\n' > swarm.csv\n")
+        (folder / "solver").chmod(0o755)
+    current = tmp_path / "current"
+    place = {"data": "value", "folder": "", "program": "solver"}[what]
+    current.symlink_to(tmp_path / "v1" / place)
+    root = project(tmp_path / "project", "sh run.sh {input}")
+    scripts = {
+        "data": f"read value < {current}; printf 'tick,value\\n0,%s\\n' $value > swarm.csv",
+        "folder": f"cd {current}; set -- *.map; v=${{1#a}}; cd - >&2; printf 'tick,value\\n0,%s\\n' ${{v%.map}} > swarm.csv",
+        "program": f"exec {current}",
+    }
+    (root / "run.sh").write_text(scripts[what] + "\n")
+    projects.run(root, QUERY)
+    assert projects.sql(root, VALUES) == [{"value": 1}]
+    assert projects.run(root, QUERY)[0]["executed"] == 0
+    current.unlink()
+    current.symlink_to(tmp_path / "v2" / place)
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    assert projects.sql(root, VALUES) == [{"value": 2}]
