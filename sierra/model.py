@@ -322,6 +322,16 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
+class Helps:
+    """What one machine remembers for the observation of runs. A worker without it finds all of it out itself."""
+
+    tracer: str | None
+    """The path of a tracer that works there; None if that is not known."""
+    digests: str
+    """The path of a file with the SHA-256 of files: see `sierra.provenance.hash_cache`."""
+
+
+@dataclass(frozen=True, slots=True)
 class Client:
     """A program that starts a container and exists as long as the container."""
 
@@ -354,6 +364,10 @@ class Job:
     shared: bool = False
     observe: Mapping[str, str] | None = None
     """Folders by name, if it is to be observed which files the run uses; their names stand for the folders in the record."""
+    budget: float | None = None
+    """The part of the runs' time that observations may take: the run is observed if this one fits. None: in any case."""
+    helps: Helps | None = None
+    """What this machine knows already, so that observing takes less time; None for another machine."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ Queries (`executor`) and replays (`sierra.replay`) execute through it.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.containers.container_setup import contain
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
-from sierra.execution import commands
+from sierra.execution import commands, observed_runs
 from sierra.execution.follow import Followed, follow
 from sierra.execution.observer import Tally
 from sierra.execution.resolve_plan import not_in_checkouts
@@ -22,11 +22,12 @@ from sierra.execution.sessions import Session
 from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Doubt
-from sierra.model import Job, Limits, Run, RunSpec, Times
-from sierra.provenance import environment, pythons
+from sierra.model import Helps, Job, Limits, Run, RunSpec, Times
+from sierra.provenance import environment, pythons, tracer
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner, Work, needed
+from sierra.store.layout import user_digests
 from sierra.store.row_types import EnvironmentRow
 from sierra.store.store import Store
 from sierra.templates.base import Files
@@ -100,7 +101,7 @@ class Service:
         record = self._setup.project.config.environment.record
         builder = self._builder()
         work = Work(
-            self._observed((builder.job(run, files) for run, files in inputs), programs),
+            self._observed((builder.job(run, files) for run, files in inputs), context.batch, programs),
             count,
             context.batch,
             (*needed(programs, self._search()), *self.isolation.needed),
@@ -130,10 +131,11 @@ class Service:
             script=self._session.paths.worker if self._stays else None,
         )
 
-    def _observed(self, jobs: Iterable[Job], programs: Programs) -> Iterator[Job]:
-        """Yield the jobs; those that are to be observed have the folders that names of files refer to."""
+    def _observed(self, jobs: Iterable[Job], batch: str, programs: Programs) -> Iterable[Job]:
+        """Return the jobs; those that are to be observed have the folders that names of files refer to."""
         project = self._setup.project
-        observe = "none" if self._setup.image else project.config.observe
+        if self._setup.image or project.config.observe == "none":
+            return jobs
         home, cache = Path.home(), Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         folders = {"project": self._setup.root, "store": self._store.paths.root, "home": home, "cache": cache}
         named = {name: str(folder.resolve()) for name, folder in folders.items()}
@@ -141,10 +143,10 @@ class Service:
         if root != named["project"]:
             named["project:given"] = root  # links in a checkout may lead there
         named |= {f"unlisted:{number}": f"{root}/{name}" for number, name in enumerate(not_in_checkouts(project))}
-        if observe != "none" and (prefix := pythons.environment(programs, self._search())):
+        if prefix := pythons.environment(programs, self._search()):
             named["prefix"] = str(prefix)
-        for number, job in enumerate(jobs):
-            yield replace(job, observe=named) if observe == "all" or (observe == "first" and number == 0) else job
+        helps = None if self._stays else Helps(tracer.usable(), str(user_digests()))
+        return observed_runs.choose(jobs, batch, project.config, named, helps)
 
     def _search(self) -> str:
         """Return the PATH of the runs."""

@@ -178,6 +178,10 @@ def record(job: Job) -> worker.Job:
         record["shared"] = job.shared
     if job.observe is not None:
         record["observe"] = dict(job.observe)
+        if job.budget is not None:
+            record["budget"] = job.budget
+        if job.helps is not None:
+            record["helps"] = {"tracer": job.helps.tracer, "digests": job.helps.digests}
     return record
 
 

@@ -244,6 +244,8 @@ user_images = partial(_user_cache, "images.json")
 """Return the cache of image descriptions from podman."""
 user_engines = partial(_user_cache, "engines.json")
 """Return the cache of the engines' capabilities on this host."""
+user_tracers = partial(_user_cache, "tracers.json")
+"""Return the cache of the tracers that work on this host."""
 user_clusters = partial(_user_cache, "clusters.json")
 """Return the cache of clusters whose nodes passed the checks."""
 user_apptainer = partial(_user_cache, "apptainer")

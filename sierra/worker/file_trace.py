@@ -1776,6 +1776,7 @@ def as_record(trace: Trace, contents: Contents, names: Names, *, gpu: bool = Fal
     """Return a trace and the contents of its files as JSON; `files` are name, use, SHA-256 and size (null if there is none).
 
     `gpu` is what `uses_gpu` says about the whole trace.
+    A path that was missed and exists now is not among the missed ones: the run may have waited for it. A reason names it.
     """
     files: list[tuple[str, str, str | None, int | None]] = []
     for use in ("executed", "read"):
@@ -1783,7 +1784,7 @@ def as_record(trace: Trace, contents: Contents, names: Names, *, gpu: bool = Fal
             file = contents.files.get(path)
             files.append((names.name(path), use, file and file.sha256, file and file.size))
     files += [(names.name(path), "found", None, None) for path in trace.found]
-    files += [(names.name(path), "missed", None, None) for path in trace.missed]
+    files += [(names.name(path), "missed", None, None) for path in trace.missed if path not in contents.unusable]
     files += [(names.name(path), "listed", contents.folders.get(path), None) for path in trace.listed]
     for path, real in trace.links.items():
         file = contents.files.get(real)

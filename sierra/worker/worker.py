@@ -90,7 +90,7 @@ if TYPE_CHECKING:
     from types import ModuleType
     from typing import Literal, NotRequired
 
-    from sierra.worker.file_trace import Hashed, Observation
+    from sierra.worker.file_trace import Hashed, Observation, Way
 
 FOLDERS = ("home", "tmp", "output")
 LOGS = ("stdout", "stderr")
@@ -115,6 +115,9 @@ ALLOTTED = "\1"
 ROCR = "ROCR_VISIBLE_DEVICES"
 BELOW_ROCR = ("CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "GPU_DEVICE_ORDINAL")  # for AMD, indices into ROCR's list
 DEVICES = (*BELOW_ROCR, ROCR, "NVIDIA_VISIBLE_DEVICES", "ZE_AFFINITY_MASK")
+TRACED_S = 0.004  # by which a run takes longer under a tracer,
+BYTE_S = 1e-6  # and for each byte of the log: 0.1 ms a call
+UNKNOWN_S = 0.1  # for an observation, while none has ended
 LINE_BYTES = 1 << 16
 MOST_NAMED = 10  # entries that a run leaves and that are neither files nor folders
 
@@ -137,6 +140,13 @@ class Program(TypedDict):
     stop: NotRequired[Sequence[str]]
 
 
+class Helps(TypedDict):
+    """What is known of this machine before: a tracer that works, and a file with the SHA-256 of files."""
+
+    tracer: str | None
+    digests: str
+
+
 class Job(Program):
     """A run to execute: one line of the input."""
 
@@ -153,6 +163,9 @@ class Job(Program):
     """The folders by which observed files are named, if this run is observed: see `file_trace.Names`."""
     ahead: NotRequired[float]
     """How many seconds this host's clock may be ahead of that of a file system with files that the run uses."""
+    budget: NotRequired[float]
+    """The part of the runs' time that observations may take; the run is not observed if this would take more."""
+    helps: NotRequired[Helps]
 
 
 class OutputFile(TypedDict):
@@ -570,6 +583,8 @@ class Worker:
         self.observing = threading.Lock()
         self.unusable: tuple[str, ...] = ()
         """Why better ways to observe runs cannot be used here."""
+        self.account = Account()
+        self.trusts = True  # that a tracer works which has worked before
 
     def work(self, stream: TextIO) -> bool:
         """Execute all jobs in `stream`. Return True if it was read to its end and no run was cut off."""
@@ -700,6 +715,10 @@ class Worker:
         try:
             process = start(job, folder, observation)
         except (OSError, ValueError) as error:
+            if observation:  # perhaps the tracer is gone
+                unlink(folder + TRACE)
+                self.execute_unobserved(job, folder, slot)
+                return
             wall = time.monotonic() - started
             self.report(job, slot, folder, began, wall, no_outputs("could not be started: " + explain(error)))
             return
@@ -723,12 +742,12 @@ class Worker:
         observed, disturbed = self.keep_observation(job, running)
         if disturbed:
             self.await_signal()  # a scheduler may kill the tracer before it tells this process to end
+            self.trusts = False
+            self.account.charge(wall)
         if disturbed and not self.stopping:
-            remove(folder)
-            unobserved = job.copy()
-            del unobserved["observe"]
-            self.execute(unobserved, slot)
+            self.execute_unobserved(job, folder, slot)
             return
+        self.account.add(wall)
         if disturbed or (running.stopped is None and self.stopping and os.WIFSIGNALED(status)):
             running.stopped = "interrupted"
         if running.stopped != "interrupted" and not running.seal:
@@ -745,13 +764,32 @@ class Worker:
             remains["observed"] = True
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
 
+    def execute_unobserved(self, job: Job, folder: str, slot: int) -> None:
+        """Execute a run that could not be observed once more, in a new folder."""
+        remove(folder)
+        unobserved = job.copy()
+        del unobserved["observe"]
+        self.execute(unobserved, slot)
+
     def observe(self, job: Job, folder: str) -> Observation | None:
-        """Begin to observe a run, if that is requested."""
-        if "observe" not in job or "client" in job:
+        """Begin to observe a run, if that is requested and takes no more time than it may."""
+        if "observe" not in job or "client" in job or not self.account.allows(job.get("budget")):
             return None
+        began = time.monotonic()
         with self.observing:
-            way, self.unusable = file_trace().usable()
-        return way.begin(folder + TRACE, os.path.join(folder, "output")) if way else None
+            way, self.unusable = self.way(job.get("helps"))
+        observation = way.begin(folder + TRACE, os.path.join(folder, "output")) if way else None
+        self.account.charge(time.monotonic() - began)
+        return observation
+
+    def way(self, helps: Helps | None) -> tuple[Way | None, tuple[str, ...]]:
+        """Return the best way to observe runs here, and why others cannot be used. No tracer is tried that is known to work."""
+        if helps is not None:
+            self.hashes.learn(helps["digests"])
+            if helps["tracer"] is not None and self.trusts:
+                return file_trace().Strace(helps["tracer"]), ()
+        found: tuple[Way | None, tuple[str, ...]] = file_trace().usable()
+        return found
 
     def keep_observation(self, job: Job, running: Running) -> tuple[bool, str | None]:
         """Write what a run did with files to its folder.
@@ -760,9 +798,11 @@ class Worker:
         """
         if running.observation is None:
             return False, None
+        began = time.monotonic()
         running.observation.end(orphans)
         path = os.path.join(running.folder, OBSERVED)
         disturbed = None
+        traced = size_of_file(running.folder + TRACE)
         try:
             trace = running.observation.trace(os.path.join(running.folder, LOGS[1]), self.check_stop)
             disturbed = trace.disturbed
@@ -780,6 +820,7 @@ class Worker:
             return False, disturbed
         finally:
             unlink(running.folder + TRACE)
+            self.account.charge(time.monotonic() - began + TRACED_S + traced * BYTE_S, observations=1)
         return True, disturbed
 
     def await_signal(self) -> None:
@@ -1381,17 +1422,63 @@ def birth(pid: int) -> int | None:
     return int(fields[19]) if fields else None
 
 
+class Account:
+    """The time that runs have taken, and that their observation has taken, in seconds, in all slots together."""
+
+    def __init__(self) -> None:
+        self._ran = self._spent = 0.0
+        self._observations = 0
+        self._lock = threading.Lock()
+
+    def add(self, wall: float) -> None:
+        """Add a run."""
+        with self._lock:
+            self._ran += wall
+
+    def charge(self, seconds: float, observations: int = 0) -> None:
+        """Add time that was spent on observations, and so many of them that have ended."""
+        with self._lock:
+            self._spent += seconds
+            self._observations += observations
+
+    def allows(self, part: float | None) -> bool:
+        """Return whether all observations and one more, as long as the others, take at most this part of the runs' time."""
+        with self._lock:
+            one = self._spent / self._observations if self._observations else UNKNOWN_S
+            return part is None or self._spent + one <= part * self._ran
+
+
 class Hashes:
     """The SHA-256 of files that were hashed before, as long as their inode, size and times are the same."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple[str | int, ...], str] = {}
+        self._known: dict[tuple[object, ...], str] = {}
+        self._learnt: Mapping[str, object] | None = None
+
+    def learn(self, path: str) -> None:
+        """Read once what others have hashed: `sierra.provenance.hash_cache` describes the file. A damaged one is ignored."""
+        if self._learnt is None:
+            self._learnt = sealed_record(path)
 
     def get(self, path: str, status: os.stat_result, hashed: Hashed) -> str:
-        key = (path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+        state = [status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns]
+        key = (path, *state)
         if key not in self._known:
-            self._known[key] = hashed()
+            learnt = (self._learnt or {}).get(path)
+            same = isinstance(learnt, list) and learnt[:-1] == state and isinstance(learnt[-1], str)
+            self._known[key] = learnt[-1] if same and isinstance(learnt, list) else hashed()
         return self._known[key]
+
+
+def sealed_record(path: str) -> Mapping[str, object]:
+    """Return the JSON object in a file whose first line is the SHA-256 of the rest; empty if it is damaged or missing."""
+    try:
+        with open(path, "rb") as file:
+            seal, _, content = file.read().partition(b"\n")
+        record = json.loads(content) if hashlib.sha256(content).hexdigest().encode() == seal else {}
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return record if isinstance(record, dict) else {}
 
 
 @functools.lru_cache(maxsize=None)

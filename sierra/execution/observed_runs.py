@@ -1,0 +1,33 @@
+"""Choice of the runs that are observed: the first of a session, and a sample of the others.
+
+The sample is a part (`SAMPLED`) of the runs, chosen by hashes of the batch's id and the run's: on every machine, and whenever
+the batch is executed, it is the same. A worker leaves out those that would take more time than the budget allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+from sierra.config.project_file import Project
+from sierra.model import Helps, Job
+from sierra.util.hashing import sha256
+
+SAMPLED = 0.1
+"""The expected part of the runs that are in the sample: more would show little more, and each observation is recorded."""
+
+
+def choose(jobs: Iterable[Job], batch: str, config: Project, folders: Mapping[str, str], helps: Helps | None) -> Iterator[Job]:
+    """Yield the jobs; those of runs that are to be observed have the folders that names of files refer to."""
+    for number, job in enumerate(jobs):
+        if config.observe == "all" or (config.observe == "first" and number == 0):
+            yield replace(job, observe=folders, helps=helps)
+        elif config.observe == "first" and config.observe_budget and is_sampled(batch, job.run):
+            yield replace(job, observe=folders, helps=helps, budget=config.observe_budget)
+        else:
+            yield job
+
+
+def is_sampled(batch: str, run: str) -> bool:
+    """Return whether a run is in the sample of its batch."""
+    return int(sha256(f"observe {batch} {run}".encode())[:16], 16) < SAMPLED * 2**64
