@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+import os
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NotRequired, TypedDict, cast
@@ -29,6 +30,7 @@ class _Observed(TypedDict):
     listings: NotRequired[dict[str, list[str]]]
     """Sessions that an older version of SIERRA began have none."""
     written: list[tuple[str, str]]
+    digests: NotRequired[dict[str, list[int | str]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +41,8 @@ class Observed:
     read: tuple[FileReadRow, ...]
     listings: tuple[ListingRow, ...]
     written: tuple[FileWrittenRow, ...]
+    digests: Mapping[str, list[int | str]]
+    """What the worker has hashed, as `HashCache.learn` accepts it; empty if this was on another machine."""
 
     def concerned(self, changed: Collection[str]) -> bool:
         """Check whether the execution may have used one of these files, or that is unknown."""
@@ -61,6 +65,7 @@ def observed(result: Result) -> Observed | None:
         tuple(FileReadRow(identity, *file) for file in files),
         tuple(ListingRow(sha256, list(map(_text, names))) for sha256, names in found.get("listings", {}).items()),
         tuple(FileWrittenRow(result.execution, _text(name), use) for name, use in found["written"]),
+        found.get("digests", {}) if result.host == os.uname().nodename else {},
     )
 
 

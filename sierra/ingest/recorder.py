@@ -22,6 +22,7 @@ from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Doubt, Judgement, doubted, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
 from sierra.model import OutputFile, Result, Status
+from sierra.provenance.hash_cache import HashCache
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.objects import Objects
 from sierra.store.row_types import ArtifactRow, DuplicateRow, ExecutionRow, IngestRulesRow
@@ -218,6 +219,10 @@ class Recorder:
         writer.records(new.values())
         writer.records(row for one in found for row in one.written)
         self._file_sets |= sets.keys()
+        if digests := {path: fact for one in found for path, fact in one.digests.items()}:
+            cache = HashCache()
+            cache.learn(digests)
+            cache.save()
         self._astray.update({row.path for one in found for row in one.written if row.use == WRITTEN})
 
     def _next(self) -> int:

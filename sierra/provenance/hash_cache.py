@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from sierra.errors import Missing
@@ -56,6 +56,11 @@ class HashCache:
             inside = os.path.isfile(folder + "/" + VENV) or (above != folder and self._is_in_environment(above))  # noqa: PTH113
             self._folders[folder] = inside
         return self._folders[folder]
+
+    def learn(self, known: Mapping[str, list[int | str]]) -> None:
+        """Add hashes that another program on this machine has computed in the same way: state and SHA-256, by path."""
+        for path, fact in known.items():
+            self._cache.put(path, fact)
 
     def save(self) -> None:
         self._cache.save()

@@ -117,6 +117,7 @@ BELOW_ROCR = ("CUDA_VISIBLE_DEVICES", "HIP_VISIBLE_DEVICES", "GPU_DEVICE_ORDINAL
 DEVICES = (*BELOW_ROCR, ROCR, "NVIDIA_VISIBLE_DEVICES", "ZE_AFFINITY_MASK")
 TRACED_S = 0.004  # by which a run takes longer under a tracer,
 BYTE_S = 1e-6  # and for each byte of the log: 0.1 ms a call
+SMALL, RACY_NS = 1 << 16, 2 * 10**9  # as in sierra.provenance.hash_cache
 UNKNOWN_S = 0.1  # for an observation, while none has ended
 LINE_BYTES = 1 << 16
 MOST_NAMED = 10  # entries that a run leaves and that are neither files nor folders
@@ -809,9 +810,11 @@ class Worker:
             names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder})
             seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
             with self.observing:
-                began = running.observation.began - int(job.get("ahead", 0.0) * 1e9)
-                contents = file_trace().contents(seen, began, self.hashes.get, self.check_stop, names.is_listed)
+                since = running.observation.began - int(job.get("ahead", 0.0) * 1e9)
+                contents = file_trace().contents(seen, since, self.hashes.get, self.check_stop, names.is_listed)
+                digests = self.hashes.news()
             record = file_trace().as_record(seen, contents, names, gpu=file_trace().uses_gpu(trace))
+            record["digests"] = digests
             unlink(path)  # a link or a pipe that the run has put there
             with open(path, "x", encoding="ascii") as file:
                 json.dump(record, file)
@@ -1454,6 +1457,7 @@ class Hashes:
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], str] = {}
         self._learnt: Mapping[str, object] | None = None
+        self._new: dict[str, list[int | str]] = {}
 
     def learn(self, path: str) -> None:
         """Read once what others have hashed: `sierra.provenance.hash_cache` describes the file. A damaged one is ignored."""
@@ -1464,10 +1468,20 @@ class Hashes:
         state = [status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns]
         key = (path, *state)
         if key not in self._known:
-            learnt = (self._learnt or {}).get(path)
-            same = isinstance(learnt, list) and learnt[:-1] == state and isinstance(learnt[-1], str)
-            self._known[key] = learnt[-1] if same and isinstance(learnt, list) else hashed()
+            shared = not path.endswith("/RECORD")  # of which not all bytes count: see `file_trace.counted`
+            learnt = (self._learnt or {}).get(path) if shared else None
+            if isinstance(learnt, list) and learnt[:-1] == state and isinstance(learnt[-1], str):
+                self._known[key] = learnt[-1]
+            else:
+                self._known[key] = hashed()
+                if shared and status.st_size > SMALL and max(state[3:]) < time.time_ns() - RACY_NS:
+                    self._new[path] = [*state, self._known[key]]
         return self._known[key]
+
+    def news(self) -> Mapping[str, list[int | str]]:
+        """Return the hashes of large files that are new since the last call, as the file of `learn` has them."""
+        new, self._new = self._new, {}
+        return new
 
 
 def sealed_record(path: str) -> Mapping[str, object]:
