@@ -717,6 +717,7 @@ class Worker:
             process = start(job, folder, observation)
         except (OSError, ValueError) as error:
             if observation:  # perhaps the tracer is gone
+                self.trusts = False
                 unlink(folder + TRACE)
                 self.execute_unobserved(job, folder, slot)
                 return

@@ -1,0 +1,62 @@
+"""Which runs are observed: the first of a session, and a sample that is the same on every machine."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sierra.execution.observed_runs import SAMPLED, is_sampled
+from tests import projects
+
+AMPLE = 1e9
+
+
+def batch_of(tmp_path: Path, settings: str) -> tuple[list[str], set[str], str]:
+    """Execute 40 runs one after the other; return the runs in their order, those that were observed, and the batch."""
+    config = projects.CONFIG.replace("python3 sim.py {input}", "touch out.txt").replace("runs = 2", f"runs = 40\n{settings}")
+    root = projects.make(tmp_path / "project", config)
+    done = projects.quick(root, "run", "population_size=1", "-j", "1", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    executed = sql(root, "SELECT run, batch FROM executions ORDER BY lamport")
+    seen = sql(root, "SELECT run FROM observations JOIN executions USING (execution)")
+    return [one["run"] for one in executed], {one["run"] for one in seen}, executed[0]["batch"]
+
+
+def sql(root: Path, statement: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = json.loads(projects.quick(root, "sql", "--format", "json", statement).stdout)
+    return found
+
+
+def test_the_sample_has_the_expected_size_and_differs_between_batches() -> None:
+    one, other = ({run for run in map(str, range(10_000)) if is_sampled(batch, run)} for batch in ("a", "b"))
+    assert 0.9 * SAMPLED * 10_000 < len(one) < 1.1 * SAMPLED * 10_000
+    assert one != other
+    assert is_sampled("518b", "16") is False
+
+
+@pytest.mark.integration
+def test_the_first_run_and_the_whole_sample_are_observed_if_the_budget_is_ample(
+    tmp_path: Path, require: Callable[..., str]
+) -> None:
+    require("strace")
+    runs, seen, batch = batch_of(tmp_path, f"observe_budget = {AMPLE}")
+    assert seen == {runs[0], *(run for run in runs if is_sampled(batch, run))}
+    assert len(seen) > 1
+
+
+@pytest.mark.integration
+def test_without_a_budget_only_the_first_run_is_observed(tmp_path: Path, require: Callable[..., str]) -> None:
+    require("strace")
+    runs, seen, _ = batch_of(tmp_path, "observe_budget = 0")
+    assert seen == {runs[0]}
+
+
+def test_a_negative_budget_is_an_error(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG.replace("runs = 2", "observe_budget = -1"))
+    done = projects.quick(root, "run", "population_size=1")
+    assert done.returncode == 2
+    assert "observe_budget" in done.stderr
