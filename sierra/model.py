@@ -460,5 +460,7 @@ class Result:
     """The environment of the execution, if it differs from that of this process."""
     observed: bool = False
     """True if its folder has the list of the files that it used."""
+    elsewhere: tuple[str, ...] = ()
+    """Names of files that it wrote, but not among its outputs: `{run}/…`, and others if it was observed. Perhaps not all."""
     left_out: tuple[str, ...] = ()
     """Entries of its output folder that are neither files nor folders: links, sockets. A long list is incomplete."""

@@ -60,7 +60,7 @@ def follow(
         else:
             following.execute(work, signals, enough)
         complete = recorder.context.purpose == Purpose.RUN and (work is not None or not following.left)
-        odd = find_odd(store, session.paths, recorder.context) if complete else set()
+        odd = find_odd(store, session.paths, recorder.context) | recorder.find_astray() if complete else set()
         return Followed(following.left, bool(signals) and not detach, odd, tuple(recorder.notes()))
 
 

@@ -12,11 +12,9 @@ from sierra.model import Result
 from sierra.store.row_types import FileReadRow, FileWrittenRow, ListingRow, ObservationRow
 from sierra.util.fs import read_record
 from sierra.util.hashing import digest
-from sierra.util.text import few
 from sierra.worker.worker import OBSERVED
 
 WRITTEN = "written"
-NAMED = 3
 
 
 class _Observed(TypedDict):
@@ -74,13 +72,13 @@ def file_set(files: Iterable[tuple[str, str, str | None, int | None]]) -> str:
     return digest("files", {"files": sorted({(name, use, sha256 or "") for name, use, sha256, _ in files})})
 
 
-def astray(paths: Collection[str]) -> list[str]:
-    """Return a warning about files that runs wrote outside their own folders, which are not recorded."""
-    if not paths:
-        return []
-    named = few(sorted(paths), NAMED)
-    advice = "SIERRA records only files in the run's folder {output}, its working directory; see the table files_written"
-    return [f"runs wrote files elsewhere: {named} ({advice})"]
+def written(result: Result) -> tuple[str, ...]:
+    """Return the names of all files that an execution is known to have written, but not among its outputs."""
+    own = tuple(map(_text, result.elsewhere))
+    if not result.observed:
+        return own
+    found = cast("_Observed", read_record(Path(result.directory, OBSERVED)))
+    return (*own, *(_text(name) for name, use in found["written"] if use == WRITTEN))
 
 
 def _text(name: str) -> str:

@@ -8,15 +8,17 @@ import shutil
 import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
 from sierra.containers import engines
+from sierra.ingest import astray
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
-from sierra.ingest.observations import WRITTEN, astray, observed
+from sierra.ingest.observations import WRITTEN, observed, written
 from sierra.ingest.read_into_segment import TableIngest, artifact_rows, tabled
 from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Doubt, Judgement, doubted, judge
@@ -25,7 +27,7 @@ from sierra.model import OutputFile, Result, Status
 from sierra.provenance.hash_cache import HashCache
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
 from sierra.store.objects import Objects
-from sierra.store.row_types import ArtifactRow, DuplicateRow, ExecutionRow, IngestRulesRow
+from sierra.store.row_types import ArtifactRow, DuplicateRow, ExecutionRow, FileWrittenRow, IngestRulesRow
 from sierra.store.segments import Writer
 from sierra.store.store import Store
 from sierra.util.fs import inside
@@ -87,7 +89,9 @@ class Recorder:
         self._file_sets: set[str] = set()
         """The recorded sets of files that executions used."""
         self._astray: set[str] = set()
-        """The files that executions wrote outside their own folders."""
+        """The files that executions wrote, but not among their outputs."""
+        self._left_nothing = False
+        """True if some execution has left no file."""
         self._copies: list[Result] = []
         self._copied = self._unlike = 0
         self._bytes = 0
@@ -99,12 +103,15 @@ class Recorder:
     def add(self, result: Result) -> Status:
         """Add one result and return its preliminary status. An interrupted execution is not recorded."""
         result = self._ended(result)
+        result = replace(result, elsewhere=written(result))
         status, reason = judge(result, self.context.outputs, self.context.success)
         if status is Status.INTERRUPTED:
             discard(Path(result.directory), self._session)
         else:
             self._left_out.update(dict.fromkeys(result.left_out[: max(NOTED_AT_MOST - len(self._left_out), 0)]))
             self._pending.append(Judgement(result, status, reason))
+            self._astray.update(result.elsewhere)
+            self._left_nothing = self._left_nothing or not result.outputs
             self._bytes += sum(file.bytes for file in result.outputs)
         return status
 
@@ -177,6 +184,13 @@ class Recorder:
                 shutil.move(folder, inside(self._folder, short(result.run)))
         discard(folder, self._session)
 
+    def find_astray(self) -> set[str]:
+        """Find executions that most likely wrote all their files elsewhere, record findings, and return their runs.
+
+        Call it once, after everything is recorded.
+        """
+        return astray.find_siblings(self._store, self._session, self.context) if self._left_nothing else set()
+
     def notes(self) -> list[str]:
         """Return warnings about records that are allowed but probably not intended, one line each.
 
@@ -184,7 +198,7 @@ class Recorder:
         """
         remarks = TableWarnings(self._store, self.context, self._shapes)
         kept = self._assigning.kept
-        return [*self._twice(), *lost(list(self._left_out)), *astray(self._astray), *as_files(kept), *remarks.all()]
+        return [*self._twice(), *lost(list(self._left_out)), *astray.notes(self._astray), *as_files(kept), *remarks.all()]
 
     def _twice(self) -> Iterator[str]:
         """Yield a warning about runs that two attempts executed at the same time."""
@@ -218,12 +232,18 @@ class Recorder:
         new = {row.sha256: row for one in found if one.observation.files in sets for row in one.listings}
         writer.records(new.values())
         writer.records(row for one in found for row in one.written)
+        own = (
+            (one.result.execution, path)
+            for one in self._pending
+            for path in one.result.elsewhere
+            if path.startswith(astray.RUN)
+        )
+        writer.records(FileWrittenRow(execution, path, WRITTEN) for execution, path in own)
         self._file_sets |= sets.keys()
         if digests := {path: fact for one in found for path, fact in one.digests.items()}:
             cache = HashCache()
             cache.learn(digests)
             cache.save()
-        self._astray.update({row.path for one in found for row in one.written if row.use == WRITTEN})
 
     def _next(self) -> int:
         """Return the position of the next execution in its session."""

@@ -91,6 +91,8 @@ class Past:
     readers: Used
     """The rules of its last judgement are `outputs`, `success` and `readers`."""
     artifacts: tuple[ArtifactRow, ...]
+    elsewhere: tuple[str, ...] = ()
+    """The files that it wrote, but not among its outputs."""
     tabled: bool = False
     """True if the rows of its tables by the new rules are already recorded."""
 
@@ -116,6 +118,7 @@ class Past:
             host="",
             slot=0,
             outputs=tuple(outputs),
+            elsewhere=self.elsewhere,
         )
 
     def failed_by_rules(self, result: Result) -> bool:
@@ -180,6 +183,7 @@ SELECT run, b.execution AS execution, b.exit_code AS exit_code, b.found AS found
        b.ingest_rules AS ingest_rules, b.judgement AS judgement
 FROM best ORDER BY run
 """
+WRITTEN = "SELECT execution, path FROM files_written WHERE use = 'written' AND list_contains($executions, execution)"
 ARTIFACTS = "SELECT a.* FROM all_artifacts a SEMI JOIN chosen USING (execution) ORDER BY execution, path"
 
 
@@ -199,9 +203,14 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
     artifacts: dict[str, list[ArtifactRow]] = {row.judgement: [] for row in rows}
     for artifact in snapshot.select(ArtifactRow, ARTIFACTS):
         artifacts[artifact.execution].append(artifact)
+    snapshot.views.make(("files_written",))
+    written: dict[str, list[str]] = {}
+    for execution, path in snapshot.run(WRITTEN, {"executions": [row.execution for row in rows]}):
+        written.setdefault(execution, []).append(path)
     for row in rows:
         if row.ingest_rules in rules:
-            one = Past(row, *rules[row.ingest_rules], tuple(artifacts[row.judgement]))
+            elsewhere = tuple(sorted(written.get(row.execution, ())))
+            one = Past(row, *rules[row.ingest_rules], tuple(artifacts[row.judgement]), elsewhere)
             yield replace(one, tabled=_is_tabled(one, context))
 
 

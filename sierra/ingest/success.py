@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.config.project_file import Output, Success
+from sierra.ingest import astray
 from sierra.ingest.observations import observed
 from sierra.model import Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
@@ -62,7 +63,9 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
         return Status.FAILED, f"exit status {result.exit_code}"
     for name, output in outputs.items():
         if output.required and not any(output.matches(file.path) for file in result.outputs):
-            return Status.FAILED, f"did not write {output.file!r} (output {name!r})"
+            return Status.FAILED, astray.lacking(name, output, result.elsewhere)
+    if (reason := astray.failure(result, outputs)) is not None:
+        return Status.FAILED, reason
     return _marked(result, success)
 
 

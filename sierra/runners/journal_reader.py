@@ -111,4 +111,5 @@ def made(kind: Callable[..., Made], record: Mapping[str, object], **more: object
 def result_of(record: worker.Outcome, **more: object) -> Result:
     """Return the result that a record of the event `end` contains. Raises TypeError and KeyError for another record."""
     outputs = tuple(OutputFile(**file) for file in record["outputs"])
-    return made(Result, record, outputs=outputs, left_out=tuple(record.get("left_out", ())), **more)
+    elsewhere = tuple(f"{{run}}/{name}" for name in record.get("elsewhere", ()))
+    return made(Result, record, outputs=outputs, left_out=tuple(record.get("left_out", ())), elsewhere=elsewhere, **more)

@@ -415,10 +415,10 @@ class UnusedChangeRow(NamedTuple):
 
 
 class FileWrittenRow(NamedTuple):
-    """Files that executions wrote or removed outside their own folders."""
+    """Files that executions wrote, but not among their outputs, or removed outside their own folders."""
 
     execution: Annotated[str, "the execution"]
-    path: Annotated[str, "its path, as in files_read"]
+    path: Annotated[str, "its path, as in files_read; outside the run's own folder {run}, it is known of observed runs only"]
     use: Annotated[str, "written or removed"]
 
 

@@ -201,6 +201,7 @@ class Remains(TypedDict):
     outputs: list[OutputFile]
     error: str | None
     left_out: NotRequired[list[str]]
+    elsewhere: NotRequired[list[str]]
     spare: NotRequired[bool]
     observed: NotRequired[bool]
 
@@ -699,7 +700,7 @@ class Worker:
         remains = no_outputs("its folder is gone", event["stopped"])
         if is_folder(inside):
             os.rename(inside, folder)
-            remains = collect_outputs(folder, job["limits"], event["stopped"], self.check_stop)
+            remains = collect_outputs(folder, job["files"], job["limits"], event["stopped"], self.check_stop)
         remains["error"] = event["error"] or remains["error"]
         return {**event, "directory": folder, "slot": slot, "host": self.host, **remains}
 
@@ -758,7 +759,7 @@ class Worker:
         if running.seal:  # the worker that takes the folder out of the container reads it
             remains = no_outputs(self.clear_shared(folder), running.stopped)
         else:
-            remains = collect_outputs(folder, running.limits, running.stopped, self.check_stop, spare)
+            remains = collect_outputs(folder, job["files"], running.limits, running.stopped, self.check_stop, spare)
         if spare and place is not None and not remains["error"] and sum(file["bytes"] for file in remains["outputs"]) <= CHUNK:
             self.spare[int(os.path.basename(folder))] = place
             remains["spare"] = True
@@ -1146,7 +1147,12 @@ def check_room(folder: str) -> None:
 
 
 def collect_outputs(
-    folder: str, limits: Limits, stopped: str | None, check_stop: Callable[[], None], spare: bool = False
+    folder: str,
+    inputs: Iterable[str],
+    limits: Limits,
+    stopped: str | None,
+    check_stop: Callable[[], None],
+    spare: bool = False,
 ) -> Remains:
     """Return why a run was stopped (as far as its files show it), and its outputs or why they cannot be read.
 
@@ -1156,10 +1162,12 @@ def collect_outputs(
     allowed = limits.get("output_bytes")
     outputs: list[OutputFile] = []
     other_entries: list[str] = []
+    elsewhere: list[str] = []
     error = None
     try:
         if is_folder(folder):  # a run may have put a link here, which may lead to other people's files: do not touch it
             unlock(folder, 0o700)
+            elsewhere = [] if spare else list(itertools.islice(written_elsewhere(folder, inputs), MOST_NAMED))
             for name in () if spare else ("home", "tmp"):
                 remove(os.path.join(folder, name))
             files, other_entries = list_files(os.path.join(folder, "output"))
@@ -1173,7 +1181,30 @@ def collect_outputs(
     except (OSError, RecursionError) as trouble:
         error = "its outputs cannot be read: " + explain(trouble)
     remains: Remains = {"stopped": stopped, "outputs": outputs, "error": error}
-    return {**remains, "left_out": other_entries[:MOST_NAMED]} if other_entries else remains
+    if other_entries:
+        remains["left_out"] = other_entries[:MOST_NAMED]
+    if elsewhere:
+        remains["elsewhere"] = elsewhere
+    return remains
+
+
+def written_elsewhere(folder: str, inputs: Iterable[str]) -> Iterator[str]:
+    """Yield the files with content that a run has left in its folder, but not in `output`: beside its input, and in `home`.
+
+    Hidden ones are left out: programs keep their settings and caches there.
+    """
+    own = {name.split("/", 1)[0] for name in inputs} | {*FOLDERS, *LOGS, OBSERVED}
+    beside, home = entries_of(folder) - own, entries_of(os.path.join(folder, "home"))
+    pending = [*(os.path.join("home", name) for name in sorted(home, reverse=True)), *sorted(beside, reverse=True)]
+    while pending:
+        name = pending.pop()
+        path = os.path.join(folder, name)
+        if os.path.basename(name).startswith("."):
+            continue
+        if is_folder(path):
+            pending += [os.path.join(name, entry) for entry in sorted(entries_of(path), reverse=True)]
+        elif not os.path.islink(path) and os.path.isfile(path) and size_of_file(path):
+            yield name
 
 
 def no_outputs(error: str | None, stopped: str | None = None) -> Remains:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from sierra.ingest.observations import observed
+from sierra.ingest.observations import observed, written
 from sierra.model import Result
 from tests import projects
 
@@ -153,14 +153,16 @@ def test_names_that_are_not_utf_8_are_escaped(tmp_path: Path) -> None:
         "notes": [],
         "distributions": [],
         "files": files,
-        "written": [["/\udcfe", "written"]],
+        "listings": {},
+        "written": [["/\udcfe", "written"], ["/\udcfd", "removed"]],
     }
     (tmp_path / "observed.json").write_text(json.dumps(record))
     result = Result("r", "e", str(tmp_path), 0, 0, 0, None, None, 0, 0, 0, "h", 0, (), observed=True)
     found = observed(result)
     assert found is not None
     assert [row.path for row in found.read] == ["/a\\xff", "/b\n"]
-    assert [row.path for row in found.written] == ["/\\xfe"]
+    assert [row.path for row in found.written] == ["/\\xfe", "/\\xfd"]
+    assert written(result) == ("/\\xfe",)
 
 
 def test_a_run_that_observation_would_change_is_executed_unobserved(root: Path, tmp_path: Path) -> None:
