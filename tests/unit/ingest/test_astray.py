@@ -27,7 +27,7 @@ def made(tmp_path: Path) -> Made:
 
 
 def run(root: Path, code: int, *words: str) -> tuple[dict[str, Any], str]:
-    done = projects.quick(root, "run", "population_size=1,2", "-j", "1", "--no-figures", "--json", *words)
+    done = projects.quick(root, "run", "population_size=1", "-j", "1", "--no-figures", "--json", *words)
     assert done.returncode == code, done.stdout + done.stderr
     summary: dict[str, Any] = json.loads(done.stdout)
     return summary, done.stderr
@@ -58,12 +58,12 @@ def test_a_run_that_writes_only_beside_its_input_or_into_its_home_has_failed(
 ) -> None:
     root = made(code, 'observe = "none"')
     summary, said = run(root, 1)
-    assert summary["failed"] == 6
+    assert summary["failed"] == 3
     reason = f"left no file in its working directory, but wrote {place}"
-    assert reasons(root) == [{"status": "failed", "reason": reason, "n": 6}]
+    assert reasons(root) == [{"status": "failed", "reason": reason, "n": 3}]
     assert f": {place} (only files in {{output}}, the working directory, are recorded; to keep such a file, {cure}" in said
     assert sql(root, "SELECT path, use, count(*) AS n FROM files_written GROUP BY ALL") == [
-        {"path": place, "use": "written", "n": 6}
+        {"path": place, "use": "written", "n": 3}
     ]
 
 
@@ -89,7 +89,7 @@ def test_the_reason_of_a_missing_output_names_where_it_was_written(made: Made) -
     root = made(BESIDE + '\nopen("log.txt", "w").write("x")', 'observe = "none"', '[outputs.trips]\nfile = "trips.csv"\n')
     run(root, 1)
     reason = "did not write 'trips.csv' (output 'trips') in its working directory, but {run}/trips.csv"
-    assert reasons(root) == [{"status": "failed", "reason": reason, "n": 6}]
+    assert reasons(root) == [{"status": "failed", "reason": reason, "n": 3}]
 
 
 def test_the_siblings_of_an_observed_run_that_wrote_elsewhere_have_failed_too(made: Made, require: Callable[..., str]) -> None:
@@ -97,10 +97,10 @@ def test_the_siblings_of_an_observed_run_that_wrote_elsewhere_have_failed_too(ma
     root = made('open(os.path.dirname(sys.argv[0]) + "/trips.csv", "w").write("a,b\\n1,2\\n")', "observe_budget = 0")
     (root / ".gitignore").write_text("trips.csv\n")
     summary, said = run(root, 1)
-    assert (summary["executed"], summary["failed"]) == (6, 6)
+    assert (summary["executed"], summary["failed"]) == (3, 3)
     own = "left no file in its working directory, but wrote {project}/trips.csv"
     others = f"left no file in its working directory; an observed run with the same command {own}"
-    assert reasons(root) == [{"status": "failed", "reason": own, "n": 1}, {"status": "failed", "reason": others, "n": 5}]
+    assert reasons(root) == [{"status": "failed", "reason": own, "n": 1}, {"status": "failed", "reason": others, "n": 2}]
     assert "runs wrote files elsewhere: {project}/trips.csv" in said
     assert projects.quick(root, "fsck").returncode == 0
 
@@ -124,7 +124,7 @@ def test_settings_caches_locks_and_temporary_files_are_no_outputs(made: Made, co
 def test_a_run_with_outputs_only_gets_a_note(made: Made) -> None:
     root = made(BESIDE + f"\n{BESIDE.replace('place + ', '').replace('/trips', 'table')}", 'observe = "none"')
     summary, said = run(root, 0)
-    assert summary["executed"] == 6
+    assert summary["executed"] == 3
     assert "runs wrote files beside their input: {run}/trips.csv" in said
 
 
@@ -140,6 +140,6 @@ def test_an_evaluation_by_changed_rules_gives_the_same_reason(made: Made) -> Non
     config = root / "sierra.toml"
     before = config.read_text()
     config.write_text(before + "[success]\nexit_status = [0, 7]\n")
-    assert run(root, 1, "--runs", "1")[0]["executed"] == 2
+    assert run(root, 1, "--runs", "1")[0]["executed"] == 1
     config.write_text(before + '[outputs.trips]\nfile = "trips.csv"\nrequired = false\n')
     assert run(root, 0, "--runs", "1")[0]["executed"] == 0
