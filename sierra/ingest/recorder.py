@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra.containers import engines
-from sierra.ingest import astray
+from sierra.ingest import astray, compare_observations
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
@@ -198,7 +198,9 @@ class Recorder:
         """
         remarks = TableWarnings(self._store, self.context, self._shapes)
         kept = self._assigning.kept
-        return [*self._twice(), *lost(list(self._left_out)), *astray.notes(self._astray), *as_files(kept), *remarks.all()]
+        used = compare_observations.notes(self._store, self.context.session) if len(self._file_sets) > 1 else ()
+        elsewhere = astray.notes(self._astray)
+        return [*self._twice(), *lost(list(self._left_out)), *elsewhere, *used, *as_files(kept), *remarks.all()]
 
     def _twice(self) -> Iterator[str]:
         """Yield a warning about runs that two attempts executed at the same time."""
