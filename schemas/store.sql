@@ -370,10 +370,10 @@ CREATE TABLE listings (
     "names" VARCHAR[]  -- the names, sorted
 );
 
--- Files that executions wrote or removed outside their own folders.
+-- Files that executions wrote, but not among their outputs, or removed outside their own folders.
 CREATE TABLE files_written (
     "execution" VARCHAR,  -- the execution
-    "path" VARCHAR,  -- its path, as in files_read
+    "path" VARCHAR,  -- its path, as in files_read; outside the run's own folder {run}, it is known of observed runs only
     "use" VARCHAR  -- written or removed
 );
 

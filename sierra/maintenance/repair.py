@@ -38,6 +38,7 @@ from sierra.util.lazy_logger import Log
 
 log = Log(__name__)
 
+OF_EXECUTIONS = ("executions", "artifacts", "findings", "output", "observations", "files_written")
 JUDGEMENTS = "SELECT judgement FROM judgements WHERE list_contains($e, execution)"
 
 
@@ -61,7 +62,7 @@ class _Loss:
     def drop(self) -> Drop:
         drop: dict[str, dict[str, AbstractSet[str]]] = {}
         if self.executions:
-            drop |= {table: {"execution": self.executions} for table in ("executions", "artifacts", "findings", "output")}
+            drop |= {table: {"execution": self.executions} for table in OF_EXECUTIONS}
             drop["judgements"] = {"judgement": self.executions}
             drop["verdicts"] = {"recorded": self.executions, "execution": self.executions}
         if self.batches:

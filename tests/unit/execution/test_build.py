@@ -430,9 +430,10 @@ def test_a_replay_names_products_that_are_not_reproducible_in_one_line(tmp_path:
 
 @pytest.mark.integration
 def test_files_beside_the_products_do_not_count_even_if_a_variable_names_their_folder(tmp_path: Path) -> None:
+    """No run is observed: an observed one would count although a file has changed that it has not read."""
     names = {"LIBRARIES": "build", "DATA": "build/data", "LOADED": "build/sim"}
     variables = ", ".join(f'{name} = "{{project}}/{path}"' for name, path in names.items())
-    config = f"{CONFIG}[environment]\nset = {{ {variables} }}\n"
+    config = f'observe = "none"\n{CONFIG}[environment]\nset = {{ {variables} }}\n'
     root = make(tmp_path / "project", config, compiler=f"{COMPILER}cp /proc/sys/kernel/random/uuid build/cache\n")
     (root / "build").mkdir()
     (root / "build/data").write_text("1")
