@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 from sierra.store.layout import user_tracers
@@ -21,18 +22,19 @@ SCOPE = Path("/proc/sys/kernel/yama/ptrace_scope")
 
 def usable() -> str | None:
     """Return the path of a tracer that works here; None if there is none."""
-    from sierra.worker.file_trace import Strace
-
-    strace = Strace()
-    if (program := strace.program) is None:
+    found = shutil.which("strace")
+    if found is None:
         return None
+    program = str(Path(found).absolute())
     cache = Cache(user_tracers(), MAX_ENTRIES)
     try:
         key = json.dumps([program, *_surroundings(program)])
     except OSError:
         return None
     if cache.get(key) is None:
-        if strace.trouble() is not None:
+        from sierra.worker.file_trace import Strace  # only now, because it takes 5 ms to import
+
+        if Strace(program).trouble() is not None:
             return None
         cache.put(key, True)
         cache.save()
