@@ -35,6 +35,7 @@ CONTENTS = {
         "explanation/identity",
         "explanation/store-format",
         "explanation/execution",
+        "explanation/observation",
         "explanation/cluster-protocol",
         "explanation/argos",
         "explanation/threat-model",
