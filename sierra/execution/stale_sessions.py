@@ -22,6 +22,7 @@ from sierra.store.store import Snapshot
 from sierra.util.text import few
 
 NAMED = 3
+PROJECT = "{project}/"
 GPU = "{gpu}"
 """The name of the graphics processors among observed files: see `sierra.worker.file_trace`."""
 
@@ -71,6 +72,8 @@ def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
     if not snapshot.holds("observations"):
         return {}
     rows = snapshot.select(_Used, USED, spec=plan.batch.spec_id, programs=plan.programs.id)
+    if plan.checkout is not None:  # its files are those of the source, and not those in the project's folder
+        rows = [row for row in rows if not row.path.startswith(PROJECT)]
     changed = _changed({(row.path, row.use, row.sha256) for row in rows}, folders(plan))
     stale: dict[str, str] = {}
     for row in rows:

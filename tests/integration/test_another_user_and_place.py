@@ -43,8 +43,9 @@ def clone(root: Path, to: Path) -> Path:
 
 
 @pytest.fixture
-def recorded(tmp_path: Path) -> tuple[Path, str]:
-    """Return a committed project with a recorded batch."""
+def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, str]:
+    """Return a committed project with a recorded batch; Python is not in the home of who recorded it."""
+    monkeypatch.setenv("HOME", str(tmp_path / "first home"))
     root = projects.commit(projects.make(tmp_path / "first" / "project"))
     batch: str = sierra.open(root).run("population_size=1,2", figures=False).batch
     return root, batch

@@ -116,7 +116,8 @@ def test_changing_the_time_column_does_not_execute_runs_again(tmp_path: Path) ->
 
 @pytest.mark.integration
 def test_runs_execute_again_if_an_ignored_library_named_by_a_variable_changes(tmp_path: Path) -> None:
-    config = projects.CONFIG + '[environment]\nset = { PLUGINS = "{project}/build" }\n'
+    """No run is observed: an observed one would count, because it has not read the library."""
+    config = 'observe = "none"\n' + projects.CONFIG + '[environment]\nset = { PLUGINS = "{project}/build" }\n'
     root = projects.make(tmp_path, config)
     (root / ".gitignore").write_text("build/\n")
     (root / "build").mkdir()
@@ -130,7 +131,8 @@ def test_runs_execute_again_if_an_ignored_library_named_by_a_variable_changes(tm
 
 @pytest.mark.integration
 def test_code_in_the_folder_figures_is_part_of_the_source(tmp_path: Path) -> None:
-    root = projects.make(tmp_path)
+    """No run is observed: an observed one would count, because it has not read the code."""
+    root = projects.make(tmp_path, 'observe = "none"\n' + projects.CONFIG)
     first = sierra.open(root).run("population_size=1")
     assert first.figures
     assert sierra.open(root).run("population_size=1").executed == 0
