@@ -96,6 +96,16 @@ def test_a_changed_byte_gives_no_exception(at: int, by: bytes) -> None:
     read(log[:at] + by + log[at + 1 :])
 
 
+def test_a_path_that_came_into_existence_is_not_recorded_as_missed(tmp_path: Path) -> None:
+    """A run that waits for a file would otherwise never count."""
+    come, absent = tmp_path / "come", tmp_path / "absent"
+    come.touch()
+    trace = Trace("strace", missed=(str(absent), str(come)))
+    record = file_trace.as_record(trace, contents(trace, 0), Names({}))
+    assert record["files"] == [(str(absent), "missed", None, None)]
+    assert record["reason"] == f"{come}: it was made after the run had looked for it"
+
+
 @given(
     st.binary(min_size=1, max_size=40).filter(lambda name: b"/" not in name and b"\0" not in name and name not in (b".", b".."))
 )
