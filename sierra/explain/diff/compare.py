@@ -104,7 +104,7 @@ def _parts(
             else:
                 notes.append(Note(NOT_EXECUTED.format(kind=kind), kind))
         if all(used_files.is_known(snapshot, side) for side in (before, after)):
-            yield ("files",), used_files.files(snapshot, before, after)
+            yield ("files",), used_files.files(snapshot, store, before, after)
         if any(side.spec.image for side in (before, after)):
             if all(environment.executed(snapshot, side) for side in (before, after)):
                 yield ("isolation",), environment.isolations(snapshot, before, after)

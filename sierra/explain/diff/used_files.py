@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
+from sierra.errors import Damaged, NotFound
 from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import Difference
-from sierra.store.store import Snapshot
+from sierra.provenance import source
+from sierra.store.store import Snapshot, Store
 from sierra.util.text import few
 
 NAMED = 4
@@ -35,19 +37,34 @@ def is_known(snapshot: Snapshot, side: Side) -> bool:
     return bool(snapshot.run(OBSERVED.format(table=side.table)))
 
 
-def files(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
-    """Yield the difference of the files that the executions of two sides executed or read; at most one."""
+def files(snapshot: Snapshot, store: Store, before: Side, after: Side) -> Iterator[Difference]:
+    """Yield the difference of the files that the executions of two sides executed or read; at most one.
+
+    Files in which the sources differ are left out: they are reported as such.
+    """
     was, now = (
         {row.path: row.contents for row in snapshot.select(_Used, USED.format(table=side.table))} for side in (before, after)
     )
+    known = _of_source(store, before, after)
     groups = {
-        "other content": [path for path in was.keys() & now.keys() if was[path] != now[path]],
-        "only used before": was.keys() - now.keys(),
-        "only used after": now.keys() - was.keys(),
+        "other content": {path for path in was.keys() & now.keys() if was[path] != now[path]} - known,
+        "only used before": was.keys() - now.keys() - known,
+        "only used after": now.keys() - was.keys() - known,
     }
     parts = list(_parts(groups))
     if parts:
         yield Difference("files", "used", "files that executions used: " + "; ".join(parts))
+
+
+def _of_source(store: Store, before: Side, after: Side) -> set[str]:
+    """Return the names of the files in which the sources of two sides differ; none if that is unknown."""
+    if before.source is None or after.source is None:
+        return set()
+    try:
+        manifests = [store.object(side.source.files) for side in (before, after) if side.source is not None]
+        return {f"{{project}}/{path}" for path in source.changed(*manifests)}
+    except (NotFound, Damaged):
+        return set()
 
 
 def _parts(groups: Mapping[str, Iterable[str]]) -> Iterator[str]:

@@ -246,7 +246,8 @@ def test_template_change_without_effect_is_reported_as_formatting_only(make: Mak
 
 
 @pytest.mark.integration
-def test_changed_program_between_two_executions_is_reported(tmp_path: Path) -> None:
+def test_changed_program_between_two_executions_is_reported(tmp_path: Path, require: Callable[..., str]) -> None:
+    require("strace")
     program = tmp_path / "sim"
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", str(program)))
     for value in (1, 2):
@@ -256,10 +257,11 @@ def test_changed_program_between_two_executions_is_reported(tmp_path: Path) -> N
     one, other = executions(root)
     assert one["run"] == other["run"]
     said = diff(root, one["execution"], other["execution"])
-    assert kinds(said) == ["programs", "results"]
+    assert kinds(said) == ["programs", "files", "results"]
     assert lines(said, "programs")[0].startswith("sim: ")
+    assert lines(said, "files") == [f"files that executions used: other content: {program}"]
     assert "'v' was 1 and is 2" in lines(said, "results")[0]
-    assert kinds(diff(root, one["run"], one["execution"])) == ["programs", "results"]
+    assert kinds(diff(root, one["run"], one["execution"])) == ["programs", "files", "results"]
     assert diff(root, one["run"], other["execution"])["differences"] == []
 
 
@@ -309,12 +311,13 @@ def test_changed_host_is_the_last_environment_difference(tmp_path: Path, require
     assert lines(said, "environment")[-1].endswith(" → elsewhere")
 
 
-def test_equal_batches_are_reported_with_the_list_of_compared_kinds(make: Make) -> None:
+def test_equal_batches_are_reported_with_the_list_of_compared_kinds(make: Make, require: Callable[..., str]) -> None:
+    require("strace")
     root = make()
     batch = ask(root)
     ended = projects.quick(root, "diff", batch, batch[:10])
     assert ended.returncode == 0
-    assert "no difference in query, platform, command, image, programs, source" in ended.stdout
+    assert "no difference in query, platform, command, image, programs, files, source" in ended.stdout
 
 
 def test_items_that_cannot_be_compared_are_a_usage_error(make: Make) -> None:

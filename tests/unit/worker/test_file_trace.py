@@ -96,6 +96,12 @@ def test_a_changed_byte_gives_no_exception(at: int, by: bytes) -> None:
     read(log[:at] + by + log[at + 1 :])
 
 
+def test_a_checkout_in_the_store_is_the_project() -> None:
+    names = Names({"store": "/p/.sierra", "project": "/p/.sierra/work/1/source", "run": "/p/.sierra/work/1/7"})
+    trace = names.inputs(Trace("strace", executed=("/p/.sierra/work/1/source/sim", "/p/.sierra/work/1/7/x", "/p/.sierra/y")))
+    assert [names.name(path) for path in trace.executed] == ["{project}/sim"]
+
+
 def test_a_path_that_came_into_existence_is_not_recorded_as_missed(tmp_path: Path) -> None:
     """A run that waits for a file would otherwise never count."""
     come, absent = tmp_path / "come", tmp_path / "absent"
