@@ -629,8 +629,8 @@ class Project(Table):
     observe: Literal["none", "first", "all"] = Field(
         "first",
         description="the runs of which SIERRA records all files that they execute, read, look for and write: `first` is the "
-        "first run that executes, and a sample of the others. Needs strace (on a cluster on its nodes), else it sees only files "
-        "that are mapped into memory; not in containers",
+        "first run that executes, and a sample of the others. Needs strace (on a cluster on its nodes), else it sees only "
+        "files that are mapped into memory; not in containers",
     )
     observe_budget: float = Field(
         0.02,

@@ -107,7 +107,8 @@ if TYPE_CHECKING:
         client: Program
         shared: bool
         observe: Mapping[str, str]
-        """Not in the common job."""
+        """Not in the common job; nor is the budget."""
+        budget: float
         end: int
         """The number of jobs; only in the last line."""
 

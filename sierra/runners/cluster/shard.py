@@ -202,6 +202,8 @@ def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> Di
             record["client"], record["shared"] = complete["client"], complete["shared"]
     if job.observe is not None:
         record["observe"] = dict(job.observe)
+        if job.budget is not None:
+            record["budget"] = job.budget
     return record
 
 
