@@ -271,10 +271,14 @@ def test_folders_of_pythonpath_are_recorded_and_the_users_site_packages_are_not(
 
 
 def test_a_file_that_a_template_names_is_recorded_unless_it_is_in_the_source(tmp_path: Path) -> None:
+    """The runs are not observed: nobody knows that they do not read the file."""
     mesh = tmp_path / "outside" / "a mesh.stl"
     mesh.parent.mkdir()
     mesh.write_text("one")
     project = make(tmp_path / "p", "true", template=f'<e seed="0" n="0"><mesh file="{mesh}"/><map>maps/held.pgm</map></e>')
+    config = project.root / "sierra.toml"
+    config.write_text(f'observe = "none"\n{config.read_text()}')
+    project = sierra.open(project.root)
     (project.root / "maps").mkdir()
     (project.root / "maps" / "held.pgm").touch()
     assert project.run("n=1", figures=False).executed == 1
