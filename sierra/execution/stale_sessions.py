@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,43 +27,54 @@ GPU = "{gpu}"
 """The name of the graphics processors among observed files: see `sierra.worker.file_trace`."""
 
 
-class _Searched(NamedTuple):
-    """An executed program, and the search path (PATH) of its session."""
+class _Set(NamedTuple):
+    """A set of files that observed executions of a session used."""
 
     session: str
-    path: str
-    search: str | None
+    files: str
+    environment: str
+    checkout: bool
+    """True if they were executed on a cluster, in a checkout of the source."""
 
 
-class _Used(NamedTuple):
-    """A file that executions of a session used."""
+class _File(NamedTuple):
+    """One file of a set, as in the table `files_read`."""
 
-    session: str
+    files: str
     path: str
     use: str
     sha256: str | None
 
 
-USED = """
-WITH used AS (
-    SELECT DISTINCT e.session, o.files
-    FROM observations o JOIN executions e USING (execution)
-    WHERE e.programs = $programs AND e.purpose = 'run' AND e.run IN (SELECT run FROM batch_runs WHERE spec = $spec)
-)
-SELECT DISTINCT u.session, f.path, f.use, f.sha256
-FROM used u JOIN files_read f USING (files)
-WHERE (f.use = 'missed' OR (f.use IN ('executed', 'read', 'linked', 'link') AND f.sha256 IS NOT NULL))
-AND (u.session, f.path) NOT IN (
-    SELECT (e.session, w.path) FROM files_written w JOIN executions e USING (execution)
-)
+class _Written(NamedTuple):
+    session: str
+    path: str
+
+
+class _Search(NamedTuple):
+    environment: str
+    search: str | None
+
+
+SETS = """
+SELECT DISTINCT e.session, o.files, e.environment, e.attempt IS NOT NULL AS checkout
+FROM observations o JOIN all_judgements e ON e.execution = o.execution
+WHERE e.programs = $programs AND e.purpose = 'run' AND (e.batch IN (SELECT batch FROM batches WHERE spec = $spec)
+    OR e.batch NOT IN (SELECT batch FROM batches))
 ORDER BY ALL
 """
-"""Files that a session has changed itself are no inputs."""
-SEARCHED = """
-SELECT DISTINCT e.session, f.path, json_extract_string(v.variables, '$.PATH') AS search
-FROM observations o JOIN executions e USING (execution) JOIN environments v USING (environment) JOIN files_read f USING (files)
-WHERE f.use = 'executed' AND list_contains($sessions, e.session)
-AND json_extract_string(v.variables, '$.PATH') IS DISTINCT FROM $now
+FILES = """
+SELECT DISTINCT files, path, use, sha256 FROM files_read
+WHERE list_contains($sets, files)
+AND (use = 'missed' OR (use IN ('executed', 'read', 'linked', 'link') AND sha256 IS NOT NULL)) ORDER BY ALL
+"""
+WRITTEN = """
+SELECT DISTINCT e.session, w.path FROM files_written w JOIN all_judgements e ON e.execution = w.execution
+WHERE list_contains($sessions, e.session)
+"""
+PATHS = """
+SELECT environment, json_extract_string(variables, '$.PATH') AS search FROM environments
+WHERE list_contains($environments, environment)
 """
 
 
@@ -71,46 +82,70 @@ def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
     """Return the sessions that executed runs of this plan with files that have changed, each with one of these files."""
     if not snapshot.holds("observations"):
         return {}
-    rows = snapshot.select(_Used, USED, spec=plan.batch.spec_id, programs=plan.programs.id)
-    if plan.checkout is not None:  # its files are those of the source, and not those in the project's folder
-        rows = [row for row in rows if not row.path.startswith(PROJECT)]
-    changed = _changed({(row.path, row.use, row.sha256) for row in rows}, folders(plan))
+    sets = snapshot.select(_Set, SETS, spec=plan.batch.spec_id, programs=plan.programs.id)
+    files = snapshot.select(_File, FILES, sets=sorted({one.files for one in sets})) if sets else []
+    named, used = folders(plan), _by_set(files)
+    written = _written(snapshot, {one.session for one in sets}) if snapshot.holds("files_written") else set()
+    changed = _changed({(file.path, file.use, file.sha256) for file in files}, named)
+    elsewhere = _elsewhere(plan, snapshot, sets, used, named)
     stale: dict[str, str] = {}
-    for row in rows:
-        if (row.path, row.use, row.sha256) in changed:
-            stale.setdefault(row.session, row.path)
-    return {
-        **_found_elsewhere(plan, snapshot, {row.session for row in rows}),
-        **_libraries_elsewhere(rows, folders(plan)),
-        **stale,
-    }
-
-
-def _libraries_elsewhere(rows: Iterable[_Used], named: Mapping[str, Path]) -> dict[str, str]:
-    """Return the sessions with libraries that the loader's cache would now find elsewhere, each with one of these libraries."""
-    cache, used = HashCache(), list(rows)
-    cached = {row.session: row.sha256 for row in used if row.path == shared_libraries.CACHE}
-    stale: dict[str, str] = {}
-    for session in [one for one, sha256 in cached.items() if not is_same(shared_libraries.CACHE, "read", sha256, {}, cache)]:
-        paths = (
-            located(row.path, named) for row in used if row.session == session and row.use in ("executed", "read", "linked")
-        )
-        if path := shared_libraries.found_elsewhere(path for path in paths if path is not None):
-            stale[session] = path
+    for one in sets:
+        for file in used.get(one.files, ()):
+            differs = (file.path, file.use, file.sha256) in changed and (one.session, file.path) not in written
+            if differs and _counts(plan, one, file):
+                stale.setdefault(one.session, file.path)
+        if path := elsewhere.get((one.files, one.environment)):
+            stale.setdefault(one.session, path)
     return stale
 
 
-def _found_elsewhere(plan: Plan, snapshot: Snapshot, sessions: Collection[str]) -> dict[str, str]:
-    """Return the sessions with another search path that would now find another program, each with one of these programs."""
-    if "PATH" in plan.batch.spec.environment:
-        return {}
-    now, named = os.environ.get("PATH", os.defpath), folders(plan)
-    stale: dict[str, str] = {}
-    for row in snapshot.select(_Searched, SEARCHED, sessions=sorted(sessions), now=now):
-        here = located(row.path, named)
-        if here is not None and found_elsewhere([here], row.search, now):
-            stale.setdefault(row.session, row.path)
+def _by_set(files: Iterable[_File]) -> dict[str, list[_File]]:
+    found: dict[str, list[_File]] = {}
+    for file in files:
+        found.setdefault(file.files, []).append(file)
+    return found
+
+
+def _written(snapshot: Snapshot, sessions: Iterable[str]) -> set[tuple[str, str]]:
+    """Return the files that these sessions have changed themselves, which are no inputs."""
+    return {(row.session, row.path) for row in snapshot.select(_Written, WRITTEN, sessions=sorted(sessions))}
+
+
+def _counts(plan: Plan, one: _Set, file: _File) -> bool:
+    """Check whether the project's folder tells anything about a file: a checkout has only the files of the source."""
+    if not file.path.startswith(PROJECT):
+        return True
+    return plan.checkout is None and not (one.checkout and file.use == "missed")
+
+
+def _elsewhere(
+    plan: Plan, snapshot: Snapshot, sets: Iterable[_Set], used: Mapping[str, Sequence[_File]], named: Mapping[str, Path]
+) -> dict[tuple[str, str], str]:
+    """Return the sets with a program or a library that would be found elsewhere now, by the environment of their executions."""
+    now = os.environ.get("PATH", os.defpath)
+    pairs = {(one.files, one.environment) for one in sets}
+    others = sorted({environment for _, environment in pairs} - {plan.environment.environment})
+    before: dict[str, str | None] = {}
+    if others and "PATH" not in plan.batch.spec.environment:
+        before = {row.environment: row.search for row in snapshot.select(_Search, PATHS, environments=others)}
+    stale = {}
+    for files, environment in pairs:
+        mine = used.get(files, ())
+        if path := _library_elsewhere(mine, named):
+            stale[files, environment] = path
+        executed = [here for file in mine if file.use == "executed" and (here := located(file.path, named)) is not None]
+        if environment in before and (path := found_elsewhere(executed, before[environment], now)):
+            stale[files, environment] = path
     return stale
+
+
+def _library_elsewhere(files: Sequence[_File], named: Mapping[str, Path]) -> str | None:
+    """Return a library that the loader's cache would now find elsewhere; None if there is none."""
+    cached = next((file.sha256 for file in files if file.path == shared_libraries.CACHE), None)
+    if cached is None or is_same(shared_libraries.CACHE, "read", cached, {}, HashCache()):
+        return None
+    paths = (located(file.path, named) for file in files if file.use in ("executed", "read", "linked"))
+    return shared_libraries.found_elsewhere(path for path in paths if path is not None)
 
 
 def recorded(snapshot: Snapshot) -> set[str]:
