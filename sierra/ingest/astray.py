@@ -94,7 +94,7 @@ def find_siblings(store: Store, session: SessionPaths, context: Context) -> set[
     """
     parameters = {"batch": context.batch, "nothing": LEFT_NOTHING, "ingest_rules": context.ingest_rules}
     with store.snapshot() as snapshot:
-        if not any("observations" in segment.files for segment in snapshot.segments):
+        if not snapshot.holds("observations"):
             return set()
         snapshot.views.make(("executions", "observations", "all_artifacts"))
         found = snapshot.select(_Sibling, SIBLINGS, **parameters)
