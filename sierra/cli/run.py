@@ -264,5 +264,5 @@ def _again(project: Project, plan: Plan) -> list[str]:
 
     why = [change(one) for one in why_again(plan, store)]
     if why:
-        note(f"this query was submitted before, but its runs execute again: {'; '.join(why)}")
+        note(f"this query was submitted before; since then: {'; '.join(why)}")
     return why

@@ -146,12 +146,24 @@ def find(plan: Plan, snapshot: Snapshot, runs: Collection[str]) -> dict[str, Reu
         ingest_rules=context(plan).ingest_rules,
         **_kin(plan.batch.spec),
     )
-    inheriting = _inheriting(plan, snapshot)
-    snapshot.add_table("needed", files=sorted({row.files for row in rows} | {one for row in inheriting for one in row.sets}))
-    same = unchanged(_file_sets(plan, snapshot))
-    spec = plan.batch.spec_id
-    found = {row.run: Reusable(row.execution, spec, row.programs) for row in inheriting if same.issuperset(row.sets)}
-    return found | {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
+    same = _unchanged(plan, snapshot, {row.files for row in rows})
+    found = {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
+    return found if len(found) == len(sought) else {**_inherited(plan, snapshot), **found}
+
+
+def _inherited(plan: Plan, snapshot: Snapshot) -> dict[str, Reusable]:
+    """Return executions of the sought runs that were not observed, and that count because those of their session do."""
+    rows = _inheriting(plan, snapshot)
+    same = _unchanged(plan, snapshot, {files for row in rows for files in row.sets})
+    return {row.run: Reusable(row.execution, plan.batch.spec_id, row.programs) for row in rows if same.issuperset(row.sets)}
+
+
+def _unchanged(plan: Plan, snapshot: Snapshot, sets: Collection[str]) -> set[str]:
+    """Return those of these sets that have not changed."""
+    if not sets:
+        return set()
+    snapshot.add_table("needed", files=sorted(sets))
+    return unchanged(_file_sets(plan, snapshot))
 
 
 def _inheriting(plan: Plan, snapshot: Snapshot) -> list[_Inheriting]:

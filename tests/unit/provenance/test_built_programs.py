@@ -89,7 +89,7 @@ def test_executing_a_recorded_batch_with_a_rebuilt_library_is_reported(tmp_path:
     replayed(root)
     ended = projects.quick(root, "run", batch_of(root), "--no-figures")
     assert "2 executed" in ended.stdout
-    assert "execute again: libraries that differ from the record: {project}/build/libspeed.so" in ended.stderr
+    assert "since then: libraries that differ from the record: {project}/build/libspeed.so" in ended.stderr
     told = projects.quick(root, "why", batch_of(root)).stdout
     assert re.search(r"other programs before: \{project}/build/libspeed.so: \w{10} → \w{10}\n", told)
 
