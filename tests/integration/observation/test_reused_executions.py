@@ -218,9 +218,14 @@ def test_another_program_on_the_search_path_executes_again(root: Path, monkeypat
 
 
 def test_diff_names_the_files_that_executions_used(root: Path) -> None:
+    """Files of the source are left out, because the difference of the sources has them."""
+    (root / ".gitignore").write_text(".sierra\nfactor.txt\nextra.txt\n")
+    subprocess.run(["git", "rm", "-q", "--cached", "factor.txt"], cwd=root, check=True)
+    projects.commit(root, "ignore")
     first, _ = projects.run(root, QUERY)
     (root / "factor.txt").write_text("3")
     (root / "extra.txt").write_text("4")
+    (root / "unused.py").write_text("2")
     second, _ = projects.run(root, QUERY)
     said = projects.quick(root, "diff", first["batch"][:10], second["batch"][:10]).stdout
     expected = "files that executions used: other content: {project}/factor.txt; only used after: {project}/extra.txt"
