@@ -402,6 +402,7 @@ def test_an_observed_run_that_waits_for_its_tracer_is_not_reported_as_stalled(
     worker.send(python("import os, time\nwhile not os.path.exists('go'): time.sleep(0.1)", observe={}), {"end": True})
     worker.until_started()
     run = worker.events("start")[0]["pid"]
+    until(lambda: number_in(run, b"TracerPid:") > 0)
     tracer = number_in(run, b"TracerPid:")
     os.kill(tracer, signal.SIGSTOP)
     until(lambda: stat_of(run)[0] == b"t")
