@@ -211,6 +211,8 @@ OBJECTS = """
 (SELECT sha256 FROM all_artifacts WHERE execution IN (SELECT execution FROM gone)
  UNION SELECT unnest([input] || other_inputs) FROM gone_members UNION SELECT files FROM gone_sources
  UNION SELECT log FROM builds WHERE build IN (SELECT build FROM gone_builds)
+ UNION SELECT sha256 FROM programs SEMI JOIN gone_programs USING (programs)
+ UNION SELECT sha256 FROM files_read SEMI JOIN gone_files USING (files)
  UNION SELECT files FROM gone_images UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
 EXCEPT
 (SELECT sha256 FROM all_artifacts WHERE execution NOT IN (SELECT execution FROM gone)
@@ -219,10 +221,11 @@ EXCEPT
  UNION SELECT log FROM builds WHERE build NOT IN (SELECT build FROM gone_builds)
  UNION SELECT files FROM images WHERE image NOT IN (SELECT image FROM gone_images)
  UNION SELECT sha256 FROM blobs WHERE blob NOT IN (SELECT blob FROM gone_blobs)
- UNION SELECT sha256 FROM programs WHERE starts_with(name, '{project}/')
- UNION SELECT sha256 FROM files_read WHERE starts_with(path, '{project}/'))
+ UNION SELECT sha256 FROM programs
+     WHERE starts_with(name, '{project}/') AND programs NOT IN (SELECT programs FROM gone_programs)
+ UNION SELECT sha256 FROM files_read WHERE starts_with(path, '{project}/') AND files NOT IN (SELECT files FROM gone_files))
 """
-"""The files to remove. Kept programs stay until `gc`."""
+"""The files to remove, with the programs that were kept for the removed executions."""
 
 
 def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
@@ -274,6 +277,8 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
     }
     for table, (key, statement) in AROUND.items():
         drop[table] = {key: _column(snapshot, statement)}
+    for name, table, key in (("gone_programs", "programs", "programs"), ("gone_files", "files_read", "files")):
+        snapshot.add_table(name, **{key: sorted(drop[table][key])})
     blobs = _blobs(snapshot, store)
     snapshot.add_table("gone_blobs", blob=sorted(blobs))
     drop["blobs"] = {"blob": blobs}

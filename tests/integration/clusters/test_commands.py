@@ -267,6 +267,9 @@ def test_cancel_ends_a_batch_that_another_process_follows(waiting: Waiting) -> N
 
 
 def test_cancel_keeps_finished_runs(waiting: Waiting) -> None:
+    """The runs are not observed: they look for a file that appears later, and so they would execute again."""
+    config = waiting.project.folder / "sierra.toml"
+    config.write_text(f'observe = "none"\n{config.read_text()}')
     left = waiting.submit()
     waiting.project.until_executed(3)
     for run in waiting.project.executed():

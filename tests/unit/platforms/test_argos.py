@@ -925,7 +925,10 @@ def test_library_folders_outside_the_project_are_refused(folder: str) -> None:
 
 @pytest.mark.integration
 def test_runs_execute_again_if_a_library_that_git_ignores_is_rebuilt(tmp_path: Path) -> None:
+    """The runs are not observed: this program does not load the library."""
     folder = argos_project(tmp_path / "p")
+    config = folder / "sierra.toml"
+    config.write_text(f'observe = "none"\n{config.read_text()}')
     subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
     (folder / ".gitignore").write_text("build/\n")
     library = folder / "build" / "controllers" / "libforaging.so"
