@@ -13,8 +13,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
+from sierra.execution.current_files import GPU
 from sierra.execution.row_queries import RecordedProgram
-from sierra.execution.stale_sessions import GPU
 from sierra.util.text import counted, few
 
 NAMED = 4

@@ -1,26 +1,24 @@
 """Executions that count for runs of a plan although the source or the programs differ: no file that they used has changed.
 
 Such an execution was observed from its beginning to its end, and it has asked no daemon and no other machine, which may have
-read files for it. Its run has the command, input and seed of the run in the plan;
-only the source may be another one. Everything that it executed, read, listed, found or missed is still the same.
+read files for it. Its run has the command, input and seed of the run in the plan; only the source may be another one.
+Everything that it executed, read, listed, found or missed is still the same.
 
 An execution that was not observed never counts for another source, because nobody knows what it has read. It counts with
-other installed distributions of Python if all observed executions of its session still count.
+other installed distributions of Python if all observed executions of its experiment, in its session, still count.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from sierra.execution import commands
-from sierra.execution.resolve_plan import Plan, context, not_in_checkouts
+from sierra.execution import observed_sets
+from sierra.execution.resolve_plan import Plan, context
 from sierra.execution.row_queries import RecordedProgram
-from sierra.execution.stale_sessions import folders
-from sierra.execution.unchanged_files import FileSets, UsedFile, unchanged
+from sierra.execution.unchanged_files import unchanged
 from sierra.model import RunSpec
 from sierra.provenance import source
 from sierra.provenance.dependency_model import Kind, Programs
@@ -80,45 +78,27 @@ execution that was reused before may have been removed.
 """
 INHERITING = """
 WITH mine AS (
-    SELECT s.run, e.execution, e.session, e.programs, e.lamport FROM sought s JOIN executions e USING (run)
+    SELECT s.run, e.execution, e.session, e.programs, e.lamport, m.batch, m.ordinal
+    FROM sought s JOIN executions e USING (run) JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
     WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules AND e.programs <> $programs
     AND e.execution NOT IN (SELECT execution FROM observations WHERE reason IS NULL AND len(notes) = 0)
 ),
 sets AS (
-    SELECT e.session, list(DISTINCT o.files ORDER BY o.files) AS sets
-    FROM observations o JOIN executions e USING (execution) WHERE o.reason IS NULL AND e.purpose = 'run'
-    GROUP BY e.session HAVING max(len(o.notes)) = 0
+    SELECT e.session, m.batch, m.ordinal, list(DISTINCT o.files ORDER BY o.files) AS sets
+    FROM observations o JOIN executions e USING (execution) JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
+    WHERE e.purpose = 'run' GROUP BY ALL HAVING max(len(o.notes)) = 0 AND count(o.reason) = 0
 )
-SELECT m.run, m.execution, m.programs, s.sets FROM mine m JOIN sets s USING (session) ORDER BY m.run, m.lamport
+SELECT m.run, m.execution, m.programs, s.sets FROM mine m JOIN sets s USING (session, batch, ordinal) ORDER BY m.run, m.lamport
 """
-"""Executions that were not observed, with the sets of files of the observed ones in their sessions."""
-USED = "SELECT files, path, use, sha256 FROM files_read SEMI JOIN needed USING (files)"
-LISTINGS = "SELECT sha256, names FROM listings WHERE sha256 IN (SELECT sha256 FROM files_read SEMI JOIN needed USING (files))"
-WRITTEN = """
-SELECT DISTINCT path FROM files_written
-WHERE execution IN (SELECT execution FROM observations SEMI JOIN needed USING (files))
-"""
-SEARCHED = """
-SELECT DISTINCT o.files, json_extract_string(v.variables, '$.PATH') AS search
-FROM observations o SEMI JOIN needed USING (files) JOIN executions e USING (execution) JOIN environments v USING (environment)
-"""
+"""Executions that were not observed, with the sets of files of the observed ones of their experiments and sessions."""
 TABLES = (
     "batch_runs",
     "reused_executions",
     "specs",
     "executions",
     "observations",
-    "files_read",
-    "listings",
-    "files_written",
-    "environments",
     "programs",
 )
-
-
-class _Listing(NamedTuple):
-    sha256: str
-    names: list[str]
 
 
 def find(plan: Plan, snapshot: Snapshot, runs: Collection[str]) -> dict[str, Reusable]:
@@ -162,8 +142,7 @@ def _unchanged(plan: Plan, snapshot: Snapshot, sets: Collection[str]) -> set[str
     """Return those of these sets that have not changed."""
     if not sets:
         return set()
-    snapshot.add_table("needed", files=sorted(sets))
-    return unchanged(_file_sets(plan, snapshot))
+    return unchanged(observed_sets.load(plan, snapshot, sets))
 
 
 def _inheriting(plan: Plan, snapshot: Snapshot) -> list[_Inheriting]:
@@ -184,33 +163,6 @@ def _recorded_programs(records: Store | Snapshot, programs: str) -> Programs:
 
 def _without_distributions(programs: Programs) -> set[tuple[str, str]]:
     return {(one.called, one.sha256) for one in programs.all if one.kind != Kind.DISTRIBUTIONS}
-
-
-def _file_sets(plan: Plan, snapshot: Snapshot) -> FileSets:
-    program = plan.programs.all[0].path if plan.programs.all else ""
-    now = commands.search_path(commands.declared(plan.batch.spec.environment, plan.project.root, plan.project.root))
-    sets = file_sets(snapshot, folders(plan), now, program, declared="PATH" in plan.batch.spec.environment)
-    return replace(sets, lacking=frozenset(not_in_checkouts(plan.project)))
-
-
-def file_sets(snapshot: Snapshot, named: Mapping[str, Path], search: str, program: str, *, declared: bool) -> FileSets:
-    """Return the sets in the table `needed`, with all that is needed to compare them.
-
-    `named` are the folders that names refer to. `search` is the search path (PATH) of runs now, and `declared` whether it is
-    part of their specification. `program` is the one that the command starts now.
-    """
-    searched: dict[str, set[str | None]] = {}
-    for files, before in snapshot.run(SEARCHED):
-        searched.setdefault(files, set()).add(search if declared else before)
-    return FileSets(
-        used=tuple(snapshot.select(UsedFile, USED)),
-        listings={one.sha256: frozenset(one.names) for one in snapshot.select(_Listing, LISTINGS)},
-        written=frozenset(snapshot.values(str, WRITTEN)),
-        folders=named,
-        searched={files: frozenset(paths) for files, paths in searched.items()},
-        search=search,
-        program=program,
-    )
 
 
 def _kin(spec: RunSpec) -> dict[str, str | list[str]]:

@@ -1,7 +1,8 @@
 """Comparison of files that observed executions used with the files that are here now, as strictly as possible.
 
 A new name in a listed folder is harmless only in two cases: it is prose in the project, and the execution has read no prose;
-or it belongs to a distribution of Python that was installed since, and nothing that the execution has read names it.
+or it belongs to a distribution of Python that was installed since, and nothing that the execution has read names it, and no
+word of its input or command.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra.execution import shared_libraries
+from sierra.execution.current_files import is_same, located
 from sierra.execution.search_path import found_elsewhere
-from sierra.execution.stale_sessions import is_same, located
 from sierra.provenance.hash_cache import HashCache
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.prose import is_prose
@@ -28,7 +29,8 @@ PACKAGES = re.compile(r".*/(?:site|dist)-packages")
 METADATA = re.compile(r".*\.(?:dist|egg)-info")
 STARTED = re.compile(r".*\.(?:pth|egg-link)|(?:site|user)customize.*")
 """Files in a folder of packages that Python executes when it starts."""
-COMPILED = (".so", ".pyd")
+STANDARD = re.compile(r".*/lib(?:64)?/python3[^/]*/(?!(?:site|dist)-packages/).*\.py")
+"""Python's own library."""
 
 
 class UsedFile(NamedTuple):
@@ -57,28 +59,51 @@ class FileSets:
     """The search path (PATH) of runs now."""
     program: str
     """The program that the command starts now."""
+    words: str = ""
+    """The command, the declared variables and the template, which may name modules."""
     lacking: frozenset[str] = frozenset()
     """Files and folders of the project, relative to it, that no checkout has; they are in no listing."""
+
+    def programs(self, files: str) -> list[str]:
+        """Return where the executed programs of a set are now: as they were called, and their real paths."""
+        real = {here for path in _paths(files, self, ("executed",)) if (here := located(path, self.folders)) is not None}
+        links = (located(path, self.folders) for path in _paths(files, self, ("link", "linked")))
+        return sorted(real | {here for here in links if here is not None and os.path.realpath(here) in real})
+
+    def missed(self, files: str) -> list[str]:
+        """Return the paths that executions with this set looked for and did not find."""
+        return [here for path in _paths(files, self, ("missed",)) if (here := located(path, self.folders)) is not None]
 
 
 def unchanged(sets: FileSets) -> set[str]:
     """Return the sets in which every file has the same content, and nothing that was missed has come."""
-    known = {one.files for one in sets.used}
+    known = {one.files for one in sets.used} - changes(sets).keys()
+    return {files for files in known if _are_programs_found(files, sets)}
+
+
+def changes(sets: FileSets) -> dict[str, list[UsedFile]]:
+    """Return the files of each set that have changed; sets without any are left out.
+
+    Not compared is whether the search path finds the same programs.
+    """
+    changed: dict[str, list[UsedFile]] = {}
     cache = HashCache()
     same: dict[tuple[str, str, str | None], bool] = {}
     for one in sets.used:
         key = one[1:]
-        if one.use == "listed" or one.files not in known:
-            continue
-        if key not in same:
-            same[key] = _is_same(one, sets.folders, cache)
-        if not same[key]:
-            known.discard(one.files)
+        if one.use == "listed":
+            is_alike = _is_listing_same(one, sets)
+        else:
+            if key not in same:
+                same[key] = _is_same(one, sets.folders, cache)
+            is_alike = same[key]
+        if not is_alike:
+            changed.setdefault(one.files, []).append(one)
     cache.save()
     for one in sets.used:
-        if one.use == "listed" and one.files in known and not _is_listing_same(one, sets):
-            known.discard(one.files)
-    return {files for files in known if _are_programs_found(files, sets) and _are_libraries_found(files, sets)}
+        if one.path == shared_libraries.CACHE and (path := _library_elsewhere(one, sets)):
+            changed.setdefault(one.files, []).append(one._replace(path=path))
+    return changed
 
 
 def _is_same(one: UsedFile, folders: Mapping[str, Path], cache: HashCache) -> bool:
@@ -87,30 +112,23 @@ def _is_same(one: UsedFile, folders: Mapping[str, Path], cache: HashCache) -> bo
         return False
     if one.path == shared_libraries.CACHE:
         return True
-    if one.use == "found":
-        return os.path.lexists(here)
-    return (one.use == "missed" or one.sha256 is not None) and is_same(here, one.use, one.sha256, folders, cache)
+    return is_same(here, one.use, one.sha256, folders, cache)
 
 
 def _are_programs_found(files: str, sets: FileSets) -> bool:
     """Check whether the command starts one of the executed files, and the search path finds the same ones as before."""
-    executed = [here for path in _paths(files, sets, ("executed",)) if (here := located(path, sets.folders)) is not None]
-    if os.path.realpath(sets.program) not in map(os.path.realpath, executed):
+    programs, missed = sets.programs(files), sets.missed(files)
+    if os.path.realpath(sets.program) not in map(os.path.realpath, programs):
         return False
-    return all(found_elsewhere(executed, before, sets.search) is None for before in sets.searched.get(files, {None}))
+    return all(found_elsewhere(programs, missed, before, sets.search) is None for before in sets.searched.get(files, {None}))
 
 
-def _are_libraries_found(files: str, sets: FileSets) -> bool:
-    """Check whether the loader's cache finds the same libraries as before."""
-    cached = [one for one in sets.used if one.files == files and one.path == shared_libraries.CACHE]
-    if not cached or is_same(shared_libraries.CACHE, "read", cached[0].sha256, {}, HashCache()):
-        return True
-    used = (
-        here
-        for path in _paths(files, sets, ("read", "executed", "linked"))
-        if (here := located(path, sets.folders)) is not None
-    )
-    return shared_libraries.found_elsewhere(used) is None
+def _library_elsewhere(cached: UsedFile, sets: FileSets) -> str | None:
+    """Return a library that the loader's cache would now find elsewhere; None if there is none."""
+    if is_same(shared_libraries.CACHE, "read", cached.sha256, {}, HashCache()):
+        return None
+    used = (located(path, sets.folders) for path in _paths(cached.files, sets, ("read", "executed", "linked", "link")))
+    return shared_libraries.found_elsewhere(here for here in used if here is not None)
 
 
 def _is_listing_same(one: UsedFile, sets: FileSets) -> bool:
@@ -163,6 +181,8 @@ def _are_unused_packages(one: UsedFile, names: Iterable[str], sets: FileSets) ->
     if any(METADATA.match(path) for path in used):
         return False
     modules = sorted({name.partition(".")[0] for name in new} - {""})
+    if any(re.search(rf"(?<!\w){re.escape(module)}(?!\w)", sets.words) for module in modules):
+        return False
     return not any(_mentions(file, modules) for file in _located(used, sets))
 
 
@@ -174,18 +194,22 @@ def _paths(files: str, sets: FileSets, uses: tuple[str, ...] = ()) -> Iterator[s
 
 def _located(paths: Iterable[str], sets: FileSets) -> Iterator[str]:
     for path in paths:
-        if (here := located(path, sets.folders)) is not None and here.endswith((".py", *COMPILED)):
+        if (here := located(path, sets.folders)) is not None:
             yield here
 
 
 def _mentions(file: str, modules: Iterable[str]) -> bool:
-    """Check whether a Python source imports one of these modules, or a library contains one of their names."""
+    """Check whether a file contains one of these names as a word. In Python's own library, only imports count."""
     try:
         content = Path(file).read_bytes()
     except OSError:
         return True
     either = b"|".join(re.escape(os.fsencode(module)) for module in modules)
-    if file.endswith(COMPILED):
-        return re.search(rb"(?<![\w])(?:%s)(?![\w])" % either, content) is not None
-    pattern = rb"^[^\n#]*\bimport\b[^\n]*\b(?:%s)\b|^[^\n#]*\bfrom[ \t]+(?:%s)\b|[\"'](?:%s)[\"'.]" % (either, either, either)
-    return re.search(pattern, content, re.MULTILINE) is not None
+    if STANDARD.fullmatch(file):
+        imported = rb"^[^\n#]*\bimport\b[^\n]*\b(?:%s)\b|^[^\n#]*\bfrom[ \t]+(?:%s)\b|[\"'](?:%s)[\"'.]" % (
+            either,
+            either,
+            either,
+        )
+        return re.search(imported, content, re.MULTILINE) is not None
+    return re.search(rb"(?<!\w)(?:%s)(?!\w)" % either, content) is not None

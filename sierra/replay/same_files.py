@@ -11,8 +11,8 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sierra.execution import reusable_executions, shared_libraries
-from sierra.execution.stale_sessions import is_same, located
+from sierra.execution import observed_sets, shared_libraries
+from sierra.execution.current_files import is_same, located
 from sierra.execution.unchanged_files import UsedFile, unchanged
 from sierra.provenance.hash_cache import HashCache
 from sierra.store.store import Snapshot, Store
@@ -91,7 +91,7 @@ sets AS (
     WHERE session IN (SELECT session FROM mine WHERE execution NOT IN (SELECT execution FROM complete))
 )
 SELECT DISTINCT f.files, f.path, f.use, f.sha256 FROM files_read f SEMI JOIN sets USING (files)
-WHERE (f.use = 'missed' OR (f.use IN ('executed', 'read', 'linked', 'link') AND f.sha256 IS NOT NULL))
+WHERE f.use <> 'listed'
 AND f.path NOT IN (
     SELECT w.path FROM files_written w JOIN executions e USING (execution) WHERE e.session IN (SELECT session FROM mine)
 )
@@ -119,9 +119,9 @@ def compare(
 
 def _are_found(snapshot: Snapshot, needed: Collection[str], current: Current, *, declared: bool) -> bool:
     """Check what the search for files depends on, except for the project's folders: only the source is restored."""
-    snapshot.views.make(reusable_executions.TABLES)
+    snapshot.views.make(observed_sets.TABLES)
     snapshot.add_table("needed", files=sorted(needed))
-    sets = reusable_executions.file_sets(snapshot, current.folders, current.search, current.program, declared=declared)
+    sets = observed_sets.file_sets(snapshot, current.folders, current.search, current.program, declared=declared)
     outside = (one for one in sets.used if one.use != "listed" or not one.path.startswith("{project}"))
     return unchanged(replace(sets, used=tuple(outside))) == set(needed)
 

@@ -1453,6 +1453,8 @@ class Contents(NamedTuple):
     unusable: Mapping[str, str]
     listings: Mapping[str, Sequence[str]] = {}
     """The names behind each of these SHA-256."""
+    kinds: Mapping[str, str] = {}
+    """For each found path the SHA-256 of what `kind_of` returns."""
 
 
 Hashed = Callable[[], str]
@@ -1499,7 +1501,23 @@ def contents(
     for path in trace.missed:
         if os.path.exists(path) and path not in own:
             reader.unusable[path] = "it was made after the run had looked for it"
-    return Contents(reader.files, reader.folders, reader.unusable, reader.listings)
+    kinds = {path: sha256_of_kind(path) for path in trace.found}
+    return Contents(reader.files, reader.folders, reader.unusable, reader.listings, kinds)
+
+
+def sha256_of_kind(path: str) -> str:
+    """Return the SHA-256 of what a program sees of a path without opening it: a folder, or a file with its size and rights.
+
+    Times are not among it, because they differ between machines.
+    """
+    try:
+        status = os.stat(path)
+    except OSError as error:
+        kind = "error %s" % error.errno
+    else:
+        is_file = stat.S_ISREG(status.st_mode)
+        kind = "file %d %d" % (status.st_size, bool(status.st_mode & 0o111)) if is_file else "%o" % stat.S_IFMT(status.st_mode)
+    return hashlib.sha256(kind.encode()).hexdigest()
 
 
 class Reader:
@@ -1648,9 +1666,11 @@ def key_of(status: os.stat_result) -> tuple[int, ...]:
 
 KERNEL = ("/proc", "/sys", "/dev")
 SHARED_MEMORY = "/dev/shm"  # noqa: S108 - what another program has left there may be an input
-OWN_ROOTS = {"run": "the run's own folder", "work": "a folder of runs", "store": "the store", "cache": "a cache"}
+OWN_ROOTS = {"run": "the run's own folder", "work": "a folder of runs", "store": "the store"}
 UNLISTED = "unlisted"
 CACHES = ("/var/cache/fontconfig", "/usr/share/fonts/.uuid", "/usr/lib/fontconfig/cache")
+CACHING = ("fontconfig", "matplotlib", "mesa_shader_cache", "mesa_shader_cache_db", "nvidia", "pip", "uv/.lock")
+"""What is in a user's cache only for speed. Everything else in it may be an input: an environment, a model, a project."""
 PYTHON_CACHE = "__pycache__"
 
 
@@ -1662,12 +1682,12 @@ class Names:
     (XDG_CACHE_HOME). A path below a root is named `{root}/…`, by the deepest root. All other paths are their own names. If
     several folders have one name, their keys end in a colon and a word: `project`, `project:given`.
 
-    Left out: what the kernel makes up (/proc, /sys, and /dev except the shared memory in /dev/shm); what is below run, work,
-    store and cache, unless a deeper root is not among these (a checkout of the project in the store); a folder `.cache` in
-    home, and fontconfig's caches; and Python's compiled modules (`__pycache__`), if their source is there. Python has compared
-    its size and time then, and so the source counts; a compiled module that says that it is not to be compared counts itself.
-    Listed folders of a Python's packages are kept: a program may try to import an optional one. The existence of roots and of
-    the folders above them is no input, because it depends on where the run's folder is.
+    Left out: what the kernel makes up (/proc, /sys, and /dev except the shared memory in /dev/shm); what is below run, work
+    and store, unless a deeper root is not among these (a checkout of the project in the store); what is in a cache only for
+    speed (CACHES, and CACHING in cache and in home's `.cache`); and Python's compiled modules (`__pycache__`), if their source
+    is there. Python has compared its size and time then, and so the source counts; a compiled module that says that it is not
+    to be compared counts itself. Listed folders of a Python's packages are kept: a program may try to import an optional one.
+    The existence of roots and of the folders above them is no input, because it depends on where the run's folder is.
 
     Paths with the name `unlisted` are those that a checkout of the project lacks, for example the template: they do not count
     in a listed folder. If there is `project:given`, the runs are executed in a checkout, where they are not missed either.
@@ -1680,8 +1700,9 @@ class Names:
         self._roots = sorted((pair for pair in pairs if pair[1] != UNLISTED), key=lambda pair: (-len(pair[0]), pair))
         self._lacking = tuple(lacking(roots)) if "project:given" in roots else ()
         self._above = {"/", *(above for folder, _ in self._roots for above in folders_to(folder))}
-        homes = [folder for folder, name in pairs if name == "home"]
-        self._caches = (*CACHES, *(os.path.join(home, ".cache") for home in homes))
+        kept = [folder for folder, name in pairs if name == "cache"]
+        kept += [os.path.join(folder, ".cache") for folder, name in pairs if name == "home"]
+        self._caches = (*CACHES, *(os.path.join(folder, name) for folder in kept for name in CACHING))
 
     def name(self, path: str) -> str:
         """Return the name of an absolute path."""
@@ -1776,20 +1797,25 @@ def as_record(trace: Trace, contents: Contents, names: Names, *, gpu: bool = Fal
     """Return a trace and the contents of its files as JSON; `files` are name, use, SHA-256 and size (null if there is none).
 
     `gpu` is what `uses_gpu` says about the whole trace.
-    A path that was missed and exists now is not among the missed ones: the run may have waited for it. A reason names it.
+    A path that was missed and then found is not among the missed ones: the run has waited for it. A file that was opened for
+    writing, too, but that has not changed is an input like others, and was not written.
     """
     files: list[tuple[str, str, str | None, int | None]] = []
     for use in ("executed", "read"):
         for path in getattr(trace, use):
             file = contents.files.get(path)
             files.append((names.name(path), use, file and file.sha256, file and file.size))
-    files += [(names.name(path), "found", None, None) for path in trace.found]
-    files += [(names.name(path), "missed", None, None) for path in trace.missed if path not in contents.unusable]
+    files += [(names.name(path), "found", contents.kinds.get(path), None) for path in trace.found]
+    seen = {*trace.executed, *trace.read, *trace.found, *trace.links}
+    files += [(names.name(path), "missed", None, None) for path in trace.missed if path not in seen]
     files += [(names.name(path), "listed", contents.folders.get(path), None) for path in trace.listed]
     for path, real in trace.links.items():
         file = contents.files.get(real)
         named = hashlib.sha256(os.fsencode(names.name(real))).hexdigest()
-        files.append((names.name(path), "linked", file.sha256, file.size) if file else (names.name(path), "link", named, None))
+        if file is not None and real not in trace.executed:  # a program may look beside its real path for libraries
+            files.append((names.name(path), "linked", file.sha256, file.size))
+        else:
+            files.append((names.name(path), "link", named, None))
     files += [(GPU, "read", graphics_sha256(), None)] if gpu else []
     sizes = ((path, file.size) for path, file in contents.files.items())
     changed = ["%s: %s" % (names.name(path), reason) for path, reason in sorted(contents.unusable.items())]
@@ -1802,7 +1828,14 @@ def as_record(trace: Trace, contents: Contents, names: Names, *, gpu: bool = Fal
         "distributions": DISTRIBUTIONS.used(sizes),
         "files": sorted(set(files), key=lambda file: file[:2]),
         "listings": contents.listings,
-        "written": sorted({(names.name(path), use) for use in ("written", "removed") for path in getattr(trace, use)}),
+        "written": sorted(
+            {
+                (names.name(path), use)
+                for use in ("written", "removed")
+                for path in getattr(trace, use)
+                if path not in contents.files
+            }
+        ),
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -221,3 +222,48 @@ def test_a_link_that_leads_elsewhere_is_noticed(tmp_path: Path, require: Callabl
     current.symlink_to(tmp_path / "v2" / place)
     assert projects.run(root, QUERY)[0]["executed"] == 4
     assert projects.sql(root, VALUES) == [{"value": 2}]
+
+
+ATTACKS = {
+    "a listed folder": ("ls {data}/maps | wc -l", "touch {data}/maps/b"),
+    "a tested file": ("[ -e {data}/flag ] && echo 1 || echo 0", "rm {data}/flag"),
+    "a size": ("stat -c %s {data}/flag", "echo longer > {data}/flag"),
+    "a file in a cache": ("cat {cache}/model", "echo 2 > {cache}/model"),
+    "a file that is opened for writing too": ("flock {data}/value cat {data}/value", "echo 2 > {data}/value"),
+    "a name that is not UTF-8": ("cat {data}/$(printf '\\377')", "echo 2 > {data}/$(printf '\\377')"),
+    "a pipe": ("cat {data}/value", "rm {data}/value; mkfifo {data}/value"),
+    "a program behind a link": ("{data}/link", "ln -sfn other {data}/link"),
+}
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_each_change_of_what_runs_depend_on_executes_them_again(
+    tmp_path: Path, require: Callable[..., str], attack: str
+) -> None:
+    require("strace")
+    data, cache = tmp_path / "data", Path(os.environ["XDG_CACHE_HOME"], "sierra-test")
+    read, change = (text.format(data=data, cache=cache) for text in ATTACKS[attack])
+    (data / "maps").mkdir(parents=True)
+    cache.mkdir(parents=True, exist_ok=True)
+    for file in (data / "maps" / "a", data / "flag", data / "value", cache / "model", data / os.fsdecode(b"\377")):
+        file.write_text("1\n")
+    for name in ("one", "other"):
+        (data / name).mkdir()
+        (data / name / "program").write_text("#!/bin/sh\ncat $(dirname $(readlink -f $0))/number\n")
+        (data / name / "program").chmod(0o755)
+        (data / name / "number").write_text(f"{name}\n")
+    (data / "current").symlink_to("one")
+    (data / "link").symlink_to("one/program")
+    if "link" in attack:
+        change = f"ln -sfn other/program {data}/link"
+    root = project(tmp_path / "project", "sh run.sh {input}")
+    (root / "run.sh").write_text(f"(echo value; {read}) > swarm.csv\n")
+    projects.run(root, QUERY)
+    assert projects.run(root, QUERY)[0]["executed"] == 0
+    subprocess.run(["sh", "-c", change], check=True)
+    if attack == "a pipe":
+        done = projects.quick(root, "run", QUERY, "-n", "--json")
+        assert json.loads(done.stdout)["to_execute"] == 4
+        return
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    assert projects.run(root, QUERY)[0]["executed"] == 0

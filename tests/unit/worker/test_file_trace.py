@@ -102,13 +102,15 @@ def test_a_checkout_in_the_store_is_the_project() -> None:
     assert [names.name(path) for path in trace.executed] == ["{project}/sim"]
 
 
-def test_a_path_that_came_into_existence_is_not_recorded_as_missed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("seen", [True, False])
+def test_a_path_that_came_into_existence_is_missed_unless_the_run_found_it(tmp_path: Path, seen: bool) -> None:
     """A run that waits for a file would otherwise never count."""
     come, absent = tmp_path / "come", tmp_path / "absent"
     come.touch()
-    trace = Trace("strace", missed=(str(absent), str(come)))
+    trace = Trace("strace", missed=(str(absent), str(come)), found=(str(come),) if seen else ())
     record = file_trace.as_record(trace, contents(trace, 0), Names({}))
-    assert record["files"] == [(str(absent), "missed", None, None)]
+    kinds = [(str(come), "found", file_trace.sha256_of_kind(str(come)), None)] if seen else [(str(come), "missed", None, None)]
+    assert record["files"] == [(str(absent), "missed", None, None), *kinds]
     assert record["reason"] == f"{come}: it was made after the run had looked for it"
 
 
@@ -382,9 +384,9 @@ def test_what_is_no_input_is_left_out(tmp_path: Path) -> None:
     given = names(tmp_path)
     for path in ("/proc/self/maps", "/dev/null", "/sys/x", "/var/cache/fontconfig/x"):
         assert given.left_out(path)
-    for path in ("h/.cache/x", "p/.sierra/x", "p/.sierra/work/1/7/home/.config"):
+    for path in ("h/.cache/fontconfig/x", "p/.sierra/x", "p/.sierra/work/1/7/home/.config"):
         assert given.left_out(f"{tmp_path}/{path}")
-    for path in ("p/x", "h/.config/x", "h/.cached", "venv/x.pyc"):
+    for path in ("p/x", "h/.config/x", "h/.cached", "h/.cache/model.bin", "venv/x.pyc"):
         assert given.left_out(f"{tmp_path}/{path}") is None
     assert given.left_out("/dev/shm/x") is None
 

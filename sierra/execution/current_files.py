@@ -1,0 +1,63 @@
+"""Files that observed executions used, as they are on this machine now: where they are, and whether they are the same."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from sierra.errors import Missing
+from sierra.provenance.hash_cache import HashCache
+
+GPU = "{gpu}"
+"""The name of the graphics processors among observed files: see `sierra.worker.file_trace`."""
+ESCAPED = re.compile(rb"\\x([0-9a-f]{2})")
+
+
+def is_same(here: str, use: str, sha256: str | None, named: Mapping[str, Path], cache: HashCache) -> bool:
+    """Check whether a file that was executed or read has the same content, or one that was missed still does not exist.
+
+    A link must lead to a file with the same content if the execution has read it, and to the same path otherwise.
+    """
+    if use == "missed":
+        return not os.path.exists(here)  # noqa: PTH110 - for speed
+    if use == "found":
+        from sierra.worker import file_trace
+
+        return file_trace.sha256_of_kind(here) == sha256
+    if sha256 is None:
+        return not os.access(here, os.R_OK)  # it could not be read when it was used, or it was changed then
+    if use in ("linked", "link"):
+        here = os.path.realpath(here)
+    if use == "link":
+        return hashlib.sha256(os.fsencode(name_of(here, named))).hexdigest() == sha256
+    if here == GPU:
+        from sierra.worker import file_trace
+
+        return file_trace.graphics_sha256() == sha256
+    try:
+        return os.path.isfile(here) and cache.counted(here) == sha256  # noqa: PTH113 - for speed
+    except Missing:
+        return False
+
+
+def name_of(path: str, named: Mapping[str, Path]) -> str:
+    """Return the name of a path, the opposite of `located`: the deepest of the folders decides."""
+    for name, folder in sorted(named.items(), key=lambda one: len(str(one[1])), reverse=True):
+        if path == str(folder) or path.startswith(f"{folder}/"):
+            return f"{{{name}}}{path.removeprefix(str(folder))}"
+    return path
+
+
+def located(path: str, named: Mapping[str, Path]) -> str | None:
+    """Return where a file is on this machine; None if that is unknown."""
+    if path.startswith("{") and path != GPU:
+        name, _, rest = path[1:].partition("}")
+        if name not in named:
+            return None
+        path = f"{named[name]}{rest}"
+    if "\\x" in path and not os.path.lexists(path):  # escapes stand for bytes that are not UTF-8
+        return os.fsdecode(ESCAPED.sub(lambda found: bytes.fromhex(found[1].decode()), os.fsencode(path)))
+    return path
