@@ -32,10 +32,15 @@ class _Listing(NamedTuple):
     names: list[str]
 
 
+def of_user() -> dict[str, Path]:
+    """Return the user's folders that names of observed files refer to, by name."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return {"home": Path.home().resolve(), "cache": cache.resolve()}
+
+
 def folders(plan: Plan) -> dict[str, Path]:
     """Return the folders that names of observed files refer to, by name."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    named = {"project": plan.project.root.resolve(), "home": Path.home().resolve(), "cache": cache.resolve()}
+    named = {"project": plan.project.root.resolve(), **of_user()}
     search = commands.declared(plan.batch.spec.environment, plan.project.root, plan.project.root)["PATH"]
     environment = pythons.environment(plan.programs, search)
     return {**named, "prefix": environment} if environment else named

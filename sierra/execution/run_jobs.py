@@ -5,7 +5,6 @@ Queries (`executor`) and replays (`sierra.replay`) execute through it.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
 from sierra.execution import commands, observed_runs
 from sierra.execution.follow import Followed, follow
+from sierra.execution.observed_sets import of_user
 from sierra.execution.observer import Tally
 from sierra.execution.resolve_plan import not_in_checkouts
 from sierra.execution.sessions import Session
@@ -136,8 +136,7 @@ class Service:
         project = self._setup.project
         if self._setup.image or project.config.observe == "none":
             return jobs
-        home, cache = Path.home(), Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        folders = {"project": self._setup.root, "store": self._store.paths.root, "home": home, "cache": cache}
+        folders = {"project": self._setup.root, "store": self._store.paths.root, **of_user()}
         named = {name: str(folder.resolve()) for name, folder in folders.items()}
         root = str(project.root.resolve())
         if root != named["project"]:

@@ -19,7 +19,7 @@ from sierra import runners
 from sierra.config.project_file import LoadedProject, Output
 from sierra.containers.engines.base import Engine
 from sierra.errors import Missing, NotFound, UsageError
-from sierra.execution import commands, expected_durations, plan_from_record, recover, row_queries
+from sierra.execution import commands, expected_durations, observed_sets, plan_from_record, recover, row_queries
 from sierra.execution.build.recorded import rebuild
 from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.plan_from_record import Recalled
@@ -370,7 +370,7 @@ def _other_programs(record: _Record, now: Programs, root: Path) -> Iterator[str]
 
 def _used_files(store: Store, record: _Record, now: Programs, root: Path, search: str) -> UsedFiles:
     """Compare the files that the recorded executions used with those now; programs and products are compared elsewhere."""
-    named = {"project": root.resolve(), "home": Path.home().resolve()}
+    named = {"project": root.resolve(), **observed_sets.of_user()}
     environment = pythons.environment(now, search)
     built = [str(root / one.name) for one in record.of.build.products] if record.of.build else []
     known = [one.path for one in now.all if one.kind != Kind.DISTRIBUTIONS] + built
