@@ -24,13 +24,11 @@ from __future__ import annotations
 
 import codecs
 import copy
-import difflib
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import ClassVar, Literal, TypeAlias, TypeGuard
 
 from lxml import etree
@@ -42,9 +40,10 @@ from sierra.model import Add, Change, Remove, Rename, Set, Value
 from sierra.templates import xpath_time_limit
 from sierra.templates.arithmetic import fill, names
 from sierra.templates.base import Rendered
+from sierra.templates.nearest_path import nearest
 from sierra.templates.same_number import same
 from sierra.util.hashing import sha256
-from sierra.util.text import one_line, outside
+from sierra.util.text import one_line
 
 Element: TypeAlias = etree._Element
 Text: TypeAlias = etree._ElementUnicodeResult
@@ -304,58 +303,13 @@ class XmlDocument:
         return indices[change.at] if change.at < len(indices) else len(parent)
 
     def _nearest(self, path: str) -> str:
-        """Return the most similar path that matches; it is found by correcting one step after the other."""
-        good = ""
-        for step in _steps(path):
-            if self._found(good + step):
-                good += step
-                continue
-            mended = self._mended(good, step)
-            if mended is None:
-                return self._inventory(good, step)
-            good += mended
-        return f"; nearest is {good}"
+        return nearest(path, self._found, self._names)
 
     def _found(self, path: str) -> list[Node]:
         try:
             return self.select(path)
         except TemplateError:
             return []
-
-    def _mended(self, good: str, step: str) -> str | None:
-        match = _SIMPLE_STEP.fullmatch(step)
-        if not match:
-            return None
-        slash, at, name, predicates = match.groups()
-        if predicates and self._found(good + (bare := slash + at + name)):
-            return self._mended_predicate(good, bare, predicates)
-        for way in (slash, "//") if not at else (slash,):
-            close = _closest(name, self._names(good, way, at))
-            if close and (not predicates or self._found(good + way + at + close + predicates)):
-                return way + at + close + predicates
-            if close:
-                return self._mended_predicate(good, way + at + close, predicates)
-        return None
-
-    def _mended_predicate(self, good: str, bare: str, predicates: str) -> str:
-        """Return the step with `[@name='x']` changed to the most similar existing value; other predicates are left out."""
-        match = _SIMPLE_PREDICATE.fullmatch(predicates)
-        values = [str(value) for value in self._found(f"{good}{bare}/@{match[1]}")] if match else []
-        close = _closest(match[2][1:-1], values) if match else None
-        if match is None or close is None or ("'" in close and '"' in close):
-            return bare
-        quote = '"' if "'" in close else "'"
-        return f"{bare}[@{match[1]}={quote}{close}{quote}]"
-
-    def _inventory(self, good: str, step: str) -> str:
-        """Return the names that exist in the place where a step matches nothing."""
-        at = "@" if step.lstrip("/").startswith("@") else ""
-        way = re.match("/{0,2}", step)[0]  # type: ignore[index]
-        known = [at + name for name in self._names(good, way, at)]
-        if not known:
-            return f"; only {good} matches" if good else ""
-        more = ", …" if len(known) > 8 else ""
-        return f"; {f'{good} has' if good else 'there are'} {', '.join(known[:8])}{more}"
 
     def _names(self, good: str, way: str, at: str) -> list[str]:
         """Return the different names that are one step away from a path, in document order."""
@@ -620,22 +574,6 @@ def _unfilled(text: str) -> str:
 
 _ONE_NAME = re.compile(r"\{[A-Za-z_]\w*\}")
 """A tag such as `{controller}`; any other `{…}` in a tag is a namespace."""
-_SIMPLE_STEP = re.compile(r"(/{0,2})(@?)([^\s/@*.\[\]()|]+)((?:\[.*\])?)", re.DOTALL)
-_SIMPLE_PREDICATE = re.compile(r"""\[\s*@([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')\s*\]""")
-
-
-def _steps(path: str) -> list[str]:
-    """Split a path into steps: `//swarm/@count` into `//swarm` and `/@count`."""
-    path = path.strip()
-    starts = [place for place in outside(path, "/") if place and path[place - 1] != "/"]
-    return [path[start:end] for start, end in pairwise((0, *starts, len(path)))]
-
-
-def _closest(name: str, known: list[str]) -> str | None:
-    """Return the most similar name; a name that differs only in its prefix is preferred."""
-    local = name.rpartition(":")[2]
-    same = [other for other in known if other.rpartition(":")[2] == local]
-    return next(iter(same or difflib.get_close_matches(name, known, 1)), None)
 
 
 def _who(change: Change) -> str:
