@@ -151,7 +151,14 @@ PLATFORMS = Kind(
     "sierra.platforms.base:Platform",
     {"command": "sierra.platforms.command:Command", "argos": "sierra.platforms.argos:Argos"},
 )
-TEMPLATES = Kind("template", "sierra.templates.base:Template", {"xml": "sierra.templates.xml:XmlTemplate"})
+TEMPLATES = Kind(
+    "template",
+    "sierra.templates.base:Template",
+    {
+        "xml": "sierra.templates.xml:XmlTemplate",
+        "json": "sierra.templates.json:JsonTemplate",
+    },
+)
 RUNNERS = Kind("runner", "sierra.runners.base:Runner", {"local": "sierra.runners.local:Local"})
 SCHEDULERS = Kind(
     "scheduler",

@@ -197,23 +197,27 @@ class ChangeTable(Table):
     )
     attribute: str | None = Field(None, description="for `set`: the attribute's name; added if it is missing")
     xml: str | None = Field(None, description="for `add`: the new element, as XML")
+    json_: str | None = Field(
+        None, alias="json", description="for `add` in other formats than XML: the new item of a list, or the new keys, as JSON"
+    )
     at: int | None = Field(None, ge=0, description="for `add`: the index among the children, from 0; default: last")
     to: str | None = Field(None, description="for `rename`: the new tag")
     expect: PositiveInt | None = Field(None, description="exact number of matches required; default: at least one")
 
     @model_validator(mode="after")
     def _one_operation(self) -> ChangeTable:
-        accepted = {"set": ("value", "attribute"), "add": ("xml", "at"), "remove": (), "rename": ("to",)}
+        accepted = {"set": ("value", "attribute"), "add": ("xml", "json_", "at"), "remove": (), "rename": ("to",)}
         given = [name for name in accepted if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError("a change needs exactly one of set, add, remove, rename")
         operation = given[0]
-        for other in ("value", "attribute", "xml", "at", "to"):
+        for other in ("value", "attribute", "xml", "json_", "at", "to"):
             if getattr(self, other) is not None and other not in accepted[operation]:
-                raise ValueError(f"{other!r} cannot be used with {operation!r}")
-        required = {"add": "xml", "rename": "to"}.get(operation)
-        if required and getattr(self, required) is None:
-            raise ValueError(f"{operation!r} needs {required!r}")
+                raise ValueError(f"{other.rstrip('_')!r} cannot be used with {operation!r}")
+        if operation == "add" and (self.xml is None) == (self.json_ is None):
+            raise ValueError("'add' needs either 'xml' or 'json'" if self.xml else "'add' needs 'xml' (or 'json')")
+        if operation == "rename" and self.to is None:
+            raise ValueError("'rename' needs 'to'")
         return self
 
 
@@ -579,7 +583,10 @@ class Figure(Table):
 class Project(Table):
     """`sierra.toml`."""
 
-    template: str = Field(description="the XML file from which the inputs of all runs are generated")
+    template: str = Field(description="the file from which the inputs of all runs are generated")
+    template_format: str | None = Field(
+        None, description="format of the template, such as `xml` or `json`; default: by the ending of the file"
+    )
     command: Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_type=Words)] = Field(
         (), description="the program and its arguments; {input}, {output}, {seed}, {project} and {python} are filled in"
     )

@@ -130,7 +130,7 @@ def _change(table: ChangeTable, why: str, value: str | None) -> Change:
             raise ConfigError(f'{why}: the "set" of {table.set!r} needs a "value"')
         return Set(table.set, given, table.attribute, table.expect, why)
     if table.add is not None:
-        return Add(table.add, table.xml or "", table.at, table.expect, why)
+        return Add(table.add, table.json_ or table.xml or "", table.at, table.expect, why)
     if table.remove is not None:
         return Remove(table.remove, table.expect, why)
     return Rename(table.rename or "", table.to or "", table.expect, why)

@@ -3,7 +3,7 @@
 If a later change (of another axis or `--set`, the seed, or `run_changes`) overwrites a value, the recorded value would be
 wrong. Paths to the same place can be written differently. Therefore each value is set again in the input of a run, which must
 change nothing. This is tested with a mark instead of the values, once for all experiments that make the same changes. The real
-values are only tested if the mark is overwritten, or if a later path may select by the values.
+values are only tested if the mark is overwritten or does not fit, or if a later path may select by the values.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from sierra.errors import QueryError, TemplateError
 from sierra.model import Cell, Change, Design, Set, Value
 from sierra.templates.base import Rendered, Template
 
-MARK = "sierraMarkInPlaceOfAValue"
+MARKS = ("sierraMarkInPlaceOfAValue", "8150376429918273641")
+"""A text, and a number for places in templates that accept only numbers."""
 CONSTANT = re.compile(r"""\[\s*(?:\d+|@([\w:.-]+)\s*=\s*(?:'[^']*'|"[^"]*"))\s*\]""")
 """A test in a path, by number or by the value of an attribute."""
 SOME_SEED = seeds.LARGEST - 271_828
@@ -37,10 +38,10 @@ class Layer:
     def sets(self) -> tuple[Set, ...]:
         return tuple(change for change in self.changes if isinstance(change, Set))
 
-    def marked(self, sets: Sequence[Set]) -> Layer:
-        """Return a layer with the mark as the value of some of its sets."""
+    def marked(self, sets: Sequence[Set], mark: str) -> Layer:
+        """Return a layer with a mark as the value of some of its sets."""
         marked = (
-            replace(change, value=MARK) if change in sets and isinstance(change, Set) else change for change in self.changes
+            replace(change, value=mark) if change in sets and isinstance(change, Set) else change for change in self.changes
         )
         return replace(self, changes=tuple(marked))
 
@@ -69,8 +70,8 @@ class Input:
     def without(self, number: int) -> Input:
         return replace(self, layers=(*self.layers[:number], *self.layers[number + 1 :]))
 
-    def marked(self, number: int, sets: Sequence[Set]) -> Input:
-        layer = self.layers[number].marked(sets)
+    def marked(self, number: int, sets: Sequence[Set], mark: str) -> Input:
+        layer = self.layers[number].marked(sets, mark)
         return replace(self, layers=(*self.layers[:number], layer, *self.layers[number + 1 :]))
 
     def holds(self, sets: Sequence[Set]) -> bool | None:
@@ -121,12 +122,23 @@ def _by_value(layers: Layers, number: int) -> bool:
 
 def _lasts_marked(run_input: Input, number: int) -> bool:
     """Return True if the mark is not overwritten in any place that a layer sets; then no value is overwritten."""
-    marked = run_input.marked(number, run_input.layers[number].sets)
-    sets = marked.layers[number].sets
+    for mark in MARKS:
+        marked = run_input.marked(number, run_input.layers[number].sets, mark)
+        sets = marked.layers[number].sets
+        try:
+            return marked.holds(sets) or all(_lasts(marked, number, change) for change in sets)
+        except TemplateError:
+            if _fits(marked, number):  # a path selects by the value
+                return False
+    return False
+
+
+def _fits(marked: Input, number: int) -> bool:
     try:
-        return marked.holds(sets) or all(_lasts(marked, number, change) for change in sets)
-    except TemplateError:  # a path selects by the value
+        marked.until(number).render()
+    except TemplateError:
         return False
+    return True
 
 
 def _lasts(run_input: Input, number: int, change: Set) -> bool:
@@ -135,21 +147,25 @@ def _lasts(run_input: Input, number: int, change: Set) -> bool:
     if held is None or (
         held is False and not run_input.until(number).holds((change,))
     ):  # its own layer may have overwritten it
-        return not _lost(run_input.marked(number, (change,)), number)
+        return not _lost(run_input, number, change)
     return held
 
 
-def _lost(marked: Input, number: int) -> bool:
+def _lost(run_input: Input, number: int, change: Set) -> bool:
     """Return True if a mark is in fewer places at the end than directly after its layer's changes."""
-    try:
-        return _marks(marked.render()) < _marks(marked.until(number).render())
-    except TemplateError:
-        return False
+    for mark in MARKS:
+        marked = run_input.marked(number, (change,), mark)
+        try:
+            return _marks(marked.render(), mark) < _marks(marked.until(number).render(), mark)
+        except TemplateError:
+            if _fits(marked, number):
+                return False
+    return False
 
 
-def _marks(rendered: Rendered) -> int:
+def _marks(rendered: Rendered, mark: str) -> int:
     contents = [rendered] if isinstance(rendered, bytes) else [content for _, content in rendered]
-    return sum(content.replace(b"\0", b"").count(MARK.encode()) for content in contents)  # also in UTF-16
+    return sum(content.replace(b"\0", b"").count(mark.encode()) for content in contents)  # also in UTF-16
 
 
 def _overwritten(run_input: Input, number: int, change: Set) -> str:

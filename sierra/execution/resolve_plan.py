@@ -151,7 +151,7 @@ def plan(
     _check_names(project)
     plugin_registry.check(config)
     readers = used_readers(config.outputs, config.readers)
-    template = templates.read(root / config.template, config.templates)
+    template = templates.read(root / config.template, config.templates, config.template_format)
     platform = platforms.find(config.platform, config)
     contained, image = _contained(project, engine)
     box = config.container if image else None

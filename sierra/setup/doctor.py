@@ -187,9 +187,11 @@ def _project() -> Iterator[Check]:
         return "the options of all plug-ins are valid"
 
     yield _tried("options", check_options)
-    template = project.config.template
+    config = project.config
+    template = config.template
     yield _tried(
-        "template", lambda: f"{template}, {templates.read(project.root / template, project.config.templates).sha256[:10]}"
+        "template",
+        lambda: f"{template}, {templates.read(project.root / template, config.templates, config.template_format).sha256[:10]}",
     )
     table = project.config.build
     if table is not None:

@@ -1,8 +1,8 @@
 """The Template contract: one template becomes each run's input. Includes the function to read one.
 
-The shipped format is `xml`. Others are entry points of the group `sierra.templates` (see `sierra.plugin`). The ending of a file
-selects its format (`.json` selects an entry point `json`). Any other ending, such as `.argos` or `.world`, means XML.
-`sierra.testing.templates` has the conformance suite.
+Others than the shipped formats are entry points of the group `sierra.templates` (see `sierra.plugin`). `template_format` in
+`sierra.toml` or the ending of a file selects its format (`.json` selects `json`). With any other ending, a file that begins
+with `<` is XML. `sierra.testing.templates` has the conformance suite.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ class Template(Protocol):
     template, changes and values must give the same bytes on every machine, because a run's identity includes their hash. All
     messages are one line and name the template. A value that is a plain word stands in the rendered bytes as it is.
 
-    Paths are texts in a notation of the format: XPath 1.0 for XML. So are the pieces that `Add` adds (`Add.xml`). A format may
-    refuse kinds of changes that it does not support, by TemplateError.
+    Paths are texts in a notation of the format: XPath 1.0 for the shipped formats. So are the pieces that `Add` adds
+    (`Add.xml`): XML, or JSON for other trees. A format may refuse kinds of changes that it does not support, by TemplateError.
+    A format with types keeps them: it refuses values of other types, and may spell a number in another way (`1` as `1.0`).
     """
 
     Options: ClassVar[type[Table]]
@@ -86,8 +87,13 @@ class Document(Protocol):
         """
 
 
-def read(path: Path, tables: Tables | None = None) -> Template:
-    """Return the template in a file; `tables` are `[templates.…]` of the project. Raises Missing, TemplateError."""
+ENDINGS = {"yml": "yaml", "txt": "text", "argos": "xml", "sdf": "xml", "world": "xml", "launch": "xml", "urdf": "xml"}
+"""The formats of files whose ending is not the name of a format."""
+_BLANKS = b"\xef\xbb\xbf\xff\xfe \t\r\n\0"
+
+
+def read(path: Path, tables: Tables | None = None, format: str | None = None) -> Template:
+    """Return the template in a file; `tables` are `[templates.…]`. Raises Missing, TemplateError, ConfigError."""
     name = one_line(str(path))
     try:
         if path.exists() and not path.is_file():
@@ -95,6 +101,21 @@ def read(path: Path, tables: Tables | None = None) -> Template:
         data = path.read_bytes()
     except (OSError, ValueError) as error:
         raise Missing(f"{name}: {getattr(error, 'strerror', None) or error}; cannot read the template") from error
-    ending = path.suffix.removeprefix(".").lower()
-    template: Template = TEMPLATES.make(ending if ending in TEMPLATES.names() else "xml", tables or {}, data, name)
+    template: Template = TEMPLATES.make(format or _format(path, data, name), tables or {}, data, name)
     return template
+
+
+def _format(path: Path, data: bytes, name: str) -> str:
+    """Return the format of a file by its ending, or `xml` by its first character. Raises TemplateError if it is doubtful."""
+    ending = path.suffix.removeprefix(".").lower()
+    known = ending if ending in TEMPLATES.names() else ENDINGS.get(ending)
+    looks_like_xml = data.lstrip(_BLANKS).startswith(b"<")
+    if known in TEMPLATES.shipped and known != "xml" and looks_like_xml:
+        raise TemplateError(f"{name}: its ending means {known}, but it begins as XML; {_choose()}")
+    if known is None and not looks_like_xml:
+        raise TemplateError(f"{name}: its ending names no format, and it does not begin as XML; {_choose()}")
+    return known or "xml"
+
+
+def _choose() -> str:
+    return f"set template_format to one of {', '.join(TEMPLATES.names())}"

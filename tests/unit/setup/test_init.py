@@ -183,7 +183,7 @@ def test_other_seeds_that_stay_fixed_are_reported(folder: Path) -> None:
 def test_invalid_options_are_reported_and_no_file_is_written(folder: Path) -> None:
     for words, said in (
         (["--template", "nope.xml"], "nope.xml: No such file"),
-        (["--template", "sim.py"], "sim.py:1:1: not XML"),
+        (["--template", "sim.py"], "sim.py: its ending names no format"),
         (["--command", "python3 nope.py {input}"], "there is no nope.py"),
         (["--command", "python3 sim.py {inptu}"], "unknown placeholder {inptu}"),
         (["--command", "python3 'sim.py"], "No closing quotation"),
