@@ -157,6 +157,7 @@ TEMPLATES = Kind(
     {
         "xml": "sierra.templates.xml:XmlTemplate",
         "json": "sierra.templates.json:JsonTemplate",
+        "yaml": "sierra.templates.yaml:YamlTemplate",
     },
 )
 RUNNERS = Kind("runner", "sierra.runners.base:Runner", {"local": "sierra.runners.local:Local"})

@@ -224,7 +224,7 @@ class Scan:
         yield from self._values(self.root, "", counted)
 
     def _values(self, node: Node, path: str, counted: Mapping[str, int]) -> Iterator[tuple[str, str]]:
-        if node.kind in (Kind.TEXT, Kind.NUMBER, Kind.BOOLEAN, Kind.DATE, Kind.UNTYPED):
+        if not node.why and node.kind not in (Kind.MAPPING, Kind.LIST, Kind.NULL):
             alone = path and step(node) and counted[step(node)] == 1
             yield (f"//{step(node)}" if alone else path or "/"), node.value
         for number, child in enumerate(node.children, 1):
@@ -561,7 +561,7 @@ def piece(json: str, filled: Callable[[str], str]) -> Node:
 
 
 def _fill_all(node: Node, filled: Callable[[str], str]) -> None:
-    if node.kind is Kind.TEXT and "{" in node.value + "}":
+    if node.kind is Kind.TEXT:
         whole = _ONE_EXPRESSION.fullmatch(node.value)
         node.value = filled(node.value)
         if whole and NUMBER.fullmatch(node.value):

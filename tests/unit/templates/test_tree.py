@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,8 +31,44 @@ JSON = """\
   "my key/2": 5, "empty": []
 }
 """
-SAMPLES = {"json": JSON}
+YAML = """\
+# a swarm
+swarm:   # the robots
+    count: 8  # robots
+    name: blue
+    speed: 0.5
+    "on": true
+robots:
+  - {name: r1, x: 1}
+  -  name: 'r2'
+     x: 2   # the last
+my key/2: 5
+
+empty: []
+"""
+SAMPLES = {"json": JSON, "yaml": YAML}
 TEXT_PLACES = ["/swarm/name", "/robots/item[2]/name", "/swarm/count", "//robots/item[2]/x"]
+
+
+SCALARS = st.one_of(
+    st.integers(-(10**20), 10**20),
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.text(max_size=8),
+    st.booleans(),
+    st.none(),
+)
+DATA = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4), max_leaves=12
+)
+
+
+def leaves(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], Any]]:
+    """Yield the single values of a document in order, with their kind."""
+    if isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from leaves(value, (*path, key))
+    else:
+        yield path, (type(data).__name__, data)
 
 
 def make(format: str, data: str | bytes, name: str = "template") -> Template:
@@ -82,7 +120,7 @@ def test_paths_select_keys_and_items(format: str, path: str, found: tuple[str, .
 @pytest.mark.parametrize("format", SAMPLES)
 def test_a_value_keeps_its_type(format: str) -> None:
     template = make(format, SAMPLES[format])
-    changes = (Set("//swarm/count", "16"), Set("//speed", "1"), Set("//swarm/name", "7"), Set("//on", "false"))
+    changes = (Set("//swarm/count", "16"), Set("//speed", "1"), Set("//swarm/name", "7"), Set("//swarm/on", "false"))
     made = template.reread(template.changed(changes, {}).render(), "made")
     assert made.find("//count | //speed") == ("16", "1.0")
     assert (
@@ -91,7 +129,7 @@ def test_a_value_keeps_its_type(format: str) -> None:
     )
     assert made.changed((Set("//swarm/name", "a text again"),), {}).render()
     with pytest.raises(TemplateError, match="boolean"):
-        made.changed((Set("//on", "1"),), {})
+        made.changed((Set("//swarm/on", "1"),), {})
 
 
 @pytest.mark.parametrize("format", SAMPLES)
@@ -107,7 +145,7 @@ def test_a_value_keeps_its_type(format: str) -> None:
         (Set("//count", "007"), "//count in template is the number 8, which cannot become '007'; use a number"),
         (Set("//count", "nan"), "//count in template is the number 8, which cannot become 'nan'; use a number"),
         (Set("//count", "1e999"), "//count in template cannot become 1e999; it is too large"),
-        (Set("//on", "yes"), "//on in template is a boolean, which cannot become 'yes'; use true or false"),
+        (Set("//swarm/on", "yes"), "//swarm/on in template is a boolean, which cannot become 'yes'; use true or false"),
         (Set("//count", "1", attribute="n"), "//count in template has no attribute 'n'"),
         (Set("//key/@name", "x"), "//key/@name in template selects names of keys; select the keys themselves"),
         (Set("count(//x)", "1"), "returns a number"),
@@ -140,6 +178,150 @@ def test_an_unknown_name_in_an_expression_is_refused(format: str) -> None:
         make(format, SAMPLES[format]).changed((Add("/robots", '{"x": "{n}"}'),), {})
 
 
+def test_changes_of_yaml_keep_its_layout() -> None:
+    template = make("yaml", YAML)
+    made = rendered(template, Set("//count", "9"), Set("//speed", "1"), Set("//name", "a: b"), Set("//x", "3"))
+    assert only_line(YAML, made) == [
+        ("count: 8  # robots", "count: 9  # robots"),
+        ("name: blue", 'name: "a: b"'),
+        ("speed: 0.5", "speed: 1.0"),
+        ("- {name: r1, x: 1}", '- {name: "a: b", x: 3}'),
+        ("-  name: 'r2'", "-  name: 'a: b'"),
+        ("x: 2   # the last", "x: 3   # the last"),
+    ]
+    added = rendered(template, Add("/robots", '{"name": "r3", "x": "{n + 1}"}'), Add("/swarm", '{"k": [true, 1e-5]}'), n=2)
+    assert added == YAML.replace("# the last\n", '# the last\n  - {"name": "r3", "x": 3}\n').replace(
+        "true\n", "true\n    k: [true, 1.0e-5]\n"
+    )
+    assert rendered(template, Remove("/robots/item[1]")) == YAML.replace("  - {name: r1, x: 1}\n", "")
+    assert rendered(template, Remove("/robots/item[1]/name")) == YAML.replace("name: r1, ", "")
+    assert rendered(template, Remove("/robots/item[2]/x")) == YAML.replace("     x: 2   # the last\n", "")
+    assert rendered(template, Remove("/robots/item[2]/name")) == YAML.replace("name: 'r2'\n     ", "")
+    assert rendered(template, Remove("//item")) == YAML.replace(YAML[YAML.index("- {") : YAML.index("my key")], "[]\n")
+    assert rendered(template, Rename("//name", "label")) == YAML.replace("name", "label")
+    assert rendered(template, Add("/robots", "0", at=1)) == YAML.replace("  -  name", "  - 0\n  -  name")
+
+
+@pytest.mark.parametrize(
+    ("old", "value", "new"),
+    [
+        ("a", "b", "b"),
+        ("a", "12", '"12"'),
+        ("a", "yes", '"yes"'),
+        ("a", "null", '"null"'),
+        ("a", "", '""'),
+        ("a", "x # y", '"x # y"'),
+        ("a", "1e5", '"1e5"'),
+        ("a", "2001-01-01", '"2001-01-01"'),
+        ("a", "two words", "two words"),
+        ("a", "é\u2028\x07", '"é\\u2028\\u0007"'),
+        ("'a'", "it's", "'it''s'"),
+        ('"a"', "b", '"b"'),
+        ("|\n  a\n  b", "c", '"c"'),
+        ("&n a", "b", "&n b"),
+        ("1", "1e-05", "1.0e-05"),
+        ("1.50", "1.5", "1.5"),
+        ("1.5", "1.50", "1.50"),
+        ("0.5", "0.50", "0.50"),
+        ("1", "1.0", "1"),
+        ("True", "true", "True"),
+        ("True", "false", "false"),
+    ],
+)
+def test_a_value_of_yaml_is_written_so_that_all_programs_read_it_alike(old: str, value: str, new: str) -> None:
+    template = make("yaml", f"k: {old}\nz: 1\n")
+    assert rendered(template, Set("/k", value)) == f"k: {new}\nz: 1\n"
+    assert rendered(template, Set("/k", value), Set("/z", "2")) == f"k: {new}\nz: 2\n"
+
+
+@pytest.mark.parametrize(
+    "old", ["yes", "off", "y", "010", "0x1F", "0o17", "1e5", "1_000", "1:30", ".5", "+1", ".inf", "2001-01-01"]
+)
+def test_a_value_that_versions_of_yaml_read_differently_is_not_set(old: str) -> None:
+    with pytest.raises(
+        TemplateError, match=r"/k in template is .*, which YAML 1.1 and 1.2 read in different ways; write a plain"
+    ):
+        make("yaml", f"k: {old}\n").changed((Set("/k", "1"),), {})
+
+
+@pytest.mark.parametrize(
+    ("text", "path", "message"),
+    [
+        ("a: &x {k: 1}\nb: *x\n", "/a/k", "is part of the anchor &x, which an alias repeats elsewhere"),
+        ("a: &x 1\nb: *x\n", "/a", "is part of the anchor &x"),
+        ("a: &x 1\nb: *x\n", "/b", "is the alias *x; write its content there to change it"),
+        ("a: &x {k: 1}\nb: *x\n", "/b/k", "/b/k in template matches nothing; only /b matches"),
+        ("a: !degrees 3\n", "/a", "has the tag !degrees"),
+        ("a: !!int 3\n", "/a", "has the tag tag:yaml.org,2002:int"),
+        ("a:\n", "/a", "is null"),
+        ("a: ~\n", "/a", "is null"),
+    ],
+)
+def test_a_value_of_yaml_with_another_meaning_is_not_set(text: str, path: str, message: str) -> None:
+    with pytest.raises(TemplateError) as refused:
+        make("yaml", text).changed((Set(path, "1"),), {})
+    assert message in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "t.yaml:1:1: not YAML: the document is empty"),
+        ("a: 1\n---\nb: 2\n", "t.yaml:2:1: not a YAML template: a second document begins there"),
+        ("a: 1\na: 2\n", "t.yaml:2:1: not a YAML template: the key 'a' occurs twice"),
+        ("? [a]\n: 1\n", "a key must be a single value"),
+        ("a: &x [*x]\n", "t.yaml:1:8: not a YAML template: the alias *x is part of its own anchor"),
+        ("a: *x\n", "t.yaml:1:4: not a YAML template: the alias *x has no anchor before it"),
+        ("a: [1\n", "t.yaml:2:1: not YAML"),
+        ("a:\n\t- 1\n", "t.yaml:2:1: not YAML"),
+        ("a: \x07\n", "t.yaml:1:4: not YAML"),
+        ("[" * 200 + "]" * 200, "t.yaml:1:102: not a YAML template: more than 100 levels"),
+        (f"a: {'9' * 500}\n", "t.yaml:1:4: not a YAML template: the number 99999999999999999999… is too large"),
+        (
+            "a0: &a0 [0]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 9)),
+            "aliases expand the document to more than 1000000 nodes",
+        ),
+    ],
+)
+def test_invalid_yaml_is_refused_with_its_place(text: str, message: str) -> None:
+    with pytest.raises(TemplateError) as refused:
+        make("yaml", text, "t.yaml")
+    assert message in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@given(DATA, st.booleans(), st.integers(0, 10**9), st.text(max_size=8), st.data())
+def test_a_set_in_yaml_changes_one_value_and_nothing_else(
+    data: Any, flow: bool, number: int, text: str, draw: st.DataObject
+) -> None:
+    before = yaml.safe_dump({"top": data}, default_flow_style=flow, allow_unicode=True, width=20)
+    template = make("yaml", before)
+    assert rendered(template) == before
+    paths = [path for path, _ in template.attributes()]
+    if not paths:
+        return
+    path = draw.draw(st.sampled_from(paths))
+    old = template.find(path)[0]
+    known = dict(leaves(yaml.safe_load(before)))
+    for value in (str(number), text.replace("{", "{{").replace("}", "}}")):
+        try:
+            after = rendered(template, Set(path, value))
+        except TemplateError as error:
+            if re.search("is the number|is a boolean|too large", str(error)):
+                continue
+            raise
+        now = dict(leaves(yaml.safe_load(after)))
+        different = [where for where in known if known[where] != now[where]]
+        assert len(different) <= 1
+        assert known.keys() == now.keys()
+        assert all(
+            known[where][0] == now[where][0] or {known[where][0], now[where][0]} == {"int", "float"} for where in different
+        )
+        found = template.reread(after.encode(), "after").find(path)[0]
+        assert found == value.replace("{{", "{").replace("}}", "}") or float(found) == float(value)
+        assert different or found == old or float(found) == float(old)
+
+
 def test_changes_of_json_keep_its_layout() -> None:
     template = make("json", JSON)
     added = rendered(template, Add("/robots", '{"name": "r3", "x": "{n + 1}"}'), Add("/", '{"k": [true]}'), n=2)
@@ -151,27 +333,6 @@ def test_changes_of_json_keep_its_layout() -> None:
     )
     assert rendered(template, Rename("//name", "label")) == JSON.replace('"name"', '"label"')
     assert rendered(template, Add("/robots", "0", at=0)) == JSON.replace('{"name": "r1"', '0,\n    {"name": "r1"')
-
-
-SCALARS = st.one_of(
-    st.integers(-(10**20), 10**20),
-    st.floats(allow_nan=False, allow_infinity=False),
-    st.text(max_size=8),
-    st.booleans(),
-    st.none(),
-)
-DATA = st.recursive(
-    SCALARS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4), max_leaves=12
-)
-
-
-def leaves(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], Any]]:
-    """Yield the single values of a document in order, with their kind."""
-    if isinstance(data, dict | list):
-        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
-            yield from leaves(value, (*path, key))
-    else:
-        yield path, (type(data).__name__, data)
 
 
 def new_value(old: Any, text: str, number: int) -> str:
@@ -249,7 +410,7 @@ def test_a_byte_order_mark_and_line_ends_stay(format: str) -> None:
         (
             "t.wbt",
             b"WorldInfo { }",
-            "its ending names no format, and it does not begin as XML; set template_format to one of xml, json",
+            "its ending names no format, and it does not begin as XML; set template_format to one of xml, json, yaml",
         ),
         ("t.json", b" <a/>", "its ending means json, but it begins as XML; set template_format to one of"),
         ("t", b"", "its ending names no format"),
@@ -265,7 +426,7 @@ def test_a_doubtful_format_is_refused(tmp_path: Path, name: str, data: bytes, me
 def test_a_project_may_name_the_format(tmp_path: Path) -> None:
     (tmp_path / "t.conf").write_text('{"n": 1}')
     assert templates.read(tmp_path / "t.conf", format="json").find("/n") == ("1",)
-    with pytest.raises(ConfigError, match="unknown template 'jsno'; known are xml, json"):
+    with pytest.raises(ConfigError, match="unknown template 'jsno'; known are xml, json, yaml"):
         templates.read(tmp_path / "t.conf", format="jsno")
 
 
