@@ -158,6 +158,7 @@ TEMPLATES = Kind(
         "xml": "sierra.templates.xml:XmlTemplate",
         "json": "sierra.templates.json:JsonTemplate",
         "yaml": "sierra.templates.yaml:YamlTemplate",
+        "toml": "sierra.templates.toml:TomlTemplate",
     },
 )
 RUNNERS = Kind("runner", "sierra.runners.base:Runner", {"local": "sierra.runners.local:Local"})
