@@ -159,6 +159,8 @@ TEMPLATES = Kind(
         "json": "sierra.templates.json:JsonTemplate",
         "yaml": "sierra.templates.yaml:YamlTemplate",
         "toml": "sierra.templates.toml:TomlTemplate",
+        "ini": "sierra.templates.ini:IniTemplate",
+        "properties": "sierra.templates.ini:PropertiesTemplate",
     },
 )
 RUNNERS = Kind("runner", "sierra.runners.base:Runner", {"local": "sierra.runners.local:Local"})

@@ -119,7 +119,7 @@ def test_a_byte_order_mark_and_line_ends_stay(format: str) -> None:
         (
             "t.wbt",
             b"WorldInfo { }",
-            "its ending names no format, and it does not begin as XML; set template_format to one of xml, json, yaml, toml",
+            "its ending names no format, and it does not begin as XML; set template_format to one of xml, json, yaml, toml,",
         ),
         ("t.json", b" <a/>", "its ending means json, but it begins as XML; set template_format to one of"),
         ("t", b"", "its ending names no format"),
@@ -135,5 +135,5 @@ def test_a_doubtful_format_is_refused(tmp_path: Path, name: str, data: bytes, me
 def test_a_project_may_name_the_format(tmp_path: Path) -> None:
     (tmp_path / "t.conf").write_text('{"n": 1}')
     assert templates.read(tmp_path / "t.conf", format="json").find("/n") == ("1",)
-    with pytest.raises(ConfigError, match="unknown template 'jsno'; known are xml, json, yaml, toml"):
+    with pytest.raises(ConfigError, match="unknown template 'jsno'; known are xml, json, yaml, toml, ini, properties"):
         templates.read(tmp_path / "t.conf", format="jsno")

@@ -1,0 +1,186 @@
+"""INI and properties templates: lines `key = value`, in INI below sections such as `[swarm]`.
+
+There is no standard. SIERRA reads what programs read alike: `=` or `:` after a key, comments on lines of their own, values with
+or without quotes. All values are texts. A value that programs read in different ways cannot be set: it continues on the next
+line, may contain a comment, or has escapes.
+
+Refused: sections and keys that occur twice, in INI keys before the first section, in properties sections, and other lines.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import ClassVar
+
+from sierra.templates.tree import Kind, Node, Notation, TreeTemplate, Unfit, failure
+
+_LINE = re.compile(r"[^\n]*\n?")
+_HEADER = re.compile(r"\s*\[([^\]\n]*)\]\s*(?:[#;].*)?")
+_PAIR = re.compile(r"\s*([^\s=:][^=:\n]*?)[ \t]*[=:][ \t]*([^\n]*?)\s*")
+_COMMENT = re.compile(r"(?:^|\s)[#;]")
+_KEY = re.compile(r"[\w.*\[\]-]+")
+
+
+class IniNotation:
+    """The notation of INI, or that of properties, which have no sections; see `sierra.templates.tree.Notation`."""
+
+    def __init__(self, *, sections: bool) -> None:
+        self.name = "INI" if sections else "properties"
+        self._sections = sections
+
+    def scan(self, text: str, name: str) -> Node:
+        return _Reader(text, name, self.name, sections=self._sections).document()
+
+    def text(self, node: Node, text: str) -> str:
+        return self._written(text, node.style)
+
+    def number(self, node: Node, text: str) -> str:
+        return text
+
+    def key(self, node: Node, key: str) -> str:
+        if not _KEY.fullmatch(key) or key.startswith("["):
+            raise Unfit(f"cannot get the key {key!r}; use letters, digits and _ . * -")
+        return key
+
+    def added(self, text: str, node: Node, key: str | None, new: Node, at: int | None) -> str:
+        line_end = "\r\n" if "\r\n" in text else "\n"
+        name = self.key(node, key or "")
+        if self._sections and node.style == "document":
+            if new.kind is not Kind.MAPPING:
+                raise Unfit("has sections; add keys to one of them")
+            lines = [f"[{name}]", *(self._line(child.key or "", child, " = ") for child in new.children)]
+            start = len(text)
+        else:
+            last = node.children[-1] if node.children else None
+            sign = text[last.keys[0][1] : last.entries[0][1]] if last else " = "
+            match = re.match(r"[ \t]*[=:][ \t]*", sign)
+            lines = [self._line(name, new, match[0] if match else " = ")]
+            start = max((child.entries[0][1] for child in node.children), default=node.end)
+        before = line_end if start and text[start - 1] != "\n" else ""
+        return f"{text[:start]}{before}{line_end.join(lines)}{line_end}{text[start:]}"
+
+    def removed(self, text: str, parent: Node, node: Node) -> str:
+        start, end = node.entries[0]
+        return text[:start] + text[end:]
+
+    def _line(self, key: str, new: Node, sign: str) -> str:
+        """Return a line with a key and its value, which is a text from now on."""
+        if new.kind in (Kind.MAPPING, Kind.LIST, Kind.NULL):
+            raise Unfit(f"cannot contain a {new.kind}; {self.name} has texts only")
+        new.kind = Kind.UNTYPED
+        return f"{self.key(new, key)}{sign}{self._written(new.value, '')}"
+
+    def _written(self, text: str, quote: str) -> str:
+        """Return a text as a value, if all programs read it alike."""
+        plain = text.isprintable() and not _COMMENT.search(text) and "\\" not in text and (self._sections or text.isascii())
+        delimited = quote not in text if quote else text == text.strip() and text[:1] not in ("'", '"')
+        if not plain or not delimited:
+            raise Unfit(f"cannot become {text!r}; programs would read it in different ways")
+        return text
+
+
+class IniTemplate(TreeTemplate):
+    """The template format `ini`."""
+
+    notation: ClassVar[Notation] = IniNotation(sections=True)
+
+
+class PropertiesTemplate(TreeTemplate):
+    """The template format `properties`."""
+
+    notation: ClassVar[Notation] = IniNotation(sections=False)
+
+
+class _Reader:
+    def __init__(self, text: str, name: str, format: str, *, sections: bool) -> None:
+        self._text = text
+        self._name = name
+        self._format = format
+        self._sections = sections
+        self._root = Node(Kind.MAPPING, 0, 0, style="document")
+        self._last: Node | None = None
+        """The key of the line before, which this line may continue."""
+        self._indent = 0
+
+    def document(self) -> Node:
+        section = None if self._sections else self._root
+        for match in _LINE.finditer(self._text):
+            start, end = match.span()
+            line = match[0].rstrip()
+            if self._is_filler(line) or self._continues(line, start, end) or line.lstrip()[0] in "#!":
+                continue
+            if header := _HEADER.fullmatch(line):
+                section = self._section(header, start, end)
+            else:
+                self._pair(section, line, start, end)
+            if section is not None and section is not self._root:
+                section.end = end
+                section.entries = [(section.entries[0][0], end)]
+        if not self._root.children:
+            raise failure(self._name, self._text, 0, f"not {self._format}: there are no keys")
+        return self._root
+
+    def _is_filler(self, line: str) -> bool:
+        """Return True for a line without a key, even if it is indented: in properties, it may continue a value."""
+        return not line or (self._sections and (line.lstrip()[0] in "#;" or line.startswith("include ")))
+
+    def _continues(self, line: str, start: int, end: int) -> bool:
+        """Note that a line continues the value before it."""
+        last, indent = self._last, len(line) - len(line.lstrip())
+        if last is None:
+            return False
+        if self._sections and indent <= self._indent:
+            return False
+        if not self._sections and not last.value.endswith("\\"):
+            return False
+        last.why = "continues on the next line, which not all programs read; write it on one line"
+        last.value += f"\n{line.strip()}"
+        last.end = start + len(line)
+        last.entries = [(last.entries[0][0], end)]
+        return True
+
+    def _section(self, header: re.Match[str], start: int, end: int) -> Node:
+        if not self._sections:
+            raise self._wrong(start, "properties have no sections; set template_format to ini")
+        name = header[1].strip()
+        if any(section.key == name for section in self._root.children):
+            raise self._wrong(start, f"the section [{name}] occurs twice")
+        place = start + header.start(1) + len(header[1]) - len(header[1].lstrip())
+        section = Node(Kind.MAPPING, place, end, key=name, keys=[(place, place + len(name))], entries=[(start, end)])
+        self._root.children.append(section)
+        self._last = None
+        return section
+
+    def _pair(self, section: Node | None, line: str, start: int, end: int) -> None:
+        pair = _PAIR.fullmatch(line)
+        if pair is None:
+            raise self._wrong(start, "neither a key with a value nor a section")
+        if section is None:
+            raise self._wrong(start, "a key before the first section; set template_format to properties if there are none")
+        key = pair[1]
+        if any(child.key == key for child in section.children):
+            raise self._wrong(start, f"the key {key!r} occurs twice")
+        node = _value(pair[2], start + pair.start(2))
+        if ":" in line[pair.end(1) : pair.start(2)] and "=" in pair[2]:
+            node.why = "has : and =, which programs read in different ways; write it with = alone"
+        if not self._sections and "\\" in pair[2]:
+            node.why = "has an escape or continues on the next line; write it in the template without"
+        node.key, node.keys, node.entries = key, [(start + pair.start(1), start + pair.end(1))], [(start, end)]
+        section.children.append(node)
+        self._last, self._indent = node, len(line) - len(line.lstrip())
+
+    def _wrong(self, place: int, what: str) -> Exception:
+        return failure(self._name, self._text, place, f"not {self._format}: {what}")
+
+
+def _value(written: str, place: int) -> Node:
+    """Return the value of a line; quotes around it are not part of it."""
+    quote = written[0] if len(written) > 1 and written[0] == written[-1] and written[0] in "\"'" else ""
+    inner = written[1:-1] if quote else written
+    start = place + len(quote)
+    node = Node(Kind.UNTYPED, start, start + len(inner), inner, style=quote)
+    if _COMMENT.search(inner) or (not quote and written[:1] in ("'", '"')):
+        node.why = "may contain a comment or a part in quotes; write the comment on its own line"
+    elif quote and (quote in inner or "\\" in inner):
+        node.why = "has quotes or escapes within quotes; write it in the template without"
+    return node
