@@ -161,6 +161,7 @@ TEMPLATES = Kind(
         "toml": "sierra.templates.toml:TomlTemplate",
         "ini": "sierra.templates.ini:IniTemplate",
         "properties": "sierra.templates.ini:PropertiesTemplate",
+        "text": "sierra.templates.text:TextTemplate",
     },
 )
 RUNNERS = Kind("runner", "sierra.runners.base:Runner", {"local": "sierra.runners.local:Local"})
