@@ -187,10 +187,12 @@ class Table(BaseModel):
 class ChangeTable(Table):
     """One change to the template: exactly one of `set`, `add`, `remove`, `rename`, each an XPath."""
 
-    set: str | None = Field(None, description="XPath of the attributes or elements that get `value`")
-    add: str | None = Field(None, description="XPath of the parent elements that get `xml` as a child")
-    remove: str | None = Field(None, description="XPath of the elements or attributes to remove")
-    rename: str | None = Field(None, description="XPath of the elements to rename to the tag `to`")
+    set: str | None = Field(None, description="XPath of the attributes, elements or keys that get `value`")
+    add: str | None = Field(
+        None, description="XPath of the parent elements that get `xml` as a child; of the lists and mappings that get `json`"
+    )
+    remove: str | None = Field(None, description="XPath of the elements, attributes, keys or items to remove")
+    rename: str | None = Field(None, description="XPath of the elements or keys to rename to `to`")
     value: Text | None = Field(
         None,
         description="for `set`: the new value; `{…}` is an expression of axes, as in `{population_size * 2}`; `{{` is a brace",
@@ -201,7 +203,7 @@ class ChangeTable(Table):
         None, alias="json", description="for `add` in other formats than XML: the new item of a list, or the new keys, as JSON"
     )
     at: int | None = Field(None, ge=0, description="for `add`: the index among the children, from 0; default: last")
-    to: str | None = Field(None, description="for `rename`: the new tag")
+    to: str | None = Field(None, description="for `rename`: the new tag or key")
     expect: PositiveInt | None = Field(None, description="exact number of matches required; default: at least one")
 
     @model_validator(mode="after")
@@ -585,7 +587,9 @@ class Project(Table):
 
     template: str = Field(description="the file from which the inputs of all runs are generated")
     template_format: str | None = Field(
-        None, description="format of the template, such as `xml` or `json`; default: by the ending of the file"
+        None,
+        description="format of the template: `xml`, `json`, `yaml`, `toml`, `ini`, `properties`, `text` or a plug-in; "
+        "default: by the ending of the file",
     )
     command: Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_type=Words)] = Field(
         (), description="the program and its arguments; {input}, {output}, {seed}, {project} and {python} are filled in"
