@@ -34,7 +34,8 @@ WIDTH = 118
 INTRODUCTION = """\
 All keys of sierra.toml. They may also be in the table [tool.sierra] of pyproject.toml instead.
 A line that starts with # and no space is an example: remove the # to use it. The text above it describes the key.
-Its type, its default and whether it is required are in brackets. An XPath is XPath 1.0; it selects keys in templates other than XML."""
+Its type, its default and whether it is required are in brackets. An XPath is XPath 1.0.
+In templates other than XML, it selects keys."""
 
 Values = dict[str, Json]
 """An example of a table."""

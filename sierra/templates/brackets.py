@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 
-from sierra.templates.tree import Node
+from sierra.templates.notation import Node
 
 _BLANK = re.compile(r"\s*")
 

@@ -12,7 +12,8 @@ from __future__ import annotations
 import re
 from typing import ClassVar
 
-from sierra.templates.tree import Kind, Node, Notation, TreeTemplate, Unfit, failure
+from sierra.templates.notation import Kind, Node, Notation, Unfit, failure
+from sierra.templates.tree import TreeTemplate
 
 _LINE = re.compile(r"[^\n]*\n?")
 _HEADER = re.compile(r"\s*\[([^\]\n]*)\]\s*(?:[#;].*)?")
@@ -22,7 +23,7 @@ _KEY = re.compile(r"[\w.*\[\]-]+")
 
 
 class IniNotation:
-    """The notation of INI, or that of properties, which have no sections; see `sierra.templates.tree.Notation`."""
+    """The notation of INI, or that of properties, which have no sections; see `sierra.templates.notation.Notation`."""
 
     def __init__(self, *, sections: bool) -> None:
         self.name = "INI" if sections else "properties"

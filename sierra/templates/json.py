@@ -12,7 +12,8 @@ from json.decoder import scanstring  # type: ignore[attr-defined]
 from typing import ClassVar
 
 from sierra.templates import brackets
-from sierra.templates.tree import DEPTH, NUMBER, Kind, Node, Notation, TreeTemplate, failure, too_large
+from sierra.templates.notation import DEPTH, NUMBER, Kind, Node, Notation, failure, too_large
+from sierra.templates.tree import TreeTemplate
 
 _SPACE = re.compile(r"[ \t\n\r]*")
 _WORD = re.compile(r"[A-Za-z_+-]?[\w.+-]*")
@@ -20,7 +21,7 @@ _WORDS = {"true": Kind.BOOLEAN, "false": Kind.BOOLEAN, "null": Kind.NULL}
 
 
 class JsonNotation:
-    """The notation of JSON; see `sierra.templates.tree.Notation`."""
+    """The notation of JSON; see `sierra.templates.notation.Notation`."""
 
     name = "JSON"
 

@@ -22,8 +22,8 @@ from sierra.errors import ConfigError, TemplateError
 from sierra.model import Change, Set, Value
 from sierra.templates.arithmetic import fill, names
 from sierra.templates.base import Rendered
+from sierra.templates.notation import decoded, failure
 from sierra.templates.same_number import same
-from sierra.templates.tree import decoded, failure
 from sierra.util.hashing import sha256
 from sierra.util.text import few, one_line
 

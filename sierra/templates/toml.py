@@ -16,7 +16,8 @@ from typing import ClassVar
 
 from sierra.errors import TemplateError
 from sierra.templates import brackets
-from sierra.templates.tree import DEPTH, NUMBER, Kind, Node, Notation, Span, TreeTemplate, Unfit, failure, too_large
+from sierra.templates.notation import DEPTH, NUMBER, Kind, Node, Notation, Span, Unfit, failure, too_large
+from sierra.templates.tree import TreeTemplate
 
 Key = tuple[str, Span]
 _FILLER = re.compile(r"(?:[ \t\r\n]|\#[^\n]*)*")
@@ -34,7 +35,7 @@ _PLACE = re.compile(r" \(at line ([0-9]+), column ([0-9]+)\)| \(at end of docume
 
 
 class TomlNotation:
-    """The notation of TOML; see `sierra.templates.tree.Notation`."""
+    """The notation of TOML; see `sierra.templates.notation.Notation`."""
 
     name = "TOML"
 

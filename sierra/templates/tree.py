@@ -14,128 +14,26 @@ A value of another type is an error. A list, a table or `null` cannot be set.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from decimal import Decimal
-from enum import StrEnum
 from itertools import groupby
-from typing import ClassVar, Protocol, TypeAlias
-
-from lxml import etree
+from typing import ClassVar
 
 from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Table
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set, Value
-from sierra.templates import xpath_time_limit
 from sierra.templates.arithmetic import fill, names
 from sierra.templates.base import Rendered
-from sierra.templates.data_path import below_root
+from sierra.templates.data_view import Scan
 from sierra.templates.nearest_path import nearest
+from sierra.templates.notation import NUMBER, Address, Edit, Kind, Node, Notation, Plain, Unfit, is_float, too_large
 from sierra.templates.same_number import same
 from sierra.util.hashing import sha256
 from sierra.util.text import one_line
 
-Element: TypeAlias = etree._Element
-Span = tuple[int, int]
-Address = tuple[int, ...]
-"""The indices of the children that lead to a node."""
-Plain = tuple[str, object]
-"""Data without places, for comparisons: a kind, and a text, a tuple of items, or a mapping."""
-DEPTH = 100
-"""Maximum depth of a document."""
-LONGEST = 400
-"""Maximum number of characters of a number."""
-NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
-"""A number as all formats write it."""
-_NAME = re.compile("[A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff][A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff0-9.-]*")
-"""A key that is a name in XPath; libxml2 has an old definition of letters outside of Latin-1."""
 _ONE_NAME = re.compile(r"\{[A-Za-z_]\w*\}")
 _ONE_EXPRESSION = re.compile(r"\{[^{}]*\}")
-_ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-
-
-class Kind(StrEnum):
-    """What a value is."""
-
-    TEXT = "text"
-    NUMBER = "number"
-    BOOLEAN = "boolean"
-    DATE = "date"
-    UNTYPED = "value"
-    NULL = "null"
-    MAPPING = "mapping"
-    LIST = "list"
-    FIXED = "fixed"
-    """A value that cannot be set; `Node.why` says why."""
-
-
-@dataclass(slots=True, eq=False)
-class Node:
-    """One value of a document, with its place."""
-
-    kind: Kind
-    start: int
-    end: int
-    value: str = ""
-    """The text of a value as it is read: without quotes and escapes."""
-    key: str | None = None
-    keys: list[Span] = field(default_factory=list)
-    """The places of its key."""
-    children: list[Node] = field(default_factory=list)
-    entries: list[Span] = field(default_factory=list)
-    """The places of its keys with their values: what is removed with it."""
-    style: str = ""
-    """How the format writes it, for example between which brackets; the format knows the meaning."""
-    why: str = ""
-    """Why it cannot be set; empty if it can."""
-
-    def plain(self) -> Plain:
-        """Return the data without places."""
-        match self.kind:
-            case Kind.MAPPING:
-                return self.kind, {child.key: child.plain() for child in self.children}
-            case Kind.LIST:
-                return self.kind, tuple(self.plain_children())
-            case Kind.NUMBER if NUMBER.fullmatch(self.value):
-                return self.kind, (is_float(self.value), Decimal(self.value))
-        return self.kind, self.value
-
-    def plain_children(self) -> Iterator[Plain]:
-        for child in self.children:
-            yield child.plain()
-
-
-class Unfit(Exception):
-    """A change that a format cannot write; the message completes `PATH … in TEMPLATE`."""
-
-
-class Notation(Protocol):
-    """How a format reads and writes data. Places are indices in the text of the document."""
-
-    name: str
-    """The format's name in messages."""
-
-    def scan(self, text: str, name: str) -> Node:
-        """Return the document. Raises TemplateError, in one line with the place, if it is invalid or doubtful."""
-
-    def text(self, node: Node, text: str) -> str:
-        """Return a text as it is written in the place of a value. Raises Unfit."""
-
-    def number(self, node: Node, text: str) -> str:
-        """Return a number, which NUMBER matches, as it is written. Raises Unfit."""
-
-    def key(self, node: Node, key: str) -> str:
-        """Return a new key as it is written in the place of a node's key. Raises Unfit."""
-
-    def added(self, text: str, node: Node, key: str | None, new: Node, at: int | None) -> str:
-        """Return the document with a new value in a mapping or list, before the child `at`, or last. Raises Unfit."""
-
-    def removed(self, text: str, parent: Node, node: Node) -> str:
-        """Return the document without a node. Raises Unfit."""
 
 
 class TreeTemplate:
@@ -163,139 +61,6 @@ class TreeTemplate:
 
     def changed(self, changes: Sequence[Change], values: Mapping[str, Value]) -> TreeDocument:
         return self._document.changed(changes, lambda text: fill(text, values))
-
-
-class Scan:
-    """A parsed document with its view. It is shared by all documents that differ from it in values only."""
-
-    def __init__(self, data: bytes, name: str, notation: Notation) -> None:
-        self.name = name
-        self.notation = notation
-        self.mark, self.text = decoded(data, name)
-        self.root = notation.scan(self.text, name)
-        self._nodes: dict[Element, Node] = {}
-        self._elements: dict[Node, Element] = {}
-        self.view = etree.Element("_")
-        self._show(self.root, self.view)
-
-    def select(self, path: str, who: str = "") -> list[str | Node]:
-        """Return the nodes that a path selects, and as texts the names of keys. Raises TemplateError."""
-        shown = one_line(path)
-        rooted = below_root(path)
-        if not xpath_time_limit.ends(rooted, {}, self.view):
-            raise TemplateError(
-                f"{who}{shown} takes more than {xpath_time_limit.LIMIT_S} s of computing time in {self.name}; "
-                "use a path that visits the document less often, with fewer // and .. within [ ]"
-            )
-        try:
-            found = etree.XPath(rooted, regexp=False)(self.view)
-        except (etree.XPathError, ValueError) as error:
-            raise TemplateError(f"{who}{shown} is not an XPath for {self.name}: {one_line(error)}") from error
-        if not isinstance(found, list):
-            kind = {bool: "a boolean", float: "a number"}.get(type(found), "a string")
-            raise TemplateError(f"{who}{shown} returns {kind}, but must select keys or values in {self.name}")
-        return list(dict.fromkeys(self._selected(one) for one in found))
-
-    def _selected(self, found: object) -> str | Node:
-        if isinstance(found, str):
-            result: etree._ElementUnicodeResult = found
-            return str(result) if result.is_attribute else self._nodes[result.getparent()]
-        return self._nodes[found]
-
-    def exists(self, path: str) -> list[str | Node]:
-        """Return what a path selects, or nothing if it is invalid."""
-        try:
-            return self.select(path)
-        except TemplateError:
-            return []
-
-    def steps(self, good: str, way: str, at: str) -> list[str]:
-        """Return the different steps that lead from a path to keys and items; the names of keys have no attributes."""
-        if at:
-            return []
-        nodes = self.exists(f"{good}{way}*")
-        return list(dict.fromkeys(step(node) for node in nodes if isinstance(node, Node) and step(node)))
-
-    def values(self) -> Iterator[tuple[str, str]]:
-        """Yield paths that select one value each, with these values."""
-        counted: dict[str, int] = {}
-        for node in self._elements:
-            counted[step(node)] = counted.get(step(node), 0) + 1
-        yield from self._values(self.root, "", counted)
-
-    def _values(self, node: Node, path: str, counted: Mapping[str, int]) -> Iterator[tuple[str, str]]:
-        if not node.why and node.kind not in (Kind.MAPPING, Kind.LIST, Kind.NULL):
-            alone = path and step(node) and counted[step(node)] == 1
-            yield (f"//{step(node)}" if alone else path or "/"), node.value
-        for number, child in enumerate(node.children, 1):
-            called = f"item[{number}]" if child.key is None else step(child) or f"*[{number}]"
-            yield from self._values(child, f"{path}/{called}", counted)
-
-    @contextmanager
-    def showing(self, edits: Mapping[Node, Edit]) -> Iterator[None]:
-        """Let the view have other values for a while."""
-        for node, edit in edits.items():
-            self._elements[node].text = legal(edit.value)
-        try:
-            yield
-        finally:
-            for node in edits:
-                self._elements[node].text = legal(node.value)
-
-    def show(self, node: Node, value: str) -> None:
-        self._elements[node].text = legal(value)
-
-    def address(self, node: Node) -> Address:
-        """Return the indices of the children that lead to a node."""
-        element, found = self._elements[node], []
-        while (parent := element.getparent()) is not None:
-            found.append(parent.index(element))
-            element = parent
-        return tuple(reversed(found))
-
-    def at(self, address: Address) -> Node:
-        node = self.root
-        for index in address:
-            node = node.children[index]
-        return node
-
-    def _show(self, node: Node, element: Element) -> None:
-        self._nodes[element] = node
-        self._elements[node] = element
-        element.text = legal(node.value) or None
-        for child in node.children:
-            self._show(child, _element(element, child.key))
-
-
-def _element(parent: Element, key: str | None) -> Element:
-    if key is None:
-        return etree.SubElement(parent, "item")
-    if _NAME.fullmatch(key):
-        return etree.SubElement(parent, key)
-    return etree.SubElement(parent, "key", name=legal(key))
-
-
-def step(node: Node) -> str:
-    """Return the step of a path to a node; empty for a key that no path can contain."""
-    if node.key is None:
-        return "item"
-    if _NAME.fullmatch(node.key):
-        return "key[not(@name)]" if node.key == "key" else node.key
-    quote = '"' if "'" in node.key else "'"
-    return f"key[@name={quote}{node.key}{quote}]" if quote not in node.key and legal(node.key) == node.key else ""
-
-
-def legal(text: str) -> str:
-    """Return a text as the view shows it: characters that XML does not have are replaced."""
-    return _ILLEGAL.sub("\ufffd", text)
-
-
-@dataclass(frozen=True, slots=True)
-class Edit:
-    """A new value of a node: as it is written, and as it is read."""
-
-    token: str
-    value: str
 
 
 class TreeDocument:
@@ -579,16 +344,6 @@ def _number(node: Node, text: str) -> str:
     return f"{text}.0" if is_float(node.value) and not is_float(text) else text
 
 
-def is_float(text: str) -> bool:
-    """Return True if a number is not written as a whole number."""
-    return any(character in text for character in ".eE")
-
-
-def too_large(number: str) -> bool:
-    """Return True for a number that no program reads exactly or as a finite float."""
-    return len(number) > LONGEST or (is_float(number) and math.isinf(float(number)))
-
-
 def _filled(change: Set, filled: Callable[[str], str]) -> str:
     try:
         return filled(change.value)
@@ -600,28 +355,6 @@ def _unfilled(text: str) -> str:
     """Return a text unchanged, after checking that it can be filled."""
     names(text)
     return text
-
-
-def decoded(data: bytes, name: str) -> tuple[bytes, str]:
-    """Return the byte order mark, if any, and the text of a file. Raises TemplateError if it is not UTF-8 text."""
-    mark = b"\xef\xbb\xbf" if data.startswith(b"\xef\xbb\xbf") else b""
-    try:
-        text = data[len(mark) :].decode()
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start + len(mark)) + 1
-        raise TemplateError(f"{name}:{line}: not a text in UTF-8; save it as UTF-8") from error
-    if "\0" in text:
-        raise TemplateError(
-            f"{name}:{text.count(chr(10), 0, text.index(chr(0))) + 1}: contains a NUL byte; it is a binary file"
-        )
-    return mark, text
-
-
-def failure(name: str, text: str, place: int, what: str) -> TemplateError:
-    """Return an error with the line and the column of a place."""
-    line = text.count("\n", 0, place) + 1
-    column = place - (text.rfind("\n", 0, place) + 1) + 1
-    return TemplateError(f"{name}:{line}:{column}: {one_line(what)}")
 
 
 def _who(change: Change) -> str:

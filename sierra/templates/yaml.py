@@ -18,7 +18,8 @@ from typing import ClassVar
 import yaml
 
 from sierra.templates import brackets
-from sierra.templates.tree import DEPTH, NUMBER, Kind, Node, Notation, TreeTemplate, Unfit, failure, is_float, too_large
+from sierra.templates.notation import DEPTH, NUMBER, Kind, Node, Notation, Unfit, failure, is_float, too_large
+from sierra.templates.tree import TreeTemplate
 
 MOST = 1_000_000
 """Maximum number of nodes of a document after its aliases are expanded."""
@@ -40,7 +41,7 @@ _PROPERTIES = re.compile(r"(?:[&!]\S*\s+)*")
 
 
 class YamlNotation:
-    """The notation of YAML; see `sierra.templates.tree.Notation`."""
+    """The notation of YAML; see `sierra.templates.notation.Notation`."""
 
     name = "YAML"
 

@@ -1,0 +1,146 @@
+"""The view of a document of keys, lists and values, in which XPath selects: keys and items as elements, values as texts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TypeAlias
+
+from lxml import etree
+
+from sierra.errors import TemplateError
+from sierra.templates import xpath_time_limit
+from sierra.templates.data_path import below_root
+from sierra.templates.notation import Address, Edit, Kind, Node, Notation, decoded
+from sierra.util.text import one_line
+
+Element: TypeAlias = etree._Element
+_NAME = re.compile("[A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff][A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff0-9.-]*")
+"""A key that is a name in XPath; libxml2 has an old definition of letters outside of Latin-1."""
+_ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+class Scan:
+    """A parsed document with its view. It is shared by all documents that differ from it in values only."""
+
+    def __init__(self, data: bytes, name: str, notation: Notation) -> None:
+        self.name = name
+        self.notation = notation
+        self.mark, self.text = decoded(data, name)
+        self.root = notation.scan(self.text, name)
+        self._nodes: dict[Element, Node] = {}
+        self._elements: dict[Node, Element] = {}
+        self.view = etree.Element("_")
+        self._show(self.root, self.view)
+
+    def select(self, path: str, who: str = "") -> list[str | Node]:
+        """Return the nodes that a path selects, and as texts the names of keys. Raises TemplateError."""
+        shown = one_line(path)
+        rooted = below_root(path)
+        if not xpath_time_limit.ends(rooted, {}, self.view):
+            raise TemplateError(
+                f"{who}{shown} takes more than {xpath_time_limit.LIMIT_S} s of computing time in {self.name}; "
+                "use a path that visits the document less often, with fewer // and .. within [ ]"
+            )
+        try:
+            found = etree.XPath(rooted, regexp=False)(self.view)
+        except (etree.XPathError, ValueError) as error:
+            raise TemplateError(f"{who}{shown} is not an XPath for {self.name}: {one_line(error)}") from error
+        if not isinstance(found, list):
+            kind = {bool: "a boolean", float: "a number"}.get(type(found), "a string")
+            raise TemplateError(f"{who}{shown} returns {kind}, but must select keys or values in {self.name}")
+        return list(dict.fromkeys(self._selected(one) for one in found))
+
+    def _selected(self, found: object) -> str | Node:
+        if isinstance(found, str):
+            result: etree._ElementUnicodeResult = found
+            return str(result) if result.is_attribute else self._nodes[result.getparent()]
+        return self._nodes[found]
+
+    def exists(self, path: str) -> list[str | Node]:
+        """Return what a path selects, or nothing if it is invalid."""
+        try:
+            return self.select(path)
+        except TemplateError:
+            return []
+
+    def steps(self, good: str, way: str, at: str) -> list[str]:
+        """Return the different steps that lead from a path to keys and items; the names of keys have no attributes."""
+        if at:
+            return []
+        nodes = self.exists(f"{good}{way}*")
+        return list(dict.fromkeys(step(node) for node in nodes if isinstance(node, Node) and step(node)))
+
+    def values(self) -> Iterator[tuple[str, str]]:
+        """Yield paths that select one value each, with these values."""
+        counted: dict[str, int] = {}
+        for node in self._elements:
+            counted[step(node)] = counted.get(step(node), 0) + 1
+        yield from self._values(self.root, "", counted)
+
+    def _values(self, node: Node, path: str, counted: Mapping[str, int]) -> Iterator[tuple[str, str]]:
+        if not node.why and node.kind not in (Kind.MAPPING, Kind.LIST, Kind.NULL):
+            alone = path and step(node) and counted[step(node)] == 1
+            yield (f"//{step(node)}" if alone else path or "/"), node.value
+        for number, child in enumerate(node.children, 1):
+            called = f"item[{number}]" if child.key is None else step(child) or f"*[{number}]"
+            yield from self._values(child, f"{path}/{called}", counted)
+
+    @contextmanager
+    def showing(self, edits: Mapping[Node, Edit]) -> Iterator[None]:
+        """Let the view have other values for a while."""
+        for node, edit in edits.items():
+            self._elements[node].text = legal(edit.value)
+        try:
+            yield
+        finally:
+            for node in edits:
+                self._elements[node].text = legal(node.value)
+
+    def show(self, node: Node, value: str) -> None:
+        self._elements[node].text = legal(value)
+
+    def address(self, node: Node) -> Address:
+        """Return the indices of the children that lead to a node."""
+        element, found = self._elements[node], []
+        while (parent := element.getparent()) is not None:
+            found.append(parent.index(element))
+            element = parent
+        return tuple(reversed(found))
+
+    def at(self, address: Address) -> Node:
+        node = self.root
+        for index in address:
+            node = node.children[index]
+        return node
+
+    def _show(self, node: Node, element: Element) -> None:
+        self._nodes[element] = node
+        self._elements[node] = element
+        element.text = legal(node.value) or None
+        for child in node.children:
+            self._show(child, _element(element, child.key))
+
+
+def _element(parent: Element, key: str | None) -> Element:
+    if key is None:
+        return etree.SubElement(parent, "item")
+    if _NAME.fullmatch(key):
+        return etree.SubElement(parent, key)
+    return etree.SubElement(parent, "key", name=legal(key))
+
+
+def step(node: Node) -> str:
+    """Return the step of a path to a node; empty for a key that no path can contain."""
+    if node.key is None:
+        return "item"
+    if _NAME.fullmatch(node.key):
+        return "key[not(@name)]" if node.key == "key" else node.key
+    quote = '"' if "'" in node.key else "'"
+    return f"key[@name={quote}{node.key}{quote}]" if quote not in node.key and legal(node.key) == node.key else ""
+
+
+def legal(text: str) -> str:
+    """Return a text as the view shows it: characters that XML does not have are replaced."""
+    return _ILLEGAL.sub("\ufffd", text)

@@ -1,0 +1,146 @@
+"""The contract of formats for trees of keys, lists and values: nodes with their places, and how values are written."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from decimal import Decimal
+from enum import StrEnum
+from typing import Protocol
+
+from sierra.errors import TemplateError
+from sierra.util.text import one_line
+
+Span = tuple[int, int]
+Address = tuple[int, ...]
+"""The indices of the children that lead to a node."""
+Plain = tuple[str, object]
+"""Data without places, for comparisons: a kind, and a text, a tuple of items, or a mapping."""
+DEPTH = 100
+"""Maximum depth of a document."""
+LONGEST = 400
+"""Maximum number of characters of a number."""
+NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
+"""A number as all formats write it."""
+
+
+class Kind(StrEnum):
+    """What a value is."""
+
+    TEXT = "text"
+    NUMBER = "number"
+    BOOLEAN = "boolean"
+    DATE = "date"
+    UNTYPED = "value"
+    NULL = "null"
+    MAPPING = "mapping"
+    LIST = "list"
+    FIXED = "fixed"
+    """A value that cannot be set; `Node.why` says why."""
+
+
+@dataclass(slots=True, eq=False)
+class Node:
+    """One value of a document, with its place."""
+
+    kind: Kind
+    start: int
+    end: int
+    value: str = ""
+    """The text of a value as it is read: without quotes and escapes."""
+    key: str | None = None
+    keys: list[Span] = field(default_factory=list)
+    """The places of its key."""
+    children: list[Node] = field(default_factory=list)
+    entries: list[Span] = field(default_factory=list)
+    """The places of its keys with their values: what is removed with it."""
+    style: str = ""
+    """How the format writes it, for example between which brackets; the format knows the meaning."""
+    why: str = ""
+    """Why it cannot be set; empty if it can."""
+
+    def plain(self) -> Plain:
+        """Return the data without places."""
+        match self.kind:
+            case Kind.MAPPING:
+                return self.kind, {child.key: child.plain() for child in self.children}
+            case Kind.LIST:
+                return self.kind, tuple(self.plain_children())
+            case Kind.NUMBER if NUMBER.fullmatch(self.value):
+                return self.kind, (is_float(self.value), Decimal(self.value))
+        return self.kind, self.value
+
+    def plain_children(self) -> Iterator[Plain]:
+        for child in self.children:
+            yield child.plain()
+
+
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """A new value of a node: as it is written, and as it is read."""
+
+    token: str
+    value: str
+
+
+class Unfit(Exception):
+    """A change that a format cannot write; the message completes `PATH … in TEMPLATE`."""
+
+
+class Notation(Protocol):
+    """How a format reads and writes data. Places are indices in the text of the document."""
+
+    name: str
+    """The format's name in messages."""
+
+    def scan(self, text: str, name: str) -> Node:
+        """Return the document. Raises TemplateError, in one line with the place, if it is invalid or doubtful."""
+
+    def text(self, node: Node, text: str) -> str:
+        """Return a text as it is written in the place of a value. Raises Unfit."""
+
+    def number(self, node: Node, text: str) -> str:
+        """Return a number, which NUMBER matches, as it is written. Raises Unfit."""
+
+    def key(self, node: Node, key: str) -> str:
+        """Return a new key as it is written in the place of a node's key. Raises Unfit."""
+
+    def added(self, text: str, node: Node, key: str | None, new: Node, at: int | None) -> str:
+        """Return the document with a new value in a mapping or list, before the child `at`, or last. Raises Unfit."""
+
+    def removed(self, text: str, parent: Node, node: Node) -> str:
+        """Return the document without a node. Raises Unfit."""
+
+
+def is_float(text: str) -> bool:
+    """Return True if a number is not written as a whole number."""
+    return any(character in text for character in ".eE")
+
+
+def too_large(number: str) -> bool:
+    """Return True for a number that no program reads exactly or as a finite float."""
+    return len(number) > LONGEST or (is_float(number) and math.isinf(float(number)))
+
+
+def decoded(data: bytes, name: str) -> tuple[bytes, str]:
+    """Return the byte order mark, if any, and the text of a file. Raises TemplateError if it is not UTF-8 text."""
+    mark = b"\xef\xbb\xbf" if data.startswith(b"\xef\xbb\xbf") else b""
+    try:
+        text = data[len(mark) :].decode()
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start + len(mark)) + 1
+        raise TemplateError(f"{name}:{line}: not a text in UTF-8; save it as UTF-8") from error
+    if "\0" in text:
+        raise TemplateError(
+            f"{name}:{text.count(chr(10), 0, text.index(chr(0))) + 1}: contains a NUL byte; it is a binary file"
+        )
+    return mark, text
+
+
+def failure(name: str, text: str, place: int, what: str) -> TemplateError:
+    """Return an error with the line and the column of a place."""
+    line = text.count("\n", 0, place) + 1
+    column = place - (text.rfind("\n", 0, place) + 1) + 1
+    return TemplateError(f"{name}:{line}:{column}: {one_line(what)}")
