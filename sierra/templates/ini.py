@@ -17,7 +17,7 @@ from sierra.templates.tree import TreeTemplate
 
 _LINE = re.compile(r"[^\n]*\n?")
 _HEADER = re.compile(r"\s*\[([^\]\n]*)\]\s*(?:[#;].*)?")
-_PAIR = re.compile(r"\s*([^\s=:][^=:\n]*?)[ \t]*[=:][ \t]*([^\n]*?)\s*")
+_SIGN = re.compile("[=:]")
 _COMMENT = re.compile(r"(?:^|\s)[#;]")
 _KEY = re.compile(r"[\w.*\[\]-]+")
 
@@ -102,6 +102,8 @@ class _Reader:
         self._last: Node | None = None
         """The key of the line before, which this line may continue."""
         self._indent = 0
+        self._known: set[tuple[Node, str]] = set()
+        """The sections (below the document) and keys that were read."""
 
     def document(self) -> Node:
         section = None if self._sections else self._root
@@ -144,8 +146,9 @@ class _Reader:
         if not self._sections:
             raise self._wrong(start, "properties have no sections; set template_format to ini")
         name = header[1].strip()
-        if any(section.key == name for section in self._root.children):
+        if (self._root, name) in self._known:
             raise self._wrong(start, f"the section [{name}] occurs twice")
+        self._known.add((self._root, name))
         place = start + header.start(1) + len(header[1]) - len(header[1].lstrip())
         section = Node(Kind.MAPPING, place, end, key=name, keys=[(place, place + len(name))], entries=[(start, end)])
         self._root.children.append(section)
@@ -153,22 +156,24 @@ class _Reader:
         return section
 
     def _pair(self, section: Node | None, line: str, start: int, end: int) -> None:
-        pair = _PAIR.fullmatch(line)
-        if pair is None:
+        sign = _SIGN.search(line)
+        key = line[: sign.start()].strip() if sign else ""
+        if sign is None or not key:
             raise self._wrong(start, "neither a key with a value nor a section")
         if section is None:
             raise self._wrong(start, "a key before the first section; set template_format to properties if there are none")
-        key = pair[1]
-        if any(child.key == key for child in section.children):
+        if (section, key) in self._known:
             raise self._wrong(start, f"the key {key!r} occurs twice")
-        node = _value(pair[2], start + pair.start(2))
-        if ":" in line[pair.end(1) : pair.start(2)] and "=" in pair[2]:
+        self._known.add((section, key))
+        indent, written = len(line) - len(line.lstrip()), line[sign.end() :]
+        node = _value(written.strip(), start + len(line) - len(written.lstrip()))
+        if sign[0] == ":" and "=" in written:
             node.why = "has : and =, which programs read in different ways; write it with = alone"
-        if not self._sections and "\\" in pair[2]:
+        if not self._sections and "\\" in written:
             node.why = "has an escape or continues on the next line; write it in the template without"
-        node.key, node.keys, node.entries = key, [(start + pair.start(1), start + pair.end(1))], [(start, end)]
+        node.key, node.keys, node.entries = key, [(start + indent, start + indent + len(key))], [(start, end)]
         section.children.append(node)
-        self._last, self._indent = node, len(line) - len(line.lstrip())
+        self._last, self._indent = node, indent
 
     def _wrong(self, place: int, what: str) -> Exception:
         return failure(self._name, self._text, place, f"not {self._format}: {what}")

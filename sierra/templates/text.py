@@ -181,7 +181,8 @@ def _split(text: str, name: str, begin: str, end: str) -> tuple[list[str], list[
     pieces: list[str] = []
     found: list[str] = []
     after = 0
-    for match in re.finditer(f"{re.escape(begin)}(.*?){re.escape(end)}", text):
+    signs = f"{re.escape(begin)}|{re.escape(end)}"
+    for match in re.finditer(f"{re.escape(begin)}((?:(?!{signs}).)*+){re.escape(end)}", text):
         inner = match[1].strip()
         if not _NAME.fullmatch(inner):
             right = f"use a name of letters, digits and _, or another [templates.text] placeholder than {begin}name{end}"

@@ -42,11 +42,11 @@ class TomlNotation:
     def scan(self, text: str, name: str) -> Node:
         try:
             data = tomllib.loads(text)
+            root = _Scanner(text).document()
         except RecursionError as error:
             raise failure(name, text, 0, f"not a TOML template: more than {DEPTH} levels of lists and tables") from error
         except ValueError as error:
             raise _invalid(name, text, error) from error
-        root = _Scanner(text).document()
         _assign(root, data, text, name, 0)
         return root
 
@@ -99,6 +99,7 @@ class _Scanner:
 
     def __init__(self, text: str) -> None:
         self._text = text
+        self._known: dict[tuple[Node, str], Node] = {}
 
     def document(self) -> Node:
         text = self._text
@@ -124,9 +125,9 @@ class _Scanner:
         is_item = self._text.startswith("[[", place)
         keys, end = self._keys(self._blank(place + 1 + is_item))
         if not is_item:
-            return _table(root, keys), end + 1
+            return self._table(root, keys), end + 1
         *above, (key, span) = keys
-        tables = _child(_table(root, above), key, span, Kind.LIST)
+        tables = self._child(self._table(root, above), key, span, Kind.LIST)
         tables.children.append(Node(Kind.MAPPING, place, end + 2, style="table"))
         return tables.children[-1], end + 2
 
@@ -136,7 +137,9 @@ class _Scanner:
         *above, (key, span) = keys
         node = self._value(self._blank(end + 1))
         node.key, node.keys, node.entries = key, [span], [(place, node.end)]
-        _table(table, above).children.append(node)
+        parent = self._table(table, above)
+        parent.children.append(node)
+        self._known[parent, key] = node
         return node, node.end
 
     def _keys(self, place: int) -> tuple[list[Key], int]:
@@ -151,6 +154,21 @@ class _Scanner:
             if self._text[place : place + 1] != ".":
                 return found, place
             place = self._blank(place + 1)
+
+    def _table(self, node: Node, keys: list[Key]) -> Node:
+        """Return the table that keys lead to; it is made if it is new. Within a list of tables, it is the last."""
+        for key, span in keys:
+            node = self._child(node, key, span, Kind.MAPPING)
+            node = node.children[-1] if node.kind is Kind.LIST else node
+        return node
+
+    def _child(self, node: Node, key: str, span: Span, kind: Kind) -> Node:
+        found = self._known.get((node, key))
+        if found is None:
+            found = self._known[node, key] = Node(kind, span[0], span[1], key=key, style="table")
+            node.children.append(found)
+        found.keys.append(span)
+        return found
 
     def _value(self, place: int) -> Node:
         first = self._text[place]
@@ -206,23 +224,6 @@ class _Scanner:
     def _line_end(self, place: int) -> int:
         end = self._text.find("\n", place)
         return len(self._text) if end < 0 else end + 1
-
-
-def _table(node: Node, keys: list[Key]) -> Node:
-    """Return the table that keys lead to; it is made if it is new. Within a list of tables, it is the last."""
-    for key, span in keys:
-        node = _child(node, key, span, Kind.MAPPING)
-        node = node.children[-1] if node.kind is Kind.LIST else node
-    return node
-
-
-def _child(node: Node, key: str, span: Span, kind: Kind) -> Node:
-    found = next((child for child in node.children if child.key == key), None)
-    if found is None:
-        found = Node(kind, span[0], span[1], key=key, style="table")
-        node.children.append(found)
-    found.keys.append(span)
-    return found
 
 
 def _assign(node: Node, data: object, text: str, name: str, depth: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from sierra import templates
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set
 from sierra.testing import templates as conformance
+from tests.effort import effort
 from tests.trees import SAMPLES, TEXT_PLACES, make, rendered
 
 
@@ -137,3 +139,33 @@ def test_a_project_may_name_the_format(tmp_path: Path) -> None:
     assert templates.read(tmp_path / "t.conf", format="json").find("/n") == ("1",)
     with pytest.raises(ConfigError, match="unknown template 'jsno'; known are xml, json, yaml, toml, ini, properties"):
         templates.read(tmp_path / "t.conf", format="jsno")
+
+
+@pytest.mark.parametrize(
+    ("format", "text"),
+    [
+        ("json", "[" + "0," * 50_000 + "0]"),
+        ("json", "[" * 1_000_000),
+        ("json", '"' + "\\" * 1_000_001),
+        ("yaml", "[" * 1_000_000),
+        ("yaml", "a: " + "&a " * 300_000),
+        ("yaml", "".join(f"k{number}: *a\n" for number in range(20_000))),
+        ("toml", "".join(f"[a{number}]\n" for number in range(20_000))),
+        ("toml", "a = " + "[" * 100_000),
+        ("toml", 'a = """' + '"' * 2 + "\\" * 1_000_001),
+        ("ini", "[a]\n" + "".join(f"k{number} = 1\n" for number in range(20_000))),
+        ("ini", "".join(f"[k{number}]\n" for number in range(20_000))),
+        ("ini", "[a]\nb" + " " * 1_000_000 + "b"),
+        ("ini", "[a]\nb = b" + " " * 1_000_000 + "b"),
+        ("ini", "[" * 1_000_000),
+        ("text", "{{" * 500_000),
+        ("text", "{{" + "a" * 1_000_000),
+        ("text", "{" * 1_000_000 + "a}}"),
+    ],
+)
+def test_the_time_for_hostile_files_is_in_proportion(format: str, text: str) -> None:
+    def read() -> None:
+        with contextlib.suppress(TemplateError):
+            make(format, text).changed((), {}).render()
+
+    assert effort(read) < 60
