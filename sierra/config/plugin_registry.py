@@ -183,7 +183,12 @@ ENGINES = Kind(
 READERS = Kind(
     "reader",
     "sierra.ingest.base:OutputReader",
-    {"csv": "sierra.ingest.csv:Csv", "parquet": "sierra.ingest.parquet:Parquet", "jsonl": "sierra.ingest.jsonl:Jsonl"},
+    {
+        "csv": "sierra.ingest.csv:Csv",
+        "parquet": "sierra.ingest.parquet:Parquet",
+        "jsonl": "sierra.ingest.jsonl:Jsonl",
+        "json": "sierra.ingest.json_rows:JsonDocument",
+    },
 )
 KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS)
 

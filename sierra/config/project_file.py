@@ -53,6 +53,20 @@ RawTable = Mapping[str, object]
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
 SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
+FILE_FORMAT = "file"
+"""The format of outputs that are kept as files and become no table."""
+NAMED_FORMATS = ("json",)
+"""Formats that are only read if they are named, because such files were kept as files before there was a reader."""
+CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "na", "widths")
+KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(CSV_KEYS, ("csv",)),
+    "rows": ("json",),
+    **dict.fromkeys(("flatten", "unnest"), ("json", "jsonl")),
+}
+"""Keys of `[outputs.NAME]` that are only for certain formats."""
+LATER_KEYS = tuple(KEYS_OF_FORMATS)
+"""Keys of `[outputs.NAME]` that were added after rules had been recorded."""
+Delimiter = Annotated[str, StringConstraints(pattern=r"^(.|blanks)?$|^[\t\n]$")]
 SETTINGS: Mapping[int | str, str] = {
     **dict.fromkeys(("queue", "partitions"), "partition"),
     **dict.fromkeys(("time", "walltime", "time_limit"), "wall"),
@@ -272,14 +286,40 @@ class Output(Table):
     """One kind of file that runs write, and the table that it becomes."""
 
     file: Inside = Field(min_length=1, description="path or glob, relative to the run's output folder")
-    format: Annotated[str, WithJsonSchema({"type": "string", "enum": ["csv", "parquet", "jsonl", "file"]})] | None = Field(
-        None, description="format; `file` is stored but does not become a table; default: by the file's extension"
+    format: Annotated[str, WithJsonSchema({"type": "string", "enum": ["csv", "parquet", "jsonl", "json", "file"]})] | None = (
+        Field(
+            None,
+            description="format; `file` is stored but does not become a table; default: by the file's extension, "
+            "if it is csv, parquet or jsonl",
+        )
     )
-    delimiter: str = Field("", max_length=1, description="separator between the columns of a CSV file; default: detected")
+    delimiter: Delimiter = Field(
+        "",
+        description="separator between the columns of a CSV file; `blanks`: one or more blanks or tabs; default: detected",
+    )
     header: bool = Field(True, description="whether the first line of a CSV file contains the column names")
     columns: Annotated[tuple[Name, ...], AfterValidator(_once)] = Field(
         (), description="column names of a CSV file without a header"
     )
+    skip: int = Field(0, ge=0, description="number of lines at the beginning of a CSV file that are not read")
+    comment: str = Field("", description="beginning of lines of a CSV file that are not read, such as `#`")
+    header_lines: int = Field(
+        1, ge=1, description="number of lines of a CSV file that make up the column names; their texts are joined by a dot"
+    )
+    units_row: bool = Field(False, description="whether a line with units follows the column names of a CSV file")
+    decimal: Literal[".", ","] = Field(".", description="decimal separator of a CSV file")
+    na: tuple[str, ...] = Field((), description="texts that stand for a missing value in a CSV file, such as `NA`")
+    widths: tuple[PositiveInt, ...] = Field(
+        (), description="number of characters of each column of a text file without separators (fixed width)"
+    )
+    rows: str = Field(
+        "",
+        description="part of a file that has the rows; in JSON, the keys that lead to it, such as `results.steps`",
+    )
+    flatten: bool | None = Field(
+        None, description="whether objects in JSON become columns such as `pose.x`; default: yes in `json`, no in `jsonl`"
+    )
+    unnest: str = Field("", description="list in each JSON object whose items become rows, such as `robots`")
     time: str = Field("", description="column that is the time axis; default: the row number")
     required: bool = Field(True, description="whether a run fails without this output")
     min_rows: int = Field(0, ge=0, description="minimum number of rows; a run with fewer rows fails")
@@ -298,6 +338,25 @@ class Output(Table):
         (), description="not compared by a replay: columns of a table; for other files, regular expressions that match lines"
     )
 
+    @model_validator(mode="after")
+    def _fitting(self) -> Output:
+        for key, known in KEYS_OF_FORMATS.items():
+            if getattr(self, key) and key not in self.unused_later_keys and self.kind not in known:
+                formats = " or ".join(f'format = "{name}"' for name in known)
+                raise ValueError(f"{key} needs {formats}, but the format is {self.kind!r}")
+        if not self.header and (self.units_row or self.header_lines > 1):
+            raise ValueError(f"{'units_row' if self.units_row else 'header_lines'} needs header = true")
+        if self.widths and self.delimiter:
+            raise ValueError("widths and delimiter exclude each other")
+        if self.decimal == "," == self.delimiter:
+            raise ValueError('decimal = "," needs another delimiter')
+        return self
+
+    @property
+    def unused_later_keys(self) -> frozenset[str]:
+        """Return the keys of `LATER_KEYS` that have their default; hashes of rules do not contain them, and stay the same."""
+        return frozenset(key for key in LATER_KEYS if getattr(self, key) == type(self).model_fields[key].default)
+
     def matches(self, path: str) -> bool:
         """Return True if a file of the output folder belongs to this output, by its name or as a glob; `*` matches slashes."""
         file = self.file.removeprefix("./")
@@ -307,7 +366,7 @@ class Output(Table):
     def kind(self) -> str:
         """Return the name of its format: as declared, or from the ending of the file. There may be no reader of that name."""
         ending = self.file.rsplit(".", 1)[-1].lower()
-        return self.format or SAME_FORMAT.get(ending, ending)
+        return self.format or (FILE_FORMAT if ending in NAMED_FORMATS else SAME_FORMAT.get(ending, ending))
 
 
 class Success(Table):

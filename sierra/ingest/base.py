@@ -19,14 +19,12 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypedDict
 
 from sierra.config.plugin_registry import READERS, Tables
-from sierra.config.project_file import Output, Table
+from sierra.config.project_file import FILE_FORMAT, Output, Table
 from sierra.errors import ConfigError
 from sierra.util.json_types import Json
 
 Columns = Mapping[str, Sequence[object]]
 """A table: the values of each column, by its name. All columns have the same length."""
-FILE_FORMAT = "file"
-"""The format of outputs that are kept as files and become no table."""
 
 
 class UnreadableError(ValueError):

@@ -21,7 +21,7 @@ from sierra.store.duckdb_file_io import csv_given
 DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
 """The number of bytes of a first line that a worker reports."""
-COMMENTS = "comments are not supported; write them to another file"
+COMMENTS = 'if such lines are comments, set comment = "#" in [outputs.…]'
 QUOTING = "put fields that contain quotes in quotes, and double the quotes inside"
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
 """Control characters that are not allowed in column names."""

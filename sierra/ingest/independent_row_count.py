@@ -20,6 +20,8 @@ from sierra.ingest.model import Written
 if TYPE_CHECKING:
     import _csv
 
+FILLED = re.compile(rb"^[ \t\r\f\v]*[^\s][^\n]*", re.MULTILINE)
+
 
 def lines_of(file: Written, *, empty: bool = False) -> int | None:
     """Return the number of lines of a text, with `empty` also the empty ones; None if a worker has not counted them."""
@@ -32,6 +34,11 @@ def count_lines(file: Written) -> int:
     """Return the number of lines that are not blank."""
     with Path(file.path).open("rb") as lines:
         return sum(1 for line in lines if line.strip())
+
+
+def count_filled(content: bytes) -> int:
+    """Return the number of lines of a text that are not blank."""
+    return len(FILLED.findall(content))
 
 
 def count_records(file: Written, delimiter: str, *, empty: bool = False) -> int:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from pathlib import PurePosixPath
 
 from sierra.config.plugin_registry import READERS
-from sierra.config.project_file import SAME_FORMAT, Output
+from sierra.config.project_file import NAMED_FORMATS, SAME_FORMAT, Output
 from sierra.ingest.base import Used
 from sierra.ingest.messages import shown
-from sierra.ingest.model import Shape
+from sierra.ingest.model import Form, Shape
 from sierra.model import OutputFile, Result
 from sierra.store.schema import check_name
 from sierra.util.text import natural
@@ -67,7 +68,8 @@ class OutputMatcher:
     def _shape(self, output: Output) -> Shape:
         many = any(c in output.file for c in "*?[")
         reader = self._readers.get(output.kind, "")
-        return Shape(output.kind, output.delimiter, output.header, output.columns, many, reader=reader)
+        form = Form(**{field.name: getattr(output, field.name) for field in fields(Form)})
+        return Shape(output.kind, output.delimiter, output.header, output.columns, many, reader=reader, form=form)
 
     def _keep(self, why: str, file: OutputFile) -> None:
         """Note that a file is recorded as a file although it looks like a table."""
@@ -87,4 +89,4 @@ def _automatic(path: str) -> str | None:
     """Return the format of a file with a table's suffix, or None."""
     ending = PurePosixPath(path).suffix.lower().removeprefix(".")
     name = SAME_FORMAT.get(ending, ending)
-    return name if name in READERS.shipped else None
+    return name if name in READERS.shipped and name not in NAMED_FORMATS else None

@@ -39,6 +39,25 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
+class Form:
+    """How a file differs from the plain file that a shipped reader reads; the keys of the same names in `[outputs.NAME]`."""
+
+    skip: int = 0
+    comment: str = ""
+    header_lines: int = 1
+    units_row: bool = False
+    decimal: str = "."
+    na: tuple[str, ...] = ()
+    widths: tuple[int, ...] = ()
+    rows: str = ""
+    unnest: str = ""
+    flatten: bool | None = None
+
+
+PLAIN = Form()
+
+
+@dataclass(frozen=True, slots=True)
 class Shape:
     """Instructions for reading the files of one output: as declared, and as found in earlier files."""
 
@@ -58,6 +77,7 @@ class Shape:
     """The number of these files with a line feed at their end."""
     reader: str = ""
     """The package and the options of the reader, as JSON; empty for a shipped reader."""
+    form: Form = PLAIN
 
 
 Group = Hashable

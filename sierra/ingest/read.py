@@ -19,15 +19,21 @@ underscore.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from sierra.config.plugin_registry import READERS
-from sierra.ingest.model import Reading, Shape, Siblings, Written
+from sierra.ingest.csv_as_found import BLANKS, CsvAsFound
+from sierra.ingest.json_rows import JsonLines
+from sierra.ingest.model import PLAIN, Reading, Shape, Siblings, Written
+from sierra.ingest.rewriting import Rewriter, is_compressed, read_rewritten
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import Aliases
+
+AS_FOUND: Mapping[str, type[Rewriter]] = {"csv": CsvAsFound, "jsonl": JsonLines}
+"""The rewriters of files that are not as a shipped reader needs them, by format."""
 
 
 def read(
@@ -39,12 +45,23 @@ def read(
     Raises Missing if valid rows cannot be written.
     """
     connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
-    found = READERS.load(shape.format)
-    if not issubclass(found, TableReader):
-        from sierra.ingest.parquet import Converted
-
-        found = Converted
+    found = _reader(shape, files)
     with Aliases() as aliases:
         named = [replace(file, path=aliases.of(file.path)) for file in files]
-        reading: Reading = found(connection, shape, target, siblings or Siblings()).read(named)
-        return reading
+        if issubclass(found, Rewriter):
+            return read_rewritten(found(shape, connection), connection, named, target, siblings or Siblings())
+        return found(connection, shape, target, siblings or Siblings()).read(named)
+
+
+def _reader(shape: Shape, files: Sequence[Written]) -> type[TableReader] | type[Rewriter]:
+    """Return the reader of a format, or the rewriter of files that are not plain."""
+    found: type = READERS.load(shape.format)
+    if not issubclass(found, TableReader | Rewriter):
+        from sierra.ingest.parquet import Converted
+
+        return Converted
+    plain = shape.form == PLAIN and shape.delimiter != BLANKS and not any(is_compressed(file.name) for file in files)
+    if issubclass(found, Rewriter) or plain or shape.format not in AS_FOUND:
+        return found
+    rewriter: type[Rewriter] = AS_FOUND[shape.format]
+    return rewriter

@@ -91,8 +91,11 @@ class Context:
         return json.dumps(self._tables())
 
     def _tables(self, without: AbstractSet[str] = frozenset()) -> dict[str, JsonView]:
-        """Return the declarations; readers only if there are any, so that the hashes of rules without them stay the same."""
-        outputs = {name: output.model_dump(mode="json", exclude=set(without)) for name, output in self.outputs.items()}
+        """Return the declarations; later keys and readers only if they are used, so that earlier hashes stay the same."""
+        outputs = {
+            name: output.model_dump(mode="json", exclude={*without, *output.unused_later_keys})
+            for name, output in self.outputs.items()
+        }
         declared: dict[str, JsonView] = {"outputs": outputs, "success": self.success.model_dump(mode="json")}
         if self.readers:
             declared["readers"] = {n: {"package": one["package"], "options": one["options"]} for n, one in self.readers.items()}

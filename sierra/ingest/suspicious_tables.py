@@ -22,7 +22,7 @@ from sierra.store.type_inference import AS_TEXT
 from sierra.store.union_files import TEXT
 from sierra.util.text import counted
 
-COMMENT = "the first line is a comment, but comments are not supported; begin with the column names, without '#'"
+COMMENT = """the first line is a comment; begin with the column names, without '#' (comment = "#" leaves comments out)"""
 SEVERAL = "are these several columns? (set delimiter = {delimiter} in [outputs.{output}])"
 
 
@@ -144,7 +144,8 @@ def _instead(output: str, name: str, look: str, cells: int, example: str) -> str
     """Return what to write instead of a cell that prevents its column from being numeric."""
     match look.partition(" "):
         case ("comma", _, _):
-            return f"write {example.replace(',', '.')!r} instead of {example!r}, with a decimal point"
+            message = f"write {example.replace(',', '.')!r} instead of {example!r}, with a decimal point"
+            return f'{message} ([outputs.{output}] decimal = "," reads decimal commas)'
         case ("grouped", _, _):
             return f"write {example!r} without separators between digits"
         case ("unit", _, unit):
@@ -152,7 +153,8 @@ def _instead(output: str, name: str, look: str, cells: int, example: str) -> str
             message = f"[outputs.{output}] units = {{ {key} = {json.dumps(unit, ensure_ascii=False)} }}"
             return f"write {example!r} without {unit!r} ({message} declares the unit)"
         case ("other" | "missing", _, _):
-            return f"leave cells without a number empty instead of writing {example!r} ({counted(cells, 'such cell')})"
+            message = f"leave cells without a number empty instead of writing {example!r} ({counted(cells, 'such cell')})"
+            return f"{message}, or set na = [{json.dumps(example, ensure_ascii=False)}] in [outputs.{output}]"
     return "some further down do not"
 
 

@@ -668,11 +668,11 @@ ONE_COLUMN = "column {!r} of output 'out' is text in 2 runs, so it has no figure
         ("t v\n0 1.5\n", ONE_COLUMN.format("t v") + 'are these several columns? (set delimiter = " " in [outputs.out])'),
         (
             "# t v\n0 1.5\n",
-            ONE_COLUMN.format("# t v") + "the first line is a comment, but comments are not supported; begin with",
+            ONE_COLUMN.format("# t v") + "the first line is a comment; begin with the column names, without '#'",
         ),
         (
             "# a\nt\n0\n1\n2\n",
-            ONE_COLUMN.format("# a") + "the first line is a comment, but comments are not supported; begin with",
+            ONE_COLUMN.format("# a") + "the first line is a comment; begin with the column names, without '#'",
         ),
         ("t,v\n0,ab\n", None),
         ("t,v\n0,3ab\n1,4cd\n2,77f\n", None),
@@ -690,7 +690,7 @@ def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(
 
 def test_comment_with_as_many_fields_as_the_header_is_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     assert not run(make("write('# a, b\\nt,v\\n0,1\\n1,2\\n')"), runs=2).failed
-    told = "is text in 2 runs, so it has no figure: the first line is a comment, but comments are not supported; "
+    told = "is text in 2 runs, so it has no figure: the first line is a comment; begin with "
     assert [told in note for note in noted()] == [True, True]
 
 
@@ -724,7 +724,7 @@ def test_repeated_header_fails_runs_even_if_all_runs_have_it(make: Make, content
     ("content", "said"),
     [
         ("# made by sim\nt,v\n0,1\n", "line 1: is a comment, but the column names must be here: '# made by sim'"),
-        ("t,v\n# warm-up\n0,1\n", "line 2: too few fields (1, not 2): '# warm-up' (comments are not supported; write them to"),
+        ("t,v\n# warm-up\n0,1\n", "line 2: too few fields (1, not 2): '# warm-up' (if such lines are comments, set comment"),
         ("# t,v\n0,1\n1\n", "line 3: too few fields (1, not 2): '1'"),
         (
             "# made by sim\n# version 3\nt,v\n0,1\n",

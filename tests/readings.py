@@ -1,0 +1,43 @@
+"""Output files that are read as recording reads them, for tests of readers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pyarrow.parquet as pq
+
+from sierra.config.project_file import Output
+from sierra.ingest.match_outputs import OutputMatcher
+from sierra.ingest.model import Reading, Shape, Written
+from sierra.ingest.read import read
+from sierra.model import OutputFile
+from sierra.worker import worker
+
+
+def shape_of(path: Path, keys: dict[str, Any]) -> Shape:
+    """Return how a file of this name is read that is declared with these keys."""
+    output = Output(file=path.name, **keys)
+    file = OutputFile(path.name, 0, "", 0, True, "")
+    result = type("", (), {"outputs": (file,)})()
+    [(_, shape, _)] = OutputMatcher({"t": output}, {}).of(result)
+    return shape
+
+
+def read_file(folder: Path, name: str, content: bytes, **keys: Any) -> tuple[Reading, list[dict[str, Any]]]:
+    """Read one file as recording does; return the reading and its rows."""
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    seen = OutputFile(**worker.describe(str(path), name))
+    facts = (seen.path, seen.head, seen.lines, seen.ended, seen.bytes, seen.quotes, seen.blank, seen.alike)
+    target = folder / "target" / "table.parquet"
+    target.parent.mkdir(exist_ok=True)
+    for old in target.parent.iterdir():
+        old.unlink()
+    with duckdb.connect() as connection:
+        reading = read(connection, [Written(str(path), "r0", "e0", *facts)], shape_of(path, keys), target)
+    assert path.read_bytes() == content
+    rows = [row for part in sorted(target.parent.iterdir()) for row in pq.ParquetFile(part).read().to_pylist()]
+    return reading, [{name: row[name] for name in row if name not in ("run", "execution", "file")} for row in rows]
