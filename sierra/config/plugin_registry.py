@@ -188,6 +188,7 @@ READERS = Kind(
         "parquet": "sierra.ingest.parquet:Parquet",
         "jsonl": "sierra.ingest.jsonl:Jsonl",
         "json": "sierra.ingest.json_rows:JsonDocument",
+        "xml": "sierra.ingest.xml_rows:XmlRows",
     },
 )
 KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS)

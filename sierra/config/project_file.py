@@ -55,12 +55,14 @@ SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
 FILE_FORMAT = "file"
 """The format of outputs that are kept as files and become no table."""
-NAMED_FORMATS = ("json",)
+NAMED_FORMATS = ("json", "xml")
 """Formats that are only read if they are named, because such files were kept as files before there was a reader."""
+ELEMENTS = re.compile(r"(//?(\*|[^\W\d][\w.:-]*))+")
+"""A path of elements in XML."""
 CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "na", "widths")
 KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(CSV_KEYS, ("csv",)),
-    "rows": ("json",),
+    "rows": ("json", "xml"),
     **dict.fromkeys(("flatten", "unnest"), ("json", "jsonl")),
 }
 """Keys of `[outputs.NAME]` that are only for certain formats."""
@@ -286,12 +288,12 @@ class Output(Table):
     """One kind of file that runs write, and the table that it becomes."""
 
     file: Inside = Field(min_length=1, description="path or glob, relative to the run's output folder")
-    format: Annotated[str, WithJsonSchema({"type": "string", "enum": ["csv", "parquet", "jsonl", "json", "file"]})] | None = (
-        Field(
-            None,
-            description="format; `file` is stored but does not become a table; default: by the file's extension, "
-            "if it is csv, parquet or jsonl",
-        )
+    format: (
+        Annotated[str, WithJsonSchema({"type": "string", "enum": ["csv", "parquet", "jsonl", "json", "xml", "file"]})] | None
+    ) = Field(
+        None,
+        description="format; `file` is stored but does not become a table; default: by the file's extension, "
+        "if it is csv, parquet or jsonl",
     )
     delimiter: Delimiter = Field(
         "",
@@ -314,7 +316,7 @@ class Output(Table):
     )
     rows: str = Field(
         "",
-        description="part of a file that has the rows; in JSON, the keys that lead to it, such as `results.steps`",
+        description="part of a file that has the rows: in JSON, keys such as `results.steps`; in XML, `//NAME` or `/A/B`",
     )
     flatten: bool | None = Field(
         None, description="whether objects in JSON become columns such as `pose.x`; default: yes in `json`, no in `jsonl`"
@@ -346,6 +348,8 @@ class Output(Table):
                 raise ValueError(f"{key} needs {formats}, but the format is {self.kind!r}")
         if not self.header and (self.units_row or self.header_lines > 1):
             raise ValueError(f"{'units_row' if self.units_row else 'header_lines'} needs header = true")
+        if self.kind == "xml" and not ELEMENTS.fullmatch(self.rows):
+            raise ValueError(f'format = "xml" needs rows, a path of element names such as "//tripinfo", not {self.rows!r}')
         if self.widths and self.delimiter:
             raise ValueError("widths and delimiter exclude each other")
         if self.decimal == "," == self.delimiter:
