@@ -15,7 +15,7 @@ import re
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal, TypeVar
 
@@ -57,6 +57,8 @@ FILE_FORMAT = "file"
 """The format of outputs that are kept as files and become no table."""
 NAMED_FORMATS = ("json", "xml")
 """Formats that are only read if they are named, because such files were kept as files before there was a reader."""
+PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
+"""A name in braces that stands for a number in the name of an output file."""
 ELEMENTS = re.compile(r"(//?(\*|[^\W\d][\w.:-]*))+")
 """A path of elements in XML."""
 CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "na", "widths")
@@ -284,10 +286,20 @@ class Tolerance(Table):
     ulp: NotNegative = Field(0.0, description="maximum difference in units in the last place of a double")
 
 
+@cache
+def _numbered(file: str) -> re.Pattern[str]:
+    """Return the regular expression for the names of files in which names in braces stand for whole numbers."""
+    literals = PLACEHOLDER.split(file)[::2]
+    return re.compile("([0-9]{1,18})".join(map(re.escape, literals)))
+
+
 class Output(Table):
     """One kind of file that runs write, and the table that it becomes."""
 
-    file: Inside = Field(min_length=1, description="path or glob, relative to the run's output folder")
+    file: Inside = Field(
+        min_length=1,
+        description="path or glob, from the run's output folder; `{tick}` in `floor-{tick}.csv` is a number and a column",
+    )
     format: (
         Annotated[str, WithJsonSchema({"type": "string", "enum": ["csv", "parquet", "jsonl", "json", "xml", "file"]})] | None
     ) = Field(
@@ -350,6 +362,10 @@ class Output(Table):
             raise ValueError(f"{'units_row' if self.units_row else 'header_lines'} needs header = true")
         if self.kind == "xml" and not ELEMENTS.fullmatch(self.rows):
             raise ValueError(f'format = "xml" needs rows, a path of element names such as "//tripinfo", not {self.rows!r}')
+        if self.ticks and any(character in self.file for character in "*?["):
+            raise ValueError(f"file: {{{self.ticks[0]}}} and the characters * ? [ exclude each other: {self.file!r}")
+        if len(set(map(str.lower, self.ticks))) < len(self.ticks):
+            raise ValueError(f"file: a name in braces occurs twice: {self.file!r}")
         if self.widths and self.delimiter:
             raise ValueError("widths and delimiter exclude each other")
         if self.decimal == "," == self.delimiter:
@@ -361,8 +377,20 @@ class Output(Table):
         """Return the keys of `LATER_KEYS` that have their default; hashes of rules do not contain them, and stay the same."""
         return frozenset(key for key in LATER_KEYS if getattr(self, key) == type(self).model_fields[key].default)
 
+    @property
+    def ticks(self) -> tuple[str, ...]:
+        """Return the names of the numbers in the names of its files, such as `tick` in `floor-{tick}.csv`."""
+        return tuple(PLACEHOLDER.findall(self.file))
+
+    def ticks_of(self, path: str) -> tuple[int, ...] | None:
+        """Return the numbers in the name of a file; None if the file does not belong to this output."""
+        found = _numbered(self.file.removeprefix("./")).fullmatch(path)
+        return None if found is None else tuple(map(int, found.groups()))
+
     def matches(self, path: str) -> bool:
         """Return True if a file of the output folder belongs to this output, by its name or as a glob; `*` matches slashes."""
+        if self.ticks:
+            return self.ticks_of(path) is not None
         file = self.file.removeprefix("./")
         return path == file or fnmatch.fnmatchcase(path, file)
 

@@ -21,6 +21,8 @@ from sierra.store.duckdb_file_io import csv_given
 DELIMITERS = (",", "\t", ";", "|")
 HEAD_BYTES = 4096
 """The number of bytes of a first line that a worker reports."""
+SMALL = 1 << 20
+"""The size in bytes of files that are read at once."""
 COMMENTS = 'if such lines are comments, set comment = "#" in [outputs.…]'
 QUOTING = "put fields that contain quotes in quotes, and double the quotes inside"
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f]")
@@ -181,6 +183,9 @@ class Csv(Text):
         return csv_given(columns, FILE, delimiter=self.part.delimiter, header=self.shape.header, longest=longest)
 
     def has_underscores(self, file: Written) -> bool:
+        if file.bytes < SMALL:  # there may be many thousands of such files
+            content = Path(file.path).read_bytes()
+            return b"_" in (content.partition(b"\n")[2] if self.shape.header else content)
         with Path(file.path).open("rb") as data:
             if self.shape.header:
                 data.readline()

@@ -66,10 +66,12 @@ class OutputMatcher:
                 yield name, Shape(_automatic(file.path) or ""), file
 
     def _shape(self, output: Output) -> Shape:
-        many = any(c in output.file for c in "*?[")
+        many = bool(output.ticks) or any(c in output.file for c in "*?[")
         reader = self._readers.get(output.kind, "")
         form = Form(**{field.name: getattr(output, field.name) for field in fields(Form)})
-        return Shape(output.kind, output.delimiter, output.header, output.columns, many, reader=reader, form=form)
+        return Shape(
+            output.kind, output.delimiter, output.header, output.columns, many, reader=reader, form=form, ticks=output.ticks
+        )
 
     def _keep(self, why: str, file: OutputFile) -> None:
         """Note that a file is recorded as a file although it looks like a table."""

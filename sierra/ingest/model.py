@@ -24,6 +24,8 @@ class Written:
     """Counts by a worker, as in `sierra.model.OutputFile`; None if it did not count."""
     blank: int | None = None
     alike: bool | None = None
+    ticks: tuple[int, ...] = ()
+    """The numbers in its name that become columns."""
 
 
 Found = Mapping[str, Mapping[str, str | None]]
@@ -78,6 +80,8 @@ class Shape:
     reader: str = ""
     """The package and the options of the reader, as JSON; empty for a shipped reader."""
     form: Form = PLAIN
+    ticks: tuple[str, ...] = ()
+    """The names of the columns for the numbers in the files' names."""
 
 
 Group = Hashable

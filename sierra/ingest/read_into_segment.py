@@ -111,12 +111,16 @@ def tabled(
     for result in (one.result for one in executions if one.status is Status.OK):
         for name, shape, file in assigning.of(result):
             shapes.setdefault(name, shape)
-            files.setdefault(name, []).append(_written(result, file))
+            files.setdefault(name, []).append(_written(result, file, context.outputs.get(name)))
     if not files:
         return made
     connection = connect()
     try:
-        for name, written in files.items():
+        for name, found in files.items():
+            twice = dict(_twice(found, shapes[name]))
+            for execution, fault in twice.items():
+                made.faults.setdefault(execution, fault)
+            written = [one for one in found if one.execution not in twice]
             reading = read(connection, written, shapes[name], writer.path(OUTPUT + name), siblings(store, context, name))
             shapes[name] = reading.shape
             for one in written:
@@ -130,7 +134,17 @@ def tabled(
     return made
 
 
-def _written(result: Result, file: OutputFile) -> Written:
+def _twice(files: Iterable[Written], shape: Shape) -> Iterator[tuple[str, str]]:
+    """Yield the executions that wrote two files with the same numbers in their names, each with an error message."""
+    seen: dict[tuple[str, tuple[int, ...]], str] = {}
+    for one in files if shape.ticks else ():
+        if (first := seen.setdefault((one.execution, one.ticks), one.name)) != one.name:
+            same = ", ".join(f"{name} {number}" for name, number in zip(shape.ticks, one.ticks, strict=True))
+            yield one.execution, f"{shown(one.name)}: is {same}, as {shown(first)} is"
+
+
+def _written(result: Result, file: OutputFile, output: Output | None) -> Written:
     path = str(Path(result.directory, RUN_OUTPUT, file.path))
     seen = (file.head, file.lines, file.ended, file.bytes, file.quotes, file.blank, file.alike)
-    return Written(path, result.run, result.execution, file.path, *seen)
+    ticks = output.ticks_of(file.path) if output is not None and output.ticks else None
+    return Written(path, result.run, result.execution, file.path, *seen, ticks or ())

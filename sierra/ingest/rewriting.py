@@ -207,4 +207,5 @@ def _described(file: Written, path: Path) -> Written:
         seen.quotes,
         seen.blank,
         seen.alike,
+        file.ticks,
     )

@@ -49,6 +49,7 @@ class TableReader:
         self.hints: dict[tuple[str, str], dict[str, str]] = {}
         self.faults: dict[str, str] = {}
         self.error: type[Exception] = duckdb_error()
+        self._ticks = {name.lower() for name in shape.ticks}
 
     def read(self, files: Sequence[Written]) -> Reading:
         for place, some in self._by_part(files):
@@ -131,6 +132,9 @@ class TableReader:
         members: dict[int | None, list[Written]] = {}
         for file in self.sound(files):
             part = found[file.path]
+            if part is not None and (own := self._ticks & set(map(str.lower, part.names))):
+                self.fault(file, f"has a column {min(own)!r}, but that is a number in its name; use another name in braces")
+                continue
             place = None if part is None else places.setdefault(self.key(part), len(places))
             if place is not None and place >= PARTS:
                 self.fault(file, f"has different columns, but a table has at most {PARTS} different sets of columns")
@@ -152,8 +156,9 @@ class TableReader:
 
     def done(self, target: Path, files: Sequence[Written], kinds: Mapping[str, Mapping[str, str]]) -> None:
         """Record the files that were written to `target`; `kinds` are the kinds of values in their columns, by path."""
+        ticks = dict.fromkeys(self.shape.ticks, "number")
         for file in files:
-            self.columns[file.execution, file.name] = kinds[file.path]
+            self.columns[file.execution, file.name] = {**ticks, **kinds[file.path]} if ticks else kinds[file.path]
         self.rows |= dict.fromkeys(((file.execution, file.name) for file in files), 0)
         stored = dict(zip(self.part.names, column_names(self.part.names), strict=True))
         lacking = self._lacking(target)
@@ -200,6 +205,7 @@ class TableReader:
                 "run": [file.run for file in files],
                 "execution": [file.execution for file in files],
                 "name": [shown(file.name) for file in files],
+                **{f"tick{place}": [file.ticks[place] for file in files] for place in range(len(self.shape.ticks))},
             }
         )
         named = ", ".join(
@@ -207,6 +213,7 @@ class TableReader:
             for name, expression in zip(column_names(list(columns)), columns.values(), strict=True)
         )
         name = "o.name AS file, " if self.shape.many else ""
+        name += "".join(f"o.tick{place} AS {identifier(tick)}, " for place, tick in enumerate(column_names(self.shape.ticks)))
         self.sql.register("owners", owners)
         self.sql.execute("SET threads = 1")  # several threads would write the pieces of a large file in any order
         try:

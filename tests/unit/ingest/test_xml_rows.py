@@ -57,7 +57,7 @@ BAD: list[tuple[str, bytes, str]] = [
     ("an undefined entity", b"<r><tripinfo a='&x;'/></r>", "line 1: is truncated or not XML (undefined entity)"),
     ("not UTF-8", b"<r><tripinfo a='\xff'/></r>", "line 1: is truncated or not XML"),
     ("UTF-16", "<r/>".encode("utf-16"), "is UTF-16"),
-    ("an element that occurs twice", b"<r>\n<tripinfo><s a='1'/><s a='2'/></tripinfo></r>", "line 2: the row has two values for"),
+    ("an element occurs twice", b"<r>\n<tripinfo><s a='1'/><s a='2'/></tripinfo></r>", "line 2: the row has two values for"),
     ("a row within a row", b"<r><tripinfo>\n<tripinfo/></tripinfo></r>", "line 2: a row within the row of line 1"),
 ]  # fmt: skip
 
