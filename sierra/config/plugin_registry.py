@@ -189,6 +189,10 @@ READERS = Kind(
         "jsonl": "sierra.ingest.jsonl:Jsonl",
         "json": "sierra.ingest.json_rows:JsonDocument",
         "xml": "sierra.ingest.xml_rows:XmlRows",
+        "graphml": "sierra.ingest.graphml:GraphMl",
+        "npy": "sierra.ingest.numpy_arrays:NumpyArrays",
+        "arrow": "sierra.ingest.arrow_files:ArrowFiles",
+        "sqlite": "sierra.ingest.sqlite_tables:SqliteTables",
     },
 )
 KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS)

@@ -55,7 +55,7 @@ SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
 FILE_FORMAT = "file"
 """The format of outputs that are kept as files and become no table."""
-NAMED_FORMATS = ("json", "xml")
+NAMED_FORMATS = ("json", "xml", "graphml", "npy", "arrow", "sqlite")
 """Formats that are only read if they are named, because such files were kept as files before there was a reader."""
 PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 """A name in braces that stands for a number in the name of an output file."""
@@ -64,7 +64,7 @@ ELEMENTS = re.compile(r"(//?(\*|[^\W\d][\w.:-]*))+")
 CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "na", "widths")
 KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(CSV_KEYS, ("csv",)),
-    "rows": ("json", "xml"),
+    "rows": ("json", "xml", "graphml", "sqlite"),
     **dict.fromkeys(("flatten", "unnest"), ("json", "jsonl")),
 }
 """Keys of `[outputs.NAME]` that are only for certain formats."""
@@ -301,7 +301,16 @@ class Output(Table):
         description="path or glob, from the run's output folder; `{tick}` in `floor-{tick}.csv` is a number and a column",
     )
     format: (
-        Annotated[str, WithJsonSchema({"type": "string", "enum": ["csv", "parquet", "jsonl", "json", "xml", "file"]})] | None
+        Annotated[
+            str,
+            WithJsonSchema(
+                {
+                    "type": "string",
+                    "enum": ["csv", "parquet", "jsonl", "json", "xml", "graphml", "npy", "arrow", "sqlite", "file"],
+                }
+            ),
+        ]
+        | None
     ) = Field(
         None,
         description="format; `file` is stored but does not become a table; default: by the file's extension, "
@@ -328,7 +337,8 @@ class Output(Table):
     )
     rows: str = Field(
         "",
-        description="part of a file that has the rows: in JSON, keys such as `results.steps`; in XML, `//NAME` or `/A/B`",
+        description="part of a file that has the rows: in JSON, keys such as `results.steps`; in XML, `//NAME` or `/A/B`; "
+        "in GraphML, `nodes` or `edges`; in SQLite, a table or a SELECT statement",
     )
     flatten: bool | None = Field(
         None, description="whether objects in JSON become columns such as `pose.x`; default: yes in `json`, no in `jsonl`"
@@ -362,6 +372,10 @@ class Output(Table):
             raise ValueError(f"{'units_row' if self.units_row else 'header_lines'} needs header = true")
         if self.kind == "xml" and not ELEMENTS.fullmatch(self.rows):
             raise ValueError(f'format = "xml" needs rows, a path of element names such as "//tripinfo", not {self.rows!r}')
+        if self.kind == "graphml" and self.rows not in ("nodes", "edges"):
+            raise ValueError('format = "graphml" needs rows = "nodes" or rows = "edges"')
+        if self.kind == "sqlite" and not self.rows:
+            raise ValueError('format = "sqlite" needs rows, the name of a table or a SELECT statement')
         if self.ticks and any(character in self.file for character in "*?["):
             raise ValueError(f"file: {{{self.ticks[0]}}} and the characters * ? [ exclude each other: {self.file!r}")
         if len(set(map(str.lower, self.ticks))) < len(self.ticks):

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
 
 from sierra.errors import Damaged
 from sierra.ingest import base
@@ -20,6 +21,9 @@ from sierra.store.parquet_row_counts import rows_in
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import identifier
 from sierra.store.type_inference import EMPTY, HUGE, is_inexact, is_whole, kind_of
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 DIGITS = 38
 """The maximum number of digits of a DuckDB DECIMAL. DuckDB silently reads longer decimals as DOUBLE."""
@@ -149,7 +153,8 @@ class Converted(Parquet):
         for number, file in enumerate(files):
             target = folder / f"{number}.parquet"
             try:
-                _write(self._reader.read(Path(file.path)), target)
+                with target.open("wb") as stream:
+                    write_parquet(self._reader.read(Path(file.path)), stream)
             except UnreadableError as error:
                 self.fault(file, _one_line(str(error) or "cannot be read"))
             except OSError:
@@ -161,7 +166,7 @@ class Converted(Parquet):
                 yield replace(file, path=str(target))
 
 
-def _write(columns: Columns, target: Path) -> None:
+def write_parquet(columns: Columns | pa.Table, target: BinaryIO) -> None:
     """Write a table as Parquet. A column without any value is BOOLEAN, which every other type can hold."""
     import pyarrow as pa
     import pyarrow.parquet as pq

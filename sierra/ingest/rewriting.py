@@ -173,6 +173,10 @@ class _Rewriting:
             counted = self._rewriter.count(source, written)
         except UnreadableError as error:
             fault = " ".join(str(error).split())
+        except OSError:
+            raise
+        except Exception as error:
+            fault = " ".join(f"the reader {self._rewriter.shape.format!r} failed: {type(error).__name__}: {error}".split())
         else:
             if counted == written:
                 return _described(file, path)

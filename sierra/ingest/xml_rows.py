@@ -18,7 +18,7 @@ import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 from xml.parsers import expat
 
 from sierra.ingest.base import UnreadableError
@@ -60,7 +60,7 @@ class XmlRows(Rewriter):
         return sum(target.write(text) > 0 for text in _texts(order, self._rows(source)) if order) - bool(order)
 
     def count(self, source: Source, written: int) -> int:
-        return _tags(source.content(), self._path)
+        return count_tags(source.content(), self._path)
 
     def place(self, source: Source, line: int) -> str:
         before = 1
@@ -145,13 +145,36 @@ class Elements:
             self._row[name] = value
 
 
+class Handler(Protocol):
+    """What takes a parser's events; it may raise UnreadableError."""
+
+    def start(self, name: str, attributes: Mapping[str, str], line: int) -> None:
+        """Begin an element."""
+        ...
+
+    def text(self, text: str) -> None:
+        """Take a piece of text."""
+        ...
+
+    def end(self, name: str) -> None:
+        """End an element."""
+        ...
+
+
 def elements(source: Source, found: Elements) -> Iterator[tuple[int, Row]]:
     """Yield the rows of an XML file, each with the number of its line. Raises UnreadableError."""
+    for _ in parse(source, found):
+        yield from found.rows
+        found.rows.clear()
+
+
+def parse(source: Source, handler: Handler) -> Iterator[None]:
+    """Parse an XML file; yield after each piece of it. Raises UnreadableError if it is damaged, cut short or hostile."""
     parser = expat.ParserCreate()
     parser.buffer_text = True
-    parser.StartElementHandler = lambda name, attributes: found.start(name, attributes, parser.CurrentLineNumber)
-    parser.EndElementHandler = found.end
-    parser.CharacterDataHandler = found.text
+    parser.StartElementHandler = lambda name, attributes: handler.start(name, attributes, parser.CurrentLineNumber)
+    parser.EndElementHandler = handler.end
+    parser.CharacterDataHandler = handler.text
     parser.StartDoctypeDeclHandler = _refuse
     first = True
     for piece in _and_end(source.pieces()):
@@ -163,8 +186,7 @@ def elements(source: Source, found: Elements) -> Iterator[tuple[int, Row]]:
         except expat.ExpatError as error:
             what = expat.ErrorString(error.code)
             raise UnreadableError(f"line {error.lineno}: is truncated or not XML ({what})") from error
-        yield from found.rows
-        found.rows.clear()
+        yield
 
 
 def pattern(path: str) -> re.Pattern[str]:
@@ -189,7 +211,7 @@ def _texts(names: Sequence[str], rows: Iterator[tuple[int, Row]]) -> Iterator[by
         yield text.getvalue().encode("utf-8", "surrogateescape")
 
 
-def _tags(content: bytes, path: re.Pattern[str]) -> int:
+def count_tags(content: bytes, path: re.Pattern[str]) -> int:
     """Return the number of elements at a path, by a search for tags."""
     found, within = 0, [""]
     for tag in TAG.finditer(content):

@@ -20,7 +20,7 @@ from pathlib import Path
 from sierra.config.plugin_registry import READERS
 from sierra.config.project_file import RawTable
 from sierra.ingest.base import Columns, described
-from sierra.ingest.model import Reading, Shape, Written
+from sierra.ingest.model import PLAIN, Form, Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.model import OutputFile
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
@@ -42,6 +42,8 @@ class Trial:
     damaged: Sequence[bytes]
     folder: Path
     options: RawTable = field(default_factory=dict)
+    form: Form = PLAIN
+    """Keys of `[outputs.NAME]` for shipped readers."""
     _count: int = 0
 
     def read(self, contents: Sequence[bytes]) -> tuple[Reading, dict[str, list[Row]]]:
@@ -58,7 +60,7 @@ class Trial:
             path.write_bytes(content)
         target = place / "read" / "table.parquet"
         target.parent.mkdir(parents=True)
-        shape = Shape(self.name, reader=self._described())
+        shape = Shape(self.name, reader=self._described(), form=self.form)
         with connect() as connection:
             reading = read(connection, [_written(path, number) for number, path in enumerate(files)], shape, target)
         for path, content in zip(files, contents, strict=True):
@@ -76,10 +78,18 @@ class Trial:
 
 
 def check(
-    name: str, tables: Mapping[bytes, Columns], damaged: Sequence[bytes], folder: Path, options: RawTable | None = None
+    name: str,
+    tables: Mapping[bytes, Columns],
+    damaged: Sequence[bytes],
+    folder: Path,
+    options: RawTable | None = None,
+    form: Form = PLAIN,
 ) -> None:
-    """Check all claims about the reader `name`. `folder` is an empty folder; `options` are those of `[readers.NAME]`."""
-    trial = Trial(name, tables, damaged, folder, options or {})
+    """Check all claims about the reader `name`. `folder` is an empty folder; `options` are those of `[readers.NAME]`.
+
+    `form`: keys of `[outputs.NAME]`, which only shipped readers have.
+    """
+    trial = Trial(name, tables, damaged, folder, options or {}, form)
     for claim in CLAIMS:
         claim(trial)
 

@@ -17,6 +17,7 @@ from sierra import plugin
 from sierra.config import project_file
 from sierra.config.plugin_registry import READERS
 from sierra.containers import engines
+from sierra.ingest.model import PLAIN, Form
 from sierra.query import grammar
 from sierra.runners import schedulers
 from sierra.templates.xml import XmlTemplate
@@ -373,16 +374,56 @@ def test_plugin_reader_conforms(installed: Path, tmp_path: Path) -> None:
     readers.check("track", tables, damaged, tmp_path, {"scale": 100.0})
 
 
+COLUMNS = b'{"a": [1, 2], "b": ["x", "y"]}'
+AB = {"a": [1, 2], "b": ["x", "y"]}
+GRAPH = b"""<graphml><key id="b" attr.name="b" attr.type="string"/><graph><node a="1"/><node a="2"/></graph></graphml>"""
+
+
 @pytest.mark.parametrize(
-    ("name", "tables", "damaged"),
+    ("name", "tables", "damaged", "form"),
     [
-        ("csv", {b"a,b\n1,x\n2,y\n": {"a": [1, 2], "b": ["x", "y"]}, b"a,b\n": {"a": [], "b": []}}, [b"a,b\n1\n", b""]),
-        ("jsonl", {b'{"a": 1, "b": "x"}\n{"a": 2, "b": "y"}\n': {"a": [1, 2], "b": ["x", "y"]}}, [b'{"a": 1\n', b"[1]\n"]),
-        ("parquet", None, [b"PAR1"]),
+        ("csv", {b"a,b\n1,x\n2,y\n": AB, b"a,b\n": {"a": [], "b": []}}, [b"a,b\n1\n", b""], PLAIN),
+        ("csv", {b"#\na;b\n1;x\n#\n2;y\n": AB}, [b"#\na;b\n1\n", b""], Form(comment="#", na=("-",))),
+        ("jsonl", {b'{"a": 1, "b": "x"}\n{"a": 2, "b": "y"}\n': AB}, [b'{"a": 1\n', b"[1]\n"], PLAIN),
+        ("jsonl", {b'{"a": 1, "b": "x"}\n{"a": 2, "b": "y"}\n': AB}, [b'{"a": 1\n', b"[1]\n"], Form(flatten=True)),
+        ("json", {b'[{"a": 1, "b": "x"}, {"a": 2, "b": "y"}]': AB, COLUMNS: AB}, [b"[1]", b"", b"["], PLAIN),
+        ("xml", {b'<r><s a="1" b="x"/><s a="2" b="y"/></r>': AB}, [b'<r><s a="1" b="x"/>', b""], Form(rows="//s")),
+        ("parquet", None, [b"PAR1"], PLAIN),
+        ("npy", None, [b"", b"PK", b"\x93NUMPY"], PLAIN),
+        ("arrow", None, [b"", b"ARROW1"], PLAIN),
+        ("sqlite", None, [b"", b"x"], Form(rows="t")),
+        ("graphml", {GRAPH: {"a": ["1", "2"]}}, [b"", GRAPH[:-1]], Form(rows="nodes")),
     ],
-)
-def test_shipped_readers_conform(name: str, tables: Any, damaged: list[bytes], tmp_path: Path) -> None:
-    readers.check(name, tables or parquet(tmp_path), damaged, tmp_path / "trial")
+)  # fmt: skip
+def test_shipped_readers_conform(name: str, tables: Any, damaged: list[bytes], form: Form, tmp_path: Path) -> None:
+    made = {"parquet": parquet, "npy": npz, "arrow": arrow, "sqlite": sqlite}
+    readers.check(name, tables or made[name](tmp_path), damaged, tmp_path / "trial", form=form)
+
+
+def npz(folder: Path) -> dict[bytes, Any]:
+    import numpy as np
+
+    np.savez(folder / "one.npz", a=np.array([1, 2]), b=np.array(["x", "y"]))
+    return {(folder / "one.npz").read_bytes(): {"i": [0, 1], **AB}}
+
+
+def arrow(folder: Path) -> dict[bytes, Any]:
+    import pyarrow as pa
+    from pyarrow import feather
+
+    feather.write_feather(pa.table(AB), folder / "one.arrow")
+    return {(folder / "one.arrow").read_bytes(): AB}
+
+
+def sqlite(folder: Path) -> dict[bytes, Any]:
+    import sqlite3
+    from contextlib import closing
+
+    with closing(sqlite3.connect(folder / "one.db")) as database:
+        database.execute("CREATE TABLE t (a, b)")
+        database.execute("INSERT INTO t VALUES (1, 'x'), (2, 'y')")
+        database.commit()
+    return {(folder / "one.db").read_bytes(): AB}
 
 
 def parquet(folder: Path) -> dict[bytes, Any]:

@@ -1,0 +1,80 @@
+"""The reader of SQLite databases: `rows` is the name of a table or view, or a SELECT statement.
+
+The file is opened read-only and without its journal. A statement can only read: an authorizer refuses everything else. The rows
+are counted a second time by SQLite's `count(*)`, and each page of the database is checked before.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sqlite3
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sierra.ingest.base import UnreadableError
+from sierra.ingest.columnar import Columnar, column_of
+from sierra.ingest.rewriting import Source
+from sierra.store.sql_names import identifier
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+STATEMENT = re.compile(r"\s*(select|with)\b", re.IGNORECASE)
+ALLOWED = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE)
+LIMIT = 1 << 28
+"""The limit on steps of SQLite's virtual machine, so that a statement ends."""
+
+
+class SqliteTables(Columnar):
+    """The reader of SQLite databases."""
+
+    def table(self, source: Source) -> pa.Table:
+        import pyarrow as pa
+
+        with _opened(source) as database:
+            cursor = database.execute(self._statement)
+            names = [name for name, *_ in cursor.description]
+            rows: Sequence[Sequence[object]] = cursor.fetchall()
+        if len(set(names)) < len(names):
+            raise UnreadableError("the statement gives two columns of the same name")
+        columns = zip(*rows, strict=True) if rows else ((),) * len(names)
+        return pa.table({name: column_of(name, list(values)) for name, values in zip(names, columns, strict=True)})
+
+    def count(self, source: Source, written: int) -> int:
+        with _opened(source) as database:
+            [[rows]] = database.execute(f"SELECT count(*) FROM ({self._statement})").fetchall()
+        return int(rows)
+
+    @property
+    def _statement(self) -> str:
+        rows = self.shape.form.rows
+        return rows if STATEMENT.match(rows) else f"SELECT * FROM {identifier(rows)}"
+
+
+@contextmanager
+def _opened(source: Source) -> Iterator[sqlite3.Connection]:
+    """Open a database for reading. Raises UnreadableError for all errors of SQLite."""
+    with tempfile.TemporaryDirectory(prefix="sierra-") as folder:
+        for ending in ("-wal", "-journal"):
+            beside = Path(os.path.realpath(source.path) + ending)
+            if beside.exists() and beside.stat().st_size:
+                raise UnreadableError(f"has an unfinished journal (…{ending}); the run must close the database before it ends")
+        copy = Path(folder, "copy.db")  # under a name without special characters, and without a journal beside it
+        copy.write_bytes(source.content())
+        if copy.stat().st_size == 0:
+            raise UnreadableError("is empty")
+        try:
+            with closing(sqlite3.connect(f"file:{copy}?mode=ro&immutable=1", uri=True)) as database:
+                [first, *_] = database.execute("PRAGMA quick_check").fetchall()
+                if first != ("ok",):
+                    raise UnreadableError(f"is truncated or damaged ({' '.join(str(first[0]).split())})")
+                steps = iter(range(LIMIT // 100_000))
+                database.set_progress_handler(lambda: next(steps, None) is None, 100_000)
+                database.set_authorizer(lambda action, *_: sqlite3.SQLITE_OK if action in ALLOWED else sqlite3.SQLITE_DENY)
+                yield database
+        except (sqlite3.Error, sqlite3.Warning, OverflowError) as error:
+            raise UnreadableError(f"SQLite cannot read it: {' '.join(str(error).split())}") from error
