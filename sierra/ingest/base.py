@@ -1,9 +1,10 @@
 """The OutputReader contract, and the functions that find readers for the outputs of a project.
 
 A reader makes a table from each file of one format. SIERRA ships `csv`, `parquet` and `jsonl`, which read many files at once
-(see `sierra.ingest.shipped_reader_base`). Others are entry points of the group `sierra.readers` (see `sierra.plugin`). The
+(see `sierra.ingest.shipped_reader_base`), and formats whose files are rewritten as one of these first (see
+`sierra.ingest.rewriting`). Others are entry points of the group `sierra.readers` (see `sierra.plugin`). The
 name of the entry point is the format: `[outputs.NAME] format` names it, or else the ending of `file` does. Files that are not
-declared in `[outputs]` become tables only if they have the ending of a shipped format, because the result of an execution
+declared in `[outputs]` become tables only if they end in .csv, .tsv, .parquet, .jsonl or .ndjson, because the result of an execution
 must not depend on what is installed.
 
 The format, the options and the package of a reader decide what is recorded, as the other rules in `[outputs]` do: they are part

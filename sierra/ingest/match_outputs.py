@@ -22,6 +22,7 @@ NOTED_AT_MOST = 1000
 IN_FOLDERS = 'undeclared and in a subfolder ([outputs.NAME] file = "{glob}" makes a table of them)'
 TOO_MANY = f'undeclared, and more than {AUTOMATIC_AT_MOST} in a run ([outputs.NAME] file = "{{glob}}" makes a table of them)'
 TAKEN = 'undeclared, and another file already makes the table of that name ([outputs.NAME] file = "{file}" makes it a table)'
+UNNAMED = 'declared without a format ([outputs.{output}] format = "{format}" makes a table, and format = "file" keeps the file)'
 NOT_UTF8 = "with a name that is not UTF-8"
 """The reasons why files that look like tables are recorded as files."""
 
@@ -42,6 +43,8 @@ class OutputMatcher:
         for file in sorted(result.outputs, key=lambda file: natural(file.path)):
             declared = next((n for n, o in self._outputs.items() if o.matches(file.path)), None)
             kind = self._outputs[declared].kind if declared else _automatic(file.path)
+            if declared is not None and (named := self._unnamed(self._outputs[declared])):
+                self._keep(UNNAMED.format(output=declared, format=named), file)
             if kind not in READERS.shipped and kind not in self._readers:
                 continue
             if shown(file.path) != file.path:
@@ -64,6 +67,11 @@ class OutputMatcher:
             else:
                 taken.add(name.lower())
                 yield name, Shape(_automatic(file.path) or ""), file
+
+    def _unnamed(self, output: Output) -> str | None:
+        """Return the format that would make a table of an output, if it is only read if it is named."""
+        ending = output.file.rpartition(".")[2].lower()
+        return ending if output.format is None and ending in NAMED_FORMATS else None
 
     def _shape(self, output: Output) -> Shape:
         many = bool(output.ticks) or any(c in output.file for c in "*?[")

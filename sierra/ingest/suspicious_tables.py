@@ -32,6 +32,13 @@ class _Form(NamedTuple):
     executions: int
 
 
+class _Events(NamedTuple):
+    output: str
+    path: str
+    least: int
+    most: int
+
+
 @dataclass(frozen=True, slots=True)
 class _Table:
     """Tables of one output with the same columns, and the number of executions that have one."""
@@ -58,7 +65,16 @@ class TableWarnings:
             return []
         rows = self._store.select(_Form, GOOD + FORMS, **parameters(self._context))
         forms = [_Table(row.output, TableLayout.load(row.table_layout).columns, row.executions) for row in rows]
-        return [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms)]
+        return [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms), *self._events()]
+
+    def _events(self) -> Iterator[str]:
+        """Yield a proposal for each strict table whose row counts differ so much that it is probably a table of events."""
+        for row in self._store.select(_Events, EXECUTED + EVENTS, **parameters(self._context)):
+            declared = self._context.outputs.get(row.output)
+            if row.output in self._shapes and (declared is None or declared.mismatch == "strict"):
+                file = "" if declared else f"file = {json.dumps(row.path, ensure_ascii=False)}, "
+                message = f"output {row.output!r} has {row.least} to {row.most} rows, a different number in most runs"
+                yield f'{message}; if these are events, set {file}mismatch = "ragged" in [outputs.{row.output}]'
 
     def _alone(self, forms: Sequence[_Table]) -> Iterator[str]:
         """Yield warnings about columns that only one run of the batch has, which is possible with one run per experiment."""
@@ -175,6 +191,23 @@ def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
         yield f"{these} kept as {'files' if len(files) > 1 else 'a file'}: {message}"
 
 
+EXECUTED = GOOD.replace("e.status = 'ok'", "e.status IN ('ok', 'mismatch')")
+"""The executions of a batch, including those that differ from their siblings."""
+EVENTS = """,
+counted AS (
+    SELECT g.ordinal, a.output, min(a.path) AS path, g.execution, sum(a.rows)::BIGINT AS rows
+    FROM good g JOIN all_artifacts a ON a.execution = g.execution AND a.kind = 'table' GROUP BY ALL
+),
+lengths AS (
+    SELECT ordinal, output, rows, min(path) AS path, count(*) AS executions FROM counted GROUP BY ordinal, output, rows
+),
+points AS (
+    SELECT output, min(path) AS path, min(rows) AS least, max(rows) AS most FROM lengths GROUP BY ordinal, output
+    HAVING count(*) >= 3 AND 2 * max(executions) <= sum(executions)
+)
+SELECT output, min(path) AS path, min(least) AS least, max(most) AS most FROM points GROUP BY output ORDER BY output
+"""
+"""The tables for which no number of rows is that of most runs of an experiment."""
 FORMS = """
 SELECT a.output, a.table_layout, count(DISTINCT a.execution) AS executions
 FROM all_artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)

@@ -914,3 +914,40 @@ def test_rows_of_a_large_file_keep_their_order_with_several_threads(tmp_path: Pa
     reading = read(connection, [file], Shape(kind), tmp_path / "table.parquet")
     assert (dict(reading.faults), list(reading.rows.values())) == ({}, [count])
     assert pq.read_table(tmp_path / "table.parquet", columns=["tick"])["tick"].to_pylist() == list(range(count))
+
+
+EVENTS = "write('tick,v\\n' + '0,1\\n' * (seed % 7))"
+
+
+@pytest.mark.parametrize(
+    ("lines", "toml", "told"),
+    [
+        (EVENTS, "", 'if these are events, set file = "out.csv", mismatch = "ragged" in [outputs.out]'),
+        (EVENTS, '[outputs.out]\nfile = "out.csv"\n', 'if these are events, set mismatch = "ragged" in [outputs.out]'),
+        (EVENTS, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n', None),
+        ("write(good if seed % 2 else good + '3,3.5\\n')", "", None),
+        ("write(good)", "", None),
+    ],
+)
+def test_ragged_is_proposed_for_tables_of_events(
+    make: Make, noted: Callable[[], list[str]], lines: str, toml: str, told: str | None
+) -> None:
+    assert len({seed % 7 for seed in seeds(6)}) > 3
+    run(make(lines, toml), runs=6)
+    assert [note for note in noted() if "events" in note] == [
+        note for note in noted() if told is not None and note.startswith("output 'out' has ") and note.endswith(told)
+    ]
+    assert any("events" in note for note in noted()) == (told is not None)
+
+
+def test_file_whose_format_must_be_named_is_kept_with_a_note(make: Make, noted: Callable[[], list[str]]) -> None:
+    project = make("write('[{\"v\": 1}]', 'out.json')", '[outputs.out]\nfile = "out.json"\n')
+    assert not run(project, runs=2).failed
+    assert noted() == [
+        "'out.json' is kept as a file: declared without a format "
+        '([outputs.out] format = "json" makes a table, and format = "file" keeps the file)'
+    ]
+    (project.root / "sierra.toml").write_text(TOML + '[outputs.out]\nfile = "out.json"\nformat = "json"\n')
+    again = run(sierra.open(project.root), runs=2)
+    assert (again.executed, again.failed) == (0, 0)
+    assert column(sierra.open(project.root)) == [1, 1]
