@@ -2,10 +2,10 @@
 
 A reader makes a table from each file of one format. SIERRA ships `csv`, `parquet` and `jsonl`, which read many files at once
 (see `sierra.ingest.shipped_reader_base`), and formats whose files are rewritten as one of these first (see
-`sierra.ingest.rewriting`). Others are entry points of the group `sierra.readers` (see `sierra.plugin`). The
-name of the entry point is the format: `[outputs.NAME] format` names it, or else the ending of `file` does. Files that are not
-declared in `[outputs]` become tables only if they end in .csv, .tsv, .parquet, .jsonl or .ndjson, because the result of an execution
-must not depend on what is installed.
+`sierra.ingest.rewriting`). Others are entry points of the group `sierra.readers` (see `sierra.plugin`). The name of the entry
+point is the format: `[outputs.NAME] format` names it, or else the ending of `file` does. Files that are not declared in
+`[outputs]` become tables only if they end in .csv, .tsv, .parquet, .jsonl or .ndjson, because the result of an execution must
+not depend on what is installed.
 
 The format, the options and the package of a reader decide what is recorded, as the other rules in `[outputs]` do: they are part
 of the hash of these rules (`Context.ingest_rules`). If one changes, executions are evaluated again from their recorded files.

@@ -189,11 +189,13 @@ class _Rewriting:
 
     def _placed(self, message: str, execution: str) -> str:
         """Return a message of the plain format's reader with the place in the original file."""
-        name, _, what = message.partition(": ")
-        source = self._sources.get((execution, name))
-        if source is None or (found := LINE.match(what)) is None:
+        named = (name for one, name in self._sources if one == execution and message.startswith(f"{name}: "))
+        name = max(named, key=len, default="")
+        found = LINE.match(message, len(name) + 2)
+        if not name or found is None:
             return message
-        return f"{name}: {self._rewriter.place(source, int(found[1]))}: {what[found.end() :]}"
+        place = self._rewriter.place(self._sources[execution, name], int(found[1]))
+        return f"{name}: {place}: {message[found.end() :]}"
 
 
 def _described(file: Written, path: Path) -> Written:
