@@ -149,6 +149,9 @@ class CsvAsFound(Rewriter):
         for (number, _), row in zip(head, rows, strict=True):
             if len(row) != len(rows[0]):
                 raise UnreadableError(f"line {number}: {len(row)} column names, but the first header line has {len(rows[0])}")
+            if self.shape.form.comment and (numbers := [name for name in row if reads_as_number(name)]):
+                message = f"line {number}: the number {numbers[0]!r} among the column names"
+                raise UnreadableError(f"{message} (if a comment has the names, set header = false, and columns)")
         return [".".join(filter(None, texts)) for texts in zip(*rows, strict=True)]
 
     def _header(self, head: Sequence[Line], names: Sequence[str], delimiter: str) -> bytes:

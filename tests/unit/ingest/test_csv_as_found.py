@@ -66,6 +66,7 @@ BAD: list[tuple[str, bytes, dict[str, Any], str]] = [
     ("too few header lines", b"t,v\n", {"header_lines": 2}, "has 1 of 2 header lines"),
     ("header lines of different lengths", b"a,b\nc\n1,2\n", {"header_lines": 2}, "line 2: 1 column names, but the first"),
     ("nothing but comments", b"# x\n", {"comment": "#"}, "is empty and has no header"),
+    ("names in a comment", b"# t,v\n1,a\n2,b\n", {"comment": "#"}, "line 2: the number '1' among the column names"),
     ("decimal point", b"t;v\n1;0,5\n2;1.234\n", {"decimal": ","}, "line 3: '1.234' has a decimal point"),
     ("too short for fixed width", b"t  v  \n1\n", {"widths": (3, 3)}, "line 2: too few characters (1; widths has 6)"),
     ("too long for fixed width", b"t  v  \n1  2   3\n", {"widths": (3, 3)}, "line 2: too many characters (8; widths has 6)"),
