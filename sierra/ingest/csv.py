@@ -184,7 +184,8 @@ class Csv(Text):
 
     def has_underscores(self, file: Written) -> bool:
         if file.bytes < SMALL:  # there may be many thousands of such files
-            content = Path(file.path).read_bytes()
+            with io.FileIO(file.path) as small:
+                content = small.readall()
             return b"_" in (content.partition(b"\n")[2] if self.shape.header else content)
         with Path(file.path).open("rb") as data:
             if self.shape.header:

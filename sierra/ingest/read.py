@@ -47,7 +47,7 @@ def read(
     connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
     found = _reader(shape, files)
     with Aliases() as aliases:
-        named = [replace(file, path=aliases.of(file.path)) for file in files]
+        named = [file if (path := aliases.of(file.path)) == file.path else replace(file, path=path) for file in files]
         if issubclass(found, Rewriter):
             return read_rewritten(found(shape, connection), connection, named, target, siblings or Siblings())
         return found(connection, shape, target, siblings or Siblings()).read(named)
