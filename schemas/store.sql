@@ -349,7 +349,7 @@ CREATE TABLE programs (
 CREATE TABLE observations (
     "execution" VARCHAR,  -- the execution
     "files" VARCHAR,  -- the set of files that it executed, read, looked for or listed, as in files_read
-    "method" VARCHAR,  -- the program or the interface by which they were seen
+    "method" VARCHAR,  -- the program or the interface by which they were seen; none if the run could not be observed
     "reason" VARCHAR,  -- why it may have used other files too, in one line; NULL if all were seen
     "notes" VARCHAR[],  -- what cannot be seen: files that a service or another machine may have read for it
     "distributions" VARCHAR[]  -- Python distributions whose files it used, as name==version, those of which it used most bytes first

@@ -81,7 +81,7 @@ WITH astray AS (
 )
 SELECT e.execution, e.run, a.reason FROM executions e JOIN astray a ON a.reason IS NOT NULL
 WHERE e.batch = $batch AND e.purpose = 'run' AND e.status = 'ok' AND e.ingest_rules = $ingest_rules
-AND e.execution NOT IN (SELECT execution FROM observations)
+AND e.execution NOT IN (SELECT execution FROM observations WHERE method <> 'none')
 AND e.execution NOT IN (SELECT execution FROM all_artifacts WHERE kind <> 'log')
 ORDER BY e.execution
 """

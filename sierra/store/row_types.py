@@ -350,7 +350,7 @@ class ObservationRow(NamedTuple):
 
     execution: Annotated[str, "the execution"]
     files: Annotated[str, "the set of files that it executed, read, looked for or listed, as in files_read"]
-    method: Annotated[str, "the program or the interface by which they were seen"]
+    method: Annotated[str, "the program or the interface by which they were seen; none if the run could not be observed"]
     reason: Annotated[str | None, "why it may have used other files too, in one line; NULL if all were seen"]
     notes: Annotated[list[str], "what cannot be seen: files that a service or another machine may have read for it"]
     distributions: Annotated[

