@@ -83,19 +83,24 @@ def test_a_package_that_jsbsim_does_not_use_executes_nothing_again(flight: Path,
     assert "4 runs reused, because the executions did not use what has changed: python: installed distributions" in said
 
 
-def test_an_edited_aircraft_of_jsbsim_executes_all_runs_again(flight: Path, jsbsim: Environment, edit: Edit) -> None:
-    projects.run(flight, HEIGHTS)
-    height = 'SELECT avg("/fdm/jsbsim/position/h-sl-ft") AS h FROM flight JOIN effective USING (execution)'
-    before = values(flight, height)
+def test_an_edited_aircraft_of_jsbsim_is_named_and_executes_all_runs_again(
+    flight: Path, jsbsim: Environment, edit: Edit
+) -> None:
+    batch = projects.run(flight, HEIGHTS)[0]["batch"]
+    heights = 'SELECT "/fdm/jsbsim/position/h-sl-ft" FROM flight JOIN effective USING (execution)'
+    before = values(flight, heights)
     aircraft = jsbsim.site / "jsbsim" / "aircraft" / "c172x" / "c172x.xml"
     original = aircraft.read_bytes()
     edit(aircraft, original.replace(b'<wingarea unit="FT2"> 174.0', b'<wingarea unit="FT2"> 150.0'))
+    replayed = projects.quick(flight, "replay", batch[:10])
+    said = replayed.stdout + replayed.stderr
+    assert (replayed.returncode, "aircraft/c172x/c172x.xml" in said, "chance" in said) == (1, True, False)
     summary, said = projects.run(flight, HEIGHTS)
     assert (summary["executed"], "aircraft/c172x/c172x.xml" in said) == (4, True)
-    assert values(flight, height) != before
+    assert values(flight, heights) != before
     aircraft.write_bytes(original)
     assert projects.run(flight, HEIGHTS)[0]["executed"] == 0
-    assert values(flight, height) == before
+    assert values(flight, heights) == before
 
 
 def test_runs_of_jsbsim_that_write_into_the_installed_package_fail(tmp_path: Path, jsbsim: Environment) -> None:
