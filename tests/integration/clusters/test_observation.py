@@ -136,7 +136,7 @@ def test_a_node_without_strace_says_so(tmp_path: Path, slurm: Slurm) -> None:
 
 
 class Cached(Gated):
-    """A project whose gate is in a cache, so that it is no input of runs."""
+    """A project whose gate is in a cache that is left out, so that it is no input of runs."""
 
     @property
     def gate(self) -> Path:
@@ -144,7 +144,9 @@ class Cached(Gated):
 
 
 def gate_of(root: Path) -> Path:
-    return Path(os.environ["XDG_CACHE_HOME"], f"gate of {root.parent.name}")
+    folder = Path(os.environ["XDG_CACHE_HOME"], "fontconfig")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / f"gate of {root.parent.name}"
 
 
 @pytest.fixture
