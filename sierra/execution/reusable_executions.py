@@ -15,9 +15,8 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from sierra.execution import observed_sets
+from sierra.execution import observed_sets, row_queries
 from sierra.execution.resolve_plan import Plan, context
-from sierra.execution.row_queries import RecordedProgram
 from sierra.execution.unchanged_files import unchanged
 from sierra.model import RunSpec
 from sierra.provenance import source
@@ -157,8 +156,8 @@ def _inheriting(plan: Plan, snapshot: Snapshot) -> list[_Inheriting]:
     return [row for row in rows if row.programs in alike]
 
 
-def _recorded_programs(records: Store | Snapshot, programs: str) -> Programs:
-    return Programs(tuple(row.program() for row in records.select(RecordedProgram, PROGRAMS, programs=programs)))
+def _recorded_programs(snapshot: Snapshot, programs: str) -> Programs:
+    return Programs(tuple(row.program() for row in row_queries.programs(snapshot, [programs])))
 
 
 def _without_distributions(programs: Programs) -> set[tuple[str, str]]:
@@ -187,7 +186,6 @@ def recorded(snapshot: Snapshot) -> dict[str, str]:
 SOURCE_FILES = """
 SELECT any_value(files) FROM sources WHERE tree = (SELECT source FROM specs WHERE spec = $spec)
 """
-PROGRAMS = "SELECT name, kind, version, path, sha256 FROM programs WHERE programs = $programs"
 
 
 def unused_changes(plan: Plan, store: Store, session: str, found: Iterable[Reusable]) -> Iterator[UnusedChangeRow]:
@@ -199,7 +197,8 @@ def unused_changes(plan: Plan, store: Store, session: str, found: Iterable[Reusa
             before = store.object(files) if files else b""
             names += [f"{{project}}/{path}" for path in source.changed(before, plan.source.manifest)]
         if programs != plan.programs.id:
-            names += _recorded_programs(store, programs).unlike(plan.programs)
+            with store.snapshot() as snapshot:
+                names += _recorded_programs(snapshot, programs).unlike(plan.programs)
         for name in names[:MOST_CHANGES]:
             yield UnusedChangeRow(session, spec, programs, name)
 

@@ -101,7 +101,7 @@ def changes(sets: FileSets) -> dict[str, list[UsedFile]]:
             changed.setdefault(one.files, []).append(one)
     cache.save()
     for one in sets.used:
-        if one.path == shared_libraries.CACHE and (path := _library_elsewhere(one, sets)):
+        if one.path == shared_libraries.CACHE and (path := _library_elsewhere(one, sets, cache)):
             changed.setdefault(one.files, []).append(one._replace(path=path))
     return changed
 
@@ -123,9 +123,9 @@ def _are_programs_found(files: str, sets: FileSets) -> bool:
     return all(found_elsewhere(programs, missed, before, sets.search) is None for before in sets.searched.get(files, {None}))
 
 
-def _library_elsewhere(cached: UsedFile, sets: FileSets) -> str | None:
+def _library_elsewhere(cached: UsedFile, sets: FileSets, cache: HashCache) -> str | None:
     """Return a library that the loader's cache would now find elsewhere; None if there is none."""
-    if is_same(shared_libraries.CACHE, "read", cached.sha256, {}, HashCache()):
+    if is_same(shared_libraries.CACHE, "read", cached.sha256, {}, cache):
         return None
     used = (located(path, sets.folders) for path in _paths(cached.files, sets, ("read", "executed", "linked", "link")))
     return shared_libraries.found_elsewhere(here for here in used if here is not None)
