@@ -18,7 +18,7 @@ MANY = 4
 
 @dataclass(frozen=True, slots=True)
 class FileCheck:
-    """What a comparison of the files that recorded executions used with these files as they are now has found."""
+    """Result of comparing the files that recorded executions used with these files as they are now."""
 
     stale: Mapping[str, str] = field(default_factory=dict)
     """Sessions whose executions do not count, each with a file that has changed."""

@@ -266,7 +266,7 @@ class ShownRun:
 
 @dataclass(frozen=True, slots=True)
 class ShownObservation:
-    """What an observed execution used, in words and in numbers; the tables files_read and files_written name the files."""
+    """Summary of what an observed execution used; the tables files_read and files_written name the files."""
 
     used: str
     row: CountedFiles
