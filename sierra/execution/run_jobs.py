@@ -101,7 +101,7 @@ class Service:
         record = self._setup.project.config.environment.record
         builder = self._builder()
         work = Work(
-            self._observed((builder.job(run, files) for run, files in inputs), context.batch, programs),
+            self._observed(((run, builder.job(run, files)) for run, files in inputs), context.batch, programs),
             count,
             context.batch,
             (*needed(programs, self._search()), *self.isolation.needed),
@@ -131,11 +131,11 @@ class Service:
             script=self._session.paths.worker if self._stays else None,
         )
 
-    def _observed(self, jobs: Iterable[Job], batch: str, programs: Programs) -> Iterable[Job]:
+    def _observed(self, jobs: Iterable[tuple[Run, Job]], batch: str, programs: Programs) -> Iterable[Job]:
         """Return the jobs; those that are to be observed have the folders that names of files refer to."""
         project = self._setup.project
         if self._setup.image or project.config.observe == "none":
-            return jobs
+            return (job for _, job in jobs)
         folders = {"project": self._setup.root, "store": self._store.paths.root, **of_user()}
         named = {name: str(folder.resolve()) for name, folder in folders.items()}
         root = str(project.root.resolve())

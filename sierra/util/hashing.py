@@ -13,6 +13,8 @@ from pathlib import Path
 
 from sierra.util.json_types import JsonView
 
+FIRST_CHUNK = 1 << 16
+"""Number of bytes that are read first. Most files are small, and a large buffer takes longer than their content."""
 CHUNK = 1 << 20
 
 
@@ -37,8 +39,12 @@ def sha256(data: bytes) -> str:
 
 def sha256_file(path: Path) -> str:
     """Return the SHA-256 of a file's content as 64 hexadecimal digits, without loading the whole file into memory."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    digest, size = hashlib.sha256(), FIRST_CHUNK
+    with path.open("rb", buffering=0) as file:
+        while content := file.read(size):
+            digest.update(content)
+            size = CHUNK
+    return digest.hexdigest()
 
 
 def sealed(data: bytes) -> bytes:

@@ -167,13 +167,17 @@ def install(venv: Path, name: str) -> None:
     )
 
 
-@pytest.mark.parametrize(("observe", "executed"), [("all", 0), ("first", 2)])
+@pytest.mark.parametrize(
+    ("observe", "executed"),
+    [('observe = "all"', 0), ('observe = "first"\nobserve_budget = 1e9', 0), ('observe = "first"\nobserve_budget = 0', 2)],
+    ids=["all", "first of each experiment", "first"],
+)
 def test_an_unused_distribution_executes_only_experiments_that_were_not_observed(
     root: Path, venv: Path, observe: str, executed: int
 ) -> None:
     """A run that was not observed counts because of one of its experiment: another experiment may import other packages."""
     config = root / "sierra.toml"
-    config.write_text(config.read_text().replace('observe = "all"', f'observe = "{observe}"'))
+    config.write_text(config.read_text().replace('observe = "all"', observe))
     assert projects.run(root, QUERY)[0]["executed"] == 4
     install(venv, "unused_package")
     summary, said = projects.run(root, QUERY)

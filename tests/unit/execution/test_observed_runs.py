@@ -1,4 +1,4 @@
-"""Which runs are observed: the first of a session, and a sample that is the same on every machine."""
+"""Which runs are observed: the first of a session and of each experiment, and a sample that is the same on every machine."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ from tests import projects
 AMPLE = 1e9
 
 
-def batch_of(tmp_path: Path, settings: str) -> tuple[list[str], set[str], str]:
-    """Execute 40 runs one after the other; return the runs in their order, those that were observed, and the batch."""
+def batch_of(tmp_path: Path, settings: str) -> tuple[list[str], list[str], set[str], str]:
+    """Execute 2 × 40 runs one after the other; return the runs, the first ones of the experiments, those observed, the batch."""
     config = projects.CONFIG.replace("python3 sim.py {input}", "touch out.txt").replace("runs = 2", f"runs = 40\n{settings}")
     root = projects.make(tmp_path / "project", config)
-    done = projects.quick(root, "run", "population_size=1", "-j", "1", "--no-figures")
+    done = projects.quick(root, "run", "population_size=1,2", "-j", "1", "--no-figures")
     assert done.returncode == 0, done.stderr
-    executed = sql(root, "SELECT run, batch FROM executions ORDER BY lamport")
+    executed = sql(root, "SELECT run, batch, ordinal FROM executions JOIN batch_runs USING (batch, run) ORDER BY lamport")
     seen = sql(root, "SELECT run FROM observations JOIN executions USING (execution)")
-    return [one["run"] for one in executed], {one["run"] for one in seen}, executed[0]["batch"]
+    begun: dict[int, str] = {}
+    for one in executed:
+        begun.setdefault(one["ordinal"], one["run"])
+    return [one["run"] for one in executed], list(begun.values()), {one["run"] for one in seen}, executed[0]["batch"]
 
 
 def sql(root: Path, statement: str) -> list[dict[str, Any]]:
@@ -39,19 +42,19 @@ def test_the_sample_has_the_expected_size_and_differs_between_batches() -> None:
 
 
 @pytest.mark.integration
-def test_the_first_run_and_the_whole_sample_are_observed_if_the_budget_is_ample(
+def test_the_first_run_of_each_experiment_and_the_whole_sample_are_observed_if_the_budget_is_ample(
     tmp_path: Path, require: Callable[..., str]
 ) -> None:
     require("strace")
-    runs, seen, batch = batch_of(tmp_path, f"observe_budget = {AMPLE}")
-    assert seen == {runs[0], *(run for run in runs if is_sampled(batch, run))}
-    assert len(seen) > 1
+    runs, first, seen, batch = batch_of(tmp_path, f"observe_budget = {AMPLE}")
+    assert seen == {*first, *(run for run in runs if is_sampled(batch, run))}
+    assert len(seen) > 2
 
 
 @pytest.mark.integration
 def test_without_a_budget_only_the_first_run_is_observed(tmp_path: Path, require: Callable[..., str]) -> None:
     require("strace")
-    runs, seen, _ = batch_of(tmp_path, "observe_budget = 0")
+    runs, _, seen, _ = batch_of(tmp_path, "observe_budget = 0")
     assert seen == {runs[0]}
 
 
