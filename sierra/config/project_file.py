@@ -745,15 +745,15 @@ class Project(Table):
     observe: Literal["none", "first", "all"] = Field(
         "first",
         description="the runs of which SIERRA records all files that they execute, read, look for and write: `first` is the "
-        "first run that executes, the first of each experiment, and a sample of the others. Needs strace (on a cluster on its nodes), else it sees only "
-        "files that are mapped into memory; not in containers",
+        "first run that executes, the first of each experiment, and a sample of the others. Needs strace (on a cluster on its "
+        "nodes), else it sees only files that are mapped into memory; not in containers",
     )
     observe_budget: float = Field(
         0.02,
         ge=0,
         allow_inf_nan=False,
-        description='the time that observing may take with observe = "first", as a part of the time that the runs take; 0: only '
-        "the first run that executes is observed",
+        description='the time that observing may take with observe = "first", as a part of the time that the runs take; '
+        "0: only the first run that executes is observed",
     )
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="named queries")
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")

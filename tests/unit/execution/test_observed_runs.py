@@ -16,7 +16,7 @@ AMPLE = 1e9
 
 
 def batch_of(tmp_path: Path, settings: str) -> tuple[list[str], list[str], set[str], str]:
-    """Execute 2 × 40 runs one after the other; return the runs, the first ones of the experiments, those observed, the batch."""
+    """Execute 2 × 40 runs one after the other; return the runs, the first of each experiment, those observed, the batch."""
     config = projects.CONFIG.replace("python3 sim.py {input}", "touch out.txt").replace("runs = 2", f"runs = 40\n{settings}")
     root = projects.make(tmp_path / "project", config)
     done = projects.quick(root, "run", "population_size=1,2", "-j", "1", "--no-figures")
