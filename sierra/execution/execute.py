@@ -12,7 +12,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from sierra.errors import Missing
-from sierra.execution import recover, reusable_executions, session_records, stale_sessions
+from sierra.execution import recover, session_records
+from sierra.execution.observation import reusable_executions, stale_sessions
 from sierra.execution.reasons import FAILED
 from sierra.execution.resolve_plan import Plan, context, versioned
 from sierra.execution.reuse import is_answered, states

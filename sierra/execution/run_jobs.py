@@ -13,9 +13,10 @@ from sierra.config.project_file import LoadedProject
 from sierra.containers.container_setup import contain
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
-from sierra.execution import commands, observed_runs
+from sierra.execution import commands
 from sierra.execution.follow import Followed, follow
-from sierra.execution.observed_sets import of_user
+from sierra.execution.observation import choose_runs
+from sierra.execution.observation.plan_files import of_user
 from sierra.execution.observer import Tally
 from sierra.execution.resolve_plan import not_in_checkouts
 from sierra.execution.sessions import Session
@@ -145,7 +146,7 @@ class Service:
         if prefix := pythons.environment(programs, self._search()):
             named["prefix"] = str(prefix)
         helps = None if self._stays else Helps(tracer.usable(), str(user_digests()))
-        return observed_runs.choose(jobs, batch, project.config, named, helps)
+        return choose_runs.choose(jobs, batch, project.config, named, helps)
 
     def _search(self) -> str:
         """Return the PATH of the runs."""

@@ -8,9 +8,10 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.errors import Damaged
-from sierra.execution import kept_programs, sessions
+from sierra.execution import sessions
+from sierra.execution.observation import kept_programs
+from sierra.execution.observation.reusable_executions import unused_changes
 from sierra.execution.resolve_plan import Plan, context
-from sierra.execution.reusable_executions import unused_changes
 from sierra.execution.reuse import FileCheck, check
 from sierra.execution.sessions import Session
 from sierra.model import Batch

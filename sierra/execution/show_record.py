@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 
 from sierra.errors import Damaged
 from sierra.execution.list_batches import OnCluster, on_clusters, whole
-from sierra.execution.observed_words import UsedFile, summary
+from sierra.execution.observation.describe_files import summary
+from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.row_queries import RecordedProgram, axis_values, programs, required_row
 from sierra.model import Value
 from sierra.store.layout import STORE, WORK

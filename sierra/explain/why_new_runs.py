@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.containers import images
 from sierra.containers.container_setup import other_host_access
 from sierra.errors import Damaged, Missing, NotFound
-from sierra.execution import row_queries, stale_sessions
+from sierra.execution import row_queries
+from sierra.execution.observation import stale_sessions
 from sierra.execution.resolve_plan import Plan
 from sierra.execution.session_records import batch_row, is_kept
 from sierra.explain.plan_changes import Aspect, Basis, NewRuns, PlanChange

@@ -19,8 +19,10 @@ from sierra import runners
 from sierra.config.project_file import LoadedProject, Output
 from sierra.containers.engines.base import Engine
 from sierra.errors import Missing, NotFound, UsageError
-from sierra.execution import commands, expected_durations, observed_sets, plan_from_record, recover, row_queries
+from sierra.execution import commands, expected_durations, plan_from_record, recover, row_queries
 from sierra.execution.build.recorded import rebuild
+from sierra.execution.observation import plan_files
+from sierra.execution.observation.current_files import Current
 from sierra.execution.observer import Observer, Relay, Tally
 from sierra.execution.plan_from_record import Recalled
 from sierra.execution.run_jobs import Service, Setup
@@ -370,15 +372,15 @@ def _other_programs(record: _Record, now: Programs, root: Path) -> Iterator[str]
 
 def _used_files(store: Store, record: _Record, now: Programs, root: Path, search: str) -> UsedFiles:
     """Compare the files that the recorded executions used with those now; programs and products are compared elsewhere."""
-    named = {"project": root.resolve(), **observed_sets.of_user()}
+    named = {"project": root.resolve(), **plan_files.of_user()}
     environment = pythons.environment(now, search)
     built = [str(root / one.name) for one in record.of.build.products] if record.of.build else []
     known = [one.path for one in now.all if one.kind != Kind.DISTRIBUTIONS] + built
-    executions = [str(one.execution) for one in record.runs]
     if environment:
         named["prefix"] = environment
-    current = same_files.Current(named, search, now.all[0].path if now.all else "")
-    return same_files.compare(store, executions, current, known, declared="PATH" in record.of.spec.environment)
+    declared = "PATH" in record.of.spec.environment
+    current = Current(named, search, declared, now.all[0].path if now.all else "", is_source_only=True)
+    return same_files.compare(store, [str(one.execution) for one in record.runs], current, known)
 
 
 def _other_machine(store: Store, record: _Record, around: EnvironmentRow) -> Iterator[str]:

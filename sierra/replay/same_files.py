@@ -7,30 +7,17 @@ they may have used other files.
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 
-from sierra.execution import observed_sets, shared_libraries
-from sierra.execution.current_files import is_same, located
-from sierra.execution.unchanged_files import UsedFile, unchanged
-from sierra.provenance.hash_cache import HashCache
-from sierra.store.store import Snapshot, Store
+from sierra.execution.observation import file_sets
+from sierra.execution.observation.current_files import Current, located
+from sierra.execution.observation.file_sets import UsedFile
+from sierra.execution.observation.unchanged_files import FOUND_ELSEWHERE, changes, with_other_programs
+from sierra.store.store import Store
 from sierra.util.text import few
 
 SHOWN = 5
-
-
-@dataclass(frozen=True, slots=True)
-class Current:
-    """Where files are now."""
-
-    folders: Mapping[str, Path]
-    """Folders that names of files refer to."""
-    search: str
-    """The search path (PATH) of runs."""
-    program: str
-    """The program that the command starts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +63,11 @@ class UsedFiles:
         return f"and the files that observed runs used, are the same; {rest}: what else was loaded was not recorded"
 
 
+NOT_COMPARED = ("listed", FOUND_ELSEWHERE)
 OWN = """
 SELECT count(DISTINCT execution) FROM observations WHERE reason IS NULL AND list_contains($e, execution)
 """
-USED = """
+SETS = """
 WITH mine AS (SELECT execution, session FROM executions WHERE list_contains($e, execution)),
 complete AS (
     SELECT o.execution, e.session, o.files FROM observations o JOIN executions e USING (execution)
@@ -90,44 +78,32 @@ sets AS (
     UNION SELECT files FROM complete
     WHERE session IN (SELECT session FROM mine WHERE execution NOT IN (SELECT execution FROM complete))
 )
-SELECT DISTINCT f.files, f.path, f.use, f.sha256 FROM files_read f SEMI JOIN sets USING (files)
-WHERE f.use <> 'listed'
-AND f.path NOT IN (
-    SELECT w.path FROM files_written w JOIN executions e USING (execution) WHERE e.session IN (SELECT session FROM mine)
-)
-ORDER BY ALL
+SELECT DISTINCT files FROM sets
 """
-"""The sets of these executions; for those without one, the sets of their sessions. What they have written is no input."""
+"""The sets of these executions; for those without one, the sets of their sessions."""
+WRITTEN = """
+SELECT DISTINCT w.path FROM files_written w JOIN executions e USING (execution)
+WHERE e.session IN (SELECT session FROM executions WHERE list_contains($e, execution))
+"""
 
 
-def compare(
-    store: Store, executions: Collection[str], current: Current, known: Collection[str], *, declared: bool
-) -> UsedFiles:
+def compare(store: Store, executions: Collection[str], current: Current, known: Collection[str]) -> UsedFiles:
     """Return the comparison of the files that executions used with the current ones.
 
-    `known` are paths that are compared elsewhere. `declared`: the search path is part of the specification.
+    `known` are paths that are compared elsewhere. What the executions have written themselves is no input.
     """
+    asked = sorted(set(executions))
     with store.snapshot() as snapshot:
-        [observed] = snapshot.values(int, OWN, e=sorted(executions))
-        files = snapshot.select(UsedFile, USED, e=sorted(executions))
-        cache, elsewhere = HashCache(), {os.path.realpath(path) for path in known}
-        changed = [one.path for one in files if not _is_same(one, current.folders, elsewhere, cache)]
-        cache.save()
-        found = bool(files) and not changed and _are_found(snapshot, {one.files for one in files}, current, declared=declared)
-    return UsedFiles(len(set(executions)), observed, len(files), tuple(dict.fromkeys(changed)), found)
+        [observed] = snapshot.values(int, OWN, e=asked)
+        sets = file_sets.load(snapshot, snapshot.values(str, SETS, e=asked))
+        written, elsewhere = set(snapshot.values(str, WRITTEN, e=asked)), {os.path.realpath(path) for path in known}
+        differing = {file for files in changes(sets, current).values() for file in files}
+        inputs = (file for file in differing if file.use not in NOT_COMPARED and file.path not in written)
+        changed = sorted({file.path for file in inputs if not _is_among(file, elsewhere, current)})
+        found = bool(sets.files) and not differing and not with_other_programs(sets, current)
+    return UsedFiles(len(asked), observed, len(sets.files), tuple(changed), found)
 
 
-def _are_found(snapshot: Snapshot, needed: Collection[str], current: Current, *, declared: bool) -> bool:
-    """Check what the search for files depends on, except for the project's folders: only the source is restored."""
-    snapshot.views.make(observed_sets.TABLES)
-    snapshot.add_table("needed", files=sorted(needed))
-    sets = observed_sets.file_sets(snapshot, current.folders, current.search, current.program, declared=declared)
-    outside = (one for one in sets.used if one.use != "listed" or not one.path.startswith("{project}"))
-    return unchanged(replace(sets, used=tuple(outside))) == set(needed)
-
-
-def _is_same(file: UsedFile, folders: Mapping[str, Path], elsewhere: Collection[str], cache: HashCache) -> bool:
-    here = located(file.path, folders)
-    if file.path == shared_libraries.CACHE or (here is not None and os.path.realpath(here) in elsewhere):
-        return True
-    return here is not None and is_same(here, file.use, file.sha256, folders, cache)
+def _is_among(file: UsedFile, paths: Collection[str], current: Current) -> bool:
+    here = located(file.path, current.folders)
+    return here is not None and os.path.realpath(here) in paths

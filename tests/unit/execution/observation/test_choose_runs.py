@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from sierra.execution.observed_runs import SAMPLED, is_sampled
+from sierra.execution.observation.choose_runs import SAMPLED, is_sampled
 from tests import projects
 
 AMPLE = 1e9

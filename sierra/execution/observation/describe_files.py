@@ -1,8 +1,9 @@
-"""What an observed execution used, in one line: `argos3 3.0, 7 plug-ins; Python 3.11 with numpy 2.3; 2 meshes`.
+"""Description in one line of the files that an observed execution used.
 
-Versions are those that programs have reported, and those of installed distributions. Libraries that the loader loads for the
-command are not named (`sierra.provenance.libraries`). Of the others, those without a version in their file name are called
-plug-ins, as is usual. What belongs to the system or to an installed distribution is no data.
+For example: `argos3 3.0, 7 plug-ins; Python 3.11 with numpy 2.3; 2 meshes`. Versions are those that programs have reported,
+and those of installed distributions. Libraries that the loader loads for the command are not named
+(`sierra.provenance.libraries`). Of the others, those without a version in their file name are called plug-ins, as is usual.
+What belongs to the system or to an installed distribution is no data.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePosixPath
-from typing import NamedTuple
 
-from sierra.execution.current_files import GPU
+from sierra.execution.observation.current_files import GPU
+from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.row_queries import RecordedProgram
 from sierra.util.text import counted, few
 
@@ -41,14 +42,6 @@ KINDS = {
 }
 """Kinds of data by the end of the name."""
 PLURALS = {"mesh": "meshes", LIBRARY: "libraries"}
-
-
-class UsedFile(NamedTuple):
-    """A file that was executed or read."""
-
-    path: str
-    use: str
-    sha256: str | None
 
 
 def summary(files: Iterable[UsedFile], programs: Sequence[RecordedProgram], distributions: Sequence[str]) -> str:

@@ -15,9 +15,10 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from sierra.execution import observed_sets, row_queries
+from sierra.execution import row_queries
+from sierra.execution.observation import file_sets, plan_files
+from sierra.execution.observation.unchanged_files import unchanged
 from sierra.execution.resolve_plan import Plan, context
-from sierra.execution.unchanged_files import unchanged
 from sierra.model import RunSpec
 from sierra.provenance import source
 from sierra.provenance.dependency_model import Kind, Programs
@@ -141,7 +142,7 @@ def _unchanged(plan: Plan, snapshot: Snapshot, sets: Collection[str]) -> set[str
     """Return those of these sets that have not changed."""
     if not sets:
         return set()
-    return unchanged(observed_sets.load(plan, snapshot, sets))
+    return unchanged(file_sets.load(snapshot, sets), plan_files.current(plan))
 
 
 def _inheriting(plan: Plan, snapshot: Snapshot) -> list[_Inheriting]:

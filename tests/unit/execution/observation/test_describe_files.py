@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sierra.execution.observed_words import UsedFile, summary
+from sierra.execution.observation.describe_files import summary
+from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.row_queries import RecordedProgram
 
 LIBC = "c" * 64

@@ -48,6 +48,23 @@ def test_a_changed_file_executes_all_runs_again(root: Path) -> None:
     assert projects.run(root, QUERY)[0]["executed"] == 0
 
 
+def test_a_changed_file_that_git_ignores_executes_the_runs_of_a_commit_again(root: Path) -> None:
+    """A commit's runs are executed in a checkout, and yet read this file in the project's folder."""
+    library = root / "library"
+    library.mkdir()
+    (library / "factor").write_text("1")
+    (root / ".gitignore").write_text(".sierra\nlibrary\n")
+    config = root / "sierra.toml"
+    text = config.read_text().replace(str(root.parent / "library"), str(library))
+    config.write_text(text + '[source]\ndirty = "ignore"\n')
+    projects.commit(root, "ignore")
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    assert projects.run(root, QUERY)[0]["executed"] == 0
+    (library / "factor").write_text("2")
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    assert projects.sql(root, VALUES) == [{"value": 2}]
+
+
 def test_a_file_that_comes_into_existence_executes_all_runs_again(root: Path) -> None:
     projects.run(root, QUERY)
     (root.parent / "library" / "extra").write_text("5")

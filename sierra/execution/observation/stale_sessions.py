@@ -7,13 +7,15 @@ the session count only as long as these do, because they used the same programs.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from typing import NamedTuple
 
-from sierra.execution import observed_sets
+from sierra.execution.observation import file_sets, plan_files
+from sierra.execution.observation.current_files import Current
+from sierra.execution.observation.file_sets import FileSets, UsedFile
+from sierra.execution.observation.unchanged_files import changes, found_differently
 from sierra.execution.resolve_plan import Plan
-from sierra.execution.search_path import found_elsewhere
-from sierra.execution.unchanged_files import FileSets, UsedFile, changes
+from sierra.provenance import source
 from sierra.store.store import Snapshot
 from sierra.util.text import few
 
@@ -65,14 +67,15 @@ def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
     sets = snapshot.select(_Set, SETS, spec=plan.batch.spec_id, programs=plan.programs.id)
     if not sets:
         return {}
-    files = observed_sets.load(plan, snapshot, {one.files for one in sets})
+    found, current = file_sets.load(snapshot, {one.files for one in sets}), plan_files.current(plan)
     written = _written(snapshot, {one.session for one in sets}) if snapshot.holds("files_written") else set()
-    changed = changes(files)
-    elsewhere = _elsewhere(plan, snapshot, sets, files)
+    changed = changes(found, current)
+    elsewhere = _elsewhere(plan, snapshot, sets, found, current)
+    committed = source.paths(plan.source.manifest) if plan.checkout is not None and plan.source else None
     stale: dict[str, str] = {}
     for one in sets:
         for file in changed.get(one.files, ()):
-            if (one.session, file.path) not in written and _counts(plan, one, file):
+            if (one.session, file.path) not in written and _counts(one, file, committed):
                 stale.setdefault(one.session, file.path)
         if path := elsewhere.get((one.files, one.environment)):
             stale.setdefault(one.session, path)
@@ -84,27 +87,33 @@ def _written(snapshot: Snapshot, sessions: Iterable[str]) -> set[tuple[str, str]
     return {(row.session, row.path) for row in snapshot.select(_Written, WRITTEN, sessions=sorted(sessions))}
 
 
-def _counts(plan: Plan, one: _Set, file: UsedFile) -> bool:
-    """Check whether the project's folder tells anything about a file: a checkout has only the files of the source."""
+def _counts(one: _Set, file: UsedFile, committed: Set[bytes] | None) -> bool:
+    """Check whether the project's folder tells anything about a file: a checkout has only the files of the source.
+
+    `committed` are these files, if runs of the plan are executed in a checkout.
+    """
     if file.path != PROJECT and not file.path.startswith(f"{PROJECT}/"):
         return True
-    return plan.checkout is None and not (one.checkout and file.use in ("missed", "found", "listed"))
+    if committed is not None:
+        return file.use in ("read", "executed") and os.fsencode(file.path.removeprefix(f"{PROJECT}/")) not in committed
+    return not (one.checkout and file.use in ("missed", "found", "listed"))
 
 
-def _elsewhere(plan: Plan, snapshot: Snapshot, sets: Iterable[_Set], files: FileSets) -> dict[tuple[str, str], str]:
+def _elsewhere(
+    plan: Plan, snapshot: Snapshot, sets: Iterable[_Set], found: FileSets, current: Current
+) -> dict[tuple[str, str], str]:
     """Return the sets with a program that the search path finds elsewhere now, by the environment of their executions."""
-    now = os.environ.get("PATH", os.defpath)
-    pairs = {(one.files, one.environment) for one in sets}
-    others = sorted({environment for _, environment in pairs} - {plan.environment.environment})
-    if not others or "PATH" in plan.batch.spec.environment:
+    by_environment: dict[str, set[str]] = {}
+    for one in sets:
+        by_environment.setdefault(one.environment, set()).add(one.files)
+    others = sorted(by_environment.keys() - {plan.environment.environment})
+    if not others or current.declared:
         return {}
-    before = {row.environment: row.search for row in snapshot.select(_Search, PATHS, environments=others)}
     stale = {}
-    for name, environment in pairs:
-        if environment in before and before[environment] != now:
-            programs, missed = files.programs(name), files.missed(name)
-            if path := found_elsewhere(programs, missed, before[environment], now):
-                stale[name, environment] = path
+    for environment, search in snapshot.select(_Search, PATHS, environments=others):
+        if search != current.search:
+            differing = found_differently(found, current, dict.fromkeys(by_environment[environment], (search,)))
+            stale.update({(name, environment): path for name, path in differing.items()})
     return stale
 
 

@@ -6,6 +6,7 @@ import hashlib
 import os
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.errors import Missing
@@ -14,6 +15,26 @@ from sierra.provenance.hash_cache import HashCache
 GPU = "{gpu}"
 """The name of the graphics processors among observed files: see `sierra.worker.file_trace`."""
 ESCAPED = re.compile(rb"\\x([0-9a-f]{2})")
+
+
+@dataclass(frozen=True, slots=True)
+class Current:
+    """Where the files are that runs would use now."""
+
+    folders: Mapping[str, Path]
+    """Folders that names of files refer to, by name."""
+    search: str
+    """The search path (PATH) of runs."""
+    declared: bool
+    """True if the search path is part of the specification."""
+    program: str
+    """The program that the command starts."""
+    words: str = ""
+    """The command, the declared variables and the template, which may name modules of Python."""
+    lacking: frozenset[str] = frozenset()
+    """Files and folders of the project, relative to it, that no checkout has; they are in no listing."""
+    is_source_only: bool = False
+    """True if the project's folder has only the files of the source, so that its listings tell nothing."""
 
 
 def is_same(here: str, use: str, sha256: str | None, named: Mapping[str, Path], cache: HashCache) -> bool:

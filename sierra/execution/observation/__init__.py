@@ -1,0 +1,1 @@
+"""Observation: which runs are observed, and what follows from the files that they used."""

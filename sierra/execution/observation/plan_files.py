@@ -1,0 +1,51 @@
+"""Where the files are that runs of a plan would use now."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from sierra.execution import commands
+from sierra.execution.observation.current_files import Current
+from sierra.execution.resolve_plan import Plan, not_in_checkouts
+from sierra.provenance import pythons
+
+
+def of_user() -> dict[str, Path]:
+    """Return the user's folders that names of observed files refer to, by name."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return {"home": Path.home().resolve(), "cache": cache.resolve()}
+
+
+def folders(plan: Plan) -> dict[str, Path]:
+    """Return the folders that names of observed files refer to, by name."""
+    named = {"project": plan.project.root.resolve(), **of_user()}
+    environment = pythons.environment(plan.programs, _search(plan))
+    return {**named, "prefix": environment} if environment else named
+
+
+def current(plan: Plan) -> Current:
+    """Return where files are now."""
+    return Current(
+        folders=folders(plan),
+        search=_search(plan),
+        declared="PATH" in plan.batch.spec.environment,
+        program=plan.programs.all[0].path if plan.programs.all else "",
+        words=_words(plan),
+        lacking=frozenset(not_in_checkouts(plan.project)),
+    )
+
+
+def _search(plan: Plan) -> str:
+    """Return the PATH of the runs."""
+    return commands.search_path(commands.declared(plan.batch.spec.environment, plan.project.root, plan.project.root))
+
+
+def _words(plan: Plan) -> str:
+    """Return all texts of a plan that may name modules of Python."""
+    spec, template = plan.batch.spec, plan.project.root / plan.project.config.template
+    try:
+        text = template.read_text(errors="replace")
+    except OSError:
+        text = ""
+    return " ".join((*spec.command, *spec.environment.values(), plan.text, text))

@@ -1,0 +1,53 @@
+"""Shared libraries that the loader's cache (/etc/ld.so.cache) would now find elsewhere than an observed execution did.
+
+The cache changes whenever any library is installed, so its content says nothing. What counts is where it finds each library.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterable, Mapping
+
+CACHE = "/etc/ld.so.cache"
+LINE = re.compile(r"\s*(\S+) \((.*)\) => (.*)")
+LIMIT_S = 30
+
+
+class LoaderCache:
+    """The libraries that the loader's cache finds now; it is read when it is needed first."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, dict[str, str]] | None = None
+        """Paths by name and architecture."""
+        self._folders: set[str] = set()
+
+    def found_elsewhere(self, used: Iterable[str]) -> str | None:
+        """Return a used library in a folder of the cache that the cache would now find in another file; None if none."""
+        known = self._read()
+        for path in used:
+            folder, name = os.path.split(path)
+            if folder not in self._folders or name not in known:
+                continue
+            if os.path.realpath(path) not in map(os.path.realpath, known[name].values()):
+                return path
+        return None
+
+    def _read(self) -> Mapping[str, Mapping[str, str]]:
+        if self._known is None:
+            self._known = {}
+            for name, architecture, path in _cached():
+                self._known.setdefault(name, {}).setdefault(architecture, path)
+                self._folders.add(os.path.dirname(path))  # noqa: PTH120 - for speed
+        return self._known
+
+
+def _cached() -> list[tuple[str, str, str]]:
+    """Return the entries of the loader's cache, in its order: name, architecture, path. The first of several is found."""
+    program = shutil.which("ldconfig", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin:/sbin")
+    if program is None or not os.path.exists(CACHE):  # noqa: PTH110 - for speed
+        return []
+    done = subprocess.run([program, "-p"], capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    return [(match[1], match[2], match[3]) for match in map(LINE.fullmatch, done.stdout.splitlines()) if match]

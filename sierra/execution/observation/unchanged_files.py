@@ -1,0 +1,103 @@
+"""Comparison of files that observed executions used with the files that are here now, as strictly as possible."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterator, Mapping
+
+from sierra.execution.observation import shared_libraries
+from sierra.execution.observation.current_files import Current, is_same, located
+from sierra.execution.observation.file_sets import FileSets, UsedFile, located_paths
+from sierra.execution.observation.listed_folders import ListedFolders
+from sierra.execution.observation.search_path import found_elsewhere
+from sierra.provenance.hash_cache import HashCache
+
+FOUND_ELSEWHERE = "found elsewhere"
+"""The use of a library that the loader would now find in another file. The store has no such use."""
+LOADED = ("read", "executed", "linked", "link")
+
+
+def unchanged(sets: FileSets, current: Current) -> set[str]:
+    """Return the sets in which every file has the same content, nothing that was missed has come, and programs are found."""
+    return set(sets.names) - changes(sets, current).keys() - with_other_programs(sets, current)
+
+
+def changes(sets: FileSets, current: Current) -> dict[str, list[UsedFile]]:
+    """Return the files of each set that have changed; sets without any are left out.
+
+    Not compared is whether the search path finds the same programs.
+    """
+    cache = HashCache()
+    folders = ListedFolders(sets, current)
+    changed, doubtful = [], []
+    for one in sets.files:
+        if one.use == "listed":
+            if folders.is_changed(one):
+                doubtful.append(one)
+        elif one.path == shared_libraries.CACHE:
+            if not is_same(one.path, "read", one.sha256, {}, cache):
+                doubtful.append(one)
+        elif not _is_same(one, current, cache):
+            changed.append(one)
+    cache.save()
+    found = sets.having(changed)
+    for name, file in _changed_for(sets, current, folders, doubtful):
+        found.setdefault(name, []).append(file)
+    return found
+
+
+def _changed_for(
+    sets: FileSets, current: Current, folders: ListedFolders, doubtful: Collection[UsedFile]
+) -> Iterator[tuple[str, UsedFile]]:
+    """Yield the sets for which a change of these files counts, which depends on the other files of the set."""
+    loader = shared_libraries.LoaderCache()
+    having = sets.having(doubtful)
+    members = sets.members(having) if having else {}
+    for name, files in having.items():
+        for one in files:
+            if one.use == "listed":
+                if not folders.is_harmless(one, members[name]):
+                    yield name, one
+            elif path := loader.found_elsewhere(located_paths(members[name], current, *LOADED)):
+                yield name, UsedFile(path, FOUND_ELSEWHERE, None)
+
+
+def _is_same(one: UsedFile, current: Current, cache: HashCache) -> bool:
+    here = located(one.path, current.folders)
+    return here is not None and is_same(here, one.use, one.sha256, current.folders, cache)
+
+
+def with_other_programs(sets: FileSets, current: Current) -> set[str]:
+    """Return the sets without the program that the command starts now, and those of which the search path finds others."""
+    program = os.path.realpath(current.program)
+    executed = (one for one in sets.files if one.use == "executed")
+    started = [one for one in executed if program in map(os.path.realpath, located_paths([one], current, "executed"))]
+    others = set(sets.names) - sets.having(started).keys()
+    if current.declared:
+        return others
+    searched = sets.searched()
+    before = {name: searched.get(name, {None}) for name in sets.names - others}
+    differing = {name: paths for name, paths in before.items() if paths != {current.search}}
+    return others | found_differently(sets, current, differing).keys()
+
+
+def found_differently(sets: FileSets, current: Current, before: Mapping[str, Collection[str | None]]) -> dict[str, str]:
+    """Return the sets of which a program is found elsewhere by the current search path than by any `before`, each with one."""
+    found: dict[str, str] = {}
+    known: dict[tuple[tuple[str, ...], tuple[str, ...], str | None], str | None] = {}
+    for name, files in (sets.members(before) if before else {}).items():
+        programs, missed = tuple(_programs(files, current)), tuple(located_paths(files, current, "missed"))
+        for path in before[name]:
+            key = (programs, missed, path)
+            if key not in known:
+                known[key] = found_elsewhere(programs, missed, path, current.search)
+            if other := known[key]:
+                found.setdefault(name, other)
+    return found
+
+
+def _programs(files: Collection[UsedFile], current: Current) -> list[str]:
+    """Return where the executed programs of a set are now: as they were called, and their real paths."""
+    real = set(located_paths(files, current, "executed"))
+    links = located_paths(files, current, "link", "linked")
+    return sorted(real | {here for here in links if os.path.realpath(here) in real})
