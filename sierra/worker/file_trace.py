@@ -1501,7 +1501,7 @@ def contents(
     for path in trace.missed:
         if os.path.exists(path) and path not in own:
             reader.unusable[path] = "it was made after the run had looked for it"
-    kinds = {path: sha256_of_kind(path) for path in trace.found}
+    kinds = {path: sha256_of_kind(path) for path in (*trace.found, *trace.refused)}
     return Contents(reader.files, reader.folders, reader.unusable, reader.listings, kinds)
 
 
@@ -1517,6 +1517,7 @@ def sha256_of_kind(path: str) -> str:
     else:
         is_file = stat.S_ISREG(status.st_mode)
         kind = "file %d %d" % (status.st_size, bool(status.st_mode & 0o111)) if is_file else "%o" % stat.S_IFMT(status.st_mode)
+        kind += "" if os.access(path, os.R_OK) else " unreadable"
     return hashlib.sha256(kind.encode()).hexdigest()
 
 
@@ -1805,8 +1806,9 @@ def as_record(trace: Trace, contents: Contents, names: Names, *, gpu: bool = Fal
         for path in getattr(trace, use):
             file = contents.files.get(path)
             files.append((names.name(path), use, file and file.sha256, file and file.size))
-    files += [(names.name(path), "found", contents.kinds.get(path), None) for path in trace.found]
-    seen = {*trace.executed, *trace.read, *trace.found, *trace.links}
+    found = {*trace.found, *trace.refused}
+    files += [(names.name(path), "found", contents.kinds.get(path), None) for path in found]
+    seen = {*trace.executed, *trace.read, *found, *trace.links}
     files += [(names.name(path), "missed", None, None) for path in trace.missed if path not in seen]
     files += [(names.name(path), "listed", contents.folders.get(path), None) for path in trace.listed]
     for path, real in trace.links.items():

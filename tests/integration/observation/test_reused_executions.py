@@ -224,6 +224,25 @@ def test_another_program_on_the_search_path_executes_again(root: Path, monkeypat
     assert projects.sql(root, "SELECT DISTINCT value FROM swarm") == [{"value": 2}]
 
 
+def test_a_program_that_may_be_executed_now_executes_again(root: Path) -> None:
+    """The search went on behind a file without the right to be executed."""
+    folders = [root.parent / name for name in ("one", "two")]
+    for folder, word in zip(folders, ("1", "2"), strict=True):
+        folder.mkdir()
+        (folder / "solver").write_text(f"#!/bin/sh\nprintf 'tick,value\\n0,{word}\\n' > swarm.csv\n")
+    (folders[1] / "solver").chmod(0o755)
+    (root / "run.py").write_text(
+        f"import os\nos.environ['PATH'] = '{folders[0]}:{folders[1]}:' + os.environ['PATH']\nos.execvp('solver', ['solver'])\n"
+    )
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("python3 sim.py {input}", "python3 run.py {input}"))
+    projects.run(root, QUERY)
+    assert projects.run(root, QUERY)[0]["executed"] == 0
+    (folders[0] / "solver").chmod(0o755)
+    assert projects.run(root, QUERY)[0]["executed"] == 4
+    assert projects.sql(root, "SELECT DISTINCT value FROM swarm") == [{"value": 1}]
+
+
 def test_diff_names_the_files_that_executions_used(root: Path) -> None:
     """Files of the source are left out, because the difference of the sources has them."""
     (root / ".gitignore").write_text(".sierra\nfactor.txt\nextra.txt\n")
