@@ -22,6 +22,7 @@ from sierra.util.text import few
 
 NAMED = 3
 RUN = "{run}/"
+PROJECT = "{project}/"
 HOME = f"{RUN}{RUN_HOME}/"
 NO_RESULTS = re.compile(r"/(?:tmp|var|run|dev)/.*|.*/\..*")
 """Temporary files, those of services, and hidden ones: a run that writes nothing else has perhaps only printed its results."""
@@ -53,12 +54,16 @@ def notes(places: Collection[str]) -> Iterator[str]:
     """Yield warnings about files that runs wrote elsewhere, each with what would keep them."""
     inputs = sorted(place for place in places if place.startswith(RUN) and not place.startswith(HOME))
     homes = sorted(place for place in places if place.startswith(HOME))
-    others = sorted(place for place in places if not place.startswith(RUN))
+    inside = sorted(place for place in places if place.startswith(PROJECT))
+    others = sorted(place for place in places if not place.startswith((RUN, PROJECT)))
     if inputs:
         cure = f"call it output/{inputs[0].removeprefix(RUN)} in the template, or pass {{output}} to the program in command"
         yield _note("beside their input", inputs, cure)
     if homes:
         yield _note("into HOME", homes, 'set command = "env HOME={output} …", or pass {output} to the program in command')
+    if inside:
+        cure = "pass {output} to the program in command"
+        yield f"{_note('into the project', inside, cure)}; one that git does not ignore belongs to the source from now on"
     if others:
         yield _note("elsewhere", others, "pass {output} to the program in command")
 

@@ -6,7 +6,7 @@ of its own of the same kind (folder and ending), nothing is reported, unless the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from sierra.store.store import Snapshot, Store
@@ -60,6 +60,12 @@ def notes(store: Store, session: str) -> Iterator[str]:
     with store.snapshot() as snapshot:
         yield from _changed(snapshot, session)
         yield from _different(snapshot, session)
+
+
+def incomplete(reasons: Iterable[str]) -> Iterator[str]:
+    """Yield a warning with the reasons why no observation of a session is complete."""
+    if why := list(reasons):
+        yield f"no run was observed completely, so each edit of the source executes all runs again: {few(why, 1)}"
 
 
 def _changed(snapshot: Snapshot, session: str) -> Iterator[str]:

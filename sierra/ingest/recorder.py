@@ -41,6 +41,8 @@ SOON_S, LATE_S = 2.0, 600.0
 LOG_KEPT = 1 << 20
 """The number of bytes that are kept of each log: a quarter from its beginning, three quarters from its end."""
 LOG_SHOWN = 2000
+TRACED = "strace"
+"""The method of observations by the tracer."""
 COUNT = "SELECT count(*) AS executions FROM executions WHERE session = $s"
 RESULTS = "SELECT execution, result FROM executions WHERE session = $s"
 COPIES = "SELECT c.execution, c.attempt FROM duplicates c JOIN executions e USING (execution) WHERE e.session = $s"
@@ -88,6 +90,8 @@ class Recorder:
         """The position of the next execution in the session; earlier ones may be other processes'. None if it is unknown."""
         self._file_sets: set[str] = set()
         """The recorded sets of files that executions used."""
+        self._incomplete: dict[str, None] | None = {}
+        """Why observations by a tracer are incomplete; None as soon as one is complete."""
         self._astray: set[str] = set()
         """The files that executions wrote, but not among their outputs."""
         self._left_nothing = False
@@ -200,7 +204,8 @@ class Recorder:
         kept = self._assigning.kept
         used = compare_observations.notes(self._store, self.context.session) if len(self._file_sets) > 1 else ()
         elsewhere = astray.notes(self._astray)
-        return [*self._twice(), *lost(list(self._left_out)), *elsewhere, *used, *as_files(kept), *remarks.all()]
+        unseen = compare_observations.incomplete(self._incomplete or ())
+        return [*self._twice(), *lost(list(self._left_out)), *elsewhere, *unseen, *used, *as_files(kept), *remarks.all()]
 
     def _twice(self) -> Iterator[str]:
         """Yield a warning about runs that two attempts executed at the same time."""
@@ -229,6 +234,11 @@ class Recorder:
     def _write_observations(self, writer: Writer) -> None:
         found = [one for one in (observed(judgement.result) for judgement in self._pending) if one is not None]
         writer.records(one.observation for one in found)
+        for one in found:
+            if one.observation.reason is None:
+                self._incomplete = None
+            elif self._incomplete is not None and one.observation.method == TRACED:
+                self._incomplete[one.observation.reason] = None
         sets = {one.observation.files: one.read for one in found if one.observation.files not in self._file_sets}
         writer.records(row for rows in sets.values() for row in rows)
         new = {row.sha256: row for one in found if one.observation.files in sets for row in one.listings}

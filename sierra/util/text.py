@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator, Sequence
 
 
 def few(things: Sequence[str], most: int) -> str:
-    """Return at most `most` names, and the number of the others: `a, b and 3 more`."""
+    """Return at most `most` names on one line, and the number of the others: `a, b and 3 more`."""
     more = f" and {len(things) - most} more" if len(things) > most else ""
-    return ", ".join(things[:most]) + more
+    return ", ".join(map(one_line, things[:most])) + more
 
 
 def counted(count: int, noun: str) -> str:

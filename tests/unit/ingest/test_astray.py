@@ -101,7 +101,8 @@ def test_the_siblings_of_an_observed_run_that_wrote_elsewhere_have_failed_too(ma
     own = "left no file in its working directory, but wrote {project}/trips.csv"
     others = f"left no file in its working directory; an observed run with the same command {own}"
     assert reasons(root) == [{"status": "failed", "reason": own, "n": 1}, {"status": "failed", "reason": others, "n": 2}]
-    assert "runs wrote files elsewhere: {project}/trips.csv" in said
+    assert "runs wrote files into the project: {project}/trips.csv" in said
+    assert "belongs to the source from now on" in said
     assert projects.quick(root, "fsck").returncode == 0
 
 

@@ -89,15 +89,22 @@ def test_names_of_files_do_not_depend_on_where_runs_execute(root: Path, tmp_path
 
 
 def test_files_written_outside_the_runs_folders_are_named(root: Path) -> None:
-    assert "runs wrote files elsewhere: {project}/data.log (" in run(root)
+    assert "runs wrote files into the project: {project}/data.log (" in run(root)
     rows = sql(root, "SELECT path, use, count(*) AS n FROM files_written GROUP BY ALL")
     assert rows == [{"path": "{project}/data.log", "use": "written", "n": 4}]
+
+
+def test_a_batch_without_a_complete_observation_says_so(root: Path) -> None:
+    (root / "sim.py").write_text(SIMULATOR + 'import subprocess\nsubprocess.run(["/proc/self/root/bin/true"], check=True)\n')
+    said = run(root)
+    assert "no run was observed completely" in said
+    assert "it executed a file through /proc" in said
 
 
 @pytest.mark.parametrize(("setting", "count"), [("none", 0), ("first", 1), ("all", 4)])
 def test_the_setting_decides_which_runs_are_observed(root: Path, setting: str, count: int) -> None:
     config = root / "sierra.toml"
-    config.write_text(config.read_text().replace('observe = "all"', f'observe = "{setting}"'))
+    config.write_text(config.read_text().replace('observe = "all"', f'observe = "{setting}"\nobserve_budget = 0'))
     run(root)
     assert sql(root, "SELECT count(*) AS n FROM observations") == [{"n": count}]
 
