@@ -323,7 +323,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Helps:
-    """What one machine remembers for the observation of runs. A worker without it finds all of it out itself."""
+    """A tracer and hashes of files that one machine remembers for observing runs. A worker without them finds both out itself."""
 
     tracer: str | None
     """The path of a tracer that works there; None if that is not known."""
@@ -367,7 +367,7 @@ class Job:
     budget: float | None = None
     """The part of the runs' time that observations may take: the run is observed if this one fits. None: in any case."""
     helps: Helps | None = None
-    """What this machine knows already, so that observing takes less time; None for another machine."""
+    """The tracer and hashes that this machine remembers, so that observing takes less time; None for another machine."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -135,4 +135,4 @@ TYPES: Mapping[str, Callable[[str], object]] = {
     "double": float,
     "string": str,
 }
-"""How the texts of each type are read."""
+"""The function that reads texts of a type, by the type."""

@@ -40,7 +40,7 @@ class Observed:
     listings: tuple[ListingRow, ...]
     written: tuple[FileWrittenRow, ...]
     digests: Mapping[str, list[int | str]]
-    """What the worker has hashed, as `HashCache.learn` accepts it; empty if this was on another machine."""
+    """Hashes of files by the worker, as `HashCache.learn` accepts them; empty if they are of another machine."""
 
     def concerned(self, changed: Collection[str]) -> bool:
         """Check whether the execution may have used one of these files, or that is unknown."""

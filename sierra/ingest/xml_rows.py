@@ -146,7 +146,7 @@ class Elements:
 
 
 class Handler(Protocol):
-    """What takes a parser's events; it may raise UnreadableError."""
+    """A receiver of a parser's events; it may raise UnreadableError."""
 
     def start(self, name: str, attributes: Mapping[str, str], line: int) -> None:
         """Begin an element."""

@@ -27,7 +27,7 @@ NUMBER = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
 
 
 class Kind(StrEnum):
-    """What a value is."""
+    """The type of a value."""
 
     TEXT = "text"
     NUMBER = "number"
@@ -90,7 +90,7 @@ class Unfit(Exception):
 
 
 class Notation(Protocol):
-    """How a format reads and writes data. Places are indices in the text of the document."""
+    """The reading and writing of data by a format. Places are indices in the text of the document."""
 
     name: str
     """The format's name in messages."""

@@ -34,7 +34,7 @@ _DOUBTFUL = re.compile(
     | [0-9]{4}-[0-9]{1,2}-[0-9]{1,2}.*""",
     re.VERBOSE | re.DOTALL,
 )
-"""What some programs read as a boolean, a number or a date, and others as something else."""
+"""Texts that some programs read as a boolean, a number or a date, and others as something else."""
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*(?: [A-Za-z0-9_./-]+)*")
 _UNPRINTABLE = re.compile("[^\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]")
 _PROPERTIES = re.compile(r"(?:[&!]\S*\s+)*")

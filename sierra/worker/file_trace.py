@@ -1,4 +1,4 @@
-"""Which files a run executed, read, looked for and did not find, listed, wrote and removed: found by observation.
+"""Observation of a run: the files that it executed, read, looked for and did not find, listed, wrote and removed.
 
 This file needs only the standard library (Python 3.8 or newer), and works alone on a node. A *way* to observe is an object with
 the methods of `Way`. There are two: `Strace`, which sees everything that is described here, and `Maps`, which needs nothing but
@@ -614,7 +614,7 @@ class Call(NamedTuple):
 
 
 class Log:
-    """What a log of strace says: fed line by line, then asked for the trace.
+    """The reader of a log of strace: it is fed line by line, then asked for the trace.
 
     Content that the run moves is followed by `_origins`: for each name that the run has given to something, where its content
     comes from. That is MADE if the run has made it, or else the name under which it was there before.
@@ -1444,7 +1444,7 @@ class File(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """What a run has read, by paths; and the paths of which that is unknown, with the reason."""
+    """The contents that a run has read, by paths; and the paths with unknown contents, with the reason."""
 
     files: Mapping[str, File]
     folders: Mapping[str, str]
@@ -1671,7 +1671,7 @@ OWN_ROOTS = {"run": "the run's own folder", "work": "a folder of runs", "store":
 UNLISTED = "unlisted"
 CACHES = ("/var/cache/fontconfig", "/usr/share/fonts/.uuid", "/usr/lib/fontconfig/cache")
 CACHING = ("fontconfig", "matplotlib", "mesa_shader_cache", "mesa_shader_cache_db", "nvidia", "pip", "uv/.lock")
-"""What is in a user's cache only for speed. Everything else in it may be an input: an environment, a model, a project."""
+"""Folders in a user's cache that only make programs faster. Everything else in it may be an input: an environment, a model, a project."""
 PYTHON_CACHE = "__pycache__"
 
 
@@ -1873,7 +1873,7 @@ def counts_itself(path: str) -> bool:
 
 
 class Distributions:
-    """Which installed distributions of Python files belong to, by the RECORD files beside them; each folder is read once."""
+    """Installed distributions of Python by their files, from the RECORD files beside them; each folder is read once."""
 
     def __init__(self) -> None:
         self._folders: dict[str, Mapping[str, list[str]]] = {}

@@ -142,7 +142,7 @@ class Program(TypedDict):
 
 
 class Helps(TypedDict):
-    """What is known of this machine before: a tracer that works, and a file with the SHA-256 of files."""
+    """Knowledge of this machine from before: a tracer that works, and a file with the SHA-256 of files."""
 
     tracer: str | None
     digests: str
