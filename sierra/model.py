@@ -323,7 +323,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Helps:
-    """A tracer and hashes of files that one machine remembers for observing runs. A worker without them finds both out itself."""
+    """A tracer and hashes of files that one machine remembers for observing runs. Without them, a worker finds both out."""
 
     tracer: str | None
     """The path of a tracer that works there; None if that is not known."""

@@ -42,7 +42,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """The differences of a file from the plain file that a shipped reader reads; the keys of the same names in `[outputs.NAME]`."""
+    """The differences of a file from a plain one that shipped readers read; keys of the same names in `[outputs.NAME]`."""
 
     skip: int = 0
     comment: str = ""

@@ -464,7 +464,7 @@ def content_of(file: Union[str, Between], common: str) -> str:
 
 
 class Observing(NamedTuple):
-    """The folders and the tracer that the worker needs on this node to observe a run."""
+    """The facts about this node that the worker needs to observe a run."""
 
     scratch: str
     """The attempt's folder, in which runs have their folders."""

@@ -1671,7 +1671,7 @@ OWN_ROOTS = {"run": "the run's own folder", "work": "a folder of runs", "store":
 UNLISTED = "unlisted"
 CACHES = ("/var/cache/fontconfig", "/usr/share/fonts/.uuid", "/usr/lib/fontconfig/cache")
 CACHING = ("fontconfig", "matplotlib", "mesa_shader_cache", "mesa_shader_cache_db", "nvidia", "pip", "uv/.lock")
-"""Folders in a user's cache that only make programs faster. Everything else in it may be an input: an environment, a model, a project."""
+"""Folders in a user's cache that only make programs faster. All else there may be an input: an environment, a model."""
 PYTHON_CACHE = "__pycache__"
 
 
