@@ -37,7 +37,8 @@ def unbuilt(plan: Plan, store: Store) -> Iterator[str]:
     """Yield a hint if runs use compiled programs of the project that are older than the code, as far as content shows.
 
     That is so if files in compiled languages differ from those of the last other source, but the programs do not. Times are
-    no evidence: a checkout changes them, and a copy may keep them.
+    no evidence: a checkout changes them, and a copy may keep them. With `dirty = "refuse"`, a hint says that nothing is known
+    about them at all.
     """
     if plan.project.config.build is not None or plan.source is None or plan.checkout is not None:
         return
@@ -49,6 +50,12 @@ def unbuilt(plan: Plan, store: Store) -> Iterator[str]:
     }
     if not used:
         return
+    if plan.project.config.source.dirty == "refuse":
+        names = [name.removeprefix(PREFIX) for name in sorted(used)]
+        yield (
+            f'[source] dirty = "refuse": everything is committed, but {few(names, SHOWN)} may have been built from other code; '
+            "declare [build], and SIERRA builds it from this code"
+        )
     with store.snapshot() as snapshot:
         found = snapshot.select(Before, BEFORE, tree=plan.source.tree)
         recorded = {one.name: one.sha256 for one in row_queries.programs(snapshot, [before.programs for before in found])}

@@ -70,3 +70,10 @@ def test_a_project_with_build_gets_no_note(root: Path) -> None:
     notes(root)
     (root / "sim.c").write_text("int main() { return 1; }\n")
     assert notes(root) == []
+
+
+def test_a_note_names_programs_that_a_commit_does_not_vouch_for(root: Path) -> None:
+    (root / "sierra.toml").write_text(CONFIG + '[source]\ndirty = "refuse"\n')
+    projects.commit(root, "refuse")
+    [line] = notes(root)
+    assert "everything is committed, but build/sim may have been built from other code; declare [build]" in line
