@@ -160,7 +160,8 @@ class Project:
 
         plan = resolve_plan.plan(self._loaded, request, engine=engine, report=(observer or Observer()).planning)
         store = self.stored()
-        return replace(plan, notes=(*plan.notes, *respelled(plan, store), *unbuilt(plan, store))) if store else plan
+        numbers = respelled(plan, store) if store else ()
+        return replace(plan, notes=(*plan.notes, *numbers, *unbuilt(plan, store)))
 
     def run(
         self,

@@ -33,7 +33,7 @@ WHERE o.tree <> $tree ORDER BY s.lamport DESC LIMIT 1
 """
 
 
-def unbuilt(plan: Plan, store: Store) -> Iterator[str]:
+def unbuilt(plan: Plan, store: Store | None) -> Iterator[str]:
     """Yield a hint if runs use compiled programs of the project that are older than the code, as far as content shows.
 
     That is so if files in compiled languages differ from those of the last other source, but the programs do not. Times are
@@ -56,6 +56,8 @@ def unbuilt(plan: Plan, store: Store) -> Iterator[str]:
             f'[source] dirty = "refuse": everything is committed, but {few(names, SHOWN)} may have been built from other code; '
             "declare [build], and SIERRA builds it from this code"
         )
+    if store is None:
+        return
     with store.snapshot() as snapshot:
         found = snapshot.select(Before, BEFORE, tree=plan.source.tree)
         recorded = {one.name: one.sha256 for one in row_queries.programs(snapshot, [before.programs for before in found])}
