@@ -52,6 +52,8 @@ RUN_STDERR = "stderr"
 RUN_HOME = "home"
 RUN_TMP = "tmp"
 RUN_OUTPUT = "output"
+RUN_NAMES = (RUN_STDOUT, RUN_STDERR, RUN_HOME, RUN_TMP, RUN_OUTPUT)
+"""Names in the folder of a run that are not inputs."""
 
 
 class _Rooted(Protocol):

@@ -939,8 +939,9 @@ class RunFolder:
     def __init__(self, folder: str, files: list[str]) -> None:
         self.folder = folder
         self.files = files
+        self.inputs = [*folders_of(files), *files]
         self.states: dict[str, tuple[object, ...]] = {}
-        self.record_state("", *FOLDERS, *LOGS, *files)
+        self.record_state("", *FOLDERS, *LOGS, *self.inputs)
 
     def record_state(self, *names: str) -> None:
         self.states.update((name, state_of(os.path.join(self.folder, name))) for name in names)
@@ -952,7 +953,7 @@ class RunFolder:
         """Return whether the run has changed only outputs and logs, and the logs are short."""
         try:
             sizes = [size_of_file(os.path.join(self.folder, name)) for name in LOGS]
-            return sum(sizes) <= CHUNK and not self.changed("", "home", "tmp", *self.files)
+            return sum(sizes) <= CHUNK and not self.changed("", "home", "tmp", *self.inputs)
         except OSError:
             return False
 
@@ -979,7 +980,16 @@ class RunFolder:
         for name, content in job["files"].items():
             with open(os.path.join(folder, name), "wb") as file:
                 file.write(base64.b64decode(content))
-        self.record_state("", *self.files)
+        self.record_state("", *self.inputs)
+
+
+def folders_of(files: Iterable[str]) -> list[str]:
+    """Return the folders that these files need, the outer ones first."""
+    found: set[str] = set()
+    for name in files:
+        parts = name.split("/")[:-1]
+        found.update("/".join(parts[: number + 1]) for number in range(len(parts)))
+    return sorted(found)
 
 
 def state_of(path: str) -> tuple[object, ...]:
@@ -1006,7 +1016,7 @@ def prepare(job: Job, folder: str, used: RunFolder | None = None) -> RunFolder |
             return used
         remove(used.folder)
     os.mkdir(folder)
-    for name in FOLDERS:
+    for name in (*FOLDERS, *folders_of(job["files"])):
         os.mkdir(os.path.join(folder, name))
     for name, content in job["files"].items():
         with open(os.path.join(folder, name), "xb") as file:
@@ -1196,13 +1206,13 @@ def written_elsewhere(folder: str, inputs: Iterable[str]) -> Iterator[str]:
 
     Hidden ones are left out: programs keep their settings and caches there.
     """
-    own = {name.split("/", 1)[0] for name in inputs} | {*FOLDERS, *LOGS, OBSERVED}
+    own = {*inputs, *FOLDERS, *LOGS, OBSERVED}
     beside, home = entries_of(folder) - own, entries_of(os.path.join(folder, "home"))
     pending = [*(os.path.join("home", name) for name in sorted(home, reverse=True)), *sorted(beside, reverse=True)]
     while pending:
         name = pending.pop()
         path = os.path.join(folder, name)
-        if os.path.basename(name).startswith("."):
+        if name in own or os.path.basename(name).startswith("."):
             continue
         if is_folder(path):
             pending += [os.path.join(name, entry) for entry in sorted(entries_of(path), reverse=True)]
