@@ -45,7 +45,8 @@ CREATE TABLE specs (
     "source" VARCHAR,  -- the tree of the code (an SWHID); NULL if the runs have no source
     "image" VARCHAR,  -- content identity of the container image; NULL without one
     "host_access" VARCHAR[],  -- access of runs to the host, outside the image: network, gpu, each device and each mount
-    "files" VARCHAR[]  -- names of the input files that each run gets
+    "files" VARCHAR[],  -- names of the input files that each run gets
+    "named_inputs" VARCHAR[]  -- those of the files that are part of the spec's id; NULL or empty: none
 );
 
 -- Executions of runs: when, where and by which programs each run was executed, and how it ended. If an execution was evaluated again by changed rules, status, reason and ingest_rules are those of the last evaluation; the table all_judgements has all evaluations.

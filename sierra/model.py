@@ -231,9 +231,13 @@ class RunSpec:
     """The content identity of the container image; None without an image."""
     host_access: tuple[str, ...] = ()
     """The host access of runs beyond the image and their own folder, sorted: `network`, `device /dev/dri`, `mount /data`."""
+    named_inputs: tuple[str, ...] = ()
+    """The names of input files that are not those of the platform: of several templates, and of the values of variables."""
 
     def preimage(self) -> dict[str, Any]:
+        named = {"named_inputs": list(self.named_inputs)} if self.named_inputs else {}
         return {
+            **named,
             "platform": self.platform,
             "command": list(self.command),
             "environment": dict(self.environment),

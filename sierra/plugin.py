@@ -10,7 +10,7 @@ point is the name by which users choose the plug-in:
 group of entry points      contract           chosen by                                  options
 =========================  =================  =========================================  ============================
 `sierra.platforms`         `Platform`         `platform = "NAME"`                        `[platforms.NAME]`
-`sierra.templates`         `Template`         `template_format`, or the ending           `[templates.NAME]`
+`sierra.templates`         `Template`         `template_format`, or the ending           `[template_formats.NAME]`
 `sierra.runners`           `Runner`           `sierra run … --on NAME`                   `[runners.NAME]`
 `sierra.schedulers`        `Scheduler`        `[runners.…] scheduler = "NAME"`           the same table
 `sierra.engines`           `Engine`           `[container] engine = "NAME"`, `--engine`  `[engines.NAME]`

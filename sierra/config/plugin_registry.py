@@ -64,11 +64,18 @@ class Kind:
     """The shipped classes by name, as `module:Class`."""
     options_base: type[Table] = Table
     """The class that the `Options` of these plug-ins inherit from."""
+    tables: str = ""
+    """The name of the tables with options in `sierra.toml`; empty: the plural of `word`."""
 
     @property
     def group(self) -> str:
-        """Return the group of entry points; it ends with the name of the tables in `sierra.toml`."""
+        """Return the group of entry points."""
         return f"sierra.{self.word}s"
+
+    @property
+    def table(self) -> str:
+        """Return the name of the tables with options in `sierra.toml`."""
+        return self.tables or f"{self.word}s"
 
     def names(self) -> tuple[str, ...]:
         """Return the names of all plug-ins of this kind, the shipped ones first."""
@@ -100,7 +107,7 @@ class Kind:
     def options(self, name: str, table: RawTable) -> Table:
         """Return the options of a plug-in from its table. Raises ConfigError."""
         model: type[Table] = self.load(name).Options
-        return options(model, table, f"[{self.word}s.{name}]")
+        return options(model, table, f"[{self.table}.{name}]")
 
     def make(self, name: str, tables: Tables, *arguments: object) -> Any:
         """Return a new object of a plug-in's class, made from `arguments` and from its options in `tables`."""
@@ -118,7 +125,7 @@ class Kind:
         """Check all tables of this kind. Raises ConfigError for an unknown name, or options that are invalid."""
         for name, table in tables.items():
             if name not in self.names():
-                raise ConfigError(f"[{self.word}s.{name}]: unknown {self.word} {name!r}; known are {', '.join(self.names())}")
+                raise ConfigError(f"[{self.table}.{name}]: unknown {self.word} {name!r}; known are {', '.join(self.names())}")
             self.options(name, table)
 
     def _checked(self, offer: Offer) -> type:
@@ -163,6 +170,7 @@ TEMPLATES = Kind(
         "properties": "sierra.templates.ini:PropertiesTemplate",
         "text": "sierra.templates.text:TextTemplate",
     },
+    tables="template_formats",
 )
 RUNNERS = Kind("runner", "sierra.runners.base:Runner", {"local": "sierra.runners.local:Local"})
 SCHEDULERS = Kind(
@@ -201,7 +209,7 @@ KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS)
 def check(project: Project) -> None:
     """Check the tables of all plug-ins in `sierra.toml` that could change results. Raises ConfigError."""
     PLATFORMS.check(project.platforms)
-    TEMPLATES.check(project.templates)
+    TEMPLATES.check(project.template_formats)
     ENGINES.check(project.engines)
     READERS.check(project.readers)
 

@@ -82,6 +82,12 @@ SETTINGS: Mapping[int | str, str] = {
     "mem": "memory",
 }
 """Schedulers' names for settings of clusters, with the name in `sierra.toml`."""
+VALUE = "{value}"
+"""The text that stands for the value in the `argument` of a variable or of the seed."""
+OWN_PLACEHOLDERS = ("input", "output", "run", "seed", "project", "python", "arguments")
+"""Names in braces that have a meaning of their own in a command."""
+NOT_VARIED = ("HOME", "TMPDIR", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "PYTHONPATH", "PYTHONHOME")
+"""Environment variables that no variable of a query can set: the programs that runs use depend on them, or SIERRA sets them."""
 SYSTEM = ("proc", "sys", "dev", "tmp")
 """Folders in a container where nothing can be mounted."""
 KINDS = {
@@ -108,6 +114,28 @@ def _as_words(value: object) -> object:
 def _set_to(value: object) -> object:
     """Expand the short form of a table, which is the XPath alone."""
     return {"set": value} if isinstance(value, str) else value
+
+
+def _with_value(words: tuple[str, ...]) -> tuple[str, ...]:
+    if words and not any(VALUE in word for word in words):
+        raise ValueError(f"{shlex.join(words)!r} should contain {VALUE}, as in --robots {VALUE}")
+    if any("{arguments}" in word for word in words):
+        raise ValueError("{arguments} can only be a word of the command")
+    return words
+
+
+def _not_fixed(name: str) -> str:
+    if name in NOT_VARIED or name.startswith("SIERRA_"):
+        raise ValueError(f"no value can be given in {name}, which SIERRA or the loader of programs uses; use another name")
+    return name
+
+
+def _not_options(table: object) -> object:
+    """Refuse options of formats, which an earlier version had under this name."""
+    for name, value in table.items() if isinstance(table, dict) else ():
+        if isinstance(value, dict):
+            raise ValueError(f"the options of formats have another name now: [template_formats.{name}]")
+    return table
 
 
 def _path(is_valid: Callable[[str], bool], expected: str) -> AfterValidator:
@@ -165,6 +193,7 @@ SizeOrNone = Annotated[
     WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer", "minimum": 0}]}),
 ]
 Line = Annotated[str, StringConstraints(pattern=r"^[^\n\r]+$")]
+Argv = Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_type=Words)]
 Inside = Annotated[
     str,
     _path(
@@ -241,30 +270,46 @@ class ChangeTable(Table):
         return self
 
 
-class Variable(Table):
-    """An independent variable: the changes that one of its values makes to the template.
+Argument = Annotated[Argv, AfterValidator(_with_value)]
+EnvironmentName = Annotated[str, StringConstraints(pattern=NAME), AfterValidator(_not_fixed)]
 
-    The short form `name = "XPATH"` sets the attributes or elements that the XPath selects to the value.
+
+class Variable(Table):
+    """An independent variable: what one of its values changes in the template, the command or the environment of a run.
+
+    The short form `name = "XPATH"` sets the attributes or elements that the XPath selects to the value. `{}` is a variable that
+    the command or other changes use as `{name}`.
     """
 
     set: str | None = Field(None, description="XPath of the attributes or elements that get the value itself")
     changes: tuple[ChangeTable, ...] = Field((), description="further changes; `{name}` is the value")
+    argument: Argument = Field(
+        (), description="words of the command with the value, as in `--robots {value}`; a value is never split into words"
+    )
+    environment: EnvironmentName | None = Field(
+        None, description="name of the environment variable of runs that gets the value"
+    )
     label: str = Field("", description="name in figures; default: the variable's name")
     unit: str = Field("", description="unit in figures")
 
+    @property
+    def is_given(self) -> bool:
+        """Return True if the variable itself says what its values change."""
+        return bool(self.set or self.changes or self.argument or self.environment)
+
     @model_validator(mode="after")
-    def _something(self) -> Variable:
-        if not self.set and not self.changes:
-            raise ValueError('a variable needs "set" or "changes"')
+    def _complete(self) -> Variable:
         if any(change.set and change.value is None for change in self.changes):
             raise ValueError('a "set" in "changes" needs a "value"')
         return self
 
 
 class Seed(Table):
-    """Where the seed goes in the template, and how seeds are derived. The short form is the XPath alone."""
+    """Where the seed goes, and how seeds are derived. The short form is the XPath alone."""
 
     set: str | None = Field(None, description="XPath of the attribute or element that gets the seed")
+    argument: Argument = Field((), description="words of the command with the seed, as in `--seed {value}`")
+    environment: EnvironmentName | None = Field(None, description="name of the environment variable of runs that gets the seed")
     base: int = Field(0, ge=0, description="base seed: the number that all seeds derive from")
     independent: bool = Field(
         False,
@@ -594,9 +639,6 @@ class Equivalence(Table):
         return self
 
 
-Argv = Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_type=Words)]
-
-
 class ProgramsTable(Table):
     """The arguments that make programs in a command print their versions, which are recorded."""
 
@@ -690,14 +732,23 @@ class Figure(Table):
 class Project(Table):
     """`sierra.toml`."""
 
-    template: str = Field(description="the file from which the inputs of all runs are generated")
+    template: Annotated[str, Field(min_length=1)] | None = Field(
+        None, description="the file from which the inputs of all runs are generated; default: none"
+    )
+    templates: Annotated[Mapping[Name, InProject], BeforeValidator(_not_options)] = Field(
+        default_factory=dict,
+        description="several files instead of one `template`, by name: changes select in `NAME:/…`, and {input.NAME} in the "
+        "command is the path of the file",
+    )
     template_format: str | None = Field(
         None,
         description="format of the template: `xml`, `json`, `yaml`, `toml`, `ini`, `properties`, `text` or a plug-in; "
         "default: by the ending of the file",
     )
     command: Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_type=Words)] = Field(
-        (), description="the program and its arguments; {input}, {output}, {seed}, {project} and {python} are filled in"
+        (),
+        description="the program and its arguments; {input}, {output}, {seed}, {project}, {python} and the query's "
+        "variables are filled in",
     )
     requires: tuple[Annotated[str, Field(pattern=r"^[A-Za-z0-9]")], ...] = Field(
         (), description="Python packages that `{python}` needs, as for pip; checked before anything executes"
@@ -761,11 +812,57 @@ class Project(Table):
     runners: Mapping[str, RawTable] = Field(
         default_factory=dict, description="clusters for `--on`, by name: `slurm`, `pbs`, or your own name with a `scheduler`"
     )
-    templates: Mapping[str, RawTable] = Field(default_factory=dict, description="options of template formats, by name")
+    template_formats: Mapping[str, RawTable] = Field(default_factory=dict, description="options of template formats, by name")
     engines: Mapping[str, RawTable] = Field(default_factory=dict, description="options of container engines, by name")
     readers: Mapping[str, RawTable] = Field(
         default_factory=dict, description="options of the readers of output formats, by name"
     )
+
+    @property
+    def template_paths(self) -> tuple[str, ...]:
+        """Return the paths of all templates; `templates` has paths in the project only."""
+        return (self.template,) if self.template is not None else tuple(self.templates.values())
+
+    @model_validator(mode="after")
+    def _templates(self) -> Project:
+        if self.template is not None and self.templates:
+            raise ValueError('"template" and "templates" exclude each other; give the file a name in "templates"')
+        if self.template_format is not None and self.template is None:
+            raise ValueError('"template_format" needs "template"; the endings of "templates" say their formats')
+        paths = [os.path.normpath(path) for path in self.templates.values()]
+        if twice := [name for name, path in zip(self.templates, paths, strict=True) if paths.count(path) > 1]:
+            raise ValueError(f"templates: {twice[0]} and {twice[1]} are the same file; changes to it need one name")
+        return self
+
+    @model_validator(mode="after")
+    def _useful(self) -> Project:
+        for name, variable in self.variables.items():
+            if variable.argument and name in OWN_PLACEHOLDERS:
+                raise ValueError(f"variables.{name}: in a command, {{{name}}} has another meaning; use another name")
+            if not variable.is_given and not self._uses(name):
+                raise ValueError(
+                    f'variables.{name}: it changes nothing; give it "set", "changes", "argument" or "environment", '
+                    f"or write {{{name}}} in the command"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _one_value_each(self) -> Project:
+        given = [("seed", self.seed.environment), *((name, one.environment) for name, one in self.variables.items())]
+        setters = dict.fromkeys((*self.environment.set, *self.environment.pass_), "[environment]")
+        for name, variable in given:
+            if variable is not None and (other := setters.setdefault(variable, name)) != name:
+                raise ValueError(f"{other} and {name} both set the environment variable {variable}; use one of them")
+        return self
+
+    def _uses(self, name: str) -> bool:
+        """Return True if the command uses a variable, or if a change does that does not belong to a variable."""
+        if name not in OWN_PLACEHOLDERS and any(f"{{{name}}}" in word for word in self.command):
+            return True
+        groups = (*self.controllers.values(), *self.scenarios.values())
+        tables = (*self.changes, *self.run_changes, *(change for group in groups for change in group.changes))
+        texts = (text or "" for table in tables for text in (table.value, table.xml, table.json_, table.to))
+        return any(re.search(rf"\{{[^}}]*\b{name}\b", text) for text in texts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -793,7 +890,7 @@ def read(found: ProjectFolder) -> LoadedProject:
     """Return a project with its configuration; a store alone is a project without declarations. Raises ConfigError."""
     root, file, written = found
     if not written:
-        return LoadedProject(root, file, Project(template=""), written=False)
+        return LoadedProject(root, file, Project(), written=False)
     origin = f"{file} [tool.sierra]" if file.name == PYPROJECT else str(file)
     return LoadedProject(root, file, parse(settings(file) or {}, origin))
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from sierra.design import seeds
+from sierra.design import run_values, seeds
 from sierra.design.factorial_design import PlanningProgress, ignore_progress
-from sierra.errors import QueryError
+from sierra.errors import ConfigError, QueryError
 from sierra.model import Batch, Cell, Design, Experiment, Run, RunSpec, Value
 from sierra.platforms.base import Platform
+from sierra.store.layout import RUN_NAMES
 from sierra.templates.base import Files, Renderer, Template
 from sierra.util.hashing import canonical, canonical_plain, digest, merkle, sha256
 
@@ -24,8 +25,17 @@ STREAMS = (1 << 15) - 1
 class Expansion:
     """A design with everything that its runs are made from."""
 
-    def __init__(self, design: Design, template: Template, platform: Platform, spec: RunSpec) -> None:
+    def __init__(
+        self,
+        design: Design,
+        template: Template,
+        platform: Platform,
+        spec: RunSpec,
+        given: run_values.Used = run_values.Used(),  # noqa: B008 - it is immutable
+    ) -> None:
+        """`given` are the values that commands and environments get."""
         self._design = design
+        self._given = given
         self._template = template
         self._platform = platform
         self._spec = spec
@@ -65,6 +75,8 @@ class Expansion:
         seed = self._seed(cell, number)
         inputs = [(name, sha256(content)) for name, content in self._files(cell, render, number, seed)]
         names = tuple(name for name, _ in inputs)
+        if names not in self._names:
+            _check_names(names)
         digests = bytes.fromhex("".join(digest for _, digest in inputs))
         identity = run_id(self.spec_id, inputs, seed)
         return Run(identity, cell.ordinal, number, seed, self._names.setdefault(names, names), digests)
@@ -74,8 +86,10 @@ class Expansion:
 
     def _files(self, cell: Cell, render: Renderer, number: int, seed: int) -> Files:
         lists = {name: values[number % len(values)] for name, values in self._design.lists.items()}
-        rendered = render({**cell.values, **lists, "seed": seed, "run": number})
-        return self._platform.files(rendered) if isinstance(rendered, bytes) else _named(rendered, self._platform)
+        values = {**cell.values, **lists, "seed": seed, "run": number}
+        rendered = render(values)
+        files = self._platform.files(rendered) if isinstance(rendered, bytes) else _named(rendered, self._platform)
+        return (*files, *given) if (given := self._given.files(values)) else files
 
     def _seed(self, cell: Cell, number: int) -> int:
         stream = ""
@@ -88,6 +102,17 @@ def _named(rendered: Files, platform: Platform) -> Files:
     """Return the files of a document, with those that the platform makes from the file without a name first."""
     main = [file for name, content in rendered if not name for file in platform.files(content)]
     return (*main, *(file for file in rendered if file[0]))
+
+
+def _check_names(names: tuple[str, ...]) -> None:
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ConfigError(f"{twice} would be written twice in the folder of a run; rename the file")
+    for name in names:
+        if name.split("/")[0] in RUN_NAMES:
+            raise ConfigError(
+                f"{name}: the folder of a run has its own {name.split('/')[0]!r}; move the file to another folder"
+            )
 
 
 def _check_streams(last: int, runs: int) -> None:

@@ -96,7 +96,7 @@ def design(
     seed, run_changes = _seed_changes(project, platform), changes(project.run_changes, "sierra.toml: run_changes")
     per_run = (*seed, *run_changes)
     _check_lists(project, spans.axes)
-    _check_effect(project, cells, per_run)
+    _check_effect(project, cells, per_run, platform.command())
     designed = Design(
         query=query,
         axes=spans.axes,
@@ -255,14 +255,15 @@ def _check_lists(project: Project, axes: Sequence[Axis]) -> None:
             raise ConfigError(f"[per_run] {name}: expressions already have another {name!r}; use another name")
 
 
-def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change, ...]) -> None:
-    """Raise QueryError for a controller or scenario that is not declared, and whose name nothing in the template uses."""
+def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change, ...], command: Sequence[str]) -> None:
+    """Raise QueryError for a controller or scenario that is not declared, and whose name no change and no command uses."""
     for kind in GROUPED:
         for cell in cells:
             name = cell.values.get(kind)
             if name is None or name in _groups(project, kind):
                 continue
-            if not any(mentions(change, kind) for change in (*cell.changes, *per_run)):
+            in_command = any(f"{{{kind}}}" in word for word in command)
+            if not in_command and not any(mentions(change, kind) for change in (*cell.changes, *per_run)):
                 raise QueryError(f"{kind} {name!r} changes nothing; sierra.toml does not declare it ([{kind}s.{name}])")
 
 

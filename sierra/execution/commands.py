@@ -2,9 +2,10 @@
 
 Placeholders of a command: `{input}` is the first input file, `{output}` the folder to write to (also the working
 directory), `{run}` the run's own folder, `{seed}` its seed, `{project}` the project's root, and `{python}` the Python
-that runs SIERRA. The word `{arguments}` stands for the arguments that the template gives. `{{name}}` stands for the text
-`{name}`. A word that names a file relative to the project's root becomes `{project}/word`, because runs have folders of
-their own.
+that runs SIERRA. The word `{arguments}` stands for the arguments that the template gives, or those that the variables of the
+query declare (`argument`); without it, these follow the command. `{input.NAME}` is one of several templates. The name of a
+variable of the query stands for its value: see `sierra.design.run_values`. `{{name}}` stands for the text `{name}`. A word that
+names a file relative to the project's root becomes `{project}/word`, because runs have folders of their own.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ from itertools import chain
 from pathlib import Path
 from typing import cast
 
-from sierra.config.project_file import Project
+from sierra.config.project_file import OWN_PLACEHOLDERS, Project
 from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, WRITABLE, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images.image import Image
-from sierra.errors import ConfigError
+from sierra.design import run_values
+from sierra.design.run_values import Declared
+from sierra.errors import ConfigError, QueryError
 from sierra.execution.build.products import matches
 from sierra.model import Client, Job, Limits, Run, RunSpec
 from sierra.platforms.base import Platform
@@ -32,8 +35,12 @@ from sierra.util.hashing import digest_plain
 from sierra.worker import worker
 
 PLACEHOLDER = re.compile(r"\{\{([a-z_]+)\}\}|\{([a-z_]+)\}")
+NAMED = re.compile(r"\{\{([A-Za-z_]\w*)\}\}|\{([A-Za-z_]\w*)\}", re.ASCII)
+"""Like `PLACEHOLDER`, but also for names of variables."""
+ONE_INPUT = re.compile(r"(?<!\{)\{input\.(\w+)\}")
 ABOVE = re.compile(r"(?<!\{)\{project\}((?:/\.\.)+)(?=/|$)")
-KNOWN = ("input", "output", "run", "seed", "project", "python", "arguments")
+CODE = re.compile(r"(ba|da|z|k|fi)?sh|python[0-9.]*|perl|ruby|node|lua[0-9.]*|Rscript")
+"""Names of programs that execute the word after an option such as `-c`."""
 SPLICED = "{arguments}"
 """The word of a command that stands for several: those in the input file `ARGUMENTS`."""
 FIXED = {
@@ -57,14 +64,26 @@ SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """PATH of an image that sets none."""
 
 
-def command(platform: Platform, root: Path, *, contained: bool = False, made: Sequence[str] = ()) -> tuple[str, ...]:
+def command(
+    platform: Platform,
+    root: Path,
+    *,
+    contained: bool = False,
+    made: Sequence[str] = (),
+    declared: Declared = Declared(),  # noqa: B008 - it is immutable
+    project: Project | None = None,
+) -> tuple[str, ...]:
     """Return the command as it is part of a run's identity.
 
     `made` are the patterns of files that a build makes: their names are names of files in the project even before it.
+    `declared` is what variables give to the command. `project` says which templates there are; None: one.
 
-    Raises ConfigError for an unknown placeholder, or for a path that does not exist in a container.
+    Raises ConfigError for an unknown placeholder, or for a path that does not exist in a container. Raises QueryError for a
+    variable that the query does not vary.
     """
-    words = tuple(_in_project(word, root, made) for word in platform.command())
+    words = tuple(_in_project(word, root, made) for word in _with_arguments(platform.command(), declared.arguments))
+    words = tuple(_with_inputs(word, project) for word in words) if project else words
+    _check_values(words, declared)
     for word in words:
         if contained and ABOVE.search(word):
             raise ConfigError(
@@ -73,11 +92,69 @@ def command(platform: Platform, root: Path, *, contained: bool = False, made: Se
         if SPLICED in word.replace(f"{{{SPLICED}}}", "") and word != SPLICED:
             raise ConfigError(f"command: {SPLICED} expands to several words; write it as a separate word, not {word!r}")
         for _, name in PLACEHOLDER.findall(word):
-            if name and name not in KNOWN:
-                known = ", ".join("{" + known + "}" for known in KNOWN)
+            if name and name not in (*OWN_PLACEHOLDERS, *declared.names):
+                known = ", ".join("{" + known + "}" for known in (*OWN_PLACEHOLDERS, *declared.names))
                 hint = f"known are {known}; write {{{{{name}}}}} for the text {{{name}}}"
                 raise ConfigError(f"command: unknown placeholder {{{name}}} in {word!r}; {hint}")
     return words
+
+
+def with_values(variables: Mapping[str, str], declared: Declared) -> dict[str, str]:
+    """Return environment variables with those that get values; there, they stand for their values, as in the command."""
+    return {**variables, **{variable: f"{{{name}}}" for variable, name in declared.environment.items()}}
+
+
+def used_values(command: Sequence[str], declared: Declared, project: Project) -> run_values.Used:
+    """Return the values that runs get in their command and environment."""
+    names = tuple(name for name in declared.names if name not in OWN_PLACEHOLDERS and _uses(command, name))
+    return run_values.Used(names, declared.environment, always=not project.template_paths)
+
+
+def _uses(command: Iterable[str], name: str) -> bool:
+    return any(used == name for word in command for _, used in NAMED.findall(word))
+
+
+def _with_arguments(words: tuple[str, ...], given: tuple[str, ...] | None) -> tuple[str, ...]:
+    """Return the words with those that variables declare: in the place of `{arguments}`, or at the end."""
+    if given is None:
+        return words
+    if SPLICED not in words:
+        return (*words, *given)
+    return tuple(chain.from_iterable(given if word == SPLICED else (word,) for word in words))
+
+
+def _with_inputs(word: str, project: Project) -> str:
+    """Return a word with the paths of templates in the run's folder. Raises ConfigError."""
+    names = ", ".join(f"{{input.{name}}}" for name in project.templates)
+
+    def filled(match: re.Match[str]) -> str:
+        if match[1] not in project.templates:
+            known = f"known are {names}" if names else "[templates] has none"
+            raise ConfigError(f"command: {match[0]} in {word!r} is no template; {known}")
+        return f"{{run}}/{os.path.normpath(project.templates[match[1]])}"
+
+    if any(name == "input" for _, name in PLACEHOLDER.findall(word)) and len(project.template_paths) != 1:
+        why = f"there are several templates; use {names}" if names else "there is no template; remove it, or set template"
+        raise ConfigError(f"command: {{input}} in {word!r}: {why}")
+    return ONE_INPUT.sub(filled, word)
+
+
+def _check_values(words: Sequence[str], declared: Declared) -> None:
+    """Raise an error if the query does not vary a variable in the command, or if a value would be executed."""
+    for number, word in enumerate(words):
+        found = [name for _, name in NAMED.findall(word) if name not in OWN_PLACEHOLDERS]
+        for name in found:
+            if name in declared.others:
+                raise QueryError(f'the command uses {{{name}}}; add {name}=… to the query, or give the variable an "argument"')
+        if not (values := [name for name in found if name in declared.names]):
+            continue
+        if number == 0:
+            raise ConfigError(f"command: a value of {values[0]!r} cannot choose the program; make {word!r} an argument")
+        interpreters = (one for one in words[: number - 1] if CODE.fullmatch(one.rpartition("/")[2]))
+        if re.fullmatch(r"-\w*[ce]", words[number - 1]) and (program := next(interpreters, None)):
+            raise ConfigError(
+                f"command: {program} would execute a value of {values[0]!r} in {word!r} as code; give it as another argument"
+            )
 
 
 def environment(platform: Platform, project: Project) -> dict[str, str]:
@@ -129,12 +206,19 @@ def fill(
     known = {"project": str(root), "python": sys.executable, **(values or {})}
 
     def filled(match: re.Match[str]) -> str:
-        return f"{{{match[1]}}}" if match[1] else known.get(match[2], match[0])
+        if match[1]:
+            return match[0][1:-1] if match[1] in known or PLACEHOLDER.fullmatch(match[0]) else match[0]
+        return known.get(match[2], match[0])
 
     def above(match: re.Match[str]) -> str:
         return os.path.normpath(f"{(project or root).resolve()}{match[1]}")
 
-    return tuple(PLACEHOLDER.sub(filled, ABOVE.sub(above, word)) for word in words)
+    return tuple(NAMED.sub(filled, ABOVE.sub(above, word)) for word in words)
+
+
+def with_texts(words: Iterable[str], values: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the words with some placeholders filled in; all else stays as it is."""
+    return tuple(NAMED.sub(lambda match: values.get(match[2] or "", match[0]), word) for word in words)
 
 
 def arguments(files: Files) -> tuple[str, ...]:
@@ -209,25 +293,27 @@ class CommandBuilder:
         execution = execution_id(self._environment["SIERRA_SESSION"], run.id)
         seed = str(run.seed)
         own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": seed, "SIERRA_EXECUTION": execution}
-        argv = self._argv(files, seed)
-        variables = {**self._environment, **own}
+        given = run_values.read(files)
+        argv = self._argv(files, seed, given.values)
+        variables = {**self._environment, **own, **given.environment}
         client = self._shared or self._contained(argv, variables)
         return Job(run.id, execution, argv, variables, files, self._bounds, client, shared=self._shared is not None)
 
-    def _argv(self, files: Files, seed: str) -> tuple[str, ...]:
+    def _argv(self, files: Files, seed: str, given_values: Mapping[str, str]) -> tuple[str, ...]:
         """Return the command of a run. If it does not depend on the run, it is built once per input file name."""
         file = files[0][0]
-        if (same := self._same.get(file)) is not None:
+        if not given_values and (same := self._same.get(file)) is not None:
             return same
         here = self._here
-        values = {"input": f"{here}/{file}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
+        own = {"input": f"{here}/{file}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
+        values = {**given_values, **own}
         given = arguments(files) if SPLICED in self._spec.command else ()
         argv = tuple(
             chain.from_iterable(given if word == SPLICED else self._fill((word,), values) for word in self._spec.command)
         )
         if self._search is not None:  # a node may find another program with that name
             argv = (shutil.which(argv[0], path=self._search) or argv[0], *argv[1:])
-        if not any("{seed}" in word or word == SPLICED for word in self._spec.command):
+        if not given_values and not any("{seed}" in word or word == SPLICED for word in self._spec.command):
             self._same[file] = argv
         return argv
 

@@ -150,6 +150,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         row.source,
         row.image,
         tuple(row.host_access),
+        tuple(row.named_inputs or ()),
     )
     manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
     return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers), build, observed)

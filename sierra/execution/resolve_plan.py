@@ -16,8 +16,9 @@ from sierra.config.project_file import LoadedProject, Output, Project, Success
 from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import PROJECT, Engine
 from sierra.containers.images.image import Image
+from sierra.design import run_values
 from sierra.design.expand import Expansion
-from sierra.design.factorial_design import PlanningProgress, design, ignore_progress, mentions
+from sierra.design.factorial_design import GROUPED, PlanningProgress, design, ignore_progress, mentions
 from sierra.errors import ConfigError, Missing, QueryError
 from sierra.execution import commands
 from sierra.execution.build import recipe as build_recipe
@@ -151,34 +152,41 @@ def plan(
     _check_names(project)
     plugin_registry.check(config)
     readers = used_readers(config.outputs, config.readers)
-    template = templates.read(root / config.template, config.templates, config.template_format)
+    template = templates.of_project(config, root)
     platform = platforms.find(config.platform, config)
     contained, image = _contained(project, engine)
     box = config.container if image else None
     made = config.build.produces if config.build else ()
-    command = commands.command(platform, root, contained=image is not None, made=made)
+    declared = run_values.declared(config, _named_values(query, config))
+    command = commands.command(platform, root, contained=image is not None, made=made, declared=declared, project=config)
     variables = {**commands.environment(platform, config), **(box.variables if box else {})}
+    values = commands.used_values(command, declared, config)
     own = _own(project)
     code = _code(project, own)
     held = source.paths(code.manifest)
-    data = referenced_files.data(root / config.template, _written(config), root, held, own)
+    texts = [root / path for path in config.template_paths]
+    data = referenced_files.data(texts, _written(config), root, held, own)
     if box:
         data = container_setup.data(data, box, root)
     spec = RunSpec(
-        config.platform, command, variables, code.tree, image.id if image else None, container_setup.host_access(box)
+        config.platform,
+        command,
+        commands.with_values(variables, declared),
+        code.tree,
+        image.id if image else None,
+        container_setup.host_access(box),
+        (*map(os.path.normpath, config.templates.values()), *values.named),
     )
     designed = design(query, config, platform, template, report)
-    expansion = Expansion(designed, template, platform, spec)
+    expansion = Expansion(designed, template, platform, spec, values)
     batch = expansion.batch(report)
-    if commands.SPLICED in command and ARGUMENTS not in batch.runs[0].names:
-        raise ConfigError(
-            f"command: {commands.SPLICED} needs a template that provides arguments; {config.template} provides none"
-        )
-    built = _build_state(project, spec, code, contained)
+    _check_arguments(batch, config, command, declared)
+    built = _build_state(project, replace(spec, environment=variables, named_inputs=()), code, contained)
     used = _used(spec, code, root, data, built)
     checkout = _committed(root, spec, code, used) if code.checkout else None
     executed = checkout.programs() if checkout else used
-    uncounted = referenced_files.named_by_values(_set_by(designed), root / config.template, root, held, used)
+    named = _set_by(designed) | _given_by(designed, command)
+    uncounted = referenced_files.named_by_values(named, texts, root, held, used)
     return Plan(
         project=project,
         request=request,
@@ -202,7 +210,7 @@ def plan(
         build=built,
         notes=(
             *code.notes,
-            *_doubts(designed, command),
+            *_doubts(designed, command, config),
             *_outdated(root, image),
             *_texts(designed, config, template),
             *_same(batch),
@@ -303,7 +311,7 @@ def _own(project: LoadedProject) -> tuple[str, ...]:
         *_drawn(project.root),
         CONFIG,
         PYPROJECT if project.file.name == PYPROJECT else CONFIG,
-        *_inside(project.config.template),
+        *(path for template in project.config.template_paths for path in _inside(template)),
     )
 
 
@@ -337,12 +345,16 @@ def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
     `logs` are logs of failed runs: the hint then names only files that they mention. With None, it names all.
     """
     config, root = plan.project.config, plan.project.root
-    template = root / config.template
-    words = referenced_files.relative_names(template, _written(config), root)
     made = set(plan.batch.runs[0].names)
-    meant = [word for word in words if word not in made and (logs is None or any(Path(word).name in log for log in logs))]
+    meant: dict[str, Path] = {}
+    for template in (root / path for path in config.template_paths):
+        beside = {os.path.relpath(root / name, template.parent) for name in made} if config.templates else made
+        for word in referenced_files.relative_names(template, _written(config), root):
+            if os.path.normpath(word) not in beside and (logs is None or any(Path(word).name in log for log in logs)):
+                meant.setdefault(word, template.parent)
     if meant:
-        first = os.path.normpath(os.path.relpath(template.parent / meant[0], root))
+        word, folder = next(iter(meant.items()))
+        first = os.path.normpath(os.path.relpath(folder / word, root))
         where = "it is" if len(meant) == 1 else "they are"
         yield (
             f"the template names {few([repr(word) for word in meant], 3)} by a relative path: "
@@ -418,17 +430,17 @@ def _written(config: Project) -> Iterator[str]:
                 pending.extend((stands, item) for item in items)
 
 
-def _doubts(designed: Design, command: Sequence[str]) -> Iterator[str]:
+def _doubts(designed: Design, command: Sequence[str], config: Project) -> Iterator[str]:
     """Yield warnings about settings that are allowed but probably not intended."""
     mentioned = " ".join(command)
     seeded = any(mentions(change, "seed") for change in designed.per_run)
-    if designed.query.runs > 1 and not seeded and "{seed}" not in mentioned:
+    if designed.query.runs > 1 and not seeded and not config.seed.environment and "{seed}" not in mentioned:
         hint = 'set seed = "XPATH", or use {seed} in the command (SIERRA_SEED also has it)'
         yield f"neither inputs nor command contain the seed: {hint}"
     for name, values in designed.lists.items():
         if len(values) < designed.query.runs:
             yield f"[per_run] {name} has {len(values)} items for {designed.query.runs} runs: run {len(values)} uses the first"
-    if not any(word in mentioned for word in ("{input}", "{run}", commands.SPLICED)):
+    if config.template_paths and not any(word in mentioned for word in ("{input}", "{run}", commands.SPLICED)):
         yield "the command does not contain {input}: all experiments are the same unless it finds the generated file itself"
 
 
@@ -455,6 +467,34 @@ def _set_by(designed: Design) -> set[str]:
                     filled = filled.replace(f"{{{name}}}", str(cell.values[name]))
                 found.add(filled)
     return found
+
+
+def _given_by(designed: Design, command: Sequence[str]) -> set[str]:
+    """Return the texts in which the command of a run contains a value, from the project's root."""
+    words = [word for word in command if commands.NAMED.search(word)]
+    found: set[str] = set()
+    for cell in designed.cells if words else ():
+        texts = {name: str(value) for name, value in cell.values.items()}
+        for word in words:
+            [filled] = commands.with_texts((word,), texts)
+            found.update(part.removeprefix("{project}/") for part in re.split("[:;,=]", filled) if filled != word)
+    return found
+
+
+def _named_values(query: Query, config: Project) -> list[str]:
+    """Return the names that have a value in the experiments of a query."""
+    chosen = [kind for kind in GROUPED if getattr(query, kind) or getattr(config, kind)]
+    return [*(criterion.name for criterion in query.criteria), *chosen]
+
+
+def _check_arguments(batch: Batch, config: Project, command: Sequence[str], declared: run_values.Declared) -> None:
+    """Raise ConfigError if `{arguments}` stands for nothing, or if both template and variables give arguments."""
+    given = ARGUMENTS in batch.runs[0].names
+    if given and declared.arguments is not None:
+        raise ConfigError(f'{few(config.template_paths, 1)} provides arguments; use no "argument" of variables or the seed too')
+    if commands.SPLICED in command and not given:
+        of = f"{config.template} provides none" if config.template else "there is none"
+        raise ConfigError(f"command: {commands.SPLICED} needs a template that provides arguments; {of}")
 
 
 def _same(batch: Batch) -> Iterator[str]:

@@ -258,7 +258,7 @@ def batch_row(plan: Plan, lamport: int = 0) -> BatchRow:
         runs=len({run.id for run in plan.batch.runs}),
         base_seed=plan.query.base_seed,
         spec=plan.batch.spec_id,
-        template=plan.project.config.template,
+        template=" ".join(plan.project.config.template_paths),
         template_sha256=plan.template_sha256,
         lamport=lamport,
     )
@@ -275,6 +275,7 @@ def _spec_row(batch: Batch) -> SpecRow:
         image=spec.image,
         host_access=list(spec.host_access),
         files=[name for name, _ in batch.experiments[0].runs[0].inputs],
+        named_inputs=list(spec.named_inputs) or None,
     )
 
 

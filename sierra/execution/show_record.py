@@ -5,20 +5,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 
+from sierra.design import run_values
 from sierra.errors import Damaged
+from sierra.execution import commands
 from sierra.execution.list_batches import OnCluster, on_clusters, whole
 from sierra.execution.observation.describe_files import summary
 from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.row_queries import RecordedProgram, axis_values, programs, required_row
 from sierra.model import Value
 from sierra.store.layout import STORE, WORK
-from sierra.store.recorded_files import recorded, take
+from sierra.store.recorded_files import INPUT_FOLDER, Recorded, contents, recorded, take
 from sierra.store.row_types import (
     ArtifactRow,
     BatchRow,
@@ -250,6 +253,8 @@ class ShownRun:
 
     kind: ClassVar[str] = "run"
     row: Mapping[str, SqlValue]
+    command: Sequence[str]
+    """The spec's command with the seed and the values of variables; paths of machines are still placeholders."""
     spec: SpecRow
     executions: Sequence[ExecutionRow]
     reused_from: str | None
@@ -547,9 +552,11 @@ WHERE v.run = $r ORDER BY r.lamport, v.path
 def _run(snapshot: Snapshot, found: Found) -> ShownRun:
     [row] = snapshot.rows("SELECT * FROM runs WHERE run = $r", r=found.id)
     files = recorded(snapshot, take(snapshot, found))
+    spec = required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=str(row["spec"]))
     return ShownRun(
         row=row,
-        spec=required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=str(row["spec"])),
+        command=_command(snapshot, spec, str(row["seed"]), [file for file in files if file.kind == "input"]),
+        spec=spec,
         executions=snapshot.select(ExecutionRow, "SELECT * FROM executions WHERE run = $r ORDER BY lamport", r=found.id),
         reused_from=next(iter(snapshot.values(str, REUSED_FROM, r=found.id)), None),
         batches=snapshot.values(str, BATCHES, r=found.id),
@@ -558,6 +565,15 @@ def _run(snapshot: Snapshot, found: Found) -> ShownRun:
         verdicts=snapshot.select(VerdictOnRun, VERDICTS, r=found.id),
         files=[RecordedFile(file.path, file.kind, file.bytes, file.sha256) for file in files],
     )
+
+
+def _command(snapshot: Snapshot, spec: SpecRow, seed: str, inputs: Sequence[Recorded]) -> Sequence[str]:
+    """Return the command of a run; without the values of variables if their file is damaged."""
+    files = [file for file in inputs if file.path == INPUT_FOLDER + run_values.FILE]
+    given = run_values.Given()
+    with contextlib.suppress(Damaged):
+        given = run_values.read(tuple((run_values.FILE, b"".join(found.pieces)) for found in contents(snapshot, files)))
+    return commands.with_texts(spec.command, {**given.values, "seed": seed})
 
 
 SPEC_OF_RUN = """

@@ -114,7 +114,7 @@ def _similar(plan: Plan, store: Store | Snapshot) -> Recorded | None:
 def _changes(plan: Plan, store: Store, before: Recorded) -> tuple[PlanChange, ...]:
     changes = (*_spec(plan, before), *_image(plan, store, before), *_source(plan, store, before))
     if before.template_sha256 != plan.template_sha256:
-        changes += (PlanChange(Aspect.TEMPLATE, plan.project.config.template),)
+        changes += (PlanChange(Aspect.TEMPLATE, " ".join(plan.project.config.template_paths)),)
     return (*changes, *_query(plan, before)) or (OTHER_SETTINGS,)
 
 

@@ -134,7 +134,15 @@ def _id(what: Callable[[], str]) -> str | None:
 def _recipes(records: Records) -> Iterator[Finding]:
     def spec(row: SpecRow) -> str:
         variables = json.loads(row.variables)
-        made = RunSpec(row.platform, tuple(row.command), variables, row.source, row.image, tuple(row.host_access or ()))
+        made = RunSpec(
+            row.platform,
+            tuple(row.command),
+            variables,
+            row.source,
+            row.image,
+            tuple(row.host_access or ()),
+            tuple(row.named_inputs or ()),
+        )
         return digest("recipe", made.preimage())
 
     yield from _own(records, SpecRow, spec)

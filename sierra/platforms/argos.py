@@ -145,6 +145,8 @@ class Argos:
 
     def __init__(self, project: Project, options: ArgosOptions) -> None:
         self._options = options
+        if project.template is None:
+            raise ConfigError('platform "argos" needs one template, as in: template = "experiment.argos"')
         if project.command and not any("{input}" in word for word in project.command):
             raise ConfigError('platform "argos" needs {input} in its command, as in: command = "argos3 -n -c {input}"')
         self._command = project.command or COMMAND

@@ -22,7 +22,7 @@ class Command:
         if not project.command:
             raise ConfigError('platform "command" needs a command, as in: command = "python3 sim.py {input}"')
         self._command = project.command
-        self._file = "input" + (PurePosixPath(project.template).suffix or ".xml")
+        self._file = "input" + (PurePosixPath(project.template or "").suffix or ".xml")
 
     def changes(self, template: Reader) -> tuple[Change, ...]:
         return ()

@@ -10,6 +10,7 @@ configuration is searched in the same way.
 from __future__ import annotations
 
 import html
+import itertools
 import os
 import re
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
@@ -62,13 +63,16 @@ def _files(path: Path) -> Iterator[Path]:
         yield from sorted(below for below in path.rglob("*") if below.is_file() and "__pycache__" not in below.parts)
 
 
-def data(template: Path, texts: Iterable[str], root: Path, source: Container[bytes], without: Iterable[str]) -> Programs:
-    """Return the files that a template or its inserted `texts` name, except those in `without`, relative to the root."""
+def data(
+    templates: Sequence[Path], texts: Iterable[str], root: Path, source: Container[bytes], without: Iterable[str]
+) -> Programs:
+    """Return the files that templates or their inserted `texts` name, except those in `without`, relative to the root."""
     left = [root / path for path in without]
     digests = HashCache()
     found: dict[Path, Program] = {}
     notes: dict[Path, str] = {}
-    for path in _all_named(template, "\n".join(texts), root, left):
+    inserted = "\n".join(texts)
+    for path in itertools.chain.from_iterable(_all_named(template, inserted, root, left) for template in templates):
         if path in found or path in notes or _holds(source, path, root):
             continue
         try:
@@ -81,14 +85,16 @@ def data(template: Path, texts: Iterable[str], root: Path, source: Container[byt
     return Programs(tuple(found[path] for path in sorted(found)), tuple(notes.values()))
 
 
-def named_by_values(values: Iterable[str], template: Path, root: Path, source: Container[bytes], used: Programs) -> list[Path]:
+def named_by_values(
+    values: Iterable[str], templates: Sequence[Path], root: Path, source: Container[bytes], used: Programs
+) -> list[Path]:
     """Return the files that values of a query name, and that are neither in the source nor among the used files.
 
     They are not part of the fingerprint. Otherwise a batch with one more value would execute again all runs that it has in
     common with another batch.
     """
     known = {one.path for one in used.all}
-    found = dict.fromkeys(_existing(values, (root, template.parent)))
+    found = dict.fromkeys(_existing(values, dict.fromkeys((root, *(template.parent for template in templates)))))
     return [path for path in found if str(path) not in known and not _holds(source, path, root)]
 
 

@@ -140,6 +140,7 @@ def _project() -> Iterator[Check]:
     import sierra
     from sierra import platforms, runners, templates
     from sierra.containers import container_setup, images
+    from sierra.design import run_values
     from sierra.execution import commands
     from sierra.ingest.base import used
     from sierra.provenance import fingerprint_programs, required_packages
@@ -153,15 +154,17 @@ def _project() -> Iterator[Check]:
 
     def find_program() -> str:
         platform = platforms.find(project.config.platform, project.config)
+        declared = run_values.declared(project.config)
         if project.config.container is not None:
             image = images.pinned(project.root, project.config.container.image)
             images.verify(project.root, image)
             inside = images.examine(project.root, StorePaths(project.paths.store), image)
-            command = commands.command(platform, project.root, contained=True)
+            command = commands.command(platform, project.root, contained=True, declared=declared, project=project.config)
             path = commands.environment(platform, project.config).get("PATH")
             return f"{container_setup.program(command, path, inside)} in {image.name}"
         made = project.config.build.produces if project.config.build else ()
-        words = commands.fill(commands.command(platform, project.root, made=made), project.root)
+        command = commands.command(platform, project.root, made=made, declared=declared, project=project.config)
+        words = commands.fill(command, project.root)
         if made and not Path(words[0]).exists() and Path(words[0]).is_relative_to(project.root):
             return f"{words[0]}, which [build] makes"
         variables = commands.declared(commands.environment(platform, project.config), project.root)
@@ -188,10 +191,9 @@ def _project() -> Iterator[Check]:
 
     yield _tried("options", check_options)
     config = project.config
-    template = config.template
     yield _tried(
         "template",
-        lambda: f"{template}, {templates.read(project.root / template, config.templates, config.template_format).sha256[:10]}",
+        lambda: f"{', '.join(config.template_paths) or 'none'}, {templates.of_project(config, project.root).sha256[:10]}",
     )
     table = project.config.build
     if table is not None:

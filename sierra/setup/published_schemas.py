@@ -77,8 +77,8 @@ def json_schema(note: Note | None = None) -> Schema:
     """
     schema = _schema(Project)
     for kind in (PLATFORMS, RUNNERS, TEMPLATES, ENGINES, READERS):
-        table = schema["properties"][f"{kind.word}s"]
-        named = {name: _define(schema, f"{kind.word}s.{name}", kind.load(name).Options) for name in _with_options(kind, note)}
+        table = schema["properties"][kind.table]
+        named = {name: _define(schema, f"{kind.table}.{name}", kind.load(name).Options) for name in _with_options(kind, note)}
         if named:
             table["properties"] = named
     _clusters(schema, note)
@@ -267,7 +267,7 @@ class _Reference:
 def _has_header(path: tuple[str, ...], value: Json) -> bool:
     """Return whether a value has a header of its own; tables within tables are written in one line."""
     tables = isinstance(value, dict) or (isinstance(value, list) and value != [] and isinstance(value[0], dict))
-    return tables and path in ((), *((f"{kind.word}s",) for kind in KINDS))
+    return tables and path in ((), *((kind.table,) for kind in KINDS))
 
 
 def _of_any(schema: Schema) -> Schema:

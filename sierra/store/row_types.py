@@ -60,6 +60,7 @@ class SpecRow(NamedTuple):
     image: Annotated[str | None, "content identity of the container image; NULL without one"]
     host_access: Annotated[list[str], "access of runs to the host, outside the image: network, gpu, each device and each mount"]
     files: Annotated[list[str], "names of the input files that each run gets"]
+    named_inputs: Annotated[list[str] | None, "those of the files that are part of the spec's id; NULL or empty: none"] = None
 
 
 class ExecutionRow(NamedTuple):

@@ -52,7 +52,11 @@ def _recorded(name: str, row: type[NamedTuple]) -> Table:
 RECORDED = {name: _recorded(name, row) for name, row in ROWS.items()}
 """The tables that are written, by name."""
 
-LATER: dict[str, tuple[str, ...]] = {"sessions": ("build",), "observations": ("distributions",)}
+LATER: dict[str, tuple[str, ...]] = {
+    "sessions": ("build",),
+    "observations": ("distributions",),
+    "specs": ("named_inputs",),
+}
 """By table, the last columns that were added within this format: older files lack them, and their values are NULL there."""
 
 DERIVED = {

@@ -3,5 +3,6 @@
 from __future__ import annotations
 
 from sierra.templates.base import Template, read
+from sierra.templates.several import of_project
 
-__all__ = ["Template", "read"]
+__all__ = ["Template", "of_project", "read"]

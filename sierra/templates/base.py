@@ -44,7 +44,7 @@ class Template(Protocol):
     """
 
     Options: ClassVar[type[Table]]
-    """The model of `[templates.NAME]`. Options may change the rendered bytes, and so the identities of runs."""
+    """The model of `[template_formats.NAME]`. Options may change the rendered bytes, and so the identities of runs."""
     sha256: str
     """The SHA-256 of the file's bytes, as 64 hexadecimal digits."""
 
@@ -93,7 +93,7 @@ _BLANKS = b"\xef\xbb\xbf\xff\xfe \t\r\n\0"
 
 
 def read(path: Path, tables: Tables | None = None, format: str | None = None) -> Template:
-    """Return the template in a file; `tables` are `[templates.…]`. Raises Missing, TemplateError, ConfigError."""
+    """Return the template in a file; `tables` are `[template_formats.…]`. Raises Missing, TemplateError, ConfigError."""
     name = one_line(str(path))
     try:
         if path.exists() and not path.is_file():

@@ -3,7 +3,7 @@
 A path names a placeholder: `/name` (or `//name`, `name`). `set` is the only change. A value stands in the text as it is. Every
 placeholder must get a value in the input of a run. There are no conditions or loops.
 
-If the text has other double braces, other placeholders can be declared: `[templates.text] placeholder = "<<name>>"`.
+If the text has other double braces, other placeholders can be declared: `[template_formats.text] placeholder = "<<name>>"`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _delimited(placeholder: str) -> str:
 
 
 class TextOptions(Table):
-    """`[templates.text]`: how placeholders are written."""
+    """`[template_formats.text]`: how placeholders are written."""
 
     placeholder: Annotated[str, AfterValidator(_delimited)] = Field(
         "{{name}}", description="how placeholders are written, with the word `name` between two signs"
@@ -185,7 +185,7 @@ def _split(text: str, name: str, begin: str, end: str) -> tuple[list[str], list[
     for match in re.finditer(f"{re.escape(begin)}((?:(?!{signs}).)*+){re.escape(end)}", text):
         inner = match[1].strip()
         if not _NAME.fullmatch(inner):
-            right = f"use a name of letters, digits and _, or another [templates.text] placeholder than {begin}name{end}"
+            right = f"use a name of letters, digits and _, or another [template_formats.text] placeholder than {begin}name{end}"
             raise failure(name, text, match.start(), f"{match[0][:40]} is not a placeholder; {right}")
         pieces.append(text[after : match.start()])
         found.append(inner)

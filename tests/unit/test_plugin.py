@@ -305,7 +305,9 @@ def test_schema_contains_the_options_of_each_plugin(project: Path) -> None:
         wrong = {**settings, kind: {name: {f"{key}_": 1}}}
         assert list(jsonschema.Draft202012Validator(schema).iter_errors(wrong)), place
     text = succeed(project, "schema", "--toml")
-    assert all(f"#[{table}]" in text for table in ("platforms.tortoise", "templates.conf", "readers.track", "runners.niced"))
+    assert all(
+        f"#[{table}]" in text for table in ("platforms.tortoise", "template_formats.conf", "readers.track", "runners.niced")
+    )
     assert all(f"#[{table}]" in text for table in ("runners.spool", "engines.direct"))
     loaded = "\n".join(line[1:] for line in text.splitlines() if line.startswith("#") and not line.startswith("# "))
     assert project_file.parse(tomllib.loads(loaded), "the reference").readers == {"track": {"scale": 1.0}}
@@ -323,7 +325,7 @@ def test_published_schema_contains_only_shipped_plugins(project: Path) -> None:
         ("scale = 100.0", "scal = 1.0", "[readers.track]: unknown key 'scal'; did you mean 'scale'?"),
         ("scale = 100.0", "scale = -1", "[readers.track]: scale should be greater than 0, not -1"),
         ("[readers.track]", "[readers.trak]", f"[readers.trak]: unknown reader 'trak'; known are {SHIPPED}, track"),
-        ("[readers.track]", "[templates.conf]", "[templates.conf]: unknown key 'scale'; known are comment"),
+        ("[readers.track]", "[template_formats.conf]", "[template_formats.conf]: unknown key 'scale'; known are comment"),
         ("[readers.track]", "[engines.direct]", "[engines.direct]: unknown key 'scale'; known are niceness"),
         (
             'time = "tick"',

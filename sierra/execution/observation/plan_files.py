@@ -43,9 +43,13 @@ def _search(plan: Plan) -> str:
 
 def _words(plan: Plan) -> str:
     """Return all texts of a plan that may name modules of Python."""
-    spec, template = plan.batch.spec, plan.project.root / plan.project.config.template
+    spec, templates = plan.batch.spec, plan.project.config.template_paths
+    texts = (_text(plan.project.root / template) for template in templates)
+    return " ".join((*spec.command, *spec.environment.values(), plan.text, *texts))
+
+
+def _text(file: Path) -> str:
     try:
-        text = template.read_text(errors="replace")
+        return file.read_text(errors="replace")
     except OSError:
-        text = ""
-    return " ".join((*spec.command, *spec.environment.values(), plan.text, text))
+        return ""

@@ -93,7 +93,7 @@ def ask(project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
         ("runs = 2", 'platform = "argoss"', "unknown platform 'argoss'; known are command, argos"),
         ("runs = 2", 'controller = "fast"', "controller 'fast' changes nothing"),
         ("runs = 2", 'scenario = "open"', "scenario 'open' changes nothing"),
-        ('template = "arena.xml"', "", "'template' is missing"),
+        ('template = "arena.xml"', "", "{input} in '{input}': there is no template; remove it, or set template"),
         (COMMAND, "", "needs a command"),
         (COMMAND, 'command = "python3 \'sim.py"', "command: No closing quotation"),
         (COMMAND, 'command = "python3 sim.py {inputs}"', "unknown placeholder {inputs}"),

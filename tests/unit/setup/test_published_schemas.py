@@ -110,7 +110,7 @@ def test_each_key_has_its_own_line_after_a_description_with_its_type(reference: 
     lines = reference.splitlines()
     for needed in (
         ["# runs per experiment (whole number above 0; default 10)", "#runs = 10"],
-        ["# the file from which the inputs of all runs are generated (text; required)", '#template = "template.xml"'],
+        ["# the file from which the inputs of all runs are generated; default: none (text)", '#template = "template.xml"'],
         ["# time between SIGTERM and SIGKILL, in seconds (number above 0; default 5.0)", "#grace = 5.0"],
         ["# whether to keep the template's visualization (true or false; default false)", "#visualization = false"],
     ):
