@@ -46,7 +46,8 @@ CREATE TABLE specs (
     "image" VARCHAR,  -- content identity of the container image; NULL without one
     "host_access" VARCHAR[],  -- access of runs to the host, outside the image: network, gpu, each device and each mount
     "files" VARCHAR[],  -- names of the input files that each run gets
-    "named_inputs" VARCHAR[]  -- those of the files that are part of the spec's id; NULL or empty: none
+    "named_inputs" VARCHAR[],  -- those of the files that are part of the spec's id; NULL or empty: none
+    "shared_files" VARCHAR  -- the files beside the inputs, as in shared_files; NULL: none
 );
 
 -- Executions of runs: when, where and by which programs each run was executed, and how it ended. If an execution was evaluated again by changed rules, status, reason and ingest_rules are those of the last evaluation; the table all_judgements has all evaluations.
@@ -224,6 +225,15 @@ CREATE TABLE build_products (
     "name" VARCHAR,  -- the product's path in the project
     "size" BIGINT,  -- its size [bytes]
     "sha256" VARCHAR  -- SHA-256 of its bytes
+);
+
+-- Files of the project that lie beside the inputs in the folder of each run (`files` in `sierra.toml`).
+CREATE TABLE shared_files (
+    "shared" VARCHAR,  -- the set of files, as in specs
+    "name" VARCHAR,  -- path of the file, in the project and in the folder of a run
+    "sha256" VARCHAR,  -- SHA-256 of the file; the file itself is in objects
+    "size" BIGINT,  -- its size [bytes]
+    "executable" BOOLEAN  -- whether the owner may execute it
 );
 
 -- Replays: recorded runs that were executed again from the record alone, and compared with it.

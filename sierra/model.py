@@ -232,12 +232,18 @@ class RunSpec:
     host_access: tuple[str, ...] = ()
     """The host access of runs beyond the image and their own folder, sorted: `network`, `device /dev/dri`, `mount /data`."""
     named_inputs: tuple[str, ...] = ()
-    """The names of input files that are not those of the platform: of several templates, and of the values of variables."""
+    """The names of input files that the platform does not give: of several templates, and of the values of variables. Also
+    the folder of the input, if it has one of its own."""
+
+    shared_files: str | None = None
+    """The id of the files that lie beside the inputs of all runs; None without any."""
 
     def preimage(self) -> dict[str, Any]:
         named = {"named_inputs": list(self.named_inputs)} if self.named_inputs else {}
+        shared = {"shared_files": self.shared_files} if self.shared_files else {}
         return {
             **named,
+            **shared,
             "platform": self.platform,
             "command": list(self.command),
             "environment": dict(self.environment),
@@ -370,6 +376,8 @@ class Job:
     """Folders by name, if it is to be observed which files the run uses; their names stand for the folders in the record."""
     budget: float | None = None
     """The part of the runs' time that observations may take: the run is observed if this one fits. None: in any case."""
+    beside: str | None = None
+    """The folder with the files that lie beside the input files of all runs."""
     helps: Helps | None = None
     """The tracer and hashes that this machine remembers, so that observing takes less time; None for another machine."""
 

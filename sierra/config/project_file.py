@@ -740,6 +740,14 @@ class Project(Table):
         description="several files instead of one `template`, by name: changes select in `NAME:/…`, and {input.NAME} in the "
         "command is the path of the file",
     )
+    files: Annotated[
+        tuple[InProject, ...],
+        BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words),
+    ] = Field(
+        (),
+        description="files, folders or globs of the project that lie beside the inputs of each run, with the same paths as in "
+        "the project; part of the identity of runs",
+    )
     template_format: str | None = Field(
         None,
         description="format of the template: `xml`, `json`, `yaml`, `toml`, `ini`, `properties`, `text` or a plug-in; "

@@ -32,8 +32,10 @@ class Expansion:
         platform: Platform,
         spec: RunSpec,
         given: run_values.Used = run_values.Used(),  # noqa: B008 - it is immutable
+        folder: str = "",
     ) -> None:
-        """`given` are the values that commands and environments get."""
+        """`given` are the values that commands and environments get. `folder` is that of the template's file in a run."""
+        self._folder = f"{folder}/" if folder else ""
         self._design = design
         self._given = given
         self._template = template
@@ -89,6 +91,8 @@ class Expansion:
         values = {**cell.values, **lists, "seed": seed, "run": number}
         rendered = render(values)
         files = self._platform.files(rendered) if isinstance(rendered, bytes) else _named(rendered, self._platform)
+        if self._folder:
+            files = tuple((self._folder + name, content) for name, content in files)
         return (*files, *given) if (given := self._given.files(values)) else files
 
     def _seed(self, cell: Cell, number: int) -> int:

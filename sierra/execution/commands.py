@@ -60,6 +60,7 @@ OWN = ("HOME", "TMPDIR")
 HERE = "\0"
 """Placeholder for the run's folder, which only the worker knows."""
 _IN_RUN = f"{INSIDE}/run"
+_BESIDE = f"{INSIDE}/beside"
 SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """PATH of an image that sets none."""
 
@@ -255,12 +256,14 @@ class CommandBuilder:
         image: Image | None = None,
         box: ContainerSpec | None = None,
         script: Path | None = None,
+        beside: Path | None = None,
     ) -> None:
         """Prepare the variables and containers that all jobs share.
 
         `root` is the folder of the code, `project` the user's project folder. `box` is the container specification, if runs
         execute in containers. `script` is the worker's path on the nodes of a cluster; with it, runs get the devices that the
-        scheduler allots. With an `image` and without a `box`, runs get the image's variables on this machine.
+        scheduler allots. `beside` is the folder of the files that lie beside the inputs of runs. With an `image` and without a
+        `box`, runs get the image's variables on this machine.
         """
         self._spec = spec
         self._root = root
@@ -285,6 +288,7 @@ class CommandBuilder:
             wanted = (name for name in worker.DEVICES if name not in self._environment)
             self._environment |= {name: worker.ALLOTTED + name for name in wanted}
         self._search = self._environment["PATH"] if script and not box else None
+        self._beside = beside
         self._shared = self._container() if box and box.shared else None
         self._same: dict[str, tuple[str, ...]] = {}
 
@@ -297,7 +301,17 @@ class CommandBuilder:
         argv = self._argv(files, seed, given.values)
         variables = {**self._environment, **own, **given.environment}
         client = self._shared or self._contained(argv, variables)
-        return Job(run.id, execution, argv, variables, files, self._bounds, client, shared=self._shared is not None)
+        return Job(
+            run.id,
+            execution,
+            argv,
+            variables,
+            files,
+            self._bounds,
+            client,
+            shared=self._shared is not None,
+            beside=(_BESIDE if self._shared else str(self._beside)) if self._beside else None,
+        )
 
     def _argv(self, files: Files, seed: str, given_values: Mapping[str, str]) -> tuple[str, ...]:
         """Return the command of a run. If it does not depend on the run, it is built once per input file name."""
@@ -335,7 +349,8 @@ class CommandBuilder:
     def _container(self) -> Client:
         """Return the client that starts one container for all runs of a slot, with the worker in it."""
         runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
-        own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(self._script), script))
+        beside = (Mount(str(self._beside), _BESIDE),) if self._beside else ()
+        own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(self._script), script), *beside)
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
         argv = (PYTHON, "-I", "-S", script, runs, "1", "-", *WRITABLE, INSIDE, runs)
         process = Process(argv, variables, own, runs, interactive=True)

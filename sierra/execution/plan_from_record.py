@@ -151,6 +151,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         row.image,
         tuple(row.host_access),
         tuple(row.named_inputs or ()),
+        row.shared_files,
     )
     manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
     return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers), build, observed)

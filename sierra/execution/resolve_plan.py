@@ -20,7 +20,7 @@ from sierra.design import run_values
 from sierra.design.expand import Expansion
 from sierra.design.factorial_design import GROUPED, PlanningProgress, design, ignore_progress, mentions
 from sierra.errors import ConfigError, Missing, QueryError
-from sierra.execution import commands
+from sierra.execution import commands, shared_files
 from sierra.execution.build import recipe as build_recipe
 from sierra.execution.build.state import BuildState, look
 from sierra.execution.checkout import INSIDE, Checkout, programs_in
@@ -36,7 +36,7 @@ from sierra.query import grammar
 from sierra.query.query_request import QueryRequest
 from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
 from sierra.store.row_mapper import of_fields
-from sierra.store.row_types import EnvironmentRow
+from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.store.schema import RESERVED, check_name
 from sierra.store.store import Store
 from sierra.templates.base import ARGUMENTS, Files
@@ -86,6 +86,8 @@ class Plan:
     seen: ChangeGuard
     """Guard that notices changes of the code and programs since planning."""
     notes: tuple[str, ...] = ()
+    shared_files: tuple[SharedFileRow, ...] = ()
+    """Files beside the inputs of runs; empty for a recorded batch, whose files the store has."""
     build: BuildState | None = None
     """State of the products of `[build]`; None without it."""
 
@@ -168,6 +170,8 @@ def plan(
     data = referenced_files.data(texts, _written(config), root, held, own)
     if box:
         data = container_setup.data(data, box, root)
+    beside = shared_files.find(config, root)
+    folder = os.path.dirname(config.template) if config.template and config.files else ""  # noqa: PTH120
     spec = RunSpec(
         config.platform,
         command,
@@ -175,13 +179,16 @@ def plan(
         code.tree,
         image.id if image else None,
         container_setup.host_access(box),
-        (*map(os.path.normpath, config.templates.values()), *values.named),
+        (*map(os.path.normpath, config.templates.values()), *values.named, *([f"{folder}/"] if folder else [])),
+        beside[0].shared if beside else None,
     )
     designed = design(query, config, platform, template, report)
-    expansion = Expansion(designed, template, platform, spec, values)
+    expansion = Expansion(designed, template, platform, spec, values, folder)
     batch = expansion.batch(report)
+    if twice := set(batch.runs[0].names).intersection(row.name for row in beside):
+        raise ConfigError(f"files: each run has a generated {min(twice)} in its folder; rename the file")
     _check_arguments(batch, config, command, declared)
-    built = _build_state(project, replace(spec, environment=variables, named_inputs=()), code, contained)
+    built = _build_state(project, replace(spec, environment=variables, named_inputs=(), shared_files=None), code, contained)
     used = _used(spec, code, root, data, built)
     checkout = _committed(root, spec, code, used) if code.checkout else None
     executed = checkout.programs() if checkout else used
@@ -207,6 +214,7 @@ def plan(
         success=config.success,
         readers=readers,
         seen=guard(root, b"" if checkout else code.manifest, executed),
+        shared_files=beside,
         build=built,
         notes=(
             *code.notes,
@@ -345,10 +353,10 @@ def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
     `logs` are logs of failed runs: the hint then names only files that they mention. With None, it names all.
     """
     config, root = plan.project.config, plan.project.root
-    made = set(plan.batch.runs[0].names)
+    made = {*plan.batch.runs[0].names, *(row.name for row in plan.shared_files)}
     meant: dict[str, Path] = {}
     for template in (root / path for path in config.template_paths):
-        beside = {os.path.relpath(root / name, template.parent) for name in made} if config.templates else made
+        beside = {os.path.relpath(root / name, template.parent) for name in made} if config.templates or config.files else made
         for word in referenced_files.relative_names(template, _written(config), root):
             if os.path.normpath(word) not in beside and (logs is None or any(Path(word).name in log for log in logs)):
                 meant.setdefault(word, template.parent)

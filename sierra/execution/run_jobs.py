@@ -5,7 +5,7 @@ Queries (`executor`) and replays (`sierra.replay`) execute through it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.containers.container_setup import contain
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
-from sierra.execution import commands
+from sierra.execution import commands, shared_files
 from sierra.execution.follow import Followed, follow
 from sierra.execution.observation import choose_runs
 from sierra.execution.observation.plan_files import of_user
@@ -29,7 +29,7 @@ from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner, Work, needed
 from sierra.store.layout import user_digests
-from sierra.store.row_types import EnvironmentRow
+from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.store.store import Store
 from sierra.templates.base import Files
 
@@ -58,6 +58,7 @@ class Service:
         self._store = store
         self._session = session
         self._stays = stays
+        self._beside = self._shared_files()
         self.isolation = contain(
             setup.engine,
             setup.image,
@@ -70,6 +71,15 @@ class Service:
             session=session.id,
             elsewhere=stays,
         )
+
+    def _shared_files(self) -> Sequence[SharedFileRow]:
+        """Make the session's folder with the files beside the inputs of runs; return the files."""
+        setup = self._setup
+        if setup.spec.shared_files is None:
+            return ()
+        rows = shared_files.recorded(self._store, setup.spec.shared_files)
+        shared_files.make(rows, self._session.paths.shared, setup.project.root, self._store)
+        return rows
 
     def doubt(self, files: ChangeGuard) -> Doubt | None:
         """Return why results cannot be attributed to the programs or the image at the start; None if nothing has changed."""
@@ -124,13 +134,21 @@ class Service:
             setup.spec,
             setup.root,
             setup.engine,
-            setup.limits,
+            self._limits(),
             self._session.id,
             setup.project.root,
             image=setup.image,
             box=self.isolation.box,
             script=self._session.paths.worker if self._stays else None,
+            beside=self._session.paths.shared if self._beside else None,
         )
+
+    def _limits(self) -> Limits:
+        """Return the limits of a run; files beside its input do not count as its output."""
+        limits = self._setup.limits
+        if limits.output_bytes is None:
+            return limits
+        return replace(limits, output_bytes=limits.output_bytes + sum(row.size for row in self._beside))
 
     def _observed(self, jobs: Iterable[tuple[Run, Job]], batch: str, programs: Programs) -> Iterable[Job]:
         """Return the jobs; those that are to be observed have the folders that names of files refer to."""

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.errors import Damaged
-from sierra.execution import sessions
+from sierra.execution import sessions, shared_files
 from sierra.execution.observation import kept_programs
 from sierra.execution.observation.reusable_executions import unused_changes
 from sierra.execution.resolve_plan import Plan, context
@@ -46,12 +46,15 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
             return
         seen = snapshot.segments
         known = _known_inputs(plan, snapshot)
+        stored = shared_files.stored(plan.shared_files, snapshot)
         blobs = set(snapshot.values(str, STORED_BLOBS)) if code.vcs == "none" else set()
     writer = store.writer(session.paths.segment, batch.id)
     objects = Objects(writer.path("objects"))
     for _, files in plan.inputs.files(batch, lambda run: run.id not in known):
         for _, content in files:
             objects.add(content)
+    shared_files.keep(plan.shared_files, plan.project.root, objects, stored)
+    writer.records(plan.shared_files)
     listing = objects.add(code.manifest)
     if code.vcs == "none":  # git keeps its own
         files_of_source = source.contents(code, plan.project.root, blobs)
@@ -276,6 +279,7 @@ def _spec_row(batch: Batch) -> SpecRow:
         host_access=list(spec.host_access),
         files=[name for name, _ in batch.experiments[0].runs[0].inputs],
         named_inputs=list(spec.named_inputs) or None,
+        shared_files=spec.shared_files,
     )
 
 

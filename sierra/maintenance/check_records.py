@@ -23,6 +23,7 @@ from sierra.errors import Missing, SierraError
 from sierra.execution.build.products import Product
 from sierra.execution.build.products import result as products_hash
 from sierra.execution.build.recipe import PLATFORM, build_id
+from sierra.execution.shared_files import shared_id
 from sierra.ingest.observations import file_set
 from sierra.ingest.recording_context import UNREAD
 from sierra.ingest.rejudge import judgement_id
@@ -36,7 +37,15 @@ from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import StorePaths
 from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.row_types import TABLES as TABLE_NAMES
-from sierra.store.row_types import BuildProductRow, EnvironmentRow, IngestRulesRow, IsolationRow, SourceRow, SpecRow
+from sierra.store.row_types import (
+    BuildProductRow,
+    EnvironmentRow,
+    IngestRulesRow,
+    IsolationRow,
+    SharedFileRow,
+    SourceRow,
+    SpecRow,
+)
 from sierra.store.schema import RECORDED
 from sierra.store.sql_result import RawRow
 from sierra.store.store import Snapshot
@@ -142,6 +151,7 @@ def _recipes(records: Records) -> Iterator[Finding]:
             row.image,
             tuple(row.host_access or ()),
             tuple(row.named_inputs or ()),
+            row.shared_files,
         )
         return digest("recipe", made.preimage())
 
@@ -279,6 +289,22 @@ def _file_sets(records: Records) -> Iterator[Finding]:
                 yield records.wrong(path, what, of(records.snapshot, records.column(using, id=identity)))
 
 
+def _shared_files(records: Records) -> Iterator[Finding]:
+    """Check the ids of sets of files beside inputs, that the sets are there, and that the store has the files."""
+    found: dict[str, list[SharedFileRow]] = {}
+    for row, path in records.rows(SharedFileRow):
+        found.setdefault(row.shared, []).append(row)
+        if row.sha256 not in records.objects.whole:
+            what = f"{row.name}, a file beside the inputs of runs, is not in the store"
+            yield Finding(Kind.LOST, records.shown(path), what, records.of_batches(OF_SHARED, s=row.shared))
+    needed = records.column("SELECT DISTINCT shared_files FROM specs WHERE shared_files IS NOT NULL")
+    for shared in dict.fromkeys((*found, *needed)):
+        if _id(lambda: shared_id(found.get(shared, ()))) != shared:  # noqa: B023
+            what = f"the files {short(str(shared))} beside the inputs of runs do not have the id that follows from them"
+            yield Finding(Kind.INCONSISTENT, "shared_files", what, records.of_batches(OF_SHARED, s=shared))
+
+
+OF_SHARED = "SELECT DISTINCT batch FROM batch_runs SEMI JOIN (SELECT spec FROM specs WHERE shared_files = $s) USING (spec)"
 RUNS = """
 SELECT DISTINCT m.run, m.seed, m.spec, [m.input] || m.other_inputs AS inputs, r.files, m.filename
 FROM {members} m LEFT JOIN specs r ON r.spec = m.spec
@@ -581,5 +607,6 @@ CHECKS: Sequence[Check] = (
     _inputs,
     _tables,
     _manifests,
+    _shared_files,
     _images,
 )

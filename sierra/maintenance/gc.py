@@ -172,7 +172,7 @@ def _unfinished(paths: StorePaths) -> Iterator[Path]:
 REFERRED = """
 SELECT sha256 FROM all_artifacts {which} UNION SELECT unnest([input] || other_inputs) FROM batch_runs
 UNION SELECT files FROM sources UNION SELECT files FROM images UNION SELECT sha256 FROM blobs UNION SELECT log FROM builds
-UNION SELECT sha256 FROM programs WHERE starts_with(name, '{{project}}/')
+UNION SELECT sha256 FROM shared_files UNION SELECT sha256 FROM programs WHERE starts_with(name, '{{project}}/')
 UNION SELECT sha256 FROM files_read WHERE starts_with(path, '{{project}}/')
 """
 
@@ -183,7 +183,9 @@ TABLES = "SELECT count(DISTINCT sha256) FROM all_artifacts SEMI JOIN unneeded US
 
 def _plan(store: Store, *, raw: bool) -> _Plan:
     with store.snapshot() as snapshot:
-        snapshot.views.make(("all_artifacts", "batch_runs", "sources", "images", "blobs", "builds", "programs", "files_read"))
+        snapshot.views.make(
+            ("all_artifacts", "batch_runs", "sources", "images", "blobs", "builds", "programs", "files_read", "shared_files")
+        )
         unneeded = _unneeded(snapshot, raw=raw)
         drop = {"objects": {"sha256": set(unneeded)}} if unneeded else {}
         holding = touched(snapshot, snapshot.segments, drop)

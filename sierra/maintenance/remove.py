@@ -160,6 +160,9 @@ CREATE TEMP TABLE gone_builds AS
     (SELECT build FROM builds WHERE batch IN (SELECT batch FROM gone_batches)
      UNION SELECT build FROM sessions WHERE batch IN (SELECT batch FROM gone_batches) AND build IS NOT NULL)
     EXCEPT SELECT build FROM staying_sessions;
+CREATE TEMP TABLE gone_shared_files AS
+    SELECT shared_files AS shared FROM specs WHERE spec IN (SELECT spec FROM gone_members) AND shared_files IS NOT NULL
+    EXCEPT SELECT shared_files FROM specs WHERE spec IN (SELECT spec FROM staying_specs);
 CREATE TEMP TABLE gone_images AS SELECT image, files FROM images WHERE
     image IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM gone_members))
     AND image NOT IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM staying_specs) AND image IS NOT NULL);
@@ -168,6 +171,10 @@ BATCHES = "SELECT batch, query, experiments, runs FROM batches WHERE list_contai
 GONE_SESSIONS = "SELECT session FROM sessions WHERE batch IN (SELECT batch FROM gone_batches)"
 AROUND = {
     "specs": ("spec", "SELECT spec FROM gone_members EXCEPT SELECT spec FROM staying_specs"),
+    "shared_files": (
+        "shared",
+        "SELECT shared FROM gone_shared_files",
+    ),
     "environments": (
         "environment",
         "(SELECT environment FROM gone UNION SELECT environment FROM sessions UNION SELECT environment FROM replays) EXCEPT "
@@ -213,6 +220,7 @@ OBJECTS = """
  UNION SELECT log FROM builds WHERE build IN (SELECT build FROM gone_builds)
  UNION SELECT sha256 FROM programs SEMI JOIN gone_programs USING (programs)
  UNION SELECT sha256 FROM files_read SEMI JOIN gone_files USING (files)
+ UNION SELECT sha256 FROM shared_files WHERE shared IN (SELECT shared FROM gone_shared_files)
  UNION SELECT files FROM gone_images UNION SELECT sha256 FROM blobs WHERE blob IN (SELECT blob FROM gone_blobs))
 EXCEPT
 (SELECT sha256 FROM all_artifacts WHERE execution NOT IN (SELECT execution FROM gone)
@@ -221,6 +229,7 @@ EXCEPT
  UNION SELECT log FROM builds WHERE build NOT IN (SELECT build FROM gone_builds)
  UNION SELECT files FROM images WHERE image NOT IN (SELECT image FROM gone_images)
  UNION SELECT sha256 FROM blobs WHERE blob NOT IN (SELECT blob FROM gone_blobs)
+ UNION SELECT sha256 FROM shared_files WHERE shared NOT IN (SELECT shared FROM gone_shared_files)
  UNION SELECT sha256 FROM programs
      WHERE starts_with(name, '{project}/') AND programs NOT IN (SELECT programs FROM gone_programs)
  UNION SELECT sha256 FROM files_read WHERE starts_with(path, '{project}/') AND files NOT IN (SELECT files FROM gone_files))

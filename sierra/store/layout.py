@@ -174,6 +174,8 @@ class SessionPaths:
     context = _Below("context.json")
     source = _Below("source")
     """The folder of the restored source during a replay."""
+    shared = _Below("shared")
+    """The folder of the files that lie beside the inputs of runs."""
     segment = _Below("segment")
     reevaluation = _Below("anew")
     """The folder of recorded files while executions are evaluated by changed rules."""

@@ -61,6 +61,7 @@ class SpecRow(NamedTuple):
     host_access: Annotated[list[str], "access of runs to the host, outside the image: network, gpu, each device and each mount"]
     files: Annotated[list[str], "names of the input files that each run gets"]
     named_inputs: Annotated[list[str] | None, "those of the files that are part of the spec's id; NULL or empty: none"] = None
+    shared_files: Annotated[str | None, "the files beside the inputs, as in shared_files; NULL: none"] = None
 
 
 class ExecutionRow(NamedTuple):
@@ -277,6 +278,16 @@ class BuildProductRow(NamedTuple):
     name: Annotated[str, "the product's path in the project"]
     size: Annotated[int, "its size", "bytes"]
     sha256: Annotated[str, "SHA-256 of its bytes"]
+
+
+class SharedFileRow(NamedTuple):
+    """Files of the project that lie beside the inputs in the folder of each run (`files` in `sierra.toml`)."""
+
+    shared: Annotated[str, "the set of files, as in specs"]
+    name: Annotated[str, "path of the file, in the project and in the folder of a run"]
+    sha256: Annotated[str, "SHA-256 of the file; the file itself is in objects"]
+    size: Annotated[int, "its size", "bytes"]
+    executable: Annotated[bool, "whether the owner may execute it"]
 
 
 class ReplayRow(NamedTuple):
@@ -555,6 +566,7 @@ ROWS: dict[str, type[NamedTuple]] = {
     "sessions": SessionRow,
     "builds": BuildRow,
     "build_products": BuildProductRow,
+    "shared_files": SharedFileRow,
     "replays": ReplayRow,
     "verdicts": VerdictRow,
     "equivalences": EquivalenceRow,

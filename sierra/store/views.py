@@ -41,6 +41,7 @@ ONCE = {
     "listings": ("sha256",),
     "objects": ("sha256", "part"),
     "blobs": ("blob",),
+    "shared_files": ("shared", "name"),
     "images": ("image",),
     "isolations": ("isolation",),
     "ingest_rules": ("ingest_rules",),

@@ -120,6 +120,9 @@ BYTE_S = 1e-6  # and for each byte of the log: 0.1 ms a call
 SMALL, RACY_NS = 1 << 16, 2 * 10**9  # as in sierra.provenance.hash_cache
 UNKNOWN_S = 0.1  # for an observation, while none has ended
 LINE_BYTES = 1 << 16
+BESIDE_NS = 946684800 * 10**9  # the modification time of files beside inputs: 2000-01-01, the same for all runs
+LINKED = 4 << 20  # a file beside inputs that has as many bytes may be a hard link
+FICLONE = 0x40049409
 MOST_NAMED = 10  # entries that a run leaves and that are neither files nor folders
 
 
@@ -162,6 +165,8 @@ class Job(Program):
     seal: NotRequired[str]
     observe: NotRequired[Mapping[str, str]]
     """The folders by which observed files are named, if this run is observed: see `file_trace.Names`."""
+    beside: NotRequired[str]
+    """A folder whose files lie beside the input files; the runs of a session share it."""
     ahead: NotRequired[float]
     """How many seconds this host's clock may be ahead of that of a file system with files that the run uses."""
     budget: NotRequired[float]
@@ -702,7 +707,7 @@ class Worker:
         remains = no_outputs("its folder is gone", event["stopped"])
         if is_folder(inside):
             os.rename(inside, folder)
-            remains = collect_outputs(folder, job["files"], job["limits"], event["stopped"], self.check_stop)
+            remains = collect_outputs(folder, inputs_of(job), job["limits"], event["stopped"], self.check_stop)
         remains["error"] = event["error"] or remains["error"]
         return {**event, "directory": folder, "slot": slot, "host": self.host, **remains}
 
@@ -761,7 +766,9 @@ class Worker:
         if running.seal:  # the worker that takes the folder out of the container reads it
             remains = no_outputs(self.clear_shared(folder), running.stopped)
         else:
-            remains = collect_outputs(folder, job["files"], running.limits, running.stopped, self.check_stop, spare)
+            remains = collect_outputs(folder, inputs_of(job), running.limits, running.stopped, self.check_stop, spare)
+        if "beside" in job and (trouble := changed_beside(job["beside"])):
+            remains["error"] = remains["error"] or trouble
         if spare and place is not None and not remains["error"] and sum(file["bytes"] for file in remains["outputs"]) <= CHUNK:
             self.spare[int(os.path.basename(folder))] = place
             remains["spare"] = True
@@ -1021,9 +1028,76 @@ def prepare(job: Job, folder: str, used: RunFolder | None = None) -> RunFolder |
     for name, content in job["files"].items():
         with open(os.path.join(folder, name), "xb") as file:
             file.write(base64.b64decode(content))
+    if "beside" in job:
+        place(job["beside"], folder)
     for name in LOGS:
         make_log(os.path.join(folder, name))
-    return RunFolder(folder, list(job["files"])) if "used" in job else None
+    return RunFolder(folder, list(job["files"])) if "used" in job and "beside" not in job else None
+
+
+def place(source: str, folder: str) -> None:
+    """Copy the files of a shared folder to a run's folder.
+
+    A large file shares its data with the copy if the file system copies on write. Otherwise it is a hard link, which only its
+    owner could make writable, and `changed_beside` would find that. For root, whom no permission stops, it is a copy.
+    """
+    for path, name in files_below(source):
+        target = os.path.join(folder, name)
+        os.makedirs(os.path.dirname(target), exist_ok=True)
+        status = os.stat(path)
+        with open(path, "rb") as original, open(target, "xb") as copy:
+            if cloned(copy.fileno(), original.fileno()):
+                linked = False
+            else:
+                linked = status.st_size >= LINKED and os.geteuid() != 0 and relinked(path, target)
+                if not linked:
+                    shutil.copyfileobj(original, copy, CHUNK)
+        if not linked:
+            os.chmod(target, 0o755 if status.st_mode & stat.S_IXUSR else 0o644)
+            os.utime(target, ns=(BESIDE_NS, BESIDE_NS))
+
+
+def cloned(copy: int, original: int) -> bool:
+    """Return whether the file system has made a file share the data of another one, copied on write."""
+    try:
+        import fcntl
+
+        fcntl.ioctl(copy, FICLONE, original)
+    except (ImportError, OSError):
+        return False
+    return True
+
+
+def relinked(path: str, target: str) -> bool:
+    """Return whether an empty file was replaced by a hard link."""
+    try:
+        os.link(path, target + ".link")
+        os.replace(target + ".link", target)
+    except OSError:
+        return False
+    return True
+
+
+def files_below(folder: str) -> Iterator[tuple[str, str]]:
+    """Yield the path of each file below a folder, and its path relative to the folder."""
+    for root, _, names in os.walk(folder):
+        for name in names:
+            path = os.path.join(root, name)
+            yield path, os.path.relpath(path, folder)
+
+
+def changed_beside(source: str) -> str | None:
+    """Return why runs that share large files cannot be trusted: a run has changed one; None if none has."""
+    for path, name in files_below(source):
+        status = os.stat(path)
+        if status.st_size >= LINKED and (status.st_mtime_ns != BESIDE_NS or status.st_mode & 0o222):
+            return "a run has changed %s, which all runs share" % name
+    return None
+
+
+def inputs_of(job: Job) -> list[str]:
+    """Return the names of all files that a run gets in its folder."""
+    return [*job["files"], *(name for _, name in files_below(job["beside"]))] if "beside" in job else list(job["files"])
 
 
 def make_log(path: str) -> None:

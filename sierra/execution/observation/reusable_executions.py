@@ -59,7 +59,7 @@ class _Inheriting(NamedTuple):
 CANDIDATES = """
 WITH kin AS (
     SELECT spec FROM specs WHERE platform = $platform AND command = $command AND variables = $variables AND image IS NULL
-    AND host_access = $host_access AND files = $files
+    AND host_access = $host_access AND files = $files AND coalesce(shared_files, '') = $shared_files
 ),
 same AS (
     SELECT DISTINCT s.run, m.run AS executed, m.spec
@@ -172,6 +172,7 @@ def _kin(spec: RunSpec) -> dict[str, str | list[str]]:
         "command": list(spec.command),
         "variables": json.dumps(dict(spec.environment), sort_keys=True),
         "host_access": list(spec.host_access),
+        "shared_files": spec.shared_files or "",
     }
 
 
