@@ -71,11 +71,11 @@ def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
     written = _written(snapshot, {one.session for one in sets}) if snapshot.holds("files_written") else set()
     changed = changes(found, current)
     elsewhere = _elsewhere(plan, snapshot, sets, found, current)
-    committed = source.paths(plan.source.manifest) if plan.checkout is not None and plan.source else None
+    committed = source.paths(plan.source.manifest) if plan.source else None
     stale: dict[str, str] = {}
     for one in sets:
         for file in changed.get(one.files, ()):
-            if (one.session, file.path) not in written and _counts(one, file, committed):
+            if (one.session, file.path) not in written and _counts(plan, one, file, committed):
                 stale.setdefault(one.session, file.path)
         if path := elsewhere.get((one.files, one.environment)):
             stale.setdefault(one.session, path)
@@ -87,15 +87,16 @@ def _written(snapshot: Snapshot, sessions: Iterable[str]) -> set[tuple[str, str]
     return {(row.session, row.path) for row in snapshot.select(_Written, WRITTEN, sessions=sorted(sessions))}
 
 
-def _counts(one: _Set, file: UsedFile, committed: Set[bytes] | None) -> bool:
+def _counts(plan: Plan, one: _Set, file: UsedFile, committed: Set[bytes] | None) -> bool:
     """Check whether the project's folder tells anything about a file: a checkout has only the files of the source.
 
-    `committed` are these files, if runs of the plan are executed in a checkout.
+    `committed` are these files; None for a recorded batch.
     """
     if file.path != PROJECT and not file.path.startswith(f"{PROJECT}/"):
         return True
-    if committed is not None:
-        return file.use in ("read", "executed") and os.fsencode(file.path.removeprefix(f"{PROJECT}/")) not in committed
+    if plan.checkout is not None:
+        own = committed is None or os.fsencode(file.path.removeprefix(f"{PROJECT}/")) in committed
+        return file.use in ("read", "executed") and not own
     return not (one.checkout and file.use in ("missed", "found", "listed"))
 
 
