@@ -191,6 +191,8 @@ class Point:
     changes: tuple[Change, ...]
     stream: int = 0
     """The number of the stream of seeds: the run numbers for its seeds begin at `stream * 2**16`."""
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    """Further values for expressions, by name: the numbers in the name of a scenario."""
 
 
 @dataclass(frozen=True, slots=True)

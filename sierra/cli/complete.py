@@ -77,12 +77,12 @@ def criteria(incomplete: str) -> list[str]:
 
 def controllers(incomplete: str) -> list[str]:
     """Return the names of controllers."""
-    return _named("controllers", incomplete)
+    return _groups("controllers", incomplete)
 
 
 def scenarios(incomplete: str) -> list[str]:
     """Return the names of scenarios."""
-    return _named("scenarios", incomplete)
+    return _groups("scenarios", incomplete)
 
 
 def figures(incomplete: str) -> list[str]:
@@ -128,6 +128,14 @@ def _named(section: str, incomplete: str) -> list[str]:
     with contextlib.suppress(*IGNORED):
         found = list(getattr(_project().config, section))
     return _beginning(found, incomplete)
+
+
+def _groups(section: str, incomplete: str) -> list[str]:
+    """Return the names of controllers or scenarios that can be chosen; of a name with parameters, the text before them."""
+    from sierra.config.group_names import is_category
+
+    names = _named(section, "")
+    return _beginning({name.partition("{")[0] for name in names if not is_category(name, names)}, incomplete)
 
 
 def _project() -> LoadedProject:

@@ -34,6 +34,7 @@ from pydantic import (
 )
 
 from sierra.config import forbidden_directives as directives
+from sierra.config import group_names
 from sierra.config.find_project import ProjectFolder, find, settings
 from sierra.errors import ConfigError, Missing
 from sierra.store.layout import CONFIG, PYPROJECT, STORE
@@ -41,6 +42,8 @@ from sierra.store.layout import CONFIG, PYPROJECT, STORE
 NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
 Name = Annotated[str, StringConstraints(pattern=NAME)]
 """A name that is also a column in SQL."""
+GroupName = Annotated[str, StringConstraints(pattern=group_names.GROUP_NAME)]
+"""A name of a controller or a scenario: see `sierra.config.group_names`."""
 VariableName = Annotated[str, StringConstraints(pattern=r"^[^=]+$")]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -321,6 +324,7 @@ class Group(Table):
     """A controller or a scenario: a named group of changes."""
 
     changes: tuple[ChangeTable, ...] = Field((), description="changes to the template; may be empty")
+    label: str = Field("", description="name in figures; default: the group's name")
 
 
 class Tolerance(Table):
@@ -778,12 +782,15 @@ class Project(Table):
     run_changes: tuple[ChangeTable, ...] = Field(
         (), description="changes for each single run; may use {seed}, {run} and the lists of per_run"
     )
-    controllers: Mapping[Name, Group] = Field(
+    controllers: Mapping[GroupName, Group] = Field(
         default_factory=dict,
-        description="controllers for `controller` and --controller, by name; `{controller}` in changes is the name",
+        description="controllers for `controller` and --controller, by name; `{controller}` in changes is the name. The "
+        'changes of `depth0` come before those of `"depth0.CRW"`',
     )
-    scenarios: Mapping[Name, Group] = Field(
-        default_factory=dict, description="scenarios for `scenario` and --scenario, by name"
+    scenarios: Mapping[GroupName, Group] = Field(
+        default_factory=dict,
+        description='scenarios for `scenario` and --scenario, by name; `"LowBlockCount.{x}x{y}"` stands for all names with '
+        "numbers in these places, and `{x}` in its changes is such a number",
     )
     outputs: Mapping[Name, Output] = Field(
         default_factory=dict,
@@ -873,6 +880,17 @@ class Project(Table):
         return any(re.search(rf"\{{[^}}]*\b{name}\b", text) for text in texts)
 
 
+    @model_validator(mode="after")
+    def _readable_names(self) -> Project:
+        taken = {*self.variables, *self.per_run}
+        for name in (*self.controllers, *self.scenarios):
+            if wrong := group_names.complaint(name):
+                raise ValueError(wrong)
+            if both := next((one for one in group_names.parameters(name) if one in taken), None):
+                raise ValueError(f"{name!r}: {{{both}}} is also a variable; use another name for one of them")
+        return self
+
+
 @dataclass(frozen=True, slots=True)
 class LoadedProject:
     """A project: its root (absolute), its file, and its configuration."""
@@ -951,18 +969,27 @@ def _explain(error: ValidationError, model: type[BaseModel], within: tuple[str, 
     complaint = error.errors()[0]
     where = ".".join(str(part) for part in (*within, *complaint["loc"]))
     if complaint["type"] == "extra_forbidden":
-        return f"unknown key {where!r}{_nearest(model, complaint['loc'])}"
+        return f"unknown key {where!r}{_dotted(complaint['loc'], complaint['input']) or _nearest(model, complaint['loc'])}"
     if complaint["type"] == "missing":
         return f"{where!r} is missing"
     if complaint["type"] == "value_error":
         return f"{where or 'table'}: {complaint['ctx']['error']}"
     if complaint["loc"][-1:] == ("[key]",):
         table = ".".join(map(str, complaint["loc"][:-2]))
+        if complaint.get("ctx", {}).get("pattern") == group_names.GROUP_NAME:
+            return f"{table}: {complaint['input']!r} is not a valid name; use letters, digits, _, and . or - between them"
         return f"{table}: {_no_name(complaint['input'])}"
     if complaint.get("ctx", {}).get("pattern") == NAME:
         return f"{where}: {_no_name(complaint['input'])}"
     message = KINDS.get(complaint["type"]) or complaint["msg"].replace("Input", "it").replace("it should", "should", 1)
     return f"{where or 'table'} {message}, not {_written(complaint['input'])}"
+
+
+def _dotted(location: tuple[int | str, ...], value: object) -> str:
+    """Return a hint for a name of a controller or scenario that has dots but no quotes: in TOML, a table in a table."""
+    if location[0] not in ("controllers", "scenarios") or len(location) != 3 or not isinstance(value, Mapping):
+        return ""
+    return f'; write a name with dots in quotes: {location[0]}."{location[1]}.{location[2]}"'
 
 
 def _no_name(value: object) -> str:

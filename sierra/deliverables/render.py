@@ -15,10 +15,11 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sierra.config.group_names import resolve
 from sierra.config.project_file import Figure, LoadedProject
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.errors import Missing, NotFound, SierraError, UsageError
-from sierra.model import Axis
+from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store.layout import ProjectPaths
 from sierra.store.samples import MIXED, Column, Frame, OutputTable
@@ -172,8 +173,9 @@ class _Gallery:
         self._config = project.config
         self._frame = frame
         self._outputs = {output.name: output for output in frame.outputs()}
+        self._shown: dict[str, Mapping[Value, Value]] = {}
         self._axes = tuple(map(self._labelled, frame.axes()))
-        self._cells = frame.cells()
+        self._cells = {ordinal: self._with_labels(values) for ordinal, values in frame.cells().items()}
         self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
         self._seen: dict[str, stats.Coverage] = {}
         self._times: dict[str, str] = {}
@@ -316,7 +318,24 @@ class _Gallery:
 
     def _labelled(self, axis: Axis) -> Axis:
         variable = self._config.variables.get(axis.name)
-        return replace(axis, label=variable.label, unit=variable.unit) if variable else axis
+        if variable:
+            return replace(axis, label=variable.label, unit=variable.unit)
+        labels = self._labels(axis)
+        self._shown[axis.name] = labels
+        return replace(axis, values=tuple(labels.get(value, value) for value in axis.values))
+
+    def _labels(self, axis: Axis) -> Mapping[Value, Value]:
+        """Return the labels of controllers or scenarios, by their names; none for labels that do not tell the values apart."""
+        groups = {"controller": self._config.controllers, "scenario": self._config.scenarios}.get(axis.name, {})
+        labels: dict[Value, Value] = {}
+        for value in axis.values:
+            found = resolve(str(value), groups)
+            labels[value] = (groups[found[0].declared[-1]].label if len(found) == 1 else "") or value
+        shared = {label for label in labels.values() if list(labels.values()).count(label) > 1}
+        return {value: label for value, label in labels.items() if label not in shared}
+
+    def _with_labels(self, values: Mapping[str, Value]) -> Mapping[str, Value]:
+        return {name: self._shown.get(name, {}).get(value, value) for name, value in values.items()}
 
 
 def _file_name(name: str, taken: Mapping[str, Figure]) -> str:

@@ -18,9 +18,10 @@ import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
+from sierra.config import group_names
 from sierra.config.project_file import ChangeTable, Group, Project
 from sierra.design import overwritten
 from sierra.design.overwritten import Layer
@@ -87,9 +88,9 @@ def design(
     common = (
         *platform.changes(template),
         *changes(project.changes, "sierra.toml: changes"),
-        *(change for kind, name in chosen.items() for change in _group(project, kind, name)),
+        *(change for group in chosen.values() for change in group.changes),
     )
-    before = Changed(template, common, chosen)
+    before = Changed(template, common, _values(chosen))
     spans = _spans(query, project, platform, before, report)
     placed = tuple(_cells(query, spans, before))
     cells = tuple(cell for cell, _ in placed)
@@ -183,7 +184,7 @@ def _without(common: Changed, chosen: Sequence[Placed], sets: Sequence[Set], nam
     """Return an input without the criteria with these names, and without the changes that use their values."""
     every = (*common.changes, *(change for _, point in chosen for change in point.changes), *sets)
     others = tuple(change for change in every if not any(mentions(change, name) for name in names))
-    return Changed(common.template, others, {**common.values, **{axis.name: point.value for axis, point in chosen}})
+    return Changed(common.template, others, _together(common.values, chosen))
 
 
 def _of_platform(criterion: Criterion, project: Project, platform: Platform, template: Reader) -> Spanned:
@@ -260,7 +261,7 @@ def _check_effect(project: Project, cells: Sequence[Cell], per_run: tuple[Change
     for kind in GROUPED:
         for cell in cells:
             name = cell.values.get(kind)
-            if name is None or name in _groups(project, kind):
+            if name is None or _groups(project, kind):
                 continue
             in_command = any(f"{{{kind}}}" in word for word in command)
             if not in_command and not any(mentions(change, kind) for change in (*cell.changes, *per_run)):
@@ -286,27 +287,45 @@ def _unknown(name: str, project: Project, platform: Platform) -> str:
 def _grouped(criterion: Criterion, project: Project) -> tuple[Axis, tuple[Point, ...]]:
     if not isinstance(criterion.scale, Listed):
         raise QueryError(f"the values of {criterion.name!r} must be names; use {criterion.name}=one,two")
-    values = criterion.scale.values
-    points = tuple(Point(value, _group(project, criterion.name, str(value))) for value in values)
-    return Axis(criterion.name, tuple(map(str, values)), criterion.name.capitalize()), points
+    values = tuple(map(str, criterion.scale.values))
+    groups = [_group(project, criterion.name, value) for value in values]
+    points = tuple(Point(group.name, group.changes, parameters=group.parameters) for group in groups)
+    return Axis(criterion.name, values, criterion.name.capitalize()), points
 
 
 def _groups(project: Project, kind: str) -> Mapping[str, Group]:
     return project.controllers if kind == "controller" else project.scenarios
 
 
-def _group(project: Project, kind: str, name: str) -> tuple[Change, ...]:
+@dataclass(frozen=True, slots=True)
+class ChosenGroup:
+    """A controller or scenario with its changes, and the numbers in its name."""
+
+    name: str
+    changes: tuple[Change, ...] = ()
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+
+
+def _group(project: Project, kind: str, name: str) -> ChosenGroup:
+    """Return a group. Raises QueryError if its name is unknown, ambiguous or a category."""
     groups = _groups(project, kind)
-    if name not in groups:
-        if groups:
-            raise QueryError(f"unknown {kind} {name!r}; known are {', '.join(groups)}")
-        return ()
-    return changes(groups[name].changes, f"{kind} {name!r}")
+    if not groups:
+        return ChosenGroup(name)
+    if members := [other for other in groups if other.startswith(f"{name}.") and name in groups]:
+        raise QueryError(f"{kind} {name!r} is a category; use one of {', '.join(members)}")
+    found = group_names.resolve(name, groups)
+    if not found:
+        known = [one for one in groups if not group_names.is_category(one, groups)]
+        raise QueryError(f"unknown {kind} {name!r}; known are {', '.join(known)}")
+    if len(found) > 1:
+        raise QueryError(f"{kind} {name!r} is ambiguous: it fits {' and '.join(one.declared[-1] for one in found)}")
+    every = [change for one in found[0].declared for change in changes(groups[one].changes, f"{kind} {one!r}")]
+    return ChosenGroup(name, tuple(every), found[0].parameters)
 
 
-def _chosen(query: Query, project: Project) -> dict[str, str]:
+def _chosen(query: Query, project: Project) -> dict[str, ChosenGroup]:
     """Return the controller and the scenario if they are not axes: the requested ones, or the project's own."""
-    chosen: dict[str, str] = {}
+    chosen: dict[str, ChosenGroup] = {}
     spanned = {criterion.name for criterion in query.criteria}
     for kind in GROUPED:
         requested = getattr(query, kind)
@@ -314,8 +333,32 @@ def _chosen(query: Query, project: Project) -> dict[str, str]:
             if requested:
                 raise QueryError(f"{kind} is an axis of this query; leave out --{kind} {requested}")
         elif name := requested or getattr(project, kind):
-            chosen[kind] = name
+            chosen[kind] = _group(project, kind, name)
     return chosen
+
+
+def _values(chosen: Mapping[str, ChosenGroup]) -> dict[str, Value]:
+    """Return the names of the controller and the scenario, and the numbers in them. Raises QueryError if two have one name."""
+    values: dict[str, Value] = {kind: group.name for kind, group in chosen.items()}
+    for group in chosen.values():
+        values = _joined(values, group.parameters)
+    return values
+
+
+def _together(values: Mapping[str, Value], placed: Sequence[Placed]) -> dict[str, Value]:
+    """Return values with those of points, and with their parameters. Raises QueryError for a name that has two values."""
+    together = {**values, **{axis.name: point.value for axis, point in placed}}
+    for _, point in placed:
+        together = _joined(together, point.parameters)
+    return together
+
+
+def _joined(values: Mapping[str, Value], parameters: Mapping[str, Value]) -> dict[str, Value]:
+    if both := sorted(values.keys() & parameters.keys()):
+        raise QueryError(
+            f"{both[0]!r} has two values: it is also a parameter in the name of a controller or scenario; rename it"
+        )
+    return {**values, **parameters}
 
 
 def _cells(query: Query, spans: Spans, common: Changed) -> Iterator[tuple[Cell, list[Placed]]]:
@@ -326,7 +369,8 @@ def _cells(query: Query, spans: Spans, common: Changed) -> Iterator[tuple[Cell, 
         values = {axis.name: axis.values[place] for axis, place in zip(spans.axes, places, strict=True)}
         own = (change for _, point in placed for change in point.changes)
         stream = max((point.stream for _, point in placed), default=0)
-        yield Cell(ordinal, {**common.values, **values}, (*common.changes, *own, *query.sets), stream), placed
+        together = {**_together(common.values, placed), **values}
+        yield Cell(ordinal, together, (*common.changes, *own, *query.sets), stream), placed
 
 
 def _layers(
