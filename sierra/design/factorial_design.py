@@ -1,8 +1,8 @@
 """The design of a query: its axes, and the changes that each experiment and each run make to the template.
 
 Changes are made in this order, and later ones overwrite earlier ones: those of the platform, the project, the controller, the
-scenario, the criteria (in their order, the platform's own criteria last), and `--set`. In each run, the seed and the project's
-`run_changes` follow.
+scenario, the criteria (in their order, the platform's own criteria last), `--set`, and what follows from these by rules of the
+platform (walls follow the arena). In each run, the seed and the project's `run_changes` follow.
 
 A platform's own criterion may depend on the changed template: a density needs the arena. Therefore the platform receives the
 template with all other changes made, once for each combination of the other axes' values. It must return the same axis for all
@@ -18,7 +18,7 @@ import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from sierra.config import group_names
@@ -42,7 +42,7 @@ from sierra.model import (
     Set,
     Value,
 )
-from sierra.platforms.base import Platform, Reader
+from sierra.platforms.base import Following, Platform, Reader
 from sierra.query import ranges
 from sierra.templates.base import Template
 
@@ -85,15 +85,17 @@ def design(
 ) -> Design:
     """Return the design of a query. Raises QueryError, ConfigError, TemplateError, and any error that `report` raises."""
     chosen = _chosen(query, project)
+    own = platform.changes(template)
     common = (
-        *platform.changes(template),
+        *own,
         *changes(project.changes, "sierra.toml: changes"),
         *(change for group in chosen.values() for change in group.changes),
     )
     before = Changed(template, common, _values(chosen))
-    spans = _spans(query, project, platform, before, report)
-    placed = tuple(_cells(query, spans, before))
-    cells = tuple(cell for cell, _ in placed)
+    follow = Follower(platform, Changed(template, own, before.values))
+    spans = _spans(query, project, platform, before, follow, report)
+    placed = tuple(_cells(query, spans, before, follow))
+    cells = tuple(cell for cell, _, _ in placed)
     seed, run_changes = _seed_changes(project, platform), changes(project.run_changes, "sierra.toml: run_changes")
     per_run = (*seed, *run_changes)
     _check_lists(project, spans.axes)
@@ -108,15 +110,31 @@ def design(
     )
     sure: set[tuple[tuple[Change, ...], ...]] = set()
     runs = overwritten.different_runs(designed)[: None if project.run_changes else 1]
-    for cell, where in placed:
+    for cell, where, following in placed:
         report(0, len(cells), len(cells) * query.runs)
-        layers = (Layer("", common), *_layers(where, query.sets, seed, run_changes))
+        layers = (Layer("", common), *_layers(where, query.sets, following, seed, run_changes))
         alike = tuple(layer.changes for layer in layers)
         if alike not in sure and not overwritten.check(template, designed, cell, layers):
             sure.add(alike)
         for of_run in runs:
             platform.check(Changed(template, (*cell.changes, *designed.per_run), {**cell.values, **of_run}), template)
     return designed
+
+
+@dataclass(frozen=True, slots=True)
+class Follower:
+    """The platform's changes that follow from others, if it has such changes."""
+
+    platform: Platform
+    base: Changed
+
+    def __call__(self, document: Changed) -> tuple[Change, ...]:
+        return self.platform.follow(document, self.base) if isinstance(self.platform, Following) else ()
+
+    def complete(self, document: Changed) -> Changed:
+        """Return an input with the changes that follow from its own."""
+        following = self(document)
+        return replace(document, changes=(*document.changes, *following)) if following else document
 
 
 def changes(tables: tuple[ChangeTable, ...], why: str, value: str | None = None) -> tuple[Change, ...]:
@@ -156,7 +174,9 @@ class Spans:
         return [pair for pair, own in zip(placed, self.own, strict=True) if not own] + list(theirs)
 
 
-def _spans(query: Query, project: Project, platform: Platform, common: Changed, report: PlanningProgress) -> Spans:
+def _spans(
+    query: Query, project: Project, platform: Platform, common: Changed, follow: Follower, report: PlanningProgress
+) -> Spans:
     """Return the axes and points. Raises QueryError if a criterion's axis depends on the values of the other criteria."""
     known = [_span(criterion, project) for criterion in query.criteria]
     own = tuple(span is None for span in known)
@@ -168,6 +188,7 @@ def _spans(query: Query, project: Project, platform: Platform, common: Changed, 
     for places in itertools.product(*(range(len(axis.values)) for axis, _ in others)):
         chosen = [(axis, points[place]) for (axis, points), place in zip(others, places, strict=True)]
         template = _without(common, chosen, query.sets, names)
+        template = follow.complete(template) if any(own) else template
         found[places] = tuple(
             span or _of_platform(criterion, project, platform, template)
             for criterion, span in zip(query.criteria, known, strict=True)
@@ -361,8 +382,10 @@ def _joined(values: Mapping[str, Value], parameters: Mapping[str, Value]) -> dic
     return {**values, **parameters}
 
 
-def _cells(query: Query, spans: Spans, common: Changed) -> Iterator[tuple[Cell, list[Placed]]]:
-    """Yield the experiments, each with its place on the axes."""
+def _cells(
+    query: Query, spans: Spans, common: Changed, follow: Follower
+) -> Iterator[tuple[Cell, list[Placed], tuple[Change, ...]]]:
+    """Yield the experiments, each with its place on the axes, and the last of its changes: those that follow from others."""
     every = itertools.product(*(range(len(axis.values)) for axis in spans.axes))
     for ordinal, places in enumerate(every):
         placed = spans.at(places)
@@ -370,17 +393,25 @@ def _cells(query: Query, spans: Spans, common: Changed) -> Iterator[tuple[Cell, 
         own = (change for _, point in placed for change in point.changes)
         stream = max((point.stream for _, point in placed), default=0)
         together = {**_together(common.values, placed), **values}
-        yield Cell(ordinal, together, (*common.changes, *own, *query.sets), stream), placed
+        document = Changed(common.template, (*common.changes, *own, *query.sets), together)
+        following = follow(document)
+        yield Cell(ordinal, together, (*document.changes, *following), stream), placed, following
 
 
 def _layers(
-    placed: Sequence[Placed], sets: Sequence[Set], seed: tuple[Change, ...], run_changes: tuple[Change, ...]
+    placed: Sequence[Placed],
+    sets: Sequence[Set],
+    following: tuple[Change, ...],
+    seed: tuple[Change, ...],
+    run_changes: tuple[Change, ...],
 ) -> Iterator[Layer]:
     """Yield all layers that follow the common changes of a batch, in order."""
     for axis, point in placed:
         yield Layer(f"{axis.name}={point.value}", point.changes, axis=True)
     for change in sets:
         yield Layer(f"--set {change.path}", (change,))
+    if following:
+        yield Layer("the platform's rule", following)
     yield Layer("the seed", seed, each_run=True)
     yield Layer("run_changes", run_changes, each_run=True)
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import PurePosixPath
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints
 
@@ -82,6 +82,10 @@ class ArgosOptions(Table):
     visualization: bool = Field(False, description="whether to keep the template's visualization")
     arena: Annotated[str, StringConstraints(pattern=f"^{_SIZE}$")] | None = Field(
         None, description="size of the arena in metres, such as 10x10 or 10x10x2; default: as in the template"
+    )
+    origin: Literal["corner", "centre"] | None = Field(
+        None,
+        description="point of the arena's floor that is 0,0: its lowest `corner`, or its `centre`; default: the centre stays",
     )
     walls: str = Field(WALLS, description="XPath of the four boxes that bound the arena")
     population: str | None = Field(
@@ -157,7 +161,10 @@ class Argos:
             _check_folder(folder)
 
     def changes(self, template: Reader) -> tuple[Change, ...]:
-        resized = self._resized(template, self._arena, f"{TABLE} arena") if self._arena else ()
+        resized: tuple[Change, ...] = ()
+        if self._arena or self._options.origin:
+            option = "arena" if self._arena else "origin"
+            resized = self._resized(template, self._arena or _arena_size(template), f"{TABLE} {option}")
         return (
             *self._length(),
             *self._threads(template),
@@ -180,6 +187,17 @@ class Argos:
 
     def criteria(self) -> Mapping[str, str]:
         return CRITERIA
+
+    def follow(self, document: Reader, base: Reader) -> tuple[Change, ...]:
+        """Return the changes that fit walls and distributed robots to an arena that changed, if nobody else moved them."""
+        parts = (f"({self._options.walls})/@*", f"({self._options.walls})/body/@*", f"{BOXES}/@*", f"{BOUNDARIES}//@*")
+        if not _is_valid(base) or not _has_other_edges(document, base) or base.find(BOUNDARIES):
+            return ()
+        if any(document.find(path) != base.find(path) for path in parts):
+            return ()
+        size = Size(*_vector(document, f"{ARENA}/@size"))
+        center = None if _center(document) == _center(base) else _center(document)
+        return self._resized(base, size, "the arena's size", center)[1:]
 
     def check(self, document: Reader, template: Reader) -> None:
         """Refuse an input that ARGoS would run for ever, hang in or not find, or whose arena does not fit its walls."""
@@ -283,21 +301,34 @@ class Argos:
             raise ConfigError(f"{TABLE}: population: {path!r} selects an element; use an attribute, as in {path}/@quantity")
         return path
 
-    def _resized(self, template: Reader, size: Size, why: str) -> tuple[Change, ...]:
-        """Return the changes that fit the arena, its walls and the distributed robots to a size."""
+    def _resized(self, template: Reader, size: Size, why: str, moved: Vector | None = None) -> tuple[Change, ...]:
+        """Return the changes that fit the arena, its walls and the distributed robots to a size; the first sets the size.
+
+        The arena's centre is `moved` if it is given; another change has then set it.
+        """
         if template.find(BOUNDARIES):
             raise TemplateError(f"{why}: {BOUNDARIES} would not follow the arena; use changes of your own")
         walls = self._walls(template)
-        center = _center(template)
+        center = moved or self._centered(template, size)
         arena = _space(center, size)
         inner = _between(arena, walls)
-        before = _within(walls) if walls else _space(center, _arena_size(template))
+        before = _within(walls) if walls else _space(_center(template), _arena_size(template))
+        placed = not moved and (size.z is not None or center != _center(template))
         return (
             Set(f"{ARENA}/@size", _sides(template, size), expect=1, why=why),
-            *_lifted(template, center, size, why),
+            *((Set(ARENA, _joined(center), attribute="center", expect=1, why=why),) if placed else ()),
             *(change for wall in walls for change in self._moved(wall, arena, why)),
             *_stretched(template, before, inner, why),
         )
+
+    def _centered(self, template: Reader, size: Size) -> Vector:
+        """Return the centre of an arena of this size. If the arena becomes higher, its floor stays."""
+        x, y, z = _center(template)
+        if size.z is not None:
+            z += (size.z - _vector(template, f"{ARENA}/@size")[2]) / 2
+        if self._options.origin == "corner":
+            return size.x / 2, size.y / 2, z
+        return (Fraction(), Fraction(), z) if self._options.origin else (x, y, z)
 
     def _walls(self, template: Reader) -> tuple[Wall, ...]:
         """Return the four walls, or none. Raises TemplateError if the selected elements are something else."""
@@ -530,12 +561,13 @@ def _has_other_edges(document: Reader, template: Reader) -> bool:
         return True
 
 
-def _lifted(template: Reader, center: Vector, size: Size, why: str) -> tuple[Change, ...]:
-    """Return the change of the centre when the arena becomes higher; its floor stays."""
-    if size.z is None:
-        return ()
-    z = center[2] + (size.z - _vector(template, f"{ARENA}/@size")[2]) / 2
-    return (Set(ARENA, _joined((center[0], center[1], z)), attribute="center", expect=1, why=why),)
+def _is_valid(base: Reader) -> bool:
+    """Return False if the template's arena is missing or invalid, so that nothing can follow it."""
+    try:
+        _space(_center(base), _arena_size(base))
+    except TemplateError:
+        return False
+    return True
 
 
 def _stretched(template: Reader, before: Space, after: Space, why: str) -> tuple[Change, ...]:

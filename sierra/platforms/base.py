@@ -7,7 +7,7 @@ Shipped platforms are `command` (any program) and `argos`. Others are entry poin
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, runtime_checkable
 
 from sierra.config.plugin_registry import PLATFORMS
 from sierra.config.project_file import Project, Table
@@ -67,6 +67,18 @@ class Platform(Protocol):
 
     def environment(self) -> Mapping[str, str]:
         """Return variables that this simulator needs. They are part of a run's identity, so they contain no local paths."""
+
+
+@runtime_checkable
+class Following(Protocol):
+    """A platform whose inputs have parts that follow other changes, for example walls that follow the arena."""
+
+    def follow(self, document: Reader, base: Reader) -> tuple[Change, ...]:
+        """Return the changes that make parts of an input fit what other changes made of it; they are made after all others.
+
+        `document` is an experiment's input with all changes, without those of single runs. `base` is the template with only the
+        platform's own changes. What another change has set must stay as it is.
+        """
 
 
 def find(name: str, project: Project) -> Platform:

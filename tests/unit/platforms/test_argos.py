@@ -783,24 +783,102 @@ side = { changes = [{ set = "//arena/@size", value = "{side},{side},2" }] }
 north = { changes = [{ set = "//arena/@center", value = "0,{north},1" }] }
 [scenarios.large]
 changes = [{ set = "//arena/@size", value = "20,20,2" }]
+[scenarios."Blocks.{x}x{y}x{z}"]
+changes = [{ set = "//arena/@size", value = "{x},{y},{z}" }]
+"""
+COPY = """import json, sys
+with open("copy.jsonl", "w") as file:
+    print(json.dumps({"input": open(sys.argv[1]).read()}), file=file)
 """
 
 
 @pytest.mark.parametrize(
-    "words",
+    ("words", "x"),
     [
-        ("population_size=1", "--set", "//arena/@size=20,20,2"),
-        ("population_size=1", "--set", "/argos-configuration/arena/@size=10,20,2"),
-        ("side=10,20",),
-        ("population_size=1", "--scenario", "large"),
-        ("scenario=large", "population_size=1"),
-        ("north=3,6",),
+        (("population_size=1", "--set", "//arena/@size=20,20,2"), [20]),
+        (("population_size=1", "--set", "/argos-configuration/arena/@size=20, 8, 2"), [20]),
+        (("side=10,20",), [10, 20]),
+        (("population_size=1", "--scenario", "large"), [20]),
+        (("scenario=large", "population_size=1"), [20]),
+        (("population_size=1", "--scenario", "Blocks.30x20x2"), [30]),
+        (("scenario=Blocks.30x20x2,Blocks.20x20x2", "population_size=1"), [20, 30]),
+        (("north=3,6",), [10, 10]),
+        (("population_variable_density.1p0.2p0.C2", "--scenario", "large"), [20, 20]),
+        (("population_constant_density.1p0.I10.C2", "--scenario", "large"), [20, 30]),
     ],
 )
-def test_changing_only_the_arena_is_refused_because_its_walls_stay(tmp_path: Path, words: tuple[str, ...]) -> None:
-    told = refused(argos_project(tmp_path / "p", CONFIG + SIZED), *words)
-    assert "'wall_" in told
-    assert "in [platforms.argos], or use arena=" in told
+def test_walls_follow_the_arena_whoever_changes_it(tmp_path: Path, words: tuple[str, ...], x: list[int]) -> None:
+    rows = seen(argos_project(tmp_path / "p", CONFIG + SIZED), *words)
+    assert [row["x"] for row in rows] == x
+    assert all(row["walls"] == 4 for row in rows)
+
+
+def test_what_follows_is_the_same_as_with_the_option(tmp_path: Path) -> None:
+    by_option = prepared(arena="20x8")
+    resized = projects.make(tmp_path / "p", CONFIG.replace('arena = "10x10"', "") + SIZED, simulator=COPY)
+    (resized / "arena.argos").write_text(TEMPLATE)
+    assert projects.quick(resized, "run", "population_size=20", "--set", "//arena/@size=20,8,2", "--no-figures").returncode == 0
+    (made,) = projects.sql(resized, "SELECT input FROM copy")
+    followed = etree.fromstring(made["input"].encode())
+    for path in ("//arena/@*", "//box/@*", "//box/body/@*", "//position/@*"):
+        assert sorted(followed.xpath(path)) == sorted(by_option.xpath(path))
+
+
+def test_robots_follow_an_arena_without_walls(tmp_path: Path) -> None:
+    driven = platform()
+    template = TEMPLATE.replace('id="wall_', 'id="block_')
+    larger = template.replace('size="5, 5, 2"', 'size="10, 10, 2"')
+    changes = driven.follow(reader(larger), reader(template))
+    made = make(changes, larger)
+    assert (one(made, f"{UNIFORM}/@min"), one(made, f"{UNIFORM}/@max")) == ("-4,-4,0", "-2,4,0")
+
+
+@pytest.mark.parametrize("moved", ["wall", "position"])
+def test_nothing_follows_if_another_change_has_moved_a_part(moved: str) -> None:
+    larger = instead('size="5, 5, 2"', 'size="10, 10, 2"')
+    other = (
+        larger.replace('position="0,2,0"', 'position="0,4.95,0"')
+        if moved == "wall"
+        else larger.replace('"-2,-2,0"', '"-1,-1,0"')
+    )
+    assert other != larger
+    assert platform().follow(reader(other), reader()) == ()
+
+
+def test_nothing_follows_an_arena_that_only_becomes_higher() -> None:
+    assert platform().follow(reader(instead('size="5, 5, 2"', 'size="5,5,4"')), reader()) == ()
+
+
+@pytest.mark.parametrize(
+    ("origin", "center", "low"),
+    [("corner", "5,4,1", ["0.05", "4"]), ("centre", "0,0,1", ["-4.95", "0"])],
+)
+def test_the_origin_is_a_corner_or_the_centre(origin: str, center: str, low: list[str]) -> None:
+    made = prepared(origin=origin, arena="10x8")
+    assert one(made, "arena/@center") == center
+    assert one(made, "arena/box[@id='wall_west']/body/@position").split(",")[:2] == low
+
+
+def test_the_origin_moves_the_templates_arena_too() -> None:
+    made = prepared(origin="corner")
+    assert one(made, "arena/@center") == "2.5,2.5,1"
+    assert one(made, "arena/@size") == "5,5,2"
+    assert one(made, "arena/box[@id='wall_north']/body/@position") == "2.5,4.95,0"
+    low, high = numbers(one(made, f"{UNIFORM}/@min")), numbers(one(made, f"{UNIFORM}/@max"))
+    assert 0 <= low[0] < high[0] <= 5
+    assert 0 <= low[1] < high[1] <= 5
+
+
+def test_walls_follow_the_corner_of_a_scenarios_arena(tmp_path: Path) -> None:
+    config = CONFIG.replace('arena = "10x10"', 'arena = "10x10"\norigin = "corner"')
+    folder = projects.make(tmp_path / "p", config + SIZED, simulator=COPY)
+    (folder / "arena.argos").write_text(TEMPLATE)
+    ran = projects.quick(folder, "run", "population_size=1", "--scenario", "Blocks.30x20x2", "--no-figures")
+    assert ran.returncode == 0, ran.stderr
+    (made,) = projects.sql(folder, "SELECT input FROM copy")
+    followed = etree.fromstring(made["input"].encode())
+    assert one(followed, "arena/@center") == "15,10,1"
+    assert one(followed, "arena/box[@id='wall_east']/body/@position") == "29.95,10,0"
 
 
 def test_an_arena_size_that_each_run_sets_is_refused_if_walls_stay_behind(tmp_path: Path) -> None:
