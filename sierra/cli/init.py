@@ -25,6 +25,12 @@ def init(
     example: Annotated[
         str | None, typer.Option("--example", metavar="NAME", help="Copy a bundled example to FOLDER: swarm.")
     ] = None,
+    from_sierra1: Annotated[
+        Path | None,
+        typer.Option(
+            "--from-sierra1", metavar="DIR", help="Convert a project of SIERRA 1.x (ARGoS); nothing of it is executed."
+        ),
+    ] = None,
     template: Annotated[str | None, typer.Option("--template", metavar="FILE", help="The simulator's XML input file.")] = None,
     command: Annotated[
         str | None, typer.Option("--command", metavar="TEXT", help="Command that starts it: 'python3 sim.py {input}'.")
@@ -49,11 +55,16 @@ def init(
     Examples:
       sierra init
       sierra init --example swarm demo
+      sierra init --from-sierra1 ../old/projects/foraging
       sierra init -y --template arena.xml --command "./sim {input}" \\
                   --variable "population_size=//swarm/@count"
     """
     from sierra.setup.init import wizard
 
+    if from_sierra1 is not None:
+        _check_alone(example, command, variables, seed, source)
+        _convert(folder, from_sierra1, template, as_json=as_json)
+        return
     if example is not None:
         _say_example(folder, wizard.copy_example(example, folder), as_json=as_json)
         return
@@ -61,6 +72,37 @@ def init(
     somebody = not yes and not as_json and sys.stdin.isatty() and sys.stdout.isatty()
     guess = wizard.find_out(folder, said, _ask if somebody else None)
     _say(folder, wizard.write(folder, guess), guess, as_json=as_json)
+
+
+def _check_alone(*others: object) -> None:
+    from sierra.errors import UsageError
+
+    if any(others):
+        raise UsageError("--from-sierra1 can be combined only with --template, --yes and --json")
+
+
+def _convert(folder: Path, old: Path, template: str | None, *, as_json: bool) -> None:
+    """Convert a project of SIERRA 1.x and print what was carried over, and what was not."""
+    from sierra.setup import sierra1
+
+    path, made = sierra1.write(old, folder, template)
+    command = f"{_there(folder)}sierra run {made.next} -n"
+    if as_json:
+        kinds = {"controllers": made.controllers, "scenarios": made.scenarios, "variables": made.variables}
+        found = {kind: list(names) for kind, names in (kinds | {"figures": made.figures}).items()}
+        written = [str(path), *([str(folder / made.template)] if made.copied else [])]
+        print_json({"written": written, "template": made.template, **found, "left_out": list(made.left_out), "next": command})
+        return
+    print(f"wrote {path}" + (f" and {folder / made.template}" if made.copied else ""))
+    print(f"  template {one_line(made.template)}")
+    for kind in ("controllers", "scenarios", "variables", "figures"):
+        if names := getattr(made, kind):
+            print(f"  {kind}: {one_line(', '.join(names))}")
+    if made.left_out:
+        print("not carried over (also at the end of the file):")
+        for line in made.left_out:
+            print(f"  {line}")
+    print(f"next: {command}    (this only shows the runs; without -n they execute)")
 
 
 def _ask(question: Question, check: Callable[[str], T]) -> T:
