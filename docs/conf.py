@@ -16,6 +16,7 @@ CONTENTS = {
     "Begin": ["tutorial", "glossary", "limitations"],
     "How-to guides": [
         "how-to/your-simulator",
+        "how-to/from-sierra1",
         "how-to/templates",
         "how-to/compile",
         "how-to/queries",

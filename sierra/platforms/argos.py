@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import PurePosixPath
@@ -33,6 +33,7 @@ from sierra.model import (
     Value,
     VariableDensity,
 )
+from sierra.platforms import argos_physics
 from sierra.platforms.base import Reader
 from sierra.query import ranges
 
@@ -51,6 +52,8 @@ ROBOTS = f"{ARENA}//*[controller]"
 POPULATION = f"{ARENA}/distribute/entity[*/controller]/@quantity"
 WALLS = f"{ARENA}/box[starts-with(@id, 'wall')]"
 BOXES = f"{ARENA}/distribute/position[@method='uniform']"
+ENGINES = f"{ROOT}/physics_engines/*"
+ENGINE_TYPES = ("dynamics2d", "dynamics3d", "pointmass3d")
 BOUNDARIES = f"{ROOT}/physics_engines/*/boundaries"
 
 LARGEST = 2**32 - 1
@@ -68,7 +71,17 @@ _SIZE = f"{_SIDE}x{_SIDE}(?:x{_SIDE})?"
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,2})?")
 _MICROMETRE = Fraction(1, 10**6)
 
+_TAG = r"^[A-Za-z_][A-Za-z0-9_.-]*$"
 Vector = tuple[Fraction, Fraction, Fraction]
+
+
+class SpatialHash(Table):
+    """The grid in which `dynamics2d` looks for collisions; without it, ARGoS uses a tree of bounding boxes."""
+
+    cell_size: Annotated[float, Field(gt=0, allow_inf_nan=False)] = Field(
+        description="size of a cell in metres, such as the size of a robot"
+    )
+    cell_num: PositiveInt = Field(description="number of cells, at least ten times the number of objects")
 
 
 class ArgosOptions(Table):
@@ -91,10 +104,25 @@ class ArgosOptions(Table):
     population: str | None = Field(
         None, description="XPath of the attribute that population_size sets; default: the quantity of the distributed robots"
     )
+    physics_engines: Annotated[int, Field(ge=2, le=1000)] | None = Field(
+        None, description="number of physics engines that share the arena in equal parts; default: as in the template"
+    )
+    physics_type: Annotated[str, StringConstraints(pattern=_TAG)] | None = Field(
+        None, description="type of the physics engine, such as dynamics2d; default: as in the template"
+    )
+    physics_iterations: PositiveInt | None = Field(
+        None, description="iterations of the physics engines per tick; default: as in the template"
+    )
+    spatial_hash: SpatialHash | None = Field(None, description="spatial hash of the physics engines dynamics2d")
+    remove_devices: tuple[Annotated[str, StringConstraints(pattern=_TAG)], ...] = Field(
+        (),
+        description="tags of sensors, actuators and parts of robots to remove because controllers do not use them, such as "
+        "`range_and_bearing`, `leds` or `battery`; a medium that only they use is removed too",
+    )
     libraries: tuple[str, ...] = Field(
         ("build",), description="folders of the project that contain the libraries of the template"
     )
-    label: Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.-]*$")] | None = Field(
+    label: Annotated[str, StringConstraints(pattern=_TAG)] | None = Field(
         None, description=f"tag that replaces {PLACEHOLDER}; default: the controller's name"
     )
 
@@ -170,6 +198,8 @@ class Argos:
             *self._threads(template),
             *self._controller(template),
             *self._visualization(template),
+            *self._without_devices(template),
+            *self._physics(template),
             *resized,
         )
 
@@ -191,19 +221,22 @@ class Argos:
     def follow(self, document: Reader, base: Reader) -> tuple[Change, ...]:
         """Return the changes that fit walls and distributed robots to an arena that changed, if nobody else moved them."""
         parts = (f"({self._options.walls})/@*", f"({self._options.walls})/body/@*", f"{BOXES}/@*", f"{BOUNDARIES}//@*")
+        engines = self._shared(document)
         if not _is_valid(base) or not _has_other_edges(document, base) or base.find(BOUNDARIES):
-            return ()
+            return engines
         if any(document.find(path) != base.find(path) for path in parts):
-            return ()
+            return engines
         size = Size(*_vector(document, f"{ARENA}/@size"))
         center = None if _center(document) == _center(base) else _center(document)
-        return self._resized(base, size, "the arena's size", center)[1:]
+        resized = self._resized(base, size, "the arena's size", center)[1:]
+        return (*resized, *self._shared(document, center or self._centered(base, size)))
 
     def check(self, document: Reader, template: Reader) -> None:
         """Refuse an input that ARGoS would run for ever, hang in or not find, or whose arena does not fit its walls."""
         _check_length(document)
         _check_threads(document)
         self._check_arena(document, template)
+        self._check_engines(document)
         if left := document.find(f"//@*[contains(., '{PLACEHOLDER}')]"):
             raise TemplateError(f"{left[0]!r} contains {PLACEHOLDER} among other text, or was added later; use {{controller}}")
 
@@ -220,7 +253,7 @@ class Argos:
     def _length(self) -> tuple[Change, ...]:
         wanted = {"length": self._options.length, "ticks_per_second": self._options.ticks_per_second}
         return tuple(
-            Set(EXPERIMENT, repr(value).removesuffix(".0"), attribute=name, expect=1, why=f"{TABLE} {name}")
+            Set(EXPERIMENT, _float(value), attribute=name, expect=1, why=f"{TABLE} {name}")
             for name, value in wanted.items()
             if value is not None
         )
@@ -246,6 +279,56 @@ class Argos:
         if self._options.visualization or not template.find(path):
             return ()
         return (Remove(path, why=f"{TABLE} visualization"),)
+
+    def _without_devices(self, template: Reader) -> Iterator[Change]:
+        """Yield the changes that remove devices, and the media that only these use."""
+        why = f"{TABLE} remove_devices"
+        places = [_device(name) for name in self._options.remove_devices]
+        for name, place in zip(self._options.remove_devices, places, strict=True):
+            if not template.find(place):
+                raise TemplateError(f"{why}: the template has no sensor, actuator or part of a robot {name!r}; leave it out")
+        for medium in dict.fromkeys(template.find(f"{ROOT}/media/*/@id") if places else ()):
+            uses = f"@medium[. = {_literal(medium)}]"
+            removed = sum(len(template.find(" | ".join(f"{one}/{uses}" for one in place.split(" | ")))) for place in places)
+            if removed and removed == len(template.find(f"//{uses}")):
+                yield Remove(f"{ROOT}/media/*[@id = {_literal(medium)}]", why=why)
+        yield from (Remove(place, why=why) for place in places)
+
+    def _physics(self, template: Reader) -> Iterator[Change]:
+        """Yield the changes of the template's physics engines that do not depend on the arena."""
+        options = self._options
+        if options.physics_iterations:
+            value, why = str(options.physics_iterations), f"{TABLE} physics_iterations"
+            yield Set(ENGINES, value, attribute="iterations", why=why)
+        if hashed := options.spatial_hash:
+            why = f"{TABLE} spatial_hash"
+            if template.find(f"{ENGINES}/spatial_hash"):
+                yield Remove(f"{ENGINES}/spatial_hash", why=why)
+            cells = f'cell_size="{_float(hashed.cell_size)}" cell_num="{hashed.cell_num}"'
+            yield Add(ENGINES, f"<spatial_hash {cells}/>", at=0, why=why)
+        if options.physics_type:
+            yield Rename(ENGINES, options.physics_type, why=f"{TABLE} physics_type")
+
+    def _shared(self, document: Reader, center: Vector | None = None) -> tuple[Change, ...]:
+        """Return the changes that replace the one engine by several that share the arena; `center` is where it will be."""
+        count, why = self._options.physics_engines, f"{TABLE} physics_engines"
+        if count is None:
+            return ()
+        engine = _only_engine(document, why)
+        made = argos_physics.elements(count, _box(document, center), engine)
+        added = (Add(f"{ROOT}/physics_engines", xml, expect=1, why=why) for xml in made)
+        return (Remove(ENGINES, expect=1, why=why), *added)
+
+    def _check_engines(self, document: Reader) -> None:
+        """Check that the areas of several engines are those of the arena, which a change of single runs may have resized."""
+        count = self._options.physics_engines
+        if count is None:
+            return
+        expected = [point for points in argos_physics.corners(count, _box(document)) for point in points]
+        if list(document.find(f"{BOUNDARIES}/sides/vertex/@point")) != expected:
+            raise TemplateError(
+                f"{TABLE} physics_engines: the engines do not share the arena, because a later change resized it"
+            )
 
     def _population_size(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]]:
         if isinstance(criterion.scale, MonteCarlo):
@@ -306,7 +389,7 @@ class Argos:
 
         The arena's centre is `moved` if it is given; another change has then set it.
         """
-        if template.find(BOUNDARIES):
+        if template.find(BOUNDARIES) and self._options.physics_engines is None:
             raise TemplateError(f"{why}: {BOUNDARIES} would not follow the arena; use changes of your own")
         walls = self._walls(template)
         center = moved or self._centered(template, size)
@@ -561,6 +644,37 @@ def _has_other_edges(document: Reader, template: Reader) -> bool:
         return True
 
 
+def _device(name: str) -> str:
+    """Return an XPath of all sensors, actuators and parts of robots with a tag."""
+    devices = (f"{ROOT}/controllers/*/{kind}/{name}" for kind in ("sensors", "actuators"))
+    return " | ".join((*devices, f"{ROBOTS}/{name}"))
+
+
+def _only_engine(document: Reader, why: str) -> argos_physics.Engine:
+    """Return the one physics engine of an input. Raises TemplateError if it has properties that copies would lack."""
+    known = "self::boundaries or self::spatial_hash"
+    others = document.find(f"{ENGINES}/*[not({known})] | {ENGINES}/@*[name() != 'id' and name() != 'iterations']")
+    if len(document.find(ENGINES)) != 1 or others or document.find(BOUNDARIES):
+        raise TemplateError(
+            f"{why}: {ROOT}/physics_engines must have one engine, with nothing but id, iterations and spatial_hash"
+        )
+    sizes, numbers = (_at_most_one(document, f"{ENGINES}/spatial_hash/@{name}") for name in ("cell_size", "cell_num"))
+    tags = [tag for tag in ENGINE_TYPES if document.find(f"{ENGINES}/self::{tag}")]
+    if not tags:
+        raise TemplateError(f"{why}: the engine must be one of {', '.join(ENGINE_TYPES)}; set physics_type in {TABLE}")
+    hashed = (sizes, numbers) if sizes is not None and numbers is not None else None
+    return argos_physics.Engine(tags[0], _at_most_one(document, f"{ENGINES}/@iterations"), hashed)
+
+
+def _box(document: Reader, center: Vector | None = None) -> argos_physics.Box:
+    """Return the space of an arena."""
+    x, y, z = center or _center(document)
+    sides = _vector(document, f"{ARENA}/@size")
+    return argos_physics.Box(
+        (x - sides[0] / 2, y - sides[1] / 2, z - sides[2] / 2), (x + sides[0] / 2, y + sides[1] / 2, z + sides[2] / 2)
+    )
+
+
 def _is_valid(base: Reader) -> bool:
     """Return False if the template's arena is missing or invalid, so that nothing can follow it."""
     try:
@@ -624,6 +738,10 @@ def _number(text: str, what: str) -> Fraction:
     if len(text) > 60 or not _NUMBER.fullmatch(text.strip()):
         raise TemplateError(f"{what}: {text!r} is not a number; use one such as 10 or 0.5")
     return Fraction(text.strip())
+
+
+def _float(number: float) -> str:
+    return repr(number).removesuffix(".0")
 
 
 def _joined(numbers: Iterable[Fraction]) -> str:

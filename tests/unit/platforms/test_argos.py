@@ -18,7 +18,8 @@ from lxml import etree
 
 from sierra.config import project_file
 from sierra.errors import ConfigError, QueryError, TemplateError
-from sierra.model import Change, Criterion, MonteCarlo
+from sierra.model import Change, Criterion, MonteCarlo, Set
+from sierra.platforms import argos_physics
 from sierra.platforms.argos import Argos, Size
 from sierra.query import grammar
 from sierra.templates.xml import XmlTemplate
@@ -1020,3 +1021,121 @@ def test_runs_execute_again_if_a_library_that_git_ignores_is_rebuilt(tmp_path: P
         return count
 
     assert [executed("one"), executed("one"), executed("two")] == [1, 0, 1]
+
+
+# Physics engines and devices
+
+DEVICES = (
+    instead(
+        '<actuators><differential_steering implementation="default"/></actuators>',
+        '<actuators><differential_steering implementation="default"/><leds implementation="default" medium="leds"/>'
+        '<range_and_bearing implementation="default"/></actuators>'
+        '<sensors><range_and_bearing implementation="medium" medium="rab"/><battery implementation="default"/></sensors>',
+    )
+    .replace('<media><led id="leds"/></media>', '<media><led id="leds"/><range_and_bearing id="rab"/></media>')
+    .replace(
+        '<controller config="__CONTROLLER__"/></foot-bot>',
+        '<controller config="__CONTROLLER__"/><battery model="time_motion"/></foot-bot>',
+    )
+)
+
+
+def followed(template: str = TEMPLATE, resize: str | None = None, **options: object) -> Made:
+    """Return the accepted input of an experiment in which another change may have resized the arena."""
+    driven, read = platform(**options), reader(template)
+    own = driven.changes(read)
+    before = changed(template, own)
+    every = (*own, *((Set("//arena/@size", resize),) if resize else ()))
+    after = changed(template, every)
+    every = (*every, *driven.follow(after, before))
+    driven.check(changed(template, every), read)
+    return make(every, template)
+
+
+def test_engines_share_the_arena() -> None:
+    made = followed(physics_engines=2, arena="10x4x2", physics_iterations=20)
+    engines = made.xpath("physics_engines/dynamics2d")
+    assert [engine.get("id") for engine in engines] == ["dynamics2d_0", "dynamics2d_1"]
+    assert [engine.get("iterations") for engine in engines] == ["20", "20"]
+    assert [engine.xpath("boundaries/sides/vertex/@point") for engine in engines] == [
+        ["-5,-2", "0,-2", "0,2", "-5,2"],
+        ["0,-2", "5,-2", "5,2", "0,2"],
+    ]
+    assert (
+        made.xpath("physics_engines/*/boundaries/top/@height | physics_engines/*/boundaries/bottom/@height") == ["2", "0"] * 2
+    )
+
+
+@pytest.mark.parametrize("origin", ["corner", "centre"])
+def test_engines_follow_the_arena_and_its_origin(origin: str) -> None:
+    made = followed(physics_engines=4, origin=origin, resize="20,8,2")
+    points = [numbers(point) for point in made.xpath("//vertex/@point")]
+    low, high = ((0, 0), (20, 8)) if origin == "corner" else ((-10, -4), (10, 4))
+    assert (min(x for x, _ in points), min(y for _, y in points)) == low
+    assert (max(x for x, _ in points), max(y for _, y in points)) == high
+    assert len(made.xpath("physics_engines/*")) == 4
+
+
+@given(count=st.integers(2, 24), x=st.fractions(1, 1000, max_denominator=1000), y=st.fractions(1, 1000, max_denominator=1000))
+def test_areas_of_engines_cover_the_arena_without_overlap(count: int, x: Fraction, y: Fraction) -> None:
+    zero = Fraction()
+    areas = argos_physics.corners(count, argos_physics.Box((zero, zero, zero), (x, y, Fraction(1))))
+    assert len(areas) == count
+    total = Fraction()
+    for area in areas:
+        points = [tuple(Fraction(part) for part in corner.split(",")) for corner in area]
+        twice = sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(points, [*points[1:], points[0]], strict=True))
+        assert twice > 0  # counter-clockwise
+        total += twice / 2
+    assert abs(total - x * y) <= (x + y + 1) / 10**6
+
+
+def test_the_type_and_the_spatial_hash_of_engines_are_set() -> None:
+    made = prepared(physics_type="dynamics3d", spatial_hash={"cell_size": 0.5, "cell_num": 200})
+    assert len(made.xpath("physics_engines/dynamics3d[@id='dyn2d']/spatial_hash[@cell_size='0.5'][@cell_num='200']")) == 1
+    both = followed(physics_engines=2, spatial_hash={"cell_size": 1.0, "cell_num": 200})
+    assert both.xpath("physics_engines/dynamics2d/spatial_hash/@cell_size") == ["1", "1"]
+
+
+@pytest.mark.parametrize(
+    "engine",
+    [
+        '<dynamics2d id="a"/><dynamics2d id="b"/>',
+        '<dynamics2d id="a" elevation="2"/>',
+        '<dynamics2d id="a"><friction box_linear_friction="1"/></dynamics2d>',
+        '<dynamics2d id="a"><boundaries><top height="1"/></boundaries></dynamics2d>',
+        "",
+    ],
+)
+def test_engines_with_other_properties_are_not_copied(engine: str) -> None:
+    with pytest.raises(TemplateError, match="must have one engine"):
+        followed(instead('<dynamics2d id="dyn2d"/>', engine), physics_engines=2)
+
+
+def test_engines_follow_growing_arenas_and_not_those_of_single_runs(tmp_path: Path) -> None:
+    config = CONFIG.replace('arena = "10x10"', 'arena = "10x10"\nphysics_engines = 2')
+    rows = seen(argos_project(tmp_path / "p", config), "population_constant_density.1p0.I10.C2")
+    assert [row["x"] for row in rows] == [10, 20]
+    higher = 'run_changes = [{ set = "//arena/@size", value = "10.05,10,2" }]\n'
+    told = refused(argos_project(tmp_path / "q", higher + config), "population_size=1")
+    assert "the engines do not share the arena, because a later change resized it" in told
+
+
+def test_unused_devices_and_their_media_are_removed() -> None:
+    without_light = DEVICES.replace(' intensity="3" medium="leds"', ' intensity="3"')
+    assert without_light != DEVICES
+    made = prepared(without_light, remove_devices=("range_and_bearing", "leds", "battery"))
+    for gone in ("//range_and_bearing", "//actuators/leds", "//battery", "media/led"):
+        assert made.xpath(gone) == []
+    assert len(made.xpath("//actuators/differential_steering")) == 1
+
+
+def test_a_medium_that_a_light_uses_too_stays() -> None:
+    made = prepared(DEVICES, remove_devices=("leds",))
+    assert len(made.xpath("media/led")) == 1
+    assert made.xpath("//actuators/leds") == []
+
+
+def test_an_unknown_device_is_refused() -> None:
+    with pytest.raises(TemplateError, match="no sensor, actuator or part of a robot 'gripper'"):
+        prepared(DEVICES, remove_devices=("gripper",))
