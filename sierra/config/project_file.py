@@ -394,6 +394,11 @@ class Output(Table):
     )
     unnest: str = Field("", description="list in each JSON object whose items become rows, such as `robots`")
     time: str = Field("", description="column that is the time axis; default: the row number")
+    ticks_per_second: Positive | Annotated[str, Field(min_length=1)] | None = Field(
+        None,
+        description="ticks per second, if the time column counts ticks: a number, or the XPath of one in the runs' inputs; "
+        "figures over time then show seconds; needs `time`",
+    )
     required: bool = Field(True, description="whether a run fails without this output")
     min_rows: int = Field(0, ge=0, description="minimum number of rows; a run with fewer rows fails")
     mismatch: Literal["strict", "ragged"] = Field(
@@ -429,6 +434,8 @@ class Output(Table):
             raise ValueError(f"file: {{{self.ticks[0]}}} and the characters * ? [ exclude each other: {self.file!r}")
         if len(set(map(str.lower, self.ticks))) < len(self.ticks):
             raise ValueError(f"file: a name in braces occurs twice: {self.file!r}")
+        if self.ticks_per_second is not None and not self.time:
+            raise ValueError('ticks_per_second needs time = "COLUMN"')
         if self.widths and self.delimiter:
             raise ValueError("widths and delimiter exclude each other")
         if self.decimal == "," == self.delimiter:

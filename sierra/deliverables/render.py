@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from sierra.config.group_names import resolve
 from sierra.config.project_file import Figure, LoadedProject
+from sierra.deliverables import seconds
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.model import Axis, Value
@@ -51,7 +52,7 @@ def figures(
     figure has that name, SierraError if that figure cannot be drawn.
     """
     with Frame(store, batch) as frame:
-        gallery = _Gallery(project, frame)
+        gallery = _Gallery(project, store, frame)
         wanted, notes = gallery.wanted(name)
         drawer = _Drawer(ProjectPaths(project.root).drawn(short(batch)), again=again)
         drawn: list[Path] = []
@@ -87,7 +88,7 @@ def statistics(
     """
     _check_reduction(measure, threshold, times)
     with Frame(store, batch) as frame:
-        gallery = _Gallery(project, frame)
+        gallery = _Gallery(project, store, frame)
         samples = gallery.column(Figure(table=output, column=(column,)))
         if measure is None:
             table, text, notes = samples.at_times(times or "own", stats.STATISTICS)
@@ -169,8 +170,9 @@ def fingerprint(drawing: Drawing) -> str:
 class _Gallery:
     """The data that the figures of one batch share."""
 
-    def __init__(self, project: LoadedProject, frame: Frame) -> None:
+    def __init__(self, project: LoadedProject, store: Store, frame: Frame) -> None:
         self._config = project.config
+        self._store = store
         self._frame = frame
         self._outputs = {output.name: output for output in frame.outputs()}
         self._shown: dict[str, Mapping[Value, Value]] = {}
@@ -240,18 +242,25 @@ class _Gallery:
             figure, self._axes, frames, planned=self.planned, known=self._coverage(output), whole=output.whole
         )
         declared = self._config.outputs.get(output.name)
+        units = dict(declared.units) if declared else {}
+        tables, note = computed.tables, computed.note
+        if declared and declared.ticks_per_second is not None and all("t" in table.column_names for table in tables.values()):
+            per_second = seconds.rates(declared.ticks_per_second, self._config, self._store, self._frame)
+            tables = {column: seconds.in_seconds(table, per_second) for column, table in tables.items()}
+            note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
+            units[time] = "s"
         return Drawing(
             name=name,
             figure=figure if figure.columns == columns else figure.model_copy(update={"columns": columns}),
             axes=self._axes,
             cells=self._cells,
-            tables=computed.tables,
+            tables=tables,
             runs=computed.runs,
-            note=computed.note,
+            note=note,
             sql=computed.sql,
             batch=self._frame.batch,
             time=time or "row",
-            units=dict(declared.units) if declared else {},
+            units=units,
         )
 
     def time(self, output: OutputTable) -> str:

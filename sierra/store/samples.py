@@ -132,6 +132,15 @@ class Frame:
         )
         return {row[0]: (row[1], row[2]) for row in rows}
 
+    def first_and_last_inputs(self) -> tuple[tuple[int, str], ...]:
+        """Return pairs of the position of an experiment and the SHA-256 of an input: those of its first and of its last run."""
+        rows = self._snapshot.run(
+            "SELECT ordinal, min_by(input, number), max_by(input, number) FROM batch_runs WHERE batch = $b GROUP BY ordinal "
+            "ORDER BY ordinal",
+            {"b": self.batch},
+        )
+        return tuple((ordinal, digest) for ordinal, *digests in rows for digest in dict.fromkeys(digests))
+
     def outputs(self) -> tuple[OutputTable, ...]:
         """Return the tables that the batch's runs wrote."""
         found = []

@@ -101,6 +101,12 @@ def read(path: Path, tables: Tables | None = None, format: str | None = None) ->
         data = path.read_bytes()
     except (OSError, ValueError) as error:
         raise Missing(f"{name}: {getattr(error, 'strerror', None) or error}; cannot read the template") from error
+    return of_bytes(path, data, tables, format)
+
+
+def of_bytes(path: Path, data: bytes, tables: Tables | None = None, format: str | None = None) -> Template:
+    """Return the template with this content, as if it were in a file; the file need not exist. Raises like `read`."""
+    name = one_line(str(path))
     template: Template = TEMPLATES.make(format or _format(path, data, name), tables or {}, data, name)
     return template
 
