@@ -21,6 +21,7 @@ from sierra.config.group_names import GROUP_NAME
 from sierra.errors import ConfigError, Missing, QueryError, SierraError, UsageError
 from sierra.model import Add, Change, Remove, Rename, Set
 from sierra.platforms.argos import ARENA, EXPERIMENT, PLACEHOLDER
+from sierra.platforms.base import Following
 from sierra.query import grammar
 from sierra.setup.init import folder
 from sierra.setup.sierra1 import graphs as figures
@@ -44,7 +45,15 @@ NOT_READ = {
     "stage5.yaml": "compare controllers or scenarios by a query: controller=ONE,TWO",
     "perf.yaml": "performance measures are not computed; use SQL",
 }
+PHYSICS = {
+    "physics-n-engines": ("physics_engines", "[1-9][0-9]{0,2}"),
+    "physics-iter-per-tick": ("physics_iterations", "[1-9][0-9]{0,5}"),
+    "physics-engine-type2D": ("physics_type", "[a-z][a-z0-9_]{0,40}"),
+}
+"""Options of the old program for physics engines, each with the key here and the form of its value."""
+DEVICES = {"with-robot-rab": "range_and_bearing", "with-robot-leds": "leds", "with-robot-battery": "battery"}
 OPTIONS = {
+    *PHYSICS, *DEVICES,
     "controller", "scenario", "batch-criteria", "bc", "n-runs", "exp-setup", "expdef-template", "template-input-file",
     "engine", "platform", "project", "pipeline", "sierra-root", "exp-overwrite", "log-level", "exec-resume", "version",
 }  # fmt: skip
@@ -72,7 +81,7 @@ class Converted:
 class Draft:
     """The new project while it is made."""
 
-    platform: dict[str, str | int] = field(default_factory=dict)
+    platform: dict[str, str | int | list[str]] = field(default_factory=dict)
     groups: dict[str, tuple[Change, ...]] = field(default_factory=dict)
     """Categories and controllers."""
     scenarios: dict[str, tuple[Change, ...]] = field(default_factory=dict)
@@ -91,8 +100,9 @@ def convert(root: Path, target: Path, template: str | None = None) -> Converted:
     content = templates.read(copied or target / path)
     draft = Draft()
     _setup(draft, old, content)
-    base = project_file.parse({"template": path, "platform": "argos", "platforms": {"argos": draft.platform}}, str(root))
-    common = platforms.find("argos", base).changes(content)
+    _physics(draft, old)
+    _devices(draft, old, content)
+    common = _accepted(draft, content)
     _controllers(draft, old, content, common)
     _scenarios(draft, old)
     _variables(draft, old, content, common)
@@ -174,6 +184,51 @@ def _setup(draft: Draft, old: OldProject, template: Template) -> None:
         draft.platform["ticks_per_second"] = int((match[2] if match else None) or TICKS)
         if not match:
             draft.left_out.append(f"exp_setup: no script names it; the old default T{LENGTH}.K{TICKS} is used")
+
+
+def _physics(draft: Draft, old: OldProject) -> None:
+    """Set the options of physics engines that scripts give."""
+    for option, (key, pattern) in PHYSICS.items():
+        values = list(dict.fromkeys(value for call in old.calls for value in call.options.get(option, ())))
+        draft.left_out += [f"--{option} {other}: the first one, {values[0]}, is used" for other in values[1:]]
+        if not values or (option == "physics-n-engines" and values[0] == "1"):
+            continue
+        if not re.fullmatch(pattern, values[0]):
+            draft.left_out.append(f"--{option} {values[0]}: unknown form; set {key} in [platforms.argos]")
+        else:
+            draft.platform[key] = int(values[0]) if values[0].isdecimal() else values[0]
+
+
+def _devices(draft: Draft, old: OldProject, template: Template) -> None:
+    """Remove the devices that SIERRA 1.x removes because no script asks for them."""
+    absent = [device for option, device in DEVICES.items() if not any(option in call.options for call in old.calls)]
+    found = [device for device in absent if template.find(f"//actuators/{device} | //sensors/{device} | {ARENA}//{device}")]
+    if found:
+        draft.platform["remove_devices"] = found
+        draft.left_out.append(f"devices: {', '.join(found)}: removed as before, because no script has --with-robot-…")
+
+
+def _accepted(draft: Draft, template: Template) -> tuple[Change, ...]:
+    """Keep the options that the platform accepts for this template, and return its changes with them."""
+    wanted, draft.platform = draft.platform, {}
+    changes = _with_options({}, template)
+    for key, value in wanted.items():
+        try:
+            changes = _with_options({**draft.platform, key: value}, template)
+            draft.platform[key] = value
+        except SierraError as error:
+            draft.left_out.append(f"platforms.argos: {key} = {_quoted(value)}: {error}")
+    return changes
+
+
+def _with_options(options: Mapping[str, object], template: Template) -> tuple[Change, ...]:
+    table = {"template": "t.argos", "platform": "argos", "platforms": {"argos": dict(options)}}
+    platform = platforms.find("argos", project_file.parse(table, "the converted project"))
+    changes = platform.changes(template)
+    document = Trial(template, {"controller": "c"}, list(changes)).document()
+    if isinstance(platform, Following):
+        platform.follow(document, document)
+    return changes
 
 
 def _controllers(draft: Draft, old: OldProject, template: Template, common: tuple[Change, ...]) -> None:
@@ -439,8 +494,10 @@ def _change(owner: str, change: Change) -> Iterator[str]:
             yield f"to = {_quoted(to)}"
 
 
-def _quoted(value: str | int | bool) -> str:
+def _quoted(value: str | int | bool | list[str]) -> str:
     """Return a value as TOML writes it."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_quoted, value))}]"
     if isinstance(value, str):
         return dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return str(value).lower()

@@ -22,7 +22,7 @@ TEMPLATE = """<?xml version="1.0"?>
   <framework><system threads="0"/><experiment length="0" ticks_per_second="10" random_seed="1"/></framework>
   <controllers>
     <__CONTROLLER__ id="__CONTROLLER__" library="x">
-      <actuators/><sensors/>
+      <actuators/><sensors><battery implementation="default"/></sensors>
       <params><wheel speed="10"/><nest x="1"/><nest x="2"/></params>
     </__CONTROLLER__>
   </controllers>
@@ -102,7 +102,7 @@ chgs = [AttrChangeSet(AttrChange(".//wheel", "speed", str(s))) for s in speeds]
 """
 SCRIPT = """#!/bin/sh
 sierra-cli --project=projects.old --expdef-template=exp/template.argos \\
-   --batch-criteria population_size.Log4 --n-runs=2 --physics-n-engines=4 \\
+   --batch-criteria population_size.Log4 --n-runs=2 --physics-n-engines=4 --n-robots=9 \\
    --exp-setup=exp_setup.T60.K5 --controller=depth0.CRW --scenario=LowBlockCount.20x10x2 > log.txt
 sierra-cli --project=projects.old --batch-criteria max_speed.1.9.C5 --controller=depth0.XYZ
 """
@@ -198,7 +198,13 @@ def test_elements_are_added_with_their_attributes(new: Path) -> None:
 def test_scenarios_criteria_and_the_set_up_are_carried_over(new: Path) -> None:
     config = loaded(new)
     assert list(config.scenarios) == ["LowBlockCount.{x}x{y}x{z}", "HighBlockCount.{x}x{y}x{z}"]
-    assert config.platforms["argos"] == {"origin": "corner", "length": 60, "ticks_per_second": 5}
+    assert config.platforms["argos"] == {
+        "origin": "corner",
+        "length": 60,
+        "ticks_per_second": 5,
+        "physics_engines": 4,
+        "remove_devices": ("battery",),
+    }
     assert [change.set for change in config.variables["max_speed"].changes] == ["//wheel"]
     (query,) = config.queries.values()
     assert (query.criteria, query.runs) == (("population_size.Log4",), 2)
@@ -253,7 +259,7 @@ def test_what_is_not_carried_over_is_listed_in_the_terminal_and_in_the_file(tmp_
         "models.yaml: models are Python",
         "scenario LowBlockCount: it sets the arena; what else",
         "variables/other.py",
-        "run.sh: --physics-n-engines",
+        "run.sh: --n-robots: is not carried over",
         "run.sh: --controller depth0.XYZ: controllers.yaml has no such controller",
     ):
         assert len([line for line in left_out if expected in line]) == 1, (expected, left_out)
@@ -319,6 +325,19 @@ def test_graphs_of_older_versions_are_read(tmp_path: Path) -> None:
     assert projects.quick(tmp_path / "new", "init", "--from-sierra1", str(old)).returncode == 0
     kinds = {name: figure.kind for name, figure in loaded(tmp_path / "new").figures.items()}
     assert kinds == {"collected_data_energy_summary": "summary", "collected_data_walking": "timeseries"}
+
+
+def test_options_that_do_not_fit_the_template_are_listed(tmp_path: Path) -> None:
+    old = old_project(tmp_path / "old")
+    bounded = '<dynamics2d id="a"><boundaries><top height="1"/></boundaries></dynamics2d>'
+    (old / "exp/template.argos").write_text(TEMPLATE.replace('<dynamics2d id="dyn2d"/>', bounded))
+    (tmp_path / "new").mkdir()
+    done = projects.quick(tmp_path / "new", "init", "--from-sierra1", str(old), "--json")
+    assert done.returncode == 0, done.stderr
+    left_out = json.loads(done.stdout)["left_out"]
+    assert [line for line in left_out if line.startswith('platforms.argos: origin = "corner": ')]
+    assert [line for line in left_out if line.startswith("platforms.argos: physics_engines = 4: ")]
+    assert set(loaded(tmp_path / "new").platforms["argos"]) == {"length", "ticks_per_second", "remove_devices"}
 
 
 def test_an_existing_project_is_never_overwritten(new: Path, tmp_path: Path) -> None:
