@@ -67,7 +67,7 @@ from sierra.model import (
     Times,
     Value,
 )
-from sierra.platforms.base import Platform
+from sierra.platforms.base import Following, Platform
 from sierra.platforms.base import Reader as TemplateView
 from sierra.query.ranges import values
 from sierra.runners.base import Look, Runner, Work
@@ -96,6 +96,7 @@ __all__ = [
     "Document",
     "Engine",
     "Files",
+    "Following",
     "Full",
     "Image",
     "Job",

@@ -886,7 +886,6 @@ class Project(Table):
         texts = (text or "" for table in tables for text in (table.value, table.xml, table.json_, table.to))
         return any(re.search(rf"\{{[^}}]*\b{name}\b", text) for text in texts)
 
-
     @model_validator(mode="after")
     def _readable_names(self) -> Project:
         taken = {*self.variables, *self.per_run}

@@ -21,7 +21,7 @@ from types import UnionType
 from sierra.config.project_file import Project, options
 from sierra.errors import SierraError
 from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Remove, Rename, Set
-from sierra.platforms.base import Platform, Reader
+from sierra.platforms.base import Following, Platform, Reader
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 
 COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python", "arguments"))
@@ -47,6 +47,7 @@ def check(make: Make, project: Project, template: Reader, examples: Mapping[str,
     checks_in_one_line(made(make, project), template)
     changes_are_well_formed(made(make, project), template)
     seed_changes_are_well_formed(made(make, project))
+    what_follows_is_well_formed(made(make, project), template)
     says_none_for_unknown_criteria(made(make, project), template)
     describes_its_criteria(made(make, project), examples)
     for criterion in examples.values():
@@ -99,6 +100,19 @@ def seed_changes_are_well_formed(platform: Platform) -> None:
         holds(isinstance(change, Set), f"{change} is not a Set; a seed is a value of its run")
     used = any("{seed}" in change.value for change in changes if isinstance(change, Set))
     holds(used or not changes, "no seed change contains {seed}")
+
+
+def what_follows_is_well_formed(platform: Platform, template: Reader) -> None:
+    """Check that the changes that follow from others are changes and repeat, if the platform has such changes."""
+    if not isinstance(platform, Following):
+        return
+    try:
+        first, again = platform.follow(template, template), platform.follow(template, template)
+    except SierraError as error:  # the template may be valid only after the changes
+        is_one_line(str(error))
+        return
+    _are_changes(first)
+    holds(first == again, "follow() differs when it is called again")
 
 
 def says_none_for_unknown_criteria(platform: Platform, template: Reader) -> None:

@@ -33,6 +33,7 @@ TEMPLATE = XmlTemplate(
       <entity quantity="1" max_trials="100"><foot-bot id="fb"><controller config="__CONTROLLER__"/></foot-bot></entity>
     </distribute>
   </arena>
+  <physics_engines><dynamics2d id="dyn2d"/></physics_engines>
   <visualization/>
 </argos-configuration>""",
     "t.argos",
@@ -49,7 +50,15 @@ EXAMPLES = {
         ),
     )
 }
-OPTIONS = {"length": 30, "ticks_per_second": 5, "threads": 2, "arena": "12x10x2", "label": "foraging"}
+OPTIONS = {
+    "length": 30,
+    "ticks_per_second": 5,
+    "threads": 2,
+    "arena": "12x10x2",
+    "origin": "corner",
+    "label": "foraging",
+    "physics_iterations": 20,
+}
 
 
 def argos(options: Mapping[str, object] | None = None) -> project_file.Project:
@@ -178,6 +187,18 @@ def test_an_invalid_answer_is_detected(method: str, answer: object, complaint: s
     broken = type("Broken", (Sound,), {method: lambda self, *args: answer})
     with pytest.raises(AssertionError, match=complaint):
         check(broken)
+
+
+def test_what_follows_may_be_missing_but_not_wrong() -> None:
+    counted = itertools.count()
+    check(type("Follows", (Sound,), {"follow": lambda self, *args: (CHANGE,)}))
+    for follow, complaint in (
+        (lambda self, *args: [CHANGE], "not <class 'tuple'>"),
+        (lambda self, *args: (Set("/a/@b", "1"),), "has no `why`"),
+        (lambda self, *args: (Set("/a/@b", str(next(counted)), why="x"),), "differs when it is called again"),
+    ):
+        with pytest.raises(AssertionError, match=complaint):
+            check(type("Broken", (Sound,), {"follow": follow}))
 
 
 @pytest.mark.parametrize(
