@@ -150,7 +150,7 @@ def _check(text: str, root: Path) -> None:
 def _template(old: OldProject, target: Path, given: str | None) -> tuple[str, Path | None]:
     """Return the template's path in the new project, and its old file if it must be copied there."""
     named = (call.first("expdef-template", "template-input-file", "template-file") for call in old.calls)
-    found = [old.root / name for name in named if name and name.endswith(".argos") and (old.root / name).is_file()]
+    found = [file for name in named if name and name.endswith(".argos") and _is_inside(file := old.root / name, old.root)]
     candidates = [Path(given)] if given else list(dict.fromkeys([*found, *old.templates]))
     if given and not candidates[0].is_file():
         raise Missing(f"{given}: no such file; give the template with --template FILE")
@@ -168,6 +168,11 @@ def _template(old: OldProject, target: Path, given: str | None) -> tuple[str, Pa
     if os.path.lexists(target / file.name):
         raise UsageError(f"{target / file.name} exists already and is never overwritten; remove it, or use another folder")
     return file.name, file
+
+
+def _is_inside(file: Path, root: Path) -> bool:
+    """Return True for a file of the old project; what a script names elsewhere is not copied unless the user names it."""
+    return file.is_file() and file.resolve().is_relative_to(root.resolve())
 
 
 def _setup(draft: Draft, old: OldProject, template: Template) -> None:

@@ -454,6 +454,22 @@ def test_links_out_of_the_old_project_are_not_followed(tmp_path: Path) -> None:
     assert "SECRET" not in done.stdout + done.stderr
 
 
+@pytest.mark.parametrize("name", ["../secret.argos", "{folder}/secret.argos", "exp/link.argos"])
+def test_a_template_outside_the_old_project_is_not_copied_unless_the_user_names_it(tmp_path: Path, name: str) -> None:
+    old = old_project(tmp_path / "old")
+    (tmp_path / "secret.argos").write_text(TEMPLATE.replace('label="none"', 'label="SECRET"'))
+    (old / "exp/link.argos").symlink_to(tmp_path / "secret.argos")
+    (old / "scripts/run.sh").write_text(f"sierra-cli --expdef-template={name.format(folder=tmp_path)}\n")
+    (tmp_path / "new").mkdir()
+    done = projects.quick(tmp_path / "new", "init", "--from-sierra1", str(old))
+    assert done.returncode == 0, done.stderr
+    assert "SECRET" not in (tmp_path / "new" / "template.argos").read_text()
+    (tmp_path / "other").mkdir()
+    done = projects.quick(tmp_path / "other", "init", "--from-sierra1", str(old), "--template", str(tmp_path / "secret.argos"))
+    assert done.returncode == 0, done.stderr
+    assert "SECRET" in (tmp_path / "other" / "secret.argos").read_text()
+
+
 def test_other_options_of_init_are_refused(tmp_path: Path) -> None:
     done = projects.quick(tmp_path, "init", "--from-sierra1", ".", "--command", "x")
     assert done.returncode == 2
