@@ -54,7 +54,9 @@ def note(time: str, per_second: Mapping[int, float]) -> str:
 
 
 def _read(path: str, project: Project, content: bytes) -> float:
-    template = of_bytes(Path(project.template), content, project.templates, project.template_format)
+    if project.template is None:
+        raise UsageError("ticks_per_second: an XPath needs a project with one template; use a number")
+    template = of_bytes(Path(project.template), content, project.template_formats, project.template_format)
     texts = template.find(path)
     try:
         (text,) = texts

@@ -73,6 +73,16 @@ def test_runs_that_differ_are_reported(tmp_path: Path) -> None:
     assert "runs of an experiment have 1 and 2" in done.stderr
 
 
+def test_a_path_needs_one_template(tmp_path: Path) -> None:
+    several = CONFIG.replace('template = "arena.xml"', 'templates = { arena = "arena.xml" }').replace('= "//', '= "arena://')
+    several = several.replace("{input}", "{input.arena}")
+    folder = projects.make(tmp_path / "p", several + 'ticks_per_second = "//arena/@rate"\n', template=TEMPLATE)
+    summary, _ = projects.run(folder, "population_size=1")
+    done = projects.quick(folder, "figures", summary["batch"], "swarm_coverage_timeseries")
+    assert done.returncode == 2
+    assert "an XPath needs a project with one template; use a number" in done.stderr
+
+
 @pytest.mark.parametrize(
     "table", [{"ticks_per_second": 10}, {"time": "t", "ticks_per_second": 0}, {"time": "t", "ticks_per_second": ""}]
 )
