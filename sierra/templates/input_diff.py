@@ -23,7 +23,7 @@ from typing import Literal, TypeAlias
 from lxml import etree
 
 from sierra.errors import TemplateError
-from sierra.templates.xml import DEFAULT, Element, declarations, parse
+from sierra.templates.xml_view import DEFAULT, Element, declarations, parse
 from sierra.util.textdiff import patch
 
 Shape: TypeAlias = tuple[str, frozenset[tuple[str, str]], str, tuple[int, ...]]
