@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sierra.errors import TemplateError
-from sierra.model import Add, Change, Remove, Rename, Set
+from sierra.model import Add, Remove, Rename, Set
 from sierra.testing import templates as conformance
 from tests.trees import make, only_line, rendered
 
@@ -64,53 +64,6 @@ def test_changes_keep_the_layout() -> None:
         "[swarm]", "[s]"
     )
     assert rendered(make("properties", PROPERTIES), Add("/", '{"k": 1}')) == PROPERTIES + "k : 1\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "change", "message"),
-    [
-        ("[s]\na = 1 ; c\n", Set("//a", "2"), "may contain a comment"),
-        ("[s]\na = 1\n  2\n", Set("//a", "2"), "continues on the next line"),
-        ("[s]\na = \"b\" 'c'\n", Set("//a", "2"), "may contain a comment or a part in quotes"),
-        ('[s]\na = "b\\"c"\n', Set("//a", "2"), "has quotes or escapes within quotes"),
-        ("[s]\na:b = 1\n", Set("//a", "2"), "has : and ="),
-        ("[s]\na = 1\n", Set("//a", "1 # 2"), "cannot become '1 # 2'; programs would read it in different ways"),
-        ("[s]\na = 1\n", Set("//a", "x\ny"), "cannot become 'x\\ny'"),
-        ("[s]\na = 1\n", Set("//a", " x"), "cannot become ' x'"),
-        ("[s]\na = 1\n", Set("/s", "x"), "is a mapping; set works on single values"),
-        ("[s]\na = 1\n", Add("/", '{"b": 1}'), "has sections; add keys to one of them"),
-        ("[s]\na = 1\n", Add("/s", '{"b": [1]}'), "cannot contain a list; INI has texts only"),
-        ("[s]\na = 1\n", Rename("//a", "b=c"), "cannot get the key 'b=c'"),
-    ],
-)
-def test_what_programs_would_read_in_different_ways_is_refused(text: str, change: Change, message: str) -> None:
-    with pytest.raises(TemplateError) as refused:
-        make("ini", text).changed((change,), {})
-    assert message in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("format", "text", "message"),
-    [
-        (
-            "ini",
-            "a = 1\n",
-            "t:1:1: not INI: a key before the first section; set template_format to properties if there are none",
-        ),
-        ("ini", "[s]\na = 1\na = 2\n", "t:3:1: not INI: the key 'a' occurs twice"),
-        ("ini", "[s]\n[t]\n[s]\n", "t:3:1: not INI: the section [s] occurs twice"),
-        ("ini", "[s]\nwords\n", "t:2:1: not INI: neither a key with a value nor a section"),
-        ("ini", "[s\n", "t:1:1: not INI: neither a key with a value nor a section"),
-        ("ini", "", "t:1:1: not INI: there are no keys"),
-        ("properties", "[s]\n", "t:1:1: not properties: properties have no sections; set template_format to ini"),
-        ("properties", "a b\n", "t:1:1: not properties: neither a key with a value nor a section"),
-    ],
-)
-def test_an_invalid_file_is_refused_with_its_place(format: str, text: str, message: str) -> None:
-    with pytest.raises(TemplateError) as refused:
-        make(format, text, "t")
-    assert str(refused.value) == message
 
 
 def test_values_of_properties_with_escapes_are_not_set() -> None:

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 from lxml import etree
 
 from sierra.errors import TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set
 from sierra.templates.xml import XmlTemplate
+from tests.properties import given_in_tiers
 
 ENCODINGS = ["utf-8", "utf-8-sig", "utf-16", "iso-8859-1", "us-ascii", "windows-1252", "euc-jp"]
 CHARACTERS = st.sampled_from("ab1 .<>&\"'\n\t\ré€𝄞]}-") | st.characters(
@@ -135,7 +135,7 @@ def canonical(root: etree._Element, *, blanks: bool = True) -> bytes:
     return etree.tostring(root, method="c14n2", strip_text=not blanks)
 
 
-@given(documents(), VALUES)
+@given_in_tiers(documents(), VALUES)
 def test_a_set_value_is_read_back_and_all_other_bytes_stay(document: Document, value: str) -> None:
     template = XmlTemplate(document.all, "template")
     assert template.changed((), {}).render() == document.all
@@ -190,7 +190,7 @@ def lxml_set(root: etree._Element, change: Set) -> None:
             setattr(node, kind, change.value)
 
 
-@given(documents(), st.lists(CHANGES | NEW, max_size=4))
+@given_in_tiers(documents(), st.lists(CHANGES | NEW, max_size=4))
 def test_set_values_give_the_document_that_lxml_alone_makes(document: Document, changes: list[Set]) -> None:
     template, root = XmlTemplate(document.all, "template"), tree(document.all)
     fitting = []
@@ -226,7 +226,7 @@ def fitting(template: XmlTemplate, changes: list[Change]) -> list[Change]:
     return found
 
 
-@given(documents(), st.lists(st.one_of(CHANGES, NEW, *STRUCTURAL), max_size=4))
+@given_in_tiers(documents(), st.lists(st.one_of(CHANGES, NEW, *STRUCTURAL), max_size=4))
 def test_changes_together_give_the_bytes_of_changes_one_by_one(document: Document, changes: list[Change]) -> None:
     template = XmlTemplate(document.all, "template")
     made = fitting(template, changes)
@@ -257,7 +257,7 @@ def add(root: etree._Element) -> None:
         etree.SubElement(node, "n").set("{urn:q}z", "1")
 
 
-@given(documents())
+@given_in_tiers(documents())
 @pytest.mark.parametrize(
     ("change", "theirs"),
     [
@@ -277,7 +277,7 @@ def test_changes_of_structure_give_the_document_that_lxml_alone_makes(
     assert canonical(made, blanks=False) == canonical(root, blanks=False)
 
 
-@given(documents(), st.data())
+@given_in_tiers(documents(), st.data())
 def test_a_removed_element_leaves_all_bytes_that_are_not_beside_it(document: Document, data: st.DataObject) -> None:
     encoded = "<zz é='1'>&#65;<c/></zz>".replace("é", "e").encode(document.codec)
     with_more = document.before + document.value + document.after
