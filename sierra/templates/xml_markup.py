@@ -10,6 +10,7 @@ import codecs
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from sierra.errors import TemplateError
 
@@ -159,9 +160,8 @@ def marks(text: str) -> list[Mark]:
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class Attribute:
-    """An attribute in a start tag."""
+class Attribute(NamedTuple):
+    """An attribute in a start tag; there may be very many."""
 
     start: int
     """The start of the white space before the name."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib.metadata
+import json
 import os
 import random
 import resource
@@ -190,6 +191,55 @@ def recording(folder: Path) -> None:
 
     say("1,000 CSVs read, checked, written / DuckDB", *in_turn(5, ours, duckdb_alone), "at most 2 of the faster")
     say("1,000 CSVs read, checked, written / pyarrow", *in_turn(3, ours, pyarrow_alone), "at most 2 of the faster")
+
+
+LARGE = 16_500
+"""Number of lights in a template of about 1 MB."""
+
+
+def inputs(folder: Path) -> None:
+    """Measure the inputs of 400 experiments of 10 runs, made from a template of 1 MB, in CPU time and memory."""
+    lights = range(LARGE)
+    xml = "".join(f'  <light id="l{n}" x="{n}.5" y="0.25"><power>{n}</power></light>\n' for n in lights)
+    data = [{"id": f"l{n}", "x": n + 0.5, "y": 0.25, "power": n} for n in lights]
+    flow = "".join(f"  - {{id: l{n}, x: {n}.5, y: 0.25, power: {n}}}\n" for n in lights)
+    templates = {
+        "xml": f'<world>\n  <seed>1</seed>\n  <robots count="4"/>\n{xml}</world>\n',
+        "json": json.dumps({"seed": 1, "robots": {"count": 4}, "lights": data}),
+        "yaml": f"seed: 1\nrobots: {{count: 4}}\nlights:\n{flow}",
+    }
+    for format, text in templates.items():
+        (folder / format).write_text(text)
+        made = subprocess.run(
+            (sys.executable, "-c", INPUTS, format, folder / format), stdout=subprocess.PIPE, text=True, check=True
+        )
+        ours, theirs, before, after = map(float, made.stdout.split())
+        say(f"4,000 inputs of 1 MB of {format} / their SHA-256, CPU", ours, theirs, "at most 2.5")
+        print(f"{'memory before and after the inputs':58} {before:8.0f} MB {after:8.0f} MB  (the same)")
+
+
+INPUTS = """
+import hashlib, resource, sys, time
+from pathlib import Path
+from sierra.model import Set
+from sierra.templates.base import read
+format, path = sys.argv[1], Path(sys.argv[2])
+def memory():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+ours, theirs = -time.process_time(), 0.0
+template = read(path, format=format)
+count, seed = ("/world/robots/@count", "/world/seed") if format == "xml" else ("/robots/count", "/seed")
+for experiment in range(400):
+    render = template.changed([Set(count, str(10 + experiment))], {}).per_run([Set(seed, "{seed}")])
+    for run in range(10):
+        content = render({"seed": 10 * experiment + run})
+        began = time.process_time()
+        hashlib.sha256(content).digest()
+        theirs += time.process_time() - began
+    if experiment == 1:
+        before = memory()
+print(ours + time.process_time() - theirs, theirs, before, memory())
+"""
 
 
 def start(folder: Path) -> None:
@@ -472,6 +522,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "commands": commands,
     "observation": observation,
     "linear": linear,
+    "inputs": inputs,
     "recording": recording,
     "listing": listing,
     "snapshot": snapshot,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from sierra.model import Add, Remove, Rename
 from tests import projects
 from tests.trees import JSON, make, rendered
@@ -42,6 +44,7 @@ changes = [{ add = "/robots", json = '{"name": "r3"}' }]
 """
 
 
+@pytest.mark.integration
 def test_a_project_with_a_json_template_runs(tmp_path: Path) -> None:
     folder = projects.make(tmp_path / "p", CONFIG, simulator=SIMULATOR)
     (folder / "world.json").write_text('{\n  "seed": 0,\n  "swarm": {"count": 1, "speed": 0.5},\n  "robots": []\n}\n')

@@ -103,6 +103,7 @@ with open("swarm.csv", "w") as file:
 """
 
 
+@pytest.mark.integration
 def test_a_project_with_a_text_template_runs(tmp_path: Path) -> None:
     folder = projects.make(tmp_path / "p", CONFIG, simulator=SIMULATOR)
     (folder / "world.wbt").write_text("count {{count}} speed {{speed}} seed {{seed}}\n")
