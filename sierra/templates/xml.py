@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import groupby
 from typing import AnyStr, ClassVar
 
@@ -74,6 +75,7 @@ class XmlDocument:
     def __init__(self, scan: Scan, edits: Edits) -> None:
         self._scan = scan
         self._edits = edits
+        self._last: _Made | None = None
 
     @property
     def view(self) -> View:
@@ -96,6 +98,26 @@ class XmlDocument:
 
     def changed(self, changes: Sequence[Change], filled: Callable[[str], str]) -> XmlDocument:
         """Return a copy with the changes made; `filled` converts each of their texts."""
+        structural = [number for number, change in enumerate(changes) if not isinstance(change, Set)]
+        first = structural[-1] + 1 if structural else 0
+        document = self._structured(changes[:first], filled) if first else self
+        return document._one_by_one(changes[first:], filled)
+
+    def _structured(self, changes: Sequence[Change], filled: Callable[[str], str]) -> XmlDocument:
+        """Return a copy with the changes made; experiments whose changes become the same share it."""
+        if self._last and self._last.holds(changes, filled):
+            return self._last.document
+        texts: dict[str, str] = {}
+
+        def recorded(text: str) -> str:
+            texts[text] = filled(text)
+            return texts[text]
+
+        document = self._one_by_one(changes, recorded)
+        self._last = _Made(tuple(changes), texts, document)
+        return document
+
+    def _one_by_one(self, changes: Sequence[Change], filled: Callable[[str], str]) -> XmlDocument:
         document = self
         for are_sets, group in groupby(changes, lambda change: isinstance(change, Set)):
             made = list(group)
@@ -198,6 +220,22 @@ class XmlDocument:
             raise self.view.error(change, "cannot be changed", f": {one_line(error)}") from error
         except ConfigError as error:
             raise ConfigError(f"{who(change)}{error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """A document that changes made, with their texts and what these became."""
+
+    changes: tuple[Change, ...]
+    texts: Mapping[str, str]
+    document: XmlDocument
+
+    def holds(self, changes: Sequence[Change], filled: Callable[[str], str]) -> bool:
+        """Return True if changes would make the same document."""
+        try:
+            return self.changes == tuple(changes) and all(filled(text) == made for text, made in self.texts.items())
+        except ConfigError:  # it is reported with its change when the changes are made
+            return False
 
 
 def _written(scan: Scan, was: Edit, text: str) -> Edit:

@@ -759,6 +759,16 @@ def test_several_changes_per_run_give_the_same_bytes_as_changes_one_by_one(value
     assert template(text).changed((), {}).per_run(sets)({}).decode() == changed(text, *sets)
 
 
+def test_changes_of_structure_that_are_made_again_see_their_own_values() -> None:
+    made = template(SUMO)
+    add, count = Add("/routes", '<p a="{v}"/>', why="a"), Set("//flow/@number", "{n}")
+    for v, n in ((1, 1), (1, 2), (2, 2), (1, 2)):
+        rendered = made.changed([add, count, Rename("//p", "q")], {"v": v, "n": n}).render()
+        assert rendered == changed(SUMO, add, count, Rename("//p", "q"), v=v, n=n).encode()
+    with pytest.raises(ConfigError, match=r"^a: unknown name 'v'"):
+        made.changed([add, count, Rename("//p", "q")], {"n": 2})
+
+
 # Paths whose evaluation would not end
 
 
