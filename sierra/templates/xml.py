@@ -155,7 +155,7 @@ class XmlDocument:
         return self._reread(made, changes[-1])
 
     def _reread(self, made: XmlCopy, last: Change) -> XmlDocument:
-        scan = Scan(made.render(), self._scan.source.name)
+        scan = Scan(made.render(), self._scan.source.name, check=False)
         if differ(scan.view.root, made.view.root):
             raise scan.view.error(last, "cannot be changed in its place", "; write it in the template in another style")
         return XmlDocument(scan, {})

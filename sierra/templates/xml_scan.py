@@ -66,14 +66,18 @@ class Shown:
 
 
 class Scan:
-    """A parsed document with its view and its marks."""
+    """A parsed document with its view and its marks.
 
-    def __init__(self, data: bytes, name: str) -> None:
+    A document that was made from a checked one is not checked at all places again (`check=False`): each set of places that is
+    used is verified later.
+    """
+
+    def __init__(self, data: bytes, name: str, *, check: bool = True) -> None:
         tree = parse(data, name)
         self.source = read_source(data, tree.docinfo.encoding, name)
         self.view = View(copy.deepcopy(tree.getroot()), self.source)  # a copy, so that paths select nothing around the root
         self.nodes = list(self.view.root.iter())
-        self.marks: dict[Element, Mark] = dict(self._checked(marks(self.source.text)))
+        self.marks: dict[Element, Mark] = dict(self._paired(marks(self.source.text), check))
         self._spots: dict[Place, Spot] = {}
         self._verified: set[frozenset[Place]] = set()
 
@@ -156,10 +160,10 @@ class Scan:
             raise Unspliced
         return f"{prefix}:{name.localname}"
 
-    def _checked(self, found: list[Mark]) -> Iterator[tuple[Element, Mark]]:
+    def _paired(self, found: list[Mark], check: bool) -> Iterator[tuple[Element, Mark]]:
         """Yield the nodes with their marks. Raises TemplateError if the values in the text are not those that lxml has read."""
         for node, mark in zip_longest(self.nodes, found):
-            if node is None or mark is None or not self._reads(node, mark):
+            if node is None or mark is None or (check and not self._reads(node, mark)):
                 raise unreadable(self.source.name, self.source.codec)
             yield node, mark
 

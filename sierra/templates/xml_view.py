@@ -65,7 +65,12 @@ def declarations(root: Element) -> dict[str, str]:
 
 
 def differ(one: Element, other: Element) -> bool:
-    """Return True if two elements differ in their content: names, attributes, texts, comments and the rest in their order."""
+    """Return True if two elements differ in their content: names, attributes, texts, comments and the rest in their order.
+
+    Elements that lxml writes in the same way are the same. Others may differ in the writing only.
+    """
+    if etree.tostring(one, with_tail=False) == etree.tostring(other, with_tail=False):
+        return False
     ours, theirs = list(one.iter()), list(other.iter())
     if len(ours) != len(theirs):
         return True
