@@ -43,7 +43,8 @@ class XmlCopy:
     def make(self, change: Change, filled: Callable[[str], str]) -> None:
         """Make a change. Raises TemplateError, ConfigError, and ValueError for an invalid name.
 
-        Raises Unspliced, and changes nothing, if the change concerns an element that was added since the document was read.
+        Raises Unspliced, and changes nothing, if the document must be read again before: if the change concerns an added
+        element, or names in an element that was changed.
         """
         view = self.view
         match change:
@@ -63,12 +64,16 @@ class XmlCopy:
             case Remove():
                 nodes = view.matches(change)
                 self._check_read(node.getparent() if is_text(node) else node for node in nodes)
+                if any(is_text(node) and node.getparent() in self._touched for node in nodes):
+                    raise Unspliced
                 for node in nodes:
                     self._remove(node, change)
             case Rename():
                 to = filled(change.to) if _ONE_NAME.fullmatch(change.to) else change.to
                 elements = view.elements(change)
                 self._check_read(elements)
+                if not self._touched.isdisjoint(elements):
+                    raise Unspliced
                 for element in elements:
                     element.tag = view.clark(to, element, change, etree.QName(element).namespace)
                     self._touched.add(element)

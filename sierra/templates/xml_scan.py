@@ -77,9 +77,19 @@ class Scan:
         self.source = read_source(data, tree.docinfo.encoding, name)
         self.view = View(copy.deepcopy(tree.getroot()), self.source)  # a copy, so that paths select nothing around the root
         self.nodes = list(self.view.root.iter())
+        if "<![CDATA[]]>" in self.source.text:
+            self._drop_empty_texts()
         self.marks: dict[Element, Mark] = dict(self._paired(marks(self.source.text), check))
         self._spots: dict[Place, Spot] = {}
         self._verified: set[frozenset[Place]] = set()
+
+    def _drop_empty_texts(self) -> None:
+        """Let paths select no text that is empty; lxml reads empty CDATA as one."""
+        for node in self.nodes:
+            if isinstance(node.tag, str) and node.text == "":
+                node.text = None
+            if node.tail == "":
+                node.tail = None
 
     @contextmanager
     def showing(self, edits: Edits) -> Iterator[Shown]:

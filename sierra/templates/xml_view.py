@@ -106,8 +106,9 @@ class Place:
         return found
 
     def write(self, text: str | None) -> None:
+        """Write a text; paths select no text that is empty."""
         if self.kind != "attribute":
-            setattr(self.element, self.kind, text)
+            setattr(self.element, self.kind, text or None)
         elif text is None:
             self.element.attrib.pop(self.name, None)
         else:

@@ -583,6 +583,13 @@ def test_a_text_with_cdata_sections_is_one_match() -> None:
     assert changed("<r>a<![CDATA[b]]>c</r>", Set("/r/text()", "x", expect=1)) == "<r>x</r>"
 
 
+def test_a_text_that_is_empty_is_no_match() -> None:
+    for text, changes in (("<r><a><![CDATA[]]></a></r>", []), ("<r><a>1</a></r>", [Set("//a", "")])):
+        message = refused(text, *changes, Set("//a/text()", "x"))
+        assert "matches nothing" in message
+        assert changed(text, *changes, Set("//a", "x")) == "<r><a>x</a></r>"
+
+
 # Paths without a match
 
 
