@@ -380,6 +380,8 @@ class Job:
     """The part of the runs' time that observations may take: the run is observed if this one fits. None: in any case."""
     beside: str | None = None
     """The folder with the files that lie beside the input files of all runs."""
+    folders: Mapping[str, str] | None = None
+    """The texts that take the place of marks in the input files; None if there are no marks."""
     helps: Helps | None = None
     """The tracer and hashes that this machine remembers, so that observing takes less time; None for another machine."""
 

@@ -44,7 +44,7 @@ from sierra.model import (
 )
 from sierra.platforms.base import Following, Platform, Reader
 from sierra.query import ranges
-from sierra.templates.base import Template
+from sierra.templates.base import FOLDERS, Template
 
 GROUPED = ("controller", "scenario")
 AT_MOST = 1_000_000
@@ -91,7 +91,7 @@ def design(
         *changes(project.changes, "sierra.toml: changes"),
         *(change for group in chosen.values() for change in group.changes),
     )
-    before = Changed(template, common, _values(chosen))
+    before = Changed(template, common, {**FOLDERS, **_values(chosen)})
     follow = Follower(platform, Changed(template, own, before.values))
     spans = _spans(query, project, platform, before, follow, report)
     placed = tuple(_cells(query, spans, before, follow))

@@ -30,7 +30,7 @@ from sierra.execution.build.products import matches
 from sierra.model import Client, Job, Limits, Run, RunSpec
 from sierra.platforms.base import Platform
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
-from sierra.templates.base import ARGUMENTS, Files
+from sierra.templates.base import ARGUMENTS, FOLDER, FOLDERS, Files
 from sierra.util.hashing import digest_plain
 from sierra.worker import worker
 
@@ -310,8 +310,24 @@ class CommandBuilder:
             self._bounds,
             client,
             shared=self._shared is not None,
+            folders=self._folders(files),
             beside=(_BESIDE if self._shared else str(self._beside)) if self._beside else None,
         )
+
+    def _folders(self, files: Files) -> Mapping[str, str] | None:
+        """Return the paths for the marks of folders in input files; None if there are no marks. Raises ConfigError."""
+        mark = FOLDER.encode()
+        if not any(mark in content for _, content in files):
+            if any(b"\0" in content and mark in content.replace(b"\0", b"") for _, content in files):
+                raise ConfigError("{project} and {output} can only be filled in in UTF-8; save the template as UTF-8")
+            return None
+        project = self._placed["project"]
+        if not worker.SAFE.fullmatch(project):
+            raise ConfigError(
+                f"{{project}} in an input would be {project!r}, which some formats would read in another way; "
+                "move the project to a folder with a plain name"
+            )
+        return {FOLDERS["project"]: project, FOLDERS["output"]: f"{self._here}/{RUN_OUTPUT}"}
 
     def _argv(self, files: Files, seed: str, given_values: Mapping[str, str]) -> tuple[str, ...]:
         """Return the command of a run. If it does not depend on the run, it is built once per input file name."""

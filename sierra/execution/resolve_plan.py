@@ -14,7 +14,7 @@ from sierra import platforms, templates
 from sierra.config import plugin_registry
 from sierra.config.project_file import LoadedProject, Output, Project, Success
 from sierra.containers import container_setup, engines, images
-from sierra.containers.engines.base import PROJECT, Engine
+from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
 from sierra.design import run_values
 from sierra.design.expand import Expansion
@@ -167,7 +167,9 @@ def plan(
     code = _code(project, own)
     held = source.paths(code.manifest)
     texts = [root / path for path in config.template_paths]
-    data = referenced_files.data(texts, _written(config), root, held, own)
+    _check_paths(config, query, root)
+    written = (text.replace(IN_PROJECT, "") for text in _written(config))
+    data = referenced_files.data(texts, written, root, held, own)
     if box:
         data = container_setup.data(data, box, root)
     beside = shared_files.find(config, root)
@@ -192,7 +194,7 @@ def plan(
     used = _used(spec, code, root, data, built)
     checkout = _committed(root, spec, code, used) if code.checkout else None
     executed = checkout.programs() if checkout else used
-    named = _set_by(designed) | _given_by(designed, command)
+    named = {text.replace(IN_PROJECT, "") for text in _set_by(designed)} | _given_by(designed, command)
     uncounted = referenced_files.named_by_values(named, texts, root, held, used)
     return Plan(
         project=project,
@@ -372,12 +374,11 @@ def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
 
 def _how_to_reach(plan: Plan, path: str) -> str:
     """Return a hint how a template can name a file of the project."""
-    if plan.image is not None:
-        return f"use its path in the container: {PROJECT}/{path}"
-    link = path.split("/")[0]
-    linked = f"""command = "sh -c 'ln -s {{project}}/{link} {{run}}/ && exec …'" to link it next to the input"""
-    absolute = "use its absolute path (all ids then depend on this machine)"
-    return absolute if link == os.pardir else f"use {linked}, or {absolute}"
+    if path.split("/")[0] == os.pardir:
+        absolute = "use its absolute path (all ids then depend on this machine)"
+        return f"it is outside of the project: {absolute}, and mount it into the container" if plan.image else absolute
+    named = path.rpartition("/")[0] or path
+    return f'set files = ["{named}"] in sierra.toml to lay it beside the input, or change the path to {IN_PROJECT}{path}'
 
 
 def versioned(plan: Plan) -> Plan:
@@ -487,6 +488,23 @@ def _given_by(designed: Design, command: Sequence[str]) -> set[str]:
             [filled] = commands.with_texts((word,), texts)
             found.update(part.removeprefix("{project}/") for part in re.split("[:;,=]", filled) if filled != word)
     return found
+
+
+IN_PROJECT = "{project}/"
+
+
+def _check_paths(config: Project, query: Query, root: Path) -> None:
+    """Raise ConfigError if a template or a change names a file of the project by its absolute path on this machine."""
+    inside = re.compile("(?:" + "|".join(re.escape(f"{one}/") for one in {root, root.resolve()}) + r")([^\s\"'<>,;]+)")
+    texts = [(path, referenced_files.text(root / path)) for path in config.template_paths]
+    texts += [("sierra.toml", text) for text in _written(config)]
+    texts += [(change.why, change.value) for change in query.sets]
+    for where, text in texts:
+        if found := inside.search(text):
+            raise ConfigError(
+                f"{where}: {found[0]} is a path of this machine, and ids must not depend on it; "
+                f'write value = "{IN_PROJECT}{found[1]}" in a change'
+            )
 
 
 def _named_values(query: Query, config: Project) -> list[str]:

@@ -100,7 +100,7 @@ def named_by_values(
 
 def relative_names(template: Path, texts: Iterable[str], root: Path) -> list[str]:
     """Return the relative paths by which a template, or a text inserted into it, names files of the project."""
-    words = list(_words("\n".join((_text(template), *texts))))
+    words = list(_words("\n".join((text(template), *texts))))
     folders = [folder for word in words if _is(Path.is_dir, folder := template.parent / word)]
     relative = [word for word in words if not word.startswith("/")]
     return [word for word in relative if any(_existing([word], (template.parent, root, *folders)))]
@@ -117,10 +117,10 @@ def existing(names: Iterable[str], root: Path) -> Programs:
 
 def _all_named(template: Path, texts: str, root: Path, without: Sequence[Path]) -> Iterator[Path]:
     """Yield all existing files that a template names, or files that it includes name, except those in `without`."""
-    pending, read = [(template, _text(template) + "\n" + texts)], {template}
+    pending, read = [(template, text(template).replace("{{project}}/", "") + "\n" + texts)], {template}
     while pending:
-        origin, text = pending.pop()
-        words = list(_words(text))
+        origin, content = pending.pop()
+        words = list(_words(content))
         folders = [folder for word in words if _is(Path.is_dir, folder := origin.parent / word)]
         for path in _existing(words, (root, origin.parent, *folders)):
             if any(path.is_relative_to(left) for left in without):
@@ -128,10 +128,10 @@ def _all_named(template: Path, texts: str, root: Path, without: Sequence[Path]) 
             yield path
             if path.suffix.lower() in SEARCHED and path not in read:
                 read.add(path)
-                pending.append((path, _text(path)))
+                pending.append((path, text(path)))
 
 
-def _text(path: Path) -> str:
+def text(path: Path) -> str:
     """Return the beginning of a file's text; its length is bounded, because the file may be hostile."""
     try:
         with path.open("rb") as file:

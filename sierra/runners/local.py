@@ -173,6 +173,8 @@ def record(job: Job) -> worker.Job:
         "files": {name: base64.b64encode(content).decode() for name, content in job.files},
         "limits": _limits(job.limits),
     }
+    if job.folders is not None:
+        record["folders"] = dict(job.folders)
     if job.beside is not None:
         record["beside"] = job.beside
     if client := job.client:

@@ -27,6 +27,13 @@ which are the same for all runs of a template. If no name is empty, the first fi
 """
 ARGUMENTS = "arguments.json"
 """The name of a file with arguments: a list of texts, as JSON. In a command, they take the place of the word `{arguments}`."""
+FOLDER = "sierraFolder7d1c0e4b"
+"""The beginning of the marks in FOLDERS. No template may contain it."""
+FOLDERS: Mapping[str, str] = {"project": FOLDER + "Project", "output": FOLDER + "Output"}
+"""The names that stand for a folder in values of changes, and the mark of each in generated files.
+
+The marks are part of the identity of a run. When it is executed, the paths of the folders take their place.
+"""
 Renderer = Callable[[Mapping[str, Value]], Rendered]
 """A function that makes one run's input from the values of that run; the result does not depend on earlier calls."""
 
@@ -107,6 +114,8 @@ def read(path: Path, tables: Tables | None = None, format: str | None = None) ->
 def of_bytes(path: Path, data: bytes, tables: Tables | None = None, format: str | None = None) -> Template:
     """Return the template with this content, as if it were in a file; the file need not exist. Raises like `read`."""
     name = one_line(str(path))
+    if FOLDER.encode() in data.replace(b"\0", b""):
+        raise TemplateError(f"{name}: contains {FOLDER}, which marks folders in inputs; use another text")
     template: Template = TEMPLATES.make(format or _format(path, data, name), tables or {}, data, name)
     return template
 

@@ -1,7 +1,8 @@
 """Text templates: any text with placeholders `{{name}}`, each of which gets a value.
 
 A path names a placeholder: `/name` (or `//name`, `name`). `set` is the only change. A value stands in the text as it is. Every
-placeholder must get a value in the input of a run. There are no conditions or loops.
+placeholder must get a value in the input of a run. `{{project}}` and `{{output}}` have one: the folder's path at execution.
+There are no conditions or loops.
 
 If the text has other double braces, other placeholders can be declared: `[template_formats.text] placeholder = "<<name>>"`.
 """
@@ -21,7 +22,7 @@ from sierra.config.project_file import Table
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Change, Set, Value
 from sierra.templates.arithmetic import fill, names
-from sierra.templates.base import Rendered
+from sierra.templates.base import FOLDERS, Rendered
 from sierra.templates.notation import decoded, failure
 from sierra.templates.same_number import same
 from sierra.util.hashing import sha256
@@ -66,7 +67,8 @@ class TextTemplate:
         begin, _, end = self._options.placeholder.partition("name")
         pieces, found = _split(text, name, begin, end)
         pieces[0] = mark.decode() + pieces[0]
-        self._document = TextDocument(_Text(name, tuple(pieces), tuple(found), (begin, end)), self, {})
+        folders = {name: FOLDERS[name] for name in FOLDERS if name in found}
+        self._document = TextDocument(_Text(name, tuple(pieces), tuple(found), (begin, end)), self, folders)
 
     def reread(self, rendered: Rendered, name: str) -> TextTemplate:
         if not isinstance(rendered, bytes):
@@ -88,7 +90,8 @@ class TextTemplate:
         return (self._document.value(match[1]),) if match[1] in self._document.text.unique else ()
 
     def attributes(self) -> tuple[tuple[str, str], ...]:
-        return tuple((f"/{name}", self._document.value(name)) for name in self._document.text.unique)
+        names = (name for name in self._document.text.unique if name not in FOLDERS)
+        return tuple((f"/{name}", self._document.value(name)) for name in names)
 
     def changed(self, changes: Sequence[Change], values: Mapping[str, Value]) -> TextDocument:
         return self._document.changed(changes, lambda text: fill(text, values))

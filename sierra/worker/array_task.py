@@ -103,6 +103,7 @@ if TYPE_CHECKING:
         argv: Sequence[str]
         environment: Dict[str, str]
         files: Dict[str, "Union[str, Between]"]
+        folders: Dict[str, str]
         limits: Limits
         client: Program
         shared: bool

@@ -121,6 +121,7 @@ SMALL, RACY_NS = 1 << 16, 2 * 10**9  # as in sierra.provenance.hash_cache
 UNKNOWN_S = 0.1  # for an observation, while none has ended
 LINE_BYTES = 1 << 16
 BESIDE_NS = 946684800 * 10**9  # the modification time of files beside inputs: 2000-01-01, the same for all runs
+SAFE = re.compile(r"[A-Za-z0-9/._+@~-]+(?: [A-Za-z0-9/._+@~-]+)*")  # a path that means the same in each format of inputs
 LINKED = 4 << 20  # a file beside inputs that has as many bytes may be a hard link
 FICLONE = 0x40049409
 MOST_NAMED = 10  # entries that a run leaves and that are neither files nor folders
@@ -167,6 +168,8 @@ class Job(Program):
     """The folders by which observed files are named, if this run is observed: see `file_trace.Names`."""
     beside: NotRequired[str]
     """A folder whose files lie beside the input files; the runs of a session share it."""
+    folders: NotRequired[Mapping[str, str]]
+    """The texts that take the place of marks in the input files; NUL stands for the run's folder."""
     ahead: NotRequired[float]
     """How many seconds this host's clock may be ahead of that of a file system with files that the run uses."""
     budget: NotRequired[float]
@@ -984,9 +987,9 @@ class RunFolder:
         """Turn the folder into that of another run."""
         os.rename(self.folder, folder)
         self.folder = folder
-        for name, content in job["files"].items():
+        for name in job["files"]:
             with open(os.path.join(folder, name), "wb") as file:
-                file.write(base64.b64decode(content))
+                file.write(content_of(job, name, folder))
         self.record_state("", *self.inputs)
 
 
@@ -1025,14 +1028,25 @@ def prepare(job: Job, folder: str, used: RunFolder | None = None) -> RunFolder |
     os.mkdir(folder)
     for name in (*FOLDERS, *folders_of(job["files"])):
         os.mkdir(os.path.join(folder, name))
-    for name, content in job["files"].items():
+    for name in job["files"]:
         with open(os.path.join(folder, name), "xb") as file:
-            file.write(base64.b64decode(content))
+            file.write(content_of(job, name, folder))
     if "beside" in job:
         place(job["beside"], folder)
     for name in LOGS:
         make_log(os.path.join(folder, name))
     return RunFolder(folder, list(job["files"])) if "used" in job and "beside" not in job else None
+
+
+def content_of(job: Job, name: str, folder: str) -> bytes:
+    """Return the content of an input file, with the paths of folders in the place of their marks."""
+    content = base64.b64decode(job["files"][name])
+    for mark, text in job.get("folders", {}).items():
+        path = text.replace("\0", folder)
+        if mark.encode() in content and not SAFE.fullmatch(path):
+            raise OSError(errno.EINVAL, "an input would contain this path, which some formats would read in another way", path)
+        content = content.replace(mark.encode(), path.encode())
+    return content
 
 
 def place(source: str, folder: str) -> None:

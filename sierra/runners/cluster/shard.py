@@ -195,6 +195,8 @@ def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> Di
         record["argv"] = job.argv
     if job.files != common.files:
         record["files"] = {name: templates[name].difference(content) for name, content in job.files}
+    if job.folders != common.folders:
+        record["folders"] = dict(job.folders or {})
     if job.limits is not common.limits or job.client is not common.client or job.shared != common.shared:
         complete = local.record(replace(job, files=()))
         record["limits"] = complete["limits"]
