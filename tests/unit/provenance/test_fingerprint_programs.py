@@ -335,7 +335,7 @@ def test_closing_tags_are_not_looked_up_as_files(tmp_path: Path, monkeypatch: py
     looked_at: list[Path] = []
     monkeypatch.setattr(referenced_files, "_is", lambda kind, path: looked_at.append(path))
     (tmp_path / "t.xml").write_text('<e><x a="/y/z"></x><w>b.c</w></e>')
-    assert referenced_files.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
+    assert referenced_files.data([tmp_path / "t.xml"], (), tmp_path, set(), ("t.xml",)) == NOTHING
     assert {Path("/y/z"), tmp_path / "b.c"} <= set(looked_at)
     assert not {Path("/x"), Path("/e"), Path("/w")} & set(looked_at)
 
@@ -356,7 +356,7 @@ def test_a_note_reports_that_files_named_only_by_the_query_are_not_recorded(tmp_
 def test_hostile_texts_of_a_template_are_not_recorded_as_referenced_files(tmp_path: Path) -> None:
     texts = ("a/" * 5000, "/" + "x" * 4000, "/dev/zero", "/proc/kcore", "..", "/", "./" * 2000, "\0/x", "file://nowhere/x")
     (tmp_path / "t.xml").write_text("".join(f'<e a="{text}"/>' for text in texts))
-    assert referenced_files.data(tmp_path / "t.xml", (), tmp_path, set(), ("t.xml",)) == NOTHING
+    assert referenced_files.data([tmp_path / "t.xml"], (), tmp_path, set(), ("t.xml",)) == NOTHING
 
 
 INCLUDES = """\
