@@ -12,7 +12,7 @@ from typing import Protocol
 
 from sierra import platforms, templates
 from sierra.config import plugin_registry
-from sierra.config.project_file import LoadedProject, Output, Project, Success
+from sierra.config.project_file import OWN_PLACEHOLDERS, LoadedProject, Output, Project, Success
 from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
@@ -483,7 +483,7 @@ def _given_by(designed: Design, command: Sequence[str]) -> set[str]:
     words = [word for word in command if commands.NAMED.search(word)]
     found: set[str] = set()
     for cell in designed.cells if words else ():
-        texts = {name: str(value) for name, value in cell.values.items()}
+        texts = {name: str(value) for name, value in cell.values.items() if name not in OWN_PLACEHOLDERS}
         for word in words:
             [filled] = commands.with_texts((word,), texts)
             found.update(part.removeprefix("{project}/") for part in re.split("[:;,=]", filled) if filled != word)
