@@ -47,7 +47,8 @@ CREATE TABLE specs (
     "host_access" VARCHAR[],  -- access of runs to the host, outside the image: network, gpu, each device and each mount
     "files" VARCHAR[],  -- names of the input files that each run gets
     "named_inputs" VARCHAR[],  -- those of the files that are part of the spec's id; NULL or empty: none
-    "shared_files" VARCHAR  -- the files beside the inputs, as in shared_files; NULL: none
+    "shared_files" VARCHAR,  -- the files beside the inputs, as in shared_files; NULL: none
+    "around" VARCHAR  -- services and the commands before and after the run's command, as JSON; NULL if there are none
 );
 
 -- Executions of runs: when, where and by which programs each run was executed, and how it ended. If an execution was evaluated again by changed rules, status, reason and ingest_rules are those of the last evaluation; the table all_judgements has all evaluations.

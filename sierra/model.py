@@ -220,6 +220,66 @@ class Design:
 
 
 @dataclass(frozen=True, slots=True)
+class Service:
+    """A program that runs in the background as long as a run, or as long as its worker, for example a display or a server."""
+
+    name: str
+    command: tuple[str, ...]
+    """Its command with its placeholders, before any path of this machine is filled in."""
+    ready: tuple[str, ...]
+    """When it is ready: the kind (`file`, `port`, `output` or `command`), and the path, port, pattern or command."""
+    shared: bool = False
+    """True if all runs of a worker share it."""
+
+    def preimage(self) -> dict[str, Any]:
+        scope = {"scope": "batch"} if self.shared else {}
+        return {"name": self.name, "command": list(self.command), "ready": list(self.ready), **scope}
+
+
+@dataclass(frozen=True, slots=True)
+class Around:
+    """Everything that is executed around the command of each run, in the same surroundings and within the same limits."""
+
+    before: tuple[tuple[str, ...], ...] = ()
+    """Commands, one after the other, before the run's command."""
+    after: tuple[tuple[str, ...], ...] = ()
+    """Commands, one after the other, after the run's command has succeeded."""
+    services: tuple[Service, ...] = ()
+    """Services, in the order in which they are started."""
+
+    def __bool__(self) -> bool:
+        return bool(self.before or self.after or self.services)
+
+    @property
+    def commands(self) -> tuple[tuple[str, ...], ...]:
+        """Return all commands, also those that test whether a service is ready."""
+        tests = (one.ready[1:] for one in self.services if one.ready[0] == "command")
+        return (*(one.command for one in self.services), *tests, *self.before, *self.after)
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Return all words of these commands, and the files that show that services are ready."""
+        files = (one.ready[1] for one in self.services if one.ready[0] == "file")
+        return (*(word for words in self.commands for word in words), *files)
+
+    def preimage(self) -> dict[str, Any]:
+        services = [one.preimage() for one in self.services]
+        return {"before": [list(words) for words in self.before], "after": [list(words) for words in self.after]} | {
+            "services": services
+        }
+
+    @classmethod
+    def of(cls, record: Mapping[str, Any]) -> Around:
+        """Return what a pre-image describes."""
+        services = (
+            Service(one["name"], tuple(one["command"]), tuple(one["ready"]), one.get("scope") == "batch")
+            for one in record["services"]
+        )
+        before, after = (tuple(map(tuple, record[name])) for name in ("before", "after"))
+        return cls(before, after, tuple(services))
+
+
+@dataclass(frozen=True, slots=True)
 class RunSpec:
     """The run specification that all runs of a batch share. An input and a seed complete it to a run."""
 
@@ -239,10 +299,17 @@ class RunSpec:
 
     shared_files: str | None = None
     """The id of the files that lie beside the inputs of all runs; None without any."""
+    around: Around = Around()
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Return all words of the command and of the commands around it."""
+        return (*self.command, *self.around.words)
 
     def preimage(self) -> dict[str, Any]:
         named = {"named_inputs": list(self.named_inputs)} if self.named_inputs else {}
         shared = {"shared_files": self.shared_files} if self.shared_files else {}
+        around = {"around": self.around.preimage()} if self.around else {}  # specs without it keep their ids
         return {
             **named,
             **shared,
@@ -251,6 +318,7 @@ class RunSpec:
             "environment": dict(self.environment),
             "source": self.source,
             "image": {"id": self.image, "reach": list(self.host_access)} if self.image else None,
+            **around,
         }
 
 

@@ -62,6 +62,7 @@ CHANGES = {
     Aspect.SET_ADDED: "--set {name} was added",
     Aspect.SET_REMOVED: "--set {name} was removed",
     Aspect.COMMAND: "the command was {was!r} and is {now!r}",
+    Aspect.AROUND: "{name} was {was!r} and is {now!r}",
     Aspect.VARIABLE: "the variable {name} was {was!r} and is {now!r}",
     Aspect.PLATFORM: "the platform was {was} and is {now}",
     Aspect.IMAGE: "the image was {was} and is {now}",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 SHOWN_REASONS = 10
 MORE = 4
 """The largest number of column names that are printed if the columns do not fit the terminal."""
-APART = ("build", "failures", "programs", "environment", "image", "isolations", "isolation", "host_access", "history")
+APART = ("build", "failures", "programs", "environment", "image", "isolations", "isolation", "host_access", "history", "around")
 """The parts of a batch or an execution that are printed in forms of their own, after the others."""
 AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
 """The largest number of shown rows, for tables that may be as long as a batch."""
@@ -45,6 +45,7 @@ def show(
       sierra show 3f9a1c --long
     """
     from sierra.cli.open_project import project
+    from sierra.execution.around import described, recorded
     from sierra.execution.show_record import ShownBatch, ShownExecution, ShownRun
 
     shown = project().show(prefix)
@@ -54,7 +55,7 @@ def show(
         return
     match shown:
         case ShownBatch():
-            record["spec"] = _without_parts(shown.spec._asdict())
+            record["spec"] = {**_without_parts(shown.spec._asdict()), **described(recorded(shown.spec.around))}
             _print_record(_without_parts(record), long=long)
             if shown.build:
                 _print_build(shown.build)

@@ -114,6 +114,11 @@ def _as_words(value: object) -> object:
     return tuple(shlex.split(value)) if isinstance(value, str) else value
 
 
+def _as_commands(value: object) -> object:
+    """Return a list of commands from one that is written as one line."""
+    return (_as_words(value),) if isinstance(value, str) else value
+
+
 def _set_to(value: object) -> object:
     """Expand the short form of a table, which is the XPath alone."""
     return {"set": value} if isinstance(value, str) else value
@@ -184,6 +189,14 @@ def _as_text(value: object) -> object:
     return str(value) if isinstance(value, int | float) else value
 
 
+def _pattern(text: str) -> str:
+    try:
+        re.compile(text.encode())
+    except re.error as error:
+        raise ValueError(f"{text!r} is not a regular expression: {error}") from error
+    return text
+
+
 Text = Annotated[str, BeforeValidator(_as_text, json_schema_input_type=str | int | float | bool)]
 Size = Annotated[
     PositiveInt,
@@ -215,6 +228,11 @@ InProject = Annotated[
         ),
         "a path within the project, such as build/sim",
     ),
+]
+Command = Annotated[tuple[str, ...], BeforeValidator(_as_words, json_schema_input_type=Words), Field(min_length=1)]
+Commands = Annotated[
+    tuple[Annotated[tuple[str, ...], Field(min_length=1)], ...],
+    BeforeValidator(_as_commands, json_schema_input_type=str | tuple[tuple[str, ...], ...]),
 ]
 InContainer = Annotated[str, AfterValidator(_in_container)]
 Device = Annotated[
@@ -681,6 +699,51 @@ class BuildTable(Table):
     wall: Positive | None = Field(None, description="time limit of the command, in seconds; default: none")
 
 
+class Ready(Table):
+    """The sign that a service is ready: exactly one of `file`, `port`, `output` and `command`."""
+
+    file: str | None = Field(
+        None, min_length=1, description="a file or socket that appears; relative to {output}, the working directory"
+    )
+    port: Annotated[Text, Field(pattern=r"^(\{port\}|[1-9][0-9]{0,4})$")] | None = Field(
+        None, description="a TCP port of this host that accepts connections: `{port}`, or a number"
+    )
+    output: Annotated[str, Field(min_length=1), AfterValidator(_pattern)] | None = Field(
+        None, description="a regular expression that matches a line of its output"
+    )
+    command: Command | None = Field(None, description="a command that is repeated until its exit status is 0")
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Ready:
+        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"needs exactly one of file, port, output, command, not {' and '.join(given) or 'none'}")
+        return self
+
+    @property
+    def kind(self) -> Literal["file", "port", "output", "command"]:
+        return "file" if self.file else "port" if self.port else "output" if self.output else "command"
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Return the path, port, pattern or command."""
+        return self.command or (self.file or self.port or self.output or "",)
+
+
+class ServiceTable(Table):
+    """A program that runs in the background as long as each run, for example a display, a bridge or a licence server."""
+
+    command: Command = Field(
+        description="the program and its arguments; {port} is a free port, and the placeholders of `command` are filled in"
+    )
+    ready: Ready = Field(description="when it is ready, and the next one is started")
+    timeout: Positive = Field(30.0, description="time until it must be ready, in seconds")
+    scope: Literal["run", "batch"] = Field(
+        "run",
+        description="`run`: each run starts its own; `batch`: the runs of a session share one (on a cluster, of an array task)",
+    )
+
+
 class QueryTable(Table):
     """A named query, for `sierra run NAME`."""
 
@@ -768,6 +831,17 @@ class Project(Table):
         (),
         description="the program and its arguments; {input}, {output}, {seed}, {project}, {python} and the query's "
         "variables are filled in",
+    )
+    before: Commands = Field(
+        (),
+        description="commands that are executed before the command in each run, one after the other; "
+        "one line, or a list of lists of words",
+    )
+    after: Commands = Field(
+        (), description="commands that are executed in each run after the command has succeeded; written like `before`"
+    )
+    services: Mapping[Name, ServiceTable] = Field(
+        default_factory=dict, description="programs that run in the background of each run, by name; started in this order"
     )
     requires: tuple[Annotated[str, Field(pattern=r"^[A-Za-z0-9]")], ...] = Field(
         (), description="Python packages that `{python}` needs, as for pip; checked before anything executes"

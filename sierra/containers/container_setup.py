@@ -199,7 +199,12 @@ def contain(
         raise Missing(able.trouble)
     inside = images.examine(project, store, image)
     _check_variables(image, inside)
-    program(spec.command, spec.environment.get("PATH"), inside)
+    for command in (spec.command, *spec.around.commands):
+        program(command, spec.environment.get("PATH"), inside)
+    if spec.around and not inside.program(PYTHON):
+        raise Missing(
+            f"services, before and after need {PYTHON} in the image {image.name}, which lacks it; add it to the image"
+        )
     reference = engine.prepare(image, project, store)
     theirs = image.file and reference == str(project / image.file)
     given = container or Container(image=image.name)

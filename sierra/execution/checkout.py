@@ -43,12 +43,13 @@ def programs_in(
     `data` are the files that nothing in the spec names. `project` is the user's project folder. `made` are the names of the
     products of a build: of the other files in their folders, only those count that a word names itself. Raises Missing.
     """
-    command, variables = spec.command, spec.environment
+    variables = spec.environment
     if spec.image is not None:
         return _without_leftovers(_beside_image(spec, manifest, root, data), spec, data, made)
-    files = referenced_files.files((*command, *variables.values()), root, source.paths(manifest), data, project or root)
-    words, declared = commands.fill(command, root, project=project), commands.declared(variables, root, project)
-    found = programs.find(words, declared, root, files, project=project)
+    files = referenced_files.files((*spec.words, *variables.values()), root, source.paths(manifest), data, project or root)
+    words, *around = (commands.fill(one, root, project=project) for one in (spec.command, *spec.around.commands))
+    declared = commands.declared(variables, root, project)
+    found = programs.find(words, declared, root, files, project=project, around=around)
     return _without_leftovers(programs.of_project(found, (root, project or root)), spec, data, made)
 
 
@@ -61,7 +62,7 @@ def _without_leftovers(found: Programs, spec: RunSpec, data: Programs, made: Abs
     if not folders:
         return found
     kept = {one.path for one in data.all}
-    words = (*spec.command, *spec.environment.values())
+    words = (*spec.words, *spec.environment.values())
 
     def counts(one: Program) -> bool:
         name = one.name.removeprefix(INSIDE)
@@ -74,7 +75,7 @@ def _without_leftovers(found: Programs, spec: RunSpec, data: Programs, made: Abs
 
 def _beside_image(spec: RunSpec, manifest: bytes, root: Path, data: Programs) -> Programs:
     """Return the project files and mounted files that belong to the fingerprint when the image provides the programs."""
-    words = [word for word in (*spec.command, *spec.environment.values()) if "{project}" in word]
+    words = [word for word in (*spec.words, *spec.environment.values()) if "{project}" in word]
     files = referenced_files.files(words, root, source.paths(manifest), data)
     kept = {one.path for one in data.all}
     return replace(files, all=tuple(one for one in files.all if one.path in kept or one.name.startswith(INSIDE)))

@@ -18,7 +18,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from sierra.config.project_file import OWN_PLACEHOLDERS, Project
 from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, WRITABLE, ContainerSpec, Engine, Mount, Process
@@ -27,17 +27,22 @@ from sierra.design import run_values
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError, QueryError
 from sierra.execution.build.products import matches
-from sierra.model import Client, Job, Limits, Run, RunSpec
+from sierra.model import Client, Job, Limits, Run, RunSpec, Service
 from sierra.platforms.base import Platform
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.templates.base import ARGUMENTS, FOLDER, FOLDERS, Files
 from sierra.util.hashing import digest_plain
 from sierra.worker import worker
 
+if TYPE_CHECKING:
+    from sierra.worker import conductor
+
 PLACEHOLDER = re.compile(r"\{\{([a-z_]+)\}\}|\{([a-z_]+)\}")
 NAMED = re.compile(r"\{\{([A-Za-z_]\w*)\}\}|\{([A-Za-z_]\w*)\}", re.ASCII)
 """Like `PLACEHOLDER`, but also for names of variables."""
 ONE_INPUT = re.compile(r"(?<!\{)\{input\.(\w+)\}")
+PORT = re.compile(r"(?<!\{)\{services\.([A-Za-z_][A-Za-z0-9_]*)\.port\}")
+"""The port of a service, which only the conductor knows (see `sierra.worker.conductor`)."""
 ABOVE = re.compile(r"(?<!\{)\{project\}((?:/\.\.)+)(?=/|$)")
 CODE = re.compile(r"(ba|da|z|k|fi)?sh|python[0-9.]*|perl|ruby|node|lua[0-9.]*|Rscript")
 """Names of programs that execute the word after an option such as `-c`."""
@@ -61,6 +66,11 @@ HERE = "\0"
 """Placeholder for the run's folder, which only the worker knows."""
 _IN_RUN = f"{INSIDE}/run"
 _BESIDE = f"{INSIDE}/beside"
+_CONDUCTOR = f"{INSIDE}/{worker.CONDUCTOR}"
+PORT_MARK = "\2{}\2"
+"""The text that stands for a service's port until the conductor fills it in."""
+READY_S = 30.0
+"""The seconds in which a service must be ready, if nothing else is declared."""
 SEARCHED = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """PATH of an image that sets none."""
 
@@ -82,21 +92,42 @@ def command(
     Raises ConfigError for an unknown placeholder, or for a path that does not exist in a container. Raises QueryError for a
     variable that the query does not vary.
     """
-    words = tuple(_in_project(word, root, made) for word in _with_arguments(platform.command(), declared.arguments))
-    words = tuple(_with_inputs(word, project) for word in words) if project else words
-    _check_values(words, declared)
+    known = (*OWN_PLACEHOLDERS, *declared.names)
+    words = _with_arguments(platform.command(), declared.arguments)
+    return checked(words, root, "command", known, contained=contained, made=made, declared=declared, project=project)
+
+
+def checked(
+    argv: Iterable[str],
+    root: Path,
+    place: str,
+    known: Sequence[str],
+    *,
+    contained: bool,
+    made: Sequence[str],
+    declared: Declared,
+    project: Project | None,
+) -> tuple[str, ...]:
+    """Return the words of a command in the form that is part of a run's identity. Messages name its `place`.
+
+    Raises ConfigError for a placeholder that is not `known`, or for a path that does not exist in a container. Raises
+    QueryError for a variable that the query does not vary.
+    """
+    words = tuple(_in_project(word, root, made) for word in argv)
+    words = tuple(_with_inputs(word, project, place) for word in words) if project else words
+    _check_values(words, declared, place)
     for word in words:
         if contained and ABOVE.search(word):
             raise ConfigError(
-                f"command: {word!r} is outside of the project, which is all that a container sees; add it to [container] mounts"
+                f"{place}: {word!r} is outside of the project, which is all that a container sees; add it to [container] mounts"
             )
-        if SPLICED in word.replace(f"{{{SPLICED}}}", "") and word != SPLICED:
-            raise ConfigError(f"command: {SPLICED} expands to several words; write it as a separate word, not {word!r}")
+        if "arguments" in known and SPLICED in word.replace(f"{{{SPLICED}}}", "") and word != SPLICED:
+            raise ConfigError(f"{place}: {SPLICED} expands to several words; write it as a separate word, not {word!r}")
         for _, name in PLACEHOLDER.findall(word):
-            if name and name not in (*OWN_PLACEHOLDERS, *declared.names):
-                known = ", ".join("{" + known + "}" for known in (*OWN_PLACEHOLDERS, *declared.names))
-                hint = f"known are {known}; write {{{{{name}}}}} for the text {{{name}}}"
-                raise ConfigError(f"command: unknown placeholder {{{name}}} in {word!r}; {hint}")
+            if name and name not in known:
+                listed = ", ".join("{" + known + "}" for known in known)
+                hint = f"known are {listed}; write {{{{{name}}}}} for the text {{{name}}}"
+                raise ConfigError(f"{place}: unknown placeholder {{{name}}} in {word!r}; {hint}")
     return words
 
 
@@ -124,37 +155,38 @@ def _with_arguments(words: tuple[str, ...], given: tuple[str, ...] | None) -> tu
     return tuple(chain.from_iterable(given if word == SPLICED else (word,) for word in words))
 
 
-def _with_inputs(word: str, project: Project) -> str:
+def _with_inputs(word: str, project: Project, place: str) -> str:
     """Return a word with the paths of templates in the run's folder. Raises ConfigError."""
     names = ", ".join(f"{{input.{name}}}" for name in project.templates)
 
     def filled(match: re.Match[str]) -> str:
         if match[1] not in project.templates:
             known = f"known are {names}" if names else "[templates] has none"
-            raise ConfigError(f"command: {match[0]} in {word!r} is no template; {known}")
+            raise ConfigError(f"{place}: {match[0]} in {word!r} is no template; {known}")
         return f"{{run}}/{os.path.normpath(project.templates[match[1]])}"
 
     if any(name == "input" for _, name in PLACEHOLDER.findall(word)) and len(project.template_paths) != 1:
         why = f"there are several templates; use {names}" if names else "there is no template; remove it, or set template"
-        raise ConfigError(f"command: {{input}} in {word!r}: {why}")
+        raise ConfigError(f"{place}: {{input}} in {word!r}: {why}")
     return ONE_INPUT.sub(filled, word)
 
 
-def _check_values(words: Sequence[str], declared: Declared) -> None:
+def _check_values(words: Sequence[str], declared: Declared, place: str) -> None:
     """Raise an error if the query does not vary a variable in the command, or if a value would be executed."""
     for number, word in enumerate(words):
         found = [name for _, name in NAMED.findall(word) if name not in OWN_PLACEHOLDERS]
         for name in found:
             if name in declared.others:
-                raise QueryError(f'the command uses {{{name}}}; add {name}=… to the query, or give the variable an "argument"')
+                called = "the command" if place == "command" else place
+                raise QueryError(f'{called} uses {{{name}}}; add {name}=… to the query, or give the variable an "argument"')
         if not (values := [name for name in found if name in declared.names]):
             continue
         if number == 0:
-            raise ConfigError(f"command: a value of {values[0]!r} cannot choose the program; make {word!r} an argument")
+            raise ConfigError(f"{place}: a value of {values[0]!r} cannot choose the program; make {word!r} an argument")
         interpreters = (one for one in words[: number - 1] if CODE.fullmatch(one.rpartition("/")[2]))
         if re.fullmatch(r"-\w*[ce]", words[number - 1]) and (program := next(interpreters, None)):
             raise ConfigError(
-                f"command: {program} would execute a value of {values[0]!r} in {word!r} as code; give it as another argument"
+                f"{place}: {program} would execute a value of {values[0]!r} in {word!r} as code; give it as another argument"
             )
 
 
@@ -257,14 +289,19 @@ class CommandBuilder:
         box: ContainerSpec | None = None,
         script: Path | None = None,
         beside: Path | None = None,
+        success: Sequence[int] = (0,),
+        timeouts: Mapping[str, float] | None = None,
     ) -> None:
         """Prepare the variables and containers that all jobs share.
 
         `root` is the folder of the code, `project` the user's project folder. `box` is the container specification, if runs
         execute in containers. `script` is the worker's path on the nodes of a cluster; with it, runs get the devices that the
         scheduler allots. `beside` is the folder of the files that lie beside the inputs of runs. With an `image` and without a
-        `box`, runs get the image's variables on this machine.
+        `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful command, and
+        `timeouts` the seconds in which services must be ready, by name.
         """
+        self._success = success
+        self._timeouts = timeouts or {}
         self._spec = spec
         self._root = root
         self._engine = engine
@@ -341,14 +378,47 @@ class CommandBuilder:
         argv = tuple(
             chain.from_iterable(given if word == SPLICED else self._fill((word,), values) for word in self._spec.command)
         )
-        if self._search is not None:  # a node may find another program with that name
-            argv = (shutil.which(argv[0], path=self._search) or argv[0], *argv[1:])
-        if not given_values and not any("{seed}" in word or word == SPLICED for word in self._spec.command):
+        argv = self._conducted(self._located(argv), values) if self._spec.around else self._located(argv)
+        if not given_values and not any("{seed}" in word or word == SPLICED for word in self._spec.words):
             self._same[file] = argv
         return argv
 
+    def _located(self, argv: tuple[str, ...]) -> tuple[str, ...]:
+        """Return a command with the path of its program, if a node may find another program with that name."""
+        if self._search is None:
+            return argv
+        return (shutil.which(argv[0], path=self._search) or argv[0], *argv[1:])
+
+    def _conducted(self, argv: tuple[str, ...], values: Mapping[str, str]) -> tuple[str, ...]:
+        """Return the words by which the worker lets the conductor execute a command and what is around it."""
+
+        def words(given: Iterable[str], own: Mapping[str, str] | None = None) -> tuple[str, ...]:
+            return self._located(self._fill(given, {**values, **(own or {})}))
+
+        def service(one: Service) -> conductor.Service:
+            own = {"port": PORT_MARK.format(one.name)}
+            kind, *ready = one.ready
+            test = words(ready, own) if kind == "command" else tuple(ready)
+            if kind in ("file", "port"):
+                test = self._fill(ready, {**values, **own})
+            timeout = self._timeouts.get(one.name, READY_S)
+            return {"name": one.name, "argv": words(one.command, own), "ready": (kind, *test), "timeout": timeout}
+
+        around = self._spec.around
+        plan: conductor.Plan = {
+            "shared": [service(one) for one in around.services if one.shared],
+            "services": [service(one) for one in around.services if not one.shared],
+            "before": [words(one) for one in around.before],
+            "argv": argv,
+            "after": [words(one) for one in around.after],
+            "success": self._success,
+            "grace": self._bounds.grace_s,
+        }
+        return (worker.CONDUCTED, json.dumps(plan))
+
     def _fill(self, words: Iterable[str], values: Mapping[str, str] | None = None) -> tuple[str, ...]:
-        return fill(words, self._root, {**self._placed, **(values or {})}, project=self._project)
+        marked = (PORT.sub(lambda match: PORT_MARK.format(match[1]), word) for word in words)
+        return fill(marked, self._root, {**self._placed, **(values or {})}, project=self._project)
 
     def _contained(self, argv: tuple[str, ...], variables: Mapping[str, str]) -> Client | None:
         """Return the client that starts the container of one run; None without containers."""
@@ -359,18 +429,25 @@ class CommandBuilder:
             *(Mount(f"{HERE}/{name}", f"{_IN_RUN}/{name}", writable=True) for name in (RUN_OUTPUT, RUN_HOME)),
             Mount(f"{HERE}/{RUN_TMP}", "/tmp", writable=True),  # noqa: S108
         )
+        if self._spec.around:
+            argv, own = (PYTHON, "-I", "-S", _CONDUCTOR, _IN_RUN, *argv[1:]), (*own, self._conductor())
         process = Process(argv, variables, own, f"{_IN_RUN}/{RUN_OUTPUT}")
         return self._engine.client(self._box, process)
 
     def _container(self) -> Client:
         """Return the client that starts one container for all runs of a slot, with the worker in it."""
         runs, script = f"{INSIDE}/runs", f"{INSIDE}/worker.py"
-        beside = (Mount(str(self._beside), _BESIDE),) if self._beside else ()
-        own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(self._script), script), *beside)
+        more = (Mount(str(self._beside), _BESIDE),) if self._beside else ()
+        more = (*more, self._conductor()) if self._spec.around else more
+        own = (Mount(f"{HERE}/{worker.RUNS}", runs, writable=True), Mount(str(self._script), script), *more)
         variables = {name: self._environment[name] for name in ("PATH", "SIERRA_SESSION")} | {"HOME": runs, "TMPDIR": "/tmp"}  # noqa: S108
         argv = (PYTHON, "-I", "-S", script, runs, "1", "-", *WRITABLE, INSIDE, runs)
         process = Process(argv, variables, own, runs, interactive=True)
         return self._engine.client(cast(ContainerSpec, self._box), process)
+
+    def _conductor(self) -> Mount:
+        """Return the mount of the program that executes what is around the command."""
+        return Mount(str(self._script.with_name(worker.CONDUCTOR)), _CONDUCTOR)
 
 
 def _in_project(word: str, root: Path, made: Sequence[str]) -> str:

@@ -72,6 +72,7 @@ class _Batch(NamedTuple):
     command: list[str] | None
     variables: str | None
     host_access: list[str] | None
+    around: str | None
     submitted: datetime | None
     failed: int | None
     missing: int | None
@@ -86,7 +87,7 @@ WITH last AS (
     FROM sessions GROUP BY batch
 )
 SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.scenario, b.experiments, b.runs,
-       b.axes, b.overrides, b.base_seed, b.template_sha256, s.source, s.image, s.command, s.variables, s.host_access,
+       b.axes, b.overrides, b.base_seed, b.template_sha256, s.source, s.image, s.command, s.variables, s.host_access, s.around,
        l.submitted, l.failed, l.missing, b.batch IN (
            SELECT m.batch FROM findings f JOIN all_judgements e ON e.judgement = f.execution JOIN batch_runs m ON m.run = e.run
        ) AS doubted, coalesce(l.reexecuted, 0) > 0 OR b.batch IN (SELECT batch FROM replays) AS repeated
@@ -170,6 +171,7 @@ DIFFERENCES = {
     "source": "code",
     "image": "image",
     "command": "command",
+    "around": "services, before or after",
     "variables": "environment",
     "host_access": "host access",
 }

@@ -19,7 +19,7 @@ from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
 from sierra.containers.images.image_contents import Contents
 from sierra.errors import Damaged, Missing, NotFound, UsageError
-from sierra.execution import commands, row_queries
+from sierra.execution import around, commands, row_queries
 from sierra.execution.build import recorded as recorded_build
 from sierra.execution.build.recorded import RecordedBuild
 from sierra.execution.checkout import Checkout
@@ -152,6 +152,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         tuple(row.host_access),
         tuple(row.named_inputs or ()),
         row.shared_files,
+        around.recorded(row.around),
     )
     manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
     return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers), build, observed)

@@ -20,7 +20,7 @@ from sierra.design import run_values
 from sierra.design.expand import Expansion
 from sierra.design.factorial_design import GROUPED, PlanningProgress, design, ignore_progress, mentions
 from sierra.errors import ConfigError, Missing, QueryError
-from sierra.execution import commands, shared_files
+from sierra.execution import around, commands, shared_files
 from sierra.execution.build import recipe as build_recipe
 from sierra.execution.build.state import BuildState, look
 from sierra.execution.checkout import INSIDE, Checkout, programs_in
@@ -161,8 +161,10 @@ def plan(
     made = config.build.produces if config.build else ()
     declared = run_values.declared(config, _named_values(query, config))
     command = commands.command(platform, root, contained=image is not None, made=made, declared=declared, project=config)
+    surroundings = around.declared(config, root, declared, contained=image is not None, made=made)
+    around.check_ports(config, command, surroundings)
     variables = {**commands.environment(platform, config), **(box.variables if box else {})}
-    values = commands.used_values(command, declared, config)
+    values = commands.used_values((*command, *surroundings.words), declared, config)
     own = _own(project)
     code = _code(project, own)
     held = source.paths(code.manifest)
@@ -183,6 +185,7 @@ def plan(
         container_setup.host_access(box),
         (*map(os.path.normpath, config.templates.values()), *values.named, *([f"{folder}/"] if folder else [])),
         beside[0].shared if beside else None,
+        surroundings,
     )
     designed = design(query, config, platform, template, report)
     expansion = Expansion(designed, template, platform, spec, values, folder)
@@ -220,7 +223,7 @@ def plan(
         build=built,
         notes=(
             *code.notes,
-            *_doubts(designed, command, config),
+            *_doubts(designed, spec.words, config),
             *_outdated(root, image),
             *_texts(designed, config, template),
             *_same(batch),

@@ -110,7 +110,7 @@ class Service:
         context = replace(context, **self.isolation.context)
         context.save(self._session.paths.context)
         record = self._setup.project.config.environment.record
-        builder = self._builder()
+        builder = self._builder(context.success.exit_status)
         work = Work(
             self._observed(((run, builder.job(run, files)) for run, files in inputs), context.batch, programs),
             count,
@@ -128,7 +128,7 @@ class Service:
             if not self._stays:
                 self.isolation.close()
 
-    def _builder(self) -> commands.CommandBuilder:
+    def _builder(self, success: Sequence[int]) -> commands.CommandBuilder:
         setup = self._setup
         return commands.CommandBuilder(
             setup.spec,
@@ -141,6 +141,8 @@ class Service:
             box=self.isolation.box,
             script=self._session.paths.worker if self._stays else None,
             beside=self._session.paths.shared if self._beside else None,
+            success=success,
+            timeouts={name: table.timeout for name, table in setup.project.config.services.items()},
         )
 
     def _limits(self) -> Limits:

@@ -280,6 +280,7 @@ def _spec_row(batch: Batch) -> SpecRow:
         files=[name for name, _ in batch.experiments[0].runs[0].inputs],
         named_inputs=list(spec.named_inputs) or None,
         shared_files=spec.shared_files,
+        around=json.dumps(spec.around.preimage()) if spec.around else None,
     )
 
 

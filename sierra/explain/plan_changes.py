@@ -15,6 +15,8 @@ class Aspect(StrEnum):
     SET_REMOVED = "set removed"
     """A value that `--set` sets; `name` has it as XPATH=VALUE."""
     COMMAND = "command"
+    AROUND = "around"
+    """What is executed around the command; `name` is `before`, `after` or `service NAME`."""
     VARIABLE = "variable"
     """A declared variable; `name` is its name."""
     PLATFORM = "platform"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.containers import images
 from sierra.containers.container_setup import other_host_access
 from sierra.errors import Damaged, Missing, NotFound
-from sierra.execution import row_queries
+from sierra.execution import around, row_queries
 from sierra.execution.observation import stale_sessions
 from sierra.execution.resolve_plan import Plan
 from sierra.execution.session_records import batch_row, is_kept
@@ -43,11 +43,12 @@ class Recorded(NamedTuple):
     source: str | None
     image: str | None
     host_access: list[str] | None
+    around: str | None
 
 
 COLUMNS = """
 SELECT b.batch, b.query, b.runs, b.controller, b.scenario, b.base_seed, b.overrides, b.template_sha256, b.platform,
-       r.command, r.variables, r.source, r.image, r.host_access
+       r.command, r.variables, r.source, r.image, r.host_access, r.around
 FROM batches b JOIN specs r USING (spec)
 """
 LIKE = f"""{COLUMNS} LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
@@ -126,7 +127,7 @@ WHERE batch_runs.batch = $batch AND purpose = 'run'
 
 def other_programs(plan: Plan, store: Store) -> tuple[PlanChange, ...]:
     """Return the programs that differ from those of the batch's last execution."""
-    words = mentioned(plan.batch.spec.command, plan.project.root)
+    words = mentioned(plan.batch.spec.words, plan.project.root)
     with store.snapshot() as snapshot:
         stale = stale_sessions.find(plan, snapshot)
         last = [one for one in snapshot.values(str, LAST_PROGRAMS, batch=plan.batch.id) if one]
@@ -144,6 +145,10 @@ def _spec(plan: Plan, before: Recorded) -> Iterator[PlanChange]:
     spec = plan.batch.spec
     if before.command != list(spec.command):
         yield PlanChange(Aspect.COMMAND, was=" ".join(before.command), now=" ".join(spec.command))
+    old, new = around.described(around.recorded(before.around)), around.described(spec.around)
+    for name in sorted(old.keys() | new.keys()):
+        if old.get(name) != new.get(name):
+            yield PlanChange(Aspect.AROUND, name, old.get(name), new.get(name))
     variables: dict[str, str] = json.loads(before.variables)
     for name in sorted(variables.keys() | spec.environment.keys()):
         was, now = variables.get(name), spec.environment.get(name)
@@ -160,7 +165,7 @@ def _image(plan: Plan, store: Store, before: Recorded) -> Iterator[PlanChange]:
         was, now = _recorded(store, before.image), _known(plan, store)
         yield PlanChange(Aspect.IMAGE, was=_called(was, before.image), now=_called(now, spec.image))
         if was and now:
-            yield _inside(was, now, mentioned(spec.command, plan.project.root))
+            yield _inside(was, now, mentioned(spec.words, plan.project.root))
     if reach := other_host_access(before.host_access or (), spec.host_access):
         yield PlanChange(Aspect.HOST_ACCESS, ", ".join(reach))
 

@@ -20,6 +20,7 @@ import pyarrow as pa
 
 from sierra.design.expand import exact, run_id
 from sierra.errors import Missing, SierraError
+from sierra.execution import around
 from sierra.execution.build.products import Product
 from sierra.execution.build.products import result as products_hash
 from sierra.execution.build.recipe import PLATFORM, build_id
@@ -152,6 +153,7 @@ def _recipes(records: Records) -> Iterator[Finding]:
             tuple(row.host_access or ()),
             tuple(row.named_inputs or ()),
             row.shared_files,
+            around.recorded(row.around),
         )
         return digest("recipe", made.preimage())
 

@@ -36,27 +36,20 @@ def find(
     more: Programs = NOTHING,
     *,
     project: Path | None = None,
+    around: Iterable[Sequence[str]] = (),
 ) -> Programs:
-    """Return the programs that a command starts, with what they load, and `more`.
+    """Return the programs that a command, and the commands `around` it, start, with what they load, and `more`.
 
     `variables` are those of the runs, with PATH. The code lies in `root`, which may be another folder than the `project`.
     Raises Missing if the first word is not a program, lacks a library, or imports code from the project that differs from
     `root`.
     """
-    search = variables["PATH"]
-    first = shutil.which(argv[0], path=search)
-    if first is None:
-        if Path(argv[0]).is_file():
-            raise Missing(f"{argv[0]} is not executable; put its interpreter before it (python3 …), or run chmod +x")
-        raise Missing(f"the program {argv[0]!r} was not found; install it, or correct the command of the project in {root}")
-    scripts = {Path(word).parent for word in argv if Path(word).is_relative_to(root) and Path(word).is_file()}
+    commands = (argv, *around)
+    words = {word for command in commands for word in command}
+    scripts = {Path(word).parent for word in words if Path(word).is_relative_to(root) and Path(word).is_file()}
     finding = _Finding(root, variables, project or root, scripts)
-    finding.start(argv[0], first, needed=True)
-    for word in argv[1:]:
-        if Path(argv[0]).name == "env" and "=" in word:
-            finding.set(*word.split("=", 1))
-        elif word and not word.startswith("-") and (path := shutil.which(word, path=search)):
-            finding.start(word, path)
+    for command in commands:
+        finding.command(command)
     return finding.found(more)
 
 
@@ -88,9 +81,23 @@ class _Finding:
         self._installed: dict[str, list[Program]] = {}
         self._notes: list[str] = []
 
-    def set(self, name: str, value: str) -> None:
-        """Set a variable for the programs that follow `env` in a command."""
-        self._variables[name] = value
+    def command(self, argv: Sequence[str]) -> None:
+        """Add the programs that a command starts. Raises Missing if the first word is not a program."""
+        search, declared = self._variables["PATH"], self._variables
+        first = shutil.which(argv[0], path=search)
+        if first is None:
+            if Path(argv[0]).is_file():
+                raise Missing(f"{argv[0]} is not executable; put its interpreter before it (python3 …), or run chmod +x")
+            raise Missing(
+                f"the program {argv[0]!r} was not found; install it, or correct the command of the project in {self._root}"
+            )
+        self.start(argv[0], first, needed=True)
+        for word in argv[1:]:
+            if Path(argv[0]).name == "env" and "=" in word:
+                self._variables = {**self._variables, **dict([word.split("=", 1)])}
+            elif word and not word.startswith("-") and (path := shutil.which(word, path=search)):
+                self.start(word, path)
+        self._variables = declared  # those that `env` has set were only for this command
 
     def found(self, more: Programs) -> Programs:
         self._digests.save()

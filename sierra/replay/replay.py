@@ -361,7 +361,7 @@ def _other_programs(record: _Record, now: Programs, root: Path) -> Iterator[str]
     """Yield a line for each program that differs from the record; the code is in `root`."""
     of = record.of
     if now.id != of.fingerprint:
-        words = mentioned(of.spec.command, root)
+        words = mentioned(of.spec.words, root)
         built = {f"{{project}}/{one.name}" for one in of.build.products} if of.build else set()
         recorded = Programs(tuple(one.program() for one in of.programs if one.name not in built))
         now = Programs(tuple(one for one in now.all if one.name not in built))

@@ -17,7 +17,8 @@ PROJECT/.sierra/work/<session>/     the work of a session; removed once it is re
                                     `elsewhere` names
     anew/                           recorded files, while they are evaluated by changed rules
     source/                         the code, if it is not executed from the project itself
-    asking.json  submission.json  worker.py  array_task.py  file_trace.py  machine.py  element.json  cancelled  engine/
+    asking.json  submission.json  element.json  cancelled  engine/
+    worker.py  array_task.py  file_trace.py  conductor.py  machine.py
     elements/<index>.{jobs,failed,alone}  results/<index>.<attempt>.pack
     results/probe.<attempt>.pack  logs/  sent/<number>.json
                                     on a cluster: the submission and its results; see sierra.worker.array_task

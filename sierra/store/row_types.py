@@ -62,6 +62,9 @@ class SpecRow(NamedTuple):
     files: Annotated[list[str], "names of the input files that each run gets"]
     named_inputs: Annotated[list[str] | None, "those of the files that are part of the spec's id; NULL or empty: none"] = None
     shared_files: Annotated[str | None, "the files beside the inputs, as in shared_files; NULL: none"] = None
+    around: Annotated[
+        str | None, "services and the commands before and after the run's command, as JSON; NULL if there are none"
+    ] = None
 
 
 class ExecutionRow(NamedTuple):

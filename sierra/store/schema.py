@@ -55,7 +55,7 @@ RECORDED = {name: _recorded(name, row) for name, row in ROWS.items()}
 LATER: dict[str, tuple[str, ...]] = {
     "sessions": ("build",),
     "observations": ("distributions",),
-    "specs": ("named_inputs", "shared_files"),
+    "specs": ("named_inputs", "shared_files", "around"),
 }
 """By table, the last columns that were added within this format: older files lack them, and their values are NULL there."""
 

@@ -2,9 +2,9 @@
 
     python3 -I -S FOLDER/array_task.py FOLDER [--wall=SECONDS] INDEX
 
-Four files that need only the standard library (Python 3.8 or newer) are in the session's folder, FOLDER, on the file system
-that nodes and login nodes share: this one, `worker.py`, which executes runs, `file_trace.py`, with which it observes them, and
-`machine.py`, which describes a node. Beside them:
+Five files that need only the standard library (Python 3.8 or newer) are in the session's folder, FOLDER, on the file system
+that nodes and login nodes share: this one, `worker.py`, which executes runs, `file_trace.py` and `conductor.py`, which it uses,
+and `machine.py`, which describes a node. Beside them:
 
     element.json            settings that all elements of the session share: see `Settings`
     elements/INDEX.jobs     the element's jobs: gzip (possibly several members), lines of JSON; see `jobs`

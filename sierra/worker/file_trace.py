@@ -222,8 +222,11 @@ class Observation(Protocol):
     began: int
     """When it began, in ns since the epoch, by the clock that files of the log's file system get their times from."""
 
-    def prefixed(self, argv: Sequence[str], environment: Mapping[str, str], cwd: str) -> list[str]:
-        """Return the words to start. They are argv itself if the program would not start: the error is then the usual one."""
+    def prefixed(self, argv: Sequence[str], environment: Mapping[str, str], cwd: str, *, conducted: bool = False) -> list[str]:
+        """Return the words to start. They are argv itself if the program would not start: the error is then the usual one.
+
+        `conducted`: this program only starts those of the run (see `conductor`). What it does itself is left out.
+        """
 
     def is_tracer(self, pid: int) -> bool:
         """Return whether a process belongs to the observation, and not to the run."""
@@ -348,13 +351,15 @@ class Traced:
         self._program, self._log, self._cwd = program, log, cwd
         self._cut = False
         self._started = False
+        self._conducted = False
         self._late = False
         self._unfit: str | None = None
         self._prefix = (program, *OPTIONS, "-e", "trace=" + ",".join("?" + name for name in CALLS), "-o", log, "--")
         os.close(os.open(log, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
         self.began = min(time.time_ns(), os.stat(log).st_ctime_ns)
 
-    def prefixed(self, argv: Sequence[str], environment: Mapping[str, str], cwd: str) -> list[str]:
+    def prefixed(self, argv: Sequence[str], environment: Mapping[str, str], cwd: str, *, conducted: bool = False) -> list[str]:
+        self._conducted = conducted
         self._unfit = unfit(argv, environment, cwd)
         self._cwd = cwd
         self._started = self._unfit is None
@@ -395,7 +400,7 @@ class Traced:
     def trace(self, stderr: str | None = None, check_stop: Callable[[], None] = nothing) -> Trace:
         if self._unfit is not None:
             return Trace(Strace.name, reasons=("it was not observed: " + self._unfit,))
-        log = Log(os.fsencode(os.path.realpath(self._cwd)))
+        log = Log(os.fsencode(os.path.realpath(self._cwd)), conducted=self._conducted)
         try:
             with open(self._log, "rb") as file:
                 log.read(file, check_stop)
@@ -620,8 +625,11 @@ class Log:
     comes from. That is MADE if the run has made it, or else the name under which it was there before.
     """
 
-    def __init__(self, cwd: bytes) -> None:
+    def __init__(self, cwd: bytes, *, conducted: bool = False) -> None:
+        """Begin in the folder `cwd`. `conducted`: what the first process does itself is not the run's doing."""
         self._cwd = cwd
+        self._conducted = conducted
+        self._conductor: bytes | None = None
         self._processes: dict[bytes, Process] = {}
         self._any = self._started = False
         self._starting: dict[bytes, Process] = {}
@@ -710,6 +718,7 @@ class Log:
         """Return the process whose first line is here; None if its parent is not known yet."""
         if not self._any:
             self._any = True
+            self._conductor = pid if self._conducted else None
             return self._enter(pid, Folder(self._cwd), seen=True)
         if pid in self._waiting or len(self._starting) != 1:
             return None
@@ -809,7 +818,10 @@ class Log:
             process.moved, number, error = False, 0, None
         elif number < 0:
             error = error or (b"?" if value == b"?" else b"-")
-        action(self, Call(pid, process, name, words, number, path, error))
+        if pid == self._conductor and name not in STARTERS:
+            self._started = self._started or (name == b"execve" and number == 0)
+        else:
+            action(self, Call(pid, process, name, words, number, path, error))
 
     def start(self, call: Call) -> None:
         """A process starts another one, or a thread."""
@@ -1353,7 +1365,7 @@ class Mapped:
         self._executed: set[str] = set()
         self._read: set[str] = set()
 
-    def prefixed(self, argv: Sequence[str], environment: Mapping[str, str], cwd: str) -> list[str]:
+    def prefixed(self, argv: Sequence[str], environment: Mapping[str, str], cwd: str, *, conducted: bool = False) -> list[str]:
         return list(argv)
 
     def is_tracer(self, pid: int) -> bool:

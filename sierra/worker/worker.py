@@ -47,6 +47,10 @@ with holes is its length.
 Processes that leave their group are still found: the worker is their subreaper (Linux), so an orphan becomes a child of the
 worker's main thread, which starts no process itself.
 
+The argv of a job with services, or with commands before or after its own, is CONDUCTED and a plan for `conductor.py`, which
+lies beside this file. The conductor is started instead, and executes all of them. It leaves a report; without one, the run has
+failed.
+
 A job may have a `client`, which starts a container engine. The client is then executed instead of the job's own argv, in its
 own environment. The run's processes are those with SIERRA_EXECUTION in their environment, wherever the engine starts them.
 Their use of resources is measured from outside, at intervals of a twentieth of the time that they have run; if they end before
@@ -96,6 +100,12 @@ FOLDERS = ("home", "tmp", "output")
 LOGS = ("stdout", "stderr")
 OBSERVED = "observed.json"  # in a run's folder: what the run did with files
 TRACER = "file_trace.py"  # beside this file: it observes runs
+CONDUCTOR = "conductor.py"  # beside this file: it executes what is around a run's command
+CONDUCTED = "\2"  # the first word of a job that the conductor executes; the second is its plan
+REPORT = os.path.join("home", ".sierra-conductor")  # the conductor's, in the run's folder
+REPORT_BYTES = 1 << 16
+SHARED = "shared"  # in the folder of shared services: what their conductor tells when they are ready
+OF_ONE_RUN = ("SIERRA_RUN_ID", "SIERRA_SEED", "SIERRA_EXECUTION")  # variables
 TRACE = ".trace"  # the end of the name of a tracer's log, beside the run's folder
 RUNS = "runs"
 POLL_S = 0.25
@@ -325,6 +335,7 @@ class Running:
         self.run, self.execution = job["run"], job["execution"]
         self.observation = observation
         self.seal = job.get("seal")
+        self.conducted = is_conducted(job)
         self.folder = folder
         self.pid = process.pid
         self.limits = job["limits"]
@@ -386,9 +397,9 @@ class Running:
 
     def is_stopped(self) -> bool:
         """Return whether a signal has stopped all processes, and at least one exists. Call it at intervals."""
-        if not self.meter and stat_of(self.pid)[:1] not in ([b"T"], [b"t"]):
+        if not self.meter and not self.conducted and stat_of(self.pid)[:1] not in ([b"T"], [b"t"]):
             return False  # so that the others need not be searched
-        states = {self.state_of(pid) for pid in self.pids()}
+        states = {self.state_of(pid) for pid in self.pids() if pid != self.pid or not self.conducted}
         return b"T" in states and states <= {b"T", b"Z", None}
 
     def state_of(self, pid: int) -> bytes | None:
@@ -452,6 +463,55 @@ class Meter:
         if self.since is None:
             return {"user_s": None, "system_s": None, "max_rss_bytes": None}
         return {"user_s": self.user_s, "system_s": self.system_s, "max_rss_bytes": self.max_rss}
+
+
+class SharedServices:
+    """Services that all runs of this worker share: their conductor, which ends when one of them has ended."""
+
+    def __init__(self, job: Job, plan: Mapping[str, object], folder: str) -> None:
+        """Start the conductor in a new folder, with the environment of a run without what belongs to one run."""
+        self.folder = folder
+        self.path = os.path.join(folder, SHARED)
+        os.makedirs(os.path.join(folder, "output"))
+        for name in ("home", "tmp"):
+            os.mkdir(os.path.join(folder, name))
+        environment = {
+            name: value.replace("\0", folder) for name, value in job["environment"].items() if name not in OF_ONE_RUN
+        }
+        own = {**plan, "shared": [], "services": plan["shared"], "before": [], "argv": [], "after": []}
+        with open(os.path.join(folder, LOGS[1]), "ab") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-I", "-S", beside(CONDUCTOR), folder, json.dumps(own)],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                cwd=os.path.join(folder, "output"),
+                env=environment,
+                start_new_session=True,
+            )
+
+    def await_ready(self, is_stopping: Callable[[], bool]) -> None:
+        """Wait until the services are ready, or have failed: the runs then fail with the reason."""
+        while not os.path.exists(self.path) and self.process.poll() is None and not is_stopping():
+            time.sleep(SAMPLE_S)
+
+    def word(self) -> str:
+        """Return what the conductor of a run needs to know."""
+        try:
+            with open(self.path, encoding="ascii") as file:
+                return file.read()
+        except OSError:
+            reason = reported(self.folder) or "the services that all runs share have ended"
+            return json.dumps({"ports": {}, "pids": {}, "log": os.path.join(self.folder, LOGS[1]), "error": reason})
+
+    def end(self, seconds: float) -> None:
+        """End the services."""
+        self.process.terminate()
+        try:
+            self.process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            for pid in descendants(self.process.pid):
+                signal_process(pid, signal.SIGKILL)
 
 
 class Container:
@@ -596,6 +656,8 @@ class Worker:
         self.unusable: tuple[str, ...] = ()
         """Why better ways to observe runs cannot be used here."""
         self.account = Account()
+        self.services: SharedServices | None = None
+        self.starting_services = threading.Lock()
         self.trusts = True  # that a tracer works which has worked before
 
     def work(self, stream: TextIO) -> bool:
@@ -610,6 +672,8 @@ class Worker:
         while any(thread.is_alive() for thread in threads):
             if not self.waker.wait(self.watch()):
                 self.stop()
+        if self.services is not None:
+            self.services.end(0.0 if self.without_grace else GRACE_S + SETTLE_S)
         if self.contains:
             await_orphans()
         end_orphans(None)
@@ -722,10 +786,11 @@ class Worker:
         """Execute one run, from making its folder to writing its line in the journal."""
         folder = self.next_folder()
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
+        services = self.shared_services(job)
         observation = self.observe(job, folder)
         began, started = time.time(), time.monotonic()
         try:
-            process = start(job, folder, observation)
+            process = start(job, folder, observation, services)
         except (OSError, ValueError) as error:
             if observation:  # perhaps the tracer is gone
                 self.trusts = False
@@ -765,11 +830,14 @@ class Worker:
             running.stopped = "interrupted"
         if running.stopped != "interrupted" and not running.seal:
             check_room(self.folder)
+        failure = trouble_of(job, folder)
         spare = alone and self.adopts and place is not None and place.is_reusable()
         if running.seal:  # the worker that takes the folder out of the container reads it
             remains = no_outputs(self.clear_shared(folder), running.stopped)
         else:
             remains = collect_outputs(folder, inputs_of(job), running.limits, running.stopped, self.check_stop, spare)
+        if running.stopped is None and remains["stopped"] is None:
+            remains["error"] = failure or remains["error"]
         if "beside" in job and (trouble := changed_beside(job["beside"])):
             remains["error"] = remains["error"] or trouble
         if spare and place is not None and not remains["error"] and sum(file["bytes"] for file in remains["outputs"]) <= CHUNK:
@@ -778,6 +846,17 @@ class Worker:
         if observed:
             remains["observed"] = True
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
+
+    def shared_services(self, job: Job) -> SharedServices | None:
+        """Return the services that the run shares with others, if there are any. The first of these runs starts them."""
+        plan = json.loads(job["argv"][1]) if is_conducted(job) and "client" not in job else {}
+        if not plan.get("shared"):
+            return None
+        with self.starting_services:
+            if self.services is None:
+                self.services = SharedServices(job, plan, self.next_folder("services-"))
+            self.services.await_ready(lambda: self.stopping)
+        return self.services
 
     def execute_unobserved(self, job: Job, folder: str, slot: int, reason: str) -> None:
         """Execute a run that could not be observed once more, in a new folder."""
@@ -823,7 +902,8 @@ class Worker:
             trace = running.observation.trace(os.path.join(running.folder, LOGS[1]), self.check_stop)
             disturbed = trace.disturbed
             names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder})
-            seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
+            unseen = ("services that all runs share were not observed",) if self.services else ()
+            seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable, *unseen)))
             with self.observing:
                 since = running.observation.began - int(job.get("ahead", 0.0) * 1e9)
                 contents = file_trace().contents(seen, since, self.hashes.get, self.check_stop, names.is_listed)
@@ -925,7 +1005,7 @@ class Worker:
                 self.note(one, {"event": "stalled", "run": one.run, "execution": one.execution, "pid": one.pid, "since": since})
             if one.observation:
                 one.observation.limit()
-                one.observation.look(one.pids())
+                one.observation.look(pid for pid in one.pids() if pid != one.pid or not one.conducted)
             if one.stopped is None and now - one.started > POLL_S / 2:
                 reason = exceeded(one)
                 if reason:
@@ -1163,11 +1243,19 @@ def part_of(values: list[str], slot: int, slots: int) -> str:
     return ",".join(values)
 
 
-def start(job: Job, folder: str, observation: Observation | None = None) -> subprocess.Popen[bytes]:
+def start(
+    job: Job, folder: str, observation: Observation | None = None, services: SharedServices | None = None
+) -> subprocess.Popen[bytes]:
     """Start a run's program in its folder."""
     started = with_folder(job.get("client", job), folder)
     output = os.path.join(folder, "output")
-    argv = observation.prefixed(started["argv"], started["environment"], output) if observation else started["argv"]
+    argv = started["argv"]
+    conducted = is_conducted(job) and "client" not in job
+    if conducted:
+        argv = [sys.executable, "-I", "-S", beside(CONDUCTOR), folder, *argv[1:]]
+        argv += [services.word()] if services else []
+    if observation:
+        argv = observation.prefixed(argv, started["environment"], output, conducted=conducted)
     out, err = (os.open(os.path.join(folder, name), os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC) for name in LOGS)
     try:
         return subprocess.Popen(
@@ -1182,6 +1270,28 @@ def start(job: Job, folder: str, observation: Observation | None = None) -> subp
     finally:
         os.close(out)
         os.close(err)
+
+
+def is_conducted(job: Job) -> bool:
+    """Return whether the conductor executes a job."""
+    return list(job["argv"][:1]) == [CONDUCTED]
+
+
+def trouble_of(job: Job, folder: str) -> str | None:
+    """Return why a run has failed, by the conductor's report; None if all was executed, or if there is no conductor."""
+    return reported(folder) if is_conducted(job) else None
+
+
+def reported(folder: str) -> str | None:
+    """Return why a conductor has failed, by its report in its folder."""
+    unread = "the program that executes its services and commands has ended without a report"
+    try:  # a run may have put anything there
+        descriptor = os.open(os.path.join(folder, REPORT), os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
+        with open(descriptor, "rb") as file:
+            error = json.loads(file.read(REPORT_BYTES))["error"]
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return unread
+    return error if error is None or isinstance(error, str) else unread
 
 
 def with_folder(client: Program, folder: str) -> Program:
@@ -1628,12 +1738,17 @@ def sealed_record(path: str) -> Mapping[str, object]:
     return record if isinstance(record, dict) else {}
 
 
+def beside(name: str) -> str:
+    """Return the path of a file in the folder of this one."""
+    return os.path.join(os.path.dirname(os.path.abspath(__file__)), name)
+
+
 @functools.lru_cache(maxsize=None)
 def file_trace() -> ModuleType:
     """Load the module beside this file that observes runs."""
     import importlib.util
 
-    path = os.path.join(os.path.dirname(os.path.abspath(__file__)), TRACER)
+    path = beside(TRACER)
     spec = importlib.util.spec_from_file_location("file_trace", path)
     if spec is None or spec.loader is None:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)

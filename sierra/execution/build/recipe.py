@@ -16,7 +16,7 @@ from sierra.containers import container_setup
 from sierra.errors import ConfigError, Missing
 from sierra.execution import checkout, commands
 from sierra.execution.build import products
-from sierra.model import RunSpec
+from sierra.model import Around, RunSpec
 from sierra.provenance import fingerprint_programs, source
 from sierra.provenance.compiled_languages import LANGUAGES, compilers
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
@@ -81,7 +81,9 @@ def declared(table: BuildTable, runs: RunSpec, manifest: bytes) -> Recipe:
                     f"[build] command: unknown placeholder {{{name}}} in {word!r}; known are {{project}} and {{python}}"
                 )
     folder = PurePosixPath(table.folder).as_posix()
-    return Recipe(replace(runs, platform=PLATFORM, command=table.command), folder, table.produces, manifest, table.wall)
+    return Recipe(
+        replace(runs, platform=PLATFORM, command=table.command, around=Around()), folder, table.produces, manifest, table.wall
+    )
 
 
 def complete(recipe: Recipe, root: Path, project: Path, box: Container | None) -> Recipe:

@@ -45,7 +45,7 @@ def _words(plan: Plan) -> str:
     """Return all texts of a plan that may name modules of Python."""
     spec, templates = plan.batch.spec, plan.project.config.template_paths
     texts = (_text(plan.project.root / template) for template in templates)
-    return " ".join((*spec.command, *spec.environment.values(), plan.text, *texts))
+    return " ".join((*spec.words, *spec.environment.values(), plan.text, *texts))
 
 
 def _text(file: Path) -> str:

@@ -58,7 +58,8 @@ class _Inheriting(NamedTuple):
 
 CANDIDATES = """
 WITH kin AS (
-    SELECT spec FROM specs WHERE platform = $platform AND command = $command AND variables = $variables AND image IS NULL
+    SELECT spec FROM specs WHERE platform = $platform AND command = $command
+    AND around IS NOT DISTINCT FROM $around AND variables = $variables AND image IS NULL
     AND host_access = $host_access AND files = $files AND coalesce(shared_files, '') = $shared_files
 ),
 same AS (
@@ -165,11 +166,12 @@ def _without_distributions(programs: Programs) -> set[tuple[str, str]]:
     return {(one.called, one.sha256) for one in programs.all if one.kind != Kind.DISTRIBUTIONS}
 
 
-def _kin(spec: RunSpec) -> dict[str, str | list[str]]:
+def _kin(spec: RunSpec) -> dict[str, str | list[str] | None]:
     """Return the parts of a specification that must be equal."""
     return {
         "platform": spec.platform,
         "command": list(spec.command),
+        "around": json.dumps(spec.around.preimage()) if spec.around else None,
         "variables": json.dumps(dict(spec.environment), sort_keys=True),
         "host_access": list(spec.host_access),
         "shared_files": spec.shared_files or "",

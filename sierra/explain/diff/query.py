@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from sierra.execution import around
 from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference, changed, shown
 from sierra.model import Value
@@ -78,6 +79,9 @@ def spec(before: Side, after: Side) -> Iterator[Difference]:
     old, new = before.spec, after.spec
     yield from changed("platform", "platform", old.platform, new.platform)
     yield from changed("command", "command", " ".join(old.command), " ".join(new.command))
+    was, now = (around.described(around.recorded(side.spec.around)) for side in (before, after))
+    for name in sorted(was.keys() | now.keys()):
+        yield from changed("command", name, was.get(name), now.get(name))
     for name in sorted(before.variables.keys() | after.variables.keys()):
         yield from changed("variables", name, before.variables.get(name), after.variables.get(name))
     if before.found.kind == "batch":

@@ -72,7 +72,10 @@ ASKED = re.compile(r"asked to end after (\d+) s$")
 """Matches an element's own message that it was asked to end; the number is the time that it had lasted."""
 MISHAP = re.compile(rf"{TIMED.pattern}|node|preempt|memory|boot|requeue|deadline", re.IGNORECASE)
 """Matches a scheduler's end reason that means that nobody ended the element on purpose."""
-PROGRAMS = (*(Path(str(one.__file__)) for one in (worker, array_task, machine)), Path(worker.__file__).with_name(worker.TRACER))
+PROGRAMS = (
+    *(Path(str(one.__file__)) for one in (worker, array_task, machine)),
+    *(Path(worker.__file__).with_name(name) for name in (worker.TRACER, worker.CONDUCTOR)),
+)
 """What nodes execute: each is one file without SIERRA."""
 RELAUNCHED = "launch failed"
 """Text in the scheduler's reason for a job that could not be started, though it can. Such a job is submitted again."""

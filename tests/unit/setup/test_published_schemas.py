@@ -71,9 +71,11 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "queries": "QueryTable",
         "figures": "Figure",
         "runners": "ClusterTable",
+        "services": "ServiceTable",
     }
     for name, model in groups.items():
         found[model] = set().union(*table[name].values())
+    found["Ready"] = set().union(*(service["ready"] for service in table["services"].values()))
     found["Tolerance"] = set().union(*(one for output in table["outputs"].values() for one in output["tolerance"].values()))
     return found
 

@@ -1,0 +1,112 @@
+"""What is executed around a run's command, as `sierra.toml` declares it: services, and commands before and after it.
+
+`{services.NAME.port}` stands for the port of a service, in every command and in the variables of `[environment] set`. In the
+service's own command and its `ready`, `{port}` is the same. Ports are chosen when a run is executed, and so they are no part of
+an identity.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from sierra.config.project_file import OWN_PLACEHOLDERS, Project, ServiceTable
+from sierra.design.run_values import Declared
+from sierra.errors import ConfigError
+from sierra.execution import commands
+from sierra.model import Around, Service
+
+KNOWN = tuple(name for name in OWN_PLACEHOLDERS if name != "arguments")
+OF_ONE_RUN = ("input", "seed")
+OWN_PORT = re.compile(r"(?<!\{)\{port\}")
+PORT_LIKE = re.compile(r"(?<!\{)\{services\.[^{}]*\}")
+
+
+def declared(config: Project, root: Path, values: Declared, *, contained: bool = False, made: Sequence[str] = ()) -> Around:
+    """Return what is executed around the command, in the form that is part of a run's identity.
+
+    `values` and `made`: see `commands.command`. Raises ConfigError for an unknown placeholder, service or path, and QueryError
+    for a variable that the query does not vary.
+    """
+
+    of_run = (*KNOWN, *values.names)
+
+    def words(name: str, argv: Iterable[str], known: Sequence[str] = of_run) -> tuple[str, ...]:
+        return commands.checked(argv, root, name, known, contained=contained, made=made, declared=values, project=config)
+
+    def service(name: str, table: ServiceTable) -> Service:
+        here, shared = f"[services.{name}]", table.scope == "batch"
+        known = (*((one for one in KNOWN if one not in OF_ONE_RUN) if shared else of_run), "port")
+        texts = (*table.command, *table.ready.words)
+        if shared and any(name in (*OF_ONE_RUN, *values.names) for text in texts for _, name in commands.NAMED.findall(text)):
+            raise ConfigError(f'{here}: scope = "batch" excludes the input, the seed and values, which differ between runs')
+        if shared and contained:
+            raise ConfigError(f'{here}: scope = "batch" is not possible in containers, because each run has its own; remove it')
+        kind, test = table.ready.kind, table.ready.words
+        if kind in ("file", "command"):
+            test = words(f"{here} ready", test, known)
+        return Service(name, words(f"{here} command", table.command, known), (kind, *test), shared)
+
+    return Around(
+        tuple(words("before", argv) for argv in config.before),
+        tuple(words("after", argv) for argv in config.after),
+        tuple(service(name, table) for name, table in config.services.items()),
+    )
+
+
+def check_ports(config: Project, command: Sequence[str], around: Around) -> None:
+    """Check that each port that a text names is that of a service, and that a service learns its port. Raises ConfigError."""
+    texts = {"command": " ".join(command), "[environment] set": " ".join(config.environment.set.values())}
+    texts |= {"before": _joined(around.before), "after": _joined(around.after)}
+    texts |= {f"[services.{one.name}]": " ".join((*one.command, *one.ready[1:])) for one in around.services}
+    names = {one.name for one in around.services}
+    for place, text in texts.items():
+        for found in PORT_LIKE.findall(text):
+            known = commands.PORT.fullmatch(found)
+            if known is None:
+                raise ConfigError(f"{place}: unknown placeholder {found}; known is {{services.NAME.port}}")
+            if known[1] not in names:
+                raise ConfigError(f"{place}: {found} names no service; {_listed(names)}")
+    for one in around.services:
+        _check_own_port(one, config.environment.set, texts)
+
+
+def _check_own_port(one: Service, variables: Mapping[str, str], texts: Mapping[str, str]) -> None:
+    """Check that a service whose port is awaited, or used elsewhere, is told this port."""
+    named = f"{{services.{one.name}.port}}"
+    told = any(OWN_PORT.search(word) or named in word for word in one.command) or any(
+        named in value for value in variables.values()
+    )
+    used = any(OWN_PORT.search(word) for word in one.ready[1:]) or any(named in text for text in texts.values())
+    if used and not told:
+        raise ConfigError(
+            f"[services.{one.name}]: nothing tells the service its port; write {{port}} in its command, "
+            f"or {named} in a variable of [environment] set"
+        )
+
+
+def described(around: Around) -> Mapping[str, str]:
+    """Return lines for people, by name: `before`, `after` and `service NAME`."""
+    several = {"before": around.before, "after": around.after}
+    lines = {name: "; ".join(map(shlex.join, argvs)) for name, argvs in several.items() if argvs}
+    for one in around.services:
+        kind, *test = one.ready
+        scope = ", scope: batch" if one.shared else ""
+        lines[f"service {one.name}"] = f"{shlex.join(one.command)}, ready: {kind} {shlex.join(test)}{scope}"
+    return lines
+
+
+def recorded(text: str | None) -> Around:
+    """Return what a row of `specs` has in its column `around`."""
+    return Around.of(json.loads(text)) if text else Around()
+
+
+def _joined(several: Iterable[Sequence[str]]) -> str:
+    return " ".join(word for words in several for word in words)
+
+
+def _listed(names: Iterable[str]) -> str:
+    return f"known are {', '.join(sorted(names))}" if names else "there is no [services.NAME]"
