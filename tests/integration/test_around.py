@@ -483,3 +483,15 @@ def test_what_a_container_cannot_do_is_refused_before_anything_runs(tmp_path: Pa
     assert '[services.it]: scope = "batch" is not possible in containers' in says(root, code=2)
     (root / "sierra.toml").write_text(f'before = "no-such-program"\n{plain}')
     assert "the program 'no-such-program' is not in the image" in says(root, code=3)
+
+
+def test_commands_around_get_values_of_variables_also_in_a_replay(tmp_path: Path) -> None:
+    around = 'before = "sh mesh.sh {population_size} {seed}"'
+    root = simple(tmp_path / "project", "", around=around, command="sh sim.sh {input}")
+    (root / "mesh.sh").write_text("echo $1 > mesh")
+    (root / "sim.sh").write_text("(echo t,v; echo 1,$(cat mesh)) > t.csv")
+    says(root, *QUERY)
+    assert rows(root, "SELECT v FROM t ORDER BY v") == [{"v": 1}, {"v": 2}]
+    [batch] = rows(root, "SELECT batch FROM batches")
+    assert "identical (2 runs: 2 identical)" in says(root, "replay", batch["batch"])
+    assert says(root, "fsck").startswith("sound")
