@@ -472,6 +472,7 @@ class SharedServices:
         """Start the conductor in a new folder, with the environment of a run without what belongs to one run."""
         self.folder = folder
         self.path = os.path.join(folder, SHARED)
+        self.grace = job["limits"].get("grace_s", GRACE_S)
         os.makedirs(os.path.join(folder, "output"))
         for name in ("home", "tmp"):
             os.mkdir(os.path.join(folder, name))
@@ -504,14 +505,15 @@ class SharedServices:
             reason = reported(self.folder) or "the services that all runs share have ended"
             return json.dumps({"ports": {}, "pids": {}, "log": os.path.join(self.folder, LOGS[1]), "error": reason})
 
-    def end(self, seconds: float) -> None:
-        """End the services."""
+    def end(self, skip_grace: Callable[[], bool]) -> None:
+        """End the services: SIGTERM lets their conductor end them, and SIGKILL follows after the grace time."""
         self.process.terminate()
-        try:
-            self.process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            for pid in descendants(self.process.pid):
-                signal_process(pid, signal.SIGKILL)
+        deadline = time.monotonic() + self.grace + SETTLE_S
+        while self.process.poll() is None:
+            if skip_grace() or time.monotonic() >= deadline:
+                for pid in descendants(self.process.pid):
+                    signal_process(pid, signal.SIGKILL)
+            time.sleep(SAMPLE_S)
 
 
 class Container:
@@ -673,7 +675,7 @@ class Worker:
             if not self.waker.wait(self.watch()):
                 self.stop()
         if self.services is not None:
-            self.services.end(0.0 if self.without_grace else GRACE_S + SETTLE_S)
+            self.services.end(skip_grace=lambda: self.without_grace)
         if self.contains:
             await_orphans()
         end_orphans(None)
