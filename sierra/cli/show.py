@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 SHOWN_REASONS = 10
 MORE = 4
 """The largest number of column names that are printed if the columns do not fit the terminal."""
+OPTIONAL = ("named_inputs", "shared_files")
+"""Columns of a spec that are left out if they are NULL."""
 APART = ("build", "failures", "programs", "environment", "image", "isolations", "isolation", "host_access", "history", "around")
 """The parts of a batch or an execution that are printed in forms of their own, after the others."""
 AT_MOST = {"attempts": 20, "nondeterminism": 10, "verdicts": 20}
@@ -55,7 +57,8 @@ def show(
         return
     match shown:
         case ShownBatch():
-            record["spec"] = {**_without_parts(shown.spec._asdict()), **described(recorded(shown.spec.around))}
+            spec = {name: value for name, value in shown.spec._asdict().items() if value is not None or name not in OPTIONAL}
+            record["spec"] = {**_without_parts(spec), **described(recorded(shown.spec.around))}
             _print_record(_without_parts(record), long=long)
             if shown.build:
                 _print_build(shown.build)
