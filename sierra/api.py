@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from sierra.execution.show_record import Shown, ShownSession
     from sierra.execution.summary import Summary
     from sierra.execution.takeover import Cancelled
+    from sierra.execution.trial import Trial
     from sierra.explain.diff.compare import Comparison
     from sierra.explain.why_executed import Why
     from sierra.maintenance.fsck import Report
@@ -241,6 +242,39 @@ class Project:
         summary = execute.run(plan, store, options)
         summary = replace(summary, notes=(*probed, *summary.notes))
         return self._drawn(summary) if figures else summary
+
+    def try_run(
+        self,
+        *query: str,
+        controller: str | None = None,
+        scenario: str | None = None,
+        sets: Sequence[tuple[str, str]] = (),
+        seed: int | None = None,
+        experiment: int = 0,
+        engine: str | None = None,
+        observer: Observer | None = None,
+        show: Callable[[str, bytes], None] = lambda log, content: None,
+    ) -> Trial:
+        """Execute one run without recording it: the first one of an experiment of a query; return what it did.
+
+        Without a query, the template stays as it is, except for the seed. `seed` is the run's seed instead of the one that the
+        batch would use. `show` receives what the program prints while it runs: `stdout` or `stderr`, and the next bytes.
+        The run's folder stays until the next trial. A build that the run needs is recorded. Raises the errors of `plan`.
+
+        >>> trial = project.try_run("population_size=4")
+        >>> str(trial.status), [(file.path, file.table, file.rows) for file in trial.files]
+        ('ok', [('swarm.csv', 'swarm', 5)])
+        """
+        from sierra.execution import trial
+        from sierra.execution.observer import Observer
+        from sierra.query import query_request
+
+        observer = observer or Observer()
+        words = query or (trial.UNCHANGED,)
+        request = query_request.request(words, runs=1, controller=controller, scenario=scenario, sets=sets)
+        plan = self.build(self.resolve(request, engine=engine, observer=observer), observer=observer)
+        run, files = trial.choose(plan, experiment, seed)
+        return trial.attempt(plan, run, files, StorePaths(self.paths.store), observer, show)
 
     def build(self, plan: Plan, *, observer: Observer | None = None) -> Plan:
         """Build the products of `[build]` if they are not up to date; return the plan with them. `execute` does this too.

@@ -28,6 +28,7 @@ from sierra.cli import (
     sql,
     stats,
     status,
+    try_run,
     why,
 )
 
@@ -86,6 +87,7 @@ def _options(
     Example:
       sierra init --example swarm demo
       cd demo
+      sierra try
       sierra run population_size.Log8
       sierra sql "SHOW TABLES"
     """
@@ -93,6 +95,7 @@ def _options(
 
 for command in (
     init.init,
+    try_run.try_,
     run.run,
     status.status,
     attach.attach,
@@ -112,7 +115,7 @@ for command in (
     doctor.doctor,
     schema.schema,
 ):
-    app.command(cls=lazy_parameters.Command)(command)
+    app.command(command.__name__.rstrip("_"), cls=lazy_parameters.Command)(command)
 
 for group in (image.app, source.app):
     app.add_typer(group)

@@ -34,6 +34,19 @@ Runner = Annotated[
         help="Where runs execute: local, slurm, pbs, or a cluster of sierra.toml.",
     ),
 ]
+Controller = Annotated[
+    str | None, typer.Option("--controller", metavar="NAME", autocompletion=complete.controllers, help="The controller.")
+]
+Scenario = Annotated[
+    str | None, typer.Option("--scenario", metavar="NAME", autocompletion=complete.scenarios, help="The scenario.")
+]
+Sets = Annotated[
+    list[str] | None, typer.Option("--set", metavar="XPATH=VALUE", help="Change the template in all runs. May be repeated.")
+]
+EngineOfRuns = Annotated[
+    str | None,
+    typer.Option("--engine", metavar="ENGINE", help="Container engine: podman, apptainer, none (default: the project's)."),
+]
 DrawFigures = Annotated[bool | None, typer.Option("--figures/--no-figures", help="Draw the figures (default) or not.")]
 Long = Annotated[bool, typer.Option("--long", help="Show full ids, and do not shorten text to fit the terminal.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")]

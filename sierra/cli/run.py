@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, TypedDict
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import AsJson, DrawFigures, Jobs, Runner
+from sierra.cli.arguments import AsJson, Controller, DrawFigures, EngineOfRuns, Jobs, Runner, Scenario, Sets
 from sierra.cli.output import note, print_json, table
 from sierra.util.text import counted
 
@@ -34,22 +34,13 @@ def run(
         ),
     ],
     runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Runs per experiment.")] = None,
-    controller: Annotated[
-        str | None, typer.Option("--controller", metavar="NAME", autocompletion=complete.controllers, help="The controller.")
-    ] = None,
-    scenario: Annotated[
-        str | None, typer.Option("--scenario", metavar="NAME", autocompletion=complete.scenarios, help="The scenario.")
-    ] = None,
-    sets: Annotated[
-        list[str] | None, typer.Option("--set", metavar="XPATH=VALUE", help="Change the template in all runs. May be repeated.")
-    ] = None,
+    controller: Controller = None,
+    scenario: Scenario = None,
+    sets: Sets = None,
     jobs: Jobs = None,
     runner: Runner = "local",
     detach: Annotated[bool, typer.Option("--detach", help="Submit to a cluster, and return without waiting.")] = False,
-    engine: Annotated[
-        str | None,
-        typer.Option("--engine", metavar="ENGINE", help="Container engine: podman, apptainer, none (default: the project's)."),
-    ] = None,
+    engine: EngineOfRuns = None,
     dry_run: Annotated[bool, typer.Option("-n", "--dry-run", help="Show what would execute, and execute nothing.")] = False,
     explain: Annotated[bool, typer.Option("--explain", help="Show why runs execute or are reused.")] = False,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failed run.")] = False,

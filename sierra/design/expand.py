@@ -66,22 +66,27 @@ class Expansion:
                 for run in runs:
                     yield run, self._files(cell, render, run.number, run.seed)
 
+    def seeded(self, run: Run, seed: int) -> tuple[Run, Files]:
+        """Return the run that another seed makes of a run of the batch, with its input files."""
+        cell = self._design.cells[run.experiment]
+        return self._run(cell, self._renderer(cell), run.number, seed)
+
     def _experiment(self, cell: Cell) -> Experiment:
         render = self._renderer(cell)
-        runs = tuple(self._run(cell, render, number) for number in self._numbers)
+        runs = tuple(self._run(cell, render, number, self._seed(cell, number))[0] for number in self._numbers)
         values = {axis.name: cell.values[axis.name] for axis in self._design.axes}
         shown = {name: exact(value) for name, value in values.items()}
         return Experiment(merkle("experiment", (run.id for run in runs), {"values": shown}), cell.ordinal, values, runs)
 
-    def _run(self, cell: Cell, render: Renderer, number: int) -> Run:
-        seed = self._seed(cell, number)
-        inputs = [(name, sha256(content)) for name, content in self._files(cell, render, number, seed)]
+    def _run(self, cell: Cell, render: Renderer, number: int, seed: int) -> tuple[Run, Files]:
+        files = self._files(cell, render, number, seed)
+        inputs = [(name, sha256(content)) for name, content in files]
         names = tuple(name for name, _ in inputs)
         if names not in self._names:
             _check_names(names)
         digests = bytes.fromhex("".join(digest for _, digest in inputs))
         identity = run_id(self.spec_id, inputs, seed)
-        return Run(identity, cell.ordinal, number, seed, self._names.setdefault(names, names), digests)
+        return Run(identity, cell.ordinal, number, seed, self._names.setdefault(names, names), digests), files
 
     def _renderer(self, cell: Cell) -> Renderer:
         return self._template.changed(cell.changes, cell.values).per_run(self._design.per_run)

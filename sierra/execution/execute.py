@@ -45,12 +45,8 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
     from sierra import runners  # these modules are not needed if all runs are reused
     from sierra.execution.execute_missing import Executor
     from sierra.ingest.consistency import find_odd
-    from sierra.provenance import required_packages
 
-    if absent := required_packages.missing(plan.project.config, contained=plan.engine.name != "none"):
-        raise Missing(
-            f"runs need Python packages that are not installed ({', '.join(absent)}): {required_packages.remedy(absent)}"
-        )
+    check_packages(plan)
     plan = versioned(plan)
     make = partial(runners.find(options.runner, plan.project.config.runners), options.slots)
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())
@@ -80,6 +76,16 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         return summary
     finally:
         session.close()
+
+
+def check_packages(plan: Plan) -> None:
+    """Raise Missing if the runs need Python packages that are not installed."""
+    from sierra.provenance import required_packages
+
+    if absent := required_packages.missing(plan.project.config, contained=plan.engine.name != "none"):
+        raise Missing(
+            f"runs need Python packages that are not installed ({', '.join(absent)}): {required_packages.remedy(absent)}"
+        )
 
 
 def _sum_up(executor: Executor) -> Summary:

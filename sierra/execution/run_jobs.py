@@ -28,7 +28,7 @@ from sierra.provenance import environment, pythons, tracer
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner, Work, needed
-from sierra.store.layout import user_digests
+from sierra.store.layout import StorePaths, user_digests
 from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.store.store import Store
 from sierra.templates.base import Files
@@ -52,8 +52,11 @@ class Setup:
 class Service:
     """Executes runs of one session."""
 
-    def __init__(self, setup: Setup, store: Store, session: Session, *, stays: bool) -> None:
-        """Prepare the isolation of the runs. `stays`: they execute on a cluster. Raises ConfigError, Missing."""
+    def __init__(self, setup: Setup, store: Store, session: Session, *, stays: bool, images: StorePaths | None = None) -> None:
+        """Prepare the isolation of the runs. Raises ConfigError, Missing.
+
+        `stays`: they execute on a cluster. `images`: the store that has the files of images, if it is not `store`.
+        """
         self._setup = setup
         self._store = store
         self._session = session
@@ -67,7 +70,7 @@ class Service:
             setup.limits,
             code=setup.root,
             project=setup.project.root,
-            store=store.paths,
+            store=images or store.paths,
             session=session.id,
             elsewhere=stays,
         )

@@ -77,6 +77,17 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
             store.publish(writer)
 
 
+def keep_for_trial(plan: Plan, store: Store, session: Session) -> None:
+    """Record a batch in the store of a trial, without its inputs and its source."""
+    writer = store.writer(session.paths.segment, plan.batch.id)
+    writer.records([batch_row(plan, _lamport(session))])
+    writer.records([_spec_row(plan.batch)])
+    _write_host(plan, writer)
+    _write_experiments(plan.batch, writer)
+    writer.records(_members(plan.batch))
+    store.publish(writer)
+
+
 def keep_check(plan: Plan, store: Store, session: Session) -> FileCheck:
     """Record and return which executions do not count in this session, or count although source or programs differ."""
     found, _ = check(plan, store)

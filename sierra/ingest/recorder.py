@@ -69,7 +69,7 @@ class Recorder:
         kept: Path | None = None,
         doubt: Callable[[], Doubt | None] = lambda: None,
     ) -> None:
-        """`kept`: the folder to which the runs' folders are moved once they are recorded; if None, they are removed.
+        """`kept`: the folder to which the folders of ended and of interrupted runs are moved; if None, they are removed.
 
         `doubt`: a function that is called before each write. It returns the reason why pending executions cannot be
         successful, or None.
@@ -110,7 +110,7 @@ class Recorder:
         result = replace(result, elsewhere=written(result))
         status, reason = judge(result, self.context.outputs, self.context.success)
         if status is Status.INTERRUPTED:
-            discard(Path(result.directory), self._session)
+            self._put_away(result)
         else:
             self._left_out.update(dict.fromkeys(result.left_out[: max(NOTED_AT_MOST - len(self._left_out), 0)]))
             self._pending.append(Judgement(result, status, reason))

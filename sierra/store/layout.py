@@ -27,6 +27,8 @@ PROJECT/.sierra/images/<id>/        the description of an image, and its files a
 PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` moved out of the way
 PROJECT/.sierra/logs/<session>.log  messages of a session, <session>.old: the earlier ones; see sierra.store.session_log_file
 PROJECT/.sierra/build/              lock: held while products are built; aside/: older products meanwhile
+PROJECT/.sierra/try/                mark  lock; run/: the folder of the run that `sierra try` executed last; store/: its records
+                                    while it executes
 PROJECT/.sierra/kept/<replay>/      files that `sierra replay --keep` leaves: source/, and each run's folder by its id
 """
 
@@ -115,6 +117,8 @@ class StorePaths:
     """The folder of the sessions' log files; may be deleted."""
     kept_files = _Below("kept")
     """The folder of what `sierra replay --keep` leaves."""
+    tries = _Below("try")
+    """The folder of what `sierra try` leaves; the next one replaces it."""
     build = _Below("build")
     """The folder for builds of the products of `[build]`: the lock, and older products while new ones are built."""
     build_lock = _Below("build/lock")
@@ -133,6 +137,10 @@ class StorePaths:
     def kept(self, replay: str) -> Path:
         """Return the folder of the files that `sierra replay --keep` leaves."""
         return inside(self.kept_files, replay)
+
+    @property
+    def trial(self) -> TrialPaths:
+        return TrialPaths(self.tries)
 
     def log(self, session: str) -> Path:
         return self.logs / f"{session}.log"
@@ -156,6 +164,23 @@ class ImagePaths:
     def sandbox(self, user: int) -> Path:
         """Return the folder of the image's files for a user who can't mount a squashfs."""
         return self.root / f"rootfs.{user}"
+
+
+@dataclass(frozen=True, slots=True)
+class TrialPaths:
+    """The paths of `sierra try`."""
+
+    root: Path
+
+    mark = _Below(StorePaths.MARK)
+    lock = _Below("lock")
+    """The file that a process locks while it tries a run."""
+    store = _Below("store")
+    """The store of the run that is tried; removed when it has ended."""
+    new = _Below("new")
+    """The folder to which the run's folder is moved first."""
+    run = _Below("run")
+    """The folder of the last run."""
 
 
 @dataclass(frozen=True, slots=True)

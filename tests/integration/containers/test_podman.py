@@ -589,3 +589,12 @@ def test_a_missing_device_is_reported_before_any_run_executes(tmp_path: Path, bu
     folder = containers.make(tmp_path / "project", busybox, asked)
     assert lacking in says(folder, *RUN, code=3)
     assert rows(folder, "SELECT count(*) AS n FROM executions") == [{"n": 0}]
+
+
+def test_a_run_is_tried_in_its_image_without_a_record(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox, simulator="echo hello\n" + containers.SIMULATOR)
+    said = says(folder, "try", "population_size=2")
+    assert said.startswith("hello\n--\nresult  ok\n")
+    assert "swarm.csv" in said
+    assert rows(folder, "SELECT count(*) AS n FROM executions") == [{"n": 0}]
+    assert containers.left(folder) == []

@@ -16,6 +16,7 @@ from tests.projects import CONFIG, SIERRA, make, quick, sierra
 
 COMMANDS = (
     "init",
+    "try",
     "run",
     "status",
     "attach",

@@ -1,0 +1,290 @@
+"""Trial of one run: the run executes as in a batch, but no store keeps anything of it.
+
+The folder `try` of the project's store has a store of its own, where the run is recorded and judged as in a batch. What a user
+wants to know is read from it, and then it is removed. Only the run's folder is left, until the next trial.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sierra import runners
+from sierra.design.expand import Expansion
+from sierra.errors import Missing, SierraError, UsageError
+from sierra.execution import commands, session_records, show_record
+from sierra.execution.execute import check_packages
+from sierra.execution.observer import Observer, Progress, Relay, Tally
+from sierra.execution.resolve_plan import Plan, context, out_of_reach, versioned
+from sierra.execution.run_jobs import Service, Setup
+from sierra.execution.sessions import Session, locked
+from sierra.model import Experiment, Run, Status, Value
+from sierra.store.layout import RUN_STDERR, RUN_STDOUT, StorePaths, TrialPaths
+from sierra.store.row_types import ArtifactRow
+from sierra.store.segments import disk_errors
+from sierra.store.store import GITIGNORE, Store
+from sierra.store.table_layout import TableLayout
+from sierra.templates.base import Files
+from sierra.util.fs import write_whole
+from sierra.util.hashing import short
+from sierra.worker import worker
+
+UNCHANGED = "montecarlo.C1"
+"""The query for the template as it is, with a seed."""
+MARK = "made by sierra try\n"
+CHUNK = 1 << 16
+LOGS = (RUN_STDOUT, RUN_STDERR)
+
+Show = Callable[[str, bytes], None]
+"""A function that receives what the run's program prints: `stdout` or `stderr`, and the next bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class TriedFile:
+    """A file that the run wrote, and the table that it would be part of."""
+
+    path: str
+    bytes: int
+    table: str | None
+    """The table; None if the file would be recorded as a file."""
+    rows: int | None
+    columns: Mapping[str, str]
+    """The kind of values in each column, as the reader sees them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Used:
+    """What the run was observed to use."""
+
+    words: str
+    """The programs and data in words, as `sierra show` says them."""
+    files: tuple[str, ...]
+    """The files of the project that it executed or read, relative to the project."""
+    incomplete: str | None
+    """The reason why it may have used other files too; None if all were seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """The result of trying one run."""
+
+    values: Mapping[str, Value]
+    """The values of the query's variables."""
+    run: str
+    seed: int
+    status: Status
+    reason: str | None
+    """The reason why a batch would count the run as failed."""
+    exit_code: int | None = None
+    signal: int | None = None
+    wall_s: float | None = None
+    folder: Path | None = None
+    """The run's folder; None if there is none, because the run was interrupted before it began."""
+    files: tuple[TriedFile, ...] = ()
+    logs: Mapping[str, int] | None = None
+    """The bytes that the program printed, by `stdout` and `stderr`."""
+    elsewhere: tuple[str, ...] = ()
+    """Files that the run wrote, but not into its working directory."""
+    used: Used | None = None
+    """None if the run was not observed."""
+    notes: tuple[str, ...] = ()
+
+
+def choose(plan: Plan, experiment: int, seed: int | None) -> tuple[Run, Files]:
+    """Return the first run of an experiment, with another seed if one is given, and its input files. Raises UsageError."""
+    experiments = plan.batch.experiments
+    if not 0 <= experiment < len(experiments):
+        known = "only experiment 0" if len(experiments) == 1 else f"the experiments 0 to {len(experiments) - 1}"
+        raise UsageError(f"there is no experiment {experiment}; this query has {known}")
+    first = experiments[experiment].runs[0]
+    if seed is None:
+        return next(iter(plan.inputs.files(plan.batch, lambda run: run is first)))
+    if not isinstance(plan.inputs, Expansion):
+        raise UsageError("a recorded batch has recorded seeds; leave out --seed")
+    return plan.inputs.seeded(first, seed)
+
+
+def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: Observer, show: Show) -> Trial:
+    """Execute one run, and return what it did. `project` has the paths of the project's store, which need not exist.
+
+    Raises the errors of a batch's session, and SierraError if another process tries a run of this project.
+    """
+    check_packages(plan)
+    plan = versioned(_alone(plan, run))
+    with _place(project) as place:
+        store = Store.create(place.store)
+        session = Session(store.paths, logged=False)
+        output = _Output(session.paths.runs, observer, show)
+        tally = Tally(output, 1)
+        try:
+            session.take_number()
+            session_records.keep_for_trial(plan, store, session)
+            root = plan.project.root
+            if plan.checkout is not None:
+                plan.checkout.make(root := session.paths.source)
+            setup = Setup(plan.project, plan.batch.spec, plan.engine, plan.image, plan.limits, root, plan.environment)
+            service = Service(setup, store, session, stays=False, images=project)
+            followed = service.execute(
+                runners.find("local", plan.project.config.runners)(1),
+                context(plan, session.id, session.number),
+                [(run, files)],
+                1,
+                plan.programs,
+                tally,
+                doubt=lambda: service.doubt(plan.seen),
+                kept=place.new,
+            )
+        finally:
+            session.close()
+        folder = _keep(place, run)
+        output.rest(folder)
+        notes = (*plan.notes, *service.isolation.notes, *followed.notes)
+        values = plan.batch.experiments[0].values
+        if run.id not in tally.statuses:
+            return Trial(values, run.id, run.seed, Status.INTERRUPTED, "was interrupted", folder=folder, notes=notes)
+        found = _read(store, commands.execution_id(session.id, run.id), values, run.seed, folder)
+    if found.status is not Status.OK:
+        notes += tuple(out_of_reach(plan, None))
+    return replace(found, notes=tuple(dict.fromkeys(notes)))
+
+
+def _alone(plan: Plan, run: Run) -> Plan:
+    """Return the plan with only this run."""
+    whole = plan.batch.experiments[run.experiment]
+    own = Experiment(whole.id, whole.ordinal, whole.values, (run,))
+    return replace(plan, batch=replace(plan.batch, experiments=(own,)))
+
+
+@contextlib.contextmanager
+def _place(project: StorePaths) -> Iterator[TrialPaths]:
+    """Yield the emptied folder for a trial, locked; what it does not leave is removed at the end. Raises Missing."""
+    paths = project.trial
+    with disk_errors(paths.root):
+        _make(project, paths)
+        try:
+            lock = locked(paths.lock, wait=False)
+        except BlockingIOError as error:
+            raise SierraError("another sierra try is executing in this project; wait until it ends") from error
+    try:
+        _clear(paths.run, paths.store, paths.new)
+        yield paths
+    finally:
+        _clear(paths.store, paths.new)
+        if lock is not None:
+            os.close(lock)
+
+
+def _make(project: StorePaths, paths: TrialPaths) -> None:
+    """Make the folder, with a mark; it is not part of git, even before there is a store."""
+    if os.path.lexists(paths.root):
+        if not worker.is_folder(str(paths.root)) or not paths.mark.is_file() or paths.mark.read_text("utf-8") != MARK:
+            raise Missing(f"{paths.root} was not made by sierra try; move it away")
+        return
+    if not project.root.exists():
+        project.root.mkdir(parents=True)
+        write_whole(project.gitignore, GITIGNORE)
+    unfinished = paths.root.with_name(f".try.{os.getpid()}")
+    unfinished.mkdir()
+    (unfinished / paths.mark.name).write_text(MARK, "utf-8")
+    try:
+        unfinished.rename(paths.root)
+    except OSError:  # another process was faster
+        _clear(unfinished)
+
+
+def _clear(*folders: Path) -> None:
+    for folder in folders:
+        if worker.is_folder(str(folder)):
+            worker.remove(str(folder))
+        elif os.path.lexists(folder):
+            folder.unlink()
+
+
+def _keep(place: TrialPaths, run: Run) -> Path | None:
+    """Move the run's folder to where users find it."""
+    made = place.new / short(run.id)
+    if not made.is_dir():
+        return None
+    made.rename(place.run)
+    return place.run
+
+
+class _Output(Observer):
+    """Shows what the program prints while it runs: each report of progress is a moment to look at its logs."""
+
+    def __init__(self, runs: Path, observer: Observer, show: Show) -> None:
+        self._runs = runs
+        self._relay = Relay(observer, leave=False)
+        self._show = show
+        self._shown: dict[int, int] = {}
+        """The number of bytes that were shown, by the inode of the log, because the folder is moved."""
+
+    def notice(self, text: str) -> None:
+        self._relay.notice(text)
+
+    def progress(self, progress: Progress) -> None:
+        folders = [path for pattern in ("[0-9]*", "slot-*/runs/[0-9]*") for path in self._runs.glob(pattern)]
+        numbered = [path for path in folders if path.name.isdigit()]
+        if numbered:
+            self._look(max(numbered, key=lambda path: int(path.name)))
+
+    def rest(self, folder: Path | None) -> None:
+        """Show what has not been shown yet."""
+        if folder is not None:
+            self._look(folder)
+
+    def _look(self, folder: Path) -> None:
+        for name in LOGS:
+            with contextlib.suppress(OSError):
+                descriptor = os.open(folder / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+                with os.fdopen(descriptor, "rb") as file:
+                    found = os.fstat(descriptor)
+                    if stat.S_ISREG(found.st_mode):
+                        file.seek(self._shown.get(found.st_ino, 0))
+                        while piece := file.read(CHUNK):
+                            self._show(name, piece)
+                        self._shown[found.st_ino] = file.tell()
+
+
+WRITTEN = "SELECT DISTINCT path FROM files_written WHERE execution = $e AND use = 'written' ORDER BY path"
+OF_PROJECT = """
+SELECT DISTINCT f.path FROM observations o JOIN files_read f USING (files)
+WHERE o.execution = $e AND f.use IN ('executed', 'read') AND starts_with(f.path, '{project}/') ORDER BY f.path
+"""
+
+
+def _read(store: Store, execution: str, values: Mapping[str, Value], seed: int, folder: Path | None) -> Trial:
+    """Return what the store of the trial says about its execution."""
+    shown = show_record.show(store, execution)
+    if not isinstance(shown, show_record.ShownExecution):
+        raise SierraError(f"the trial's store has no execution {short(execution)}")
+    row = shown.row
+    used = None
+    if shown.observation is not None:
+        own = (path.removeprefix("{project}/") for path in store.values(str, OF_PROJECT, e=execution))
+        used = Used(shown.observation.used, tuple(own), shown.observation.row.reason)
+    return Trial(
+        values=values,
+        run=row.run,
+        seed=seed,
+        status=Status(row.status),
+        reason=row.reason,
+        exit_code=row.exit_code,
+        signal=row.signal,
+        wall_s=row.wall_s,
+        folder=folder,
+        files=tuple(_file(one) for one in shown.artifacts if one.kind != "log"),
+        logs={name: one.size for name in LOGS for one in shown.artifacts if (one.kind, one.path) == ("log", name)},
+        elsewhere=tuple(store.values(str, WRITTEN, e=execution)),
+        used=used,
+    )
+
+
+def _file(one: ArtifactRow) -> TriedFile:
+    if one.kind != "table":
+        return TriedFile(one.path, one.size, None, None, {})
+    return TriedFile(one.path, one.size, one.output, one.rows, TableLayout.load(one.table_layout).columns)
