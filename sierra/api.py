@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -179,12 +179,14 @@ class Project:
         runner: str = "local",
         detach: bool = False,
         progress: bool | None = None,
+        only: str | None = None,
     ) -> Summary:
         """Run a query: execute its missing runs, record them, and draw the figures.
 
         `jobs` is the number of runs that execute at the same time (default: the user's setting, or the number of usable cores).
         `observer` receives the progress and notices instead: see `Observer`. `runner` is where runs execute: `local`, or the
-        name of a cluster; with `detach`, this function returns once the jobs are submitted. The summary counts failed runs;
+        name of a cluster; with `detach`, this function returns once the jobs are submitted. `only` is a condition that selects
+        the experiments to execute, as in `population_size<=4`: see `sierra.query.condition`. The summary counts failed runs;
         they raise no error. Raises the errors of `plan`, and Missing if the disk is full.
 
         >>> summary = project.run("population_size=1,2", runs=2, figures=False)
@@ -201,6 +203,7 @@ class Project:
             runner=runner,
             detach=detach,
             progress=progress,
+            only=only,
         )
 
     def execute(
@@ -214,6 +217,7 @@ class Project:
         runner: str = "local",
         detach: bool = False,
         progress: bool | None = None,
+        only: str | None = None,
     ) -> Summary:
         """Execute a plan as `run` does. `observer` receives progress and notices, and decides about jobs on a cluster.
 
@@ -223,7 +227,9 @@ class Project:
         from sierra import runners
         from sierra.execution import execute
         from sierra.execution.run_options import RunOptions
+        from sierra.query import condition
 
+        selected = None if only is None else condition.select(only, plan.batch).runs
         stays = runners.find(runner, self.config.runners)(1).stays
         if detach and not stays:
             raise UsageError(
@@ -233,6 +239,7 @@ class Project:
             _slots(jobs),
             runner,
             fail_fast,
+            selected,
             observer=observer or _observer(progress),
             detach=detach,
         )
@@ -421,17 +428,18 @@ class Project:
         execute = replay.replay if record else replay.unrecorded
         return execute(self._loaded, self.store, prefix, options, observer or _observer(progress))
 
-    def proposal(self, plan: Plan, runner: str, *, detach: bool = False) -> Estimate | None:
+    def proposal(self, plan: Plan, runner: str, *, detach: bool = False, runs: Container[str] | None = None) -> Estimate | None:
         """Return an estimate of the cluster resources that a plan needs: see `sierra.runners.cluster.resource_estimate`.
 
-        Return None if the runner is not a cluster, or if there is no run to submit.
+        `runs`: the ids of the runs to submit, None for all. Return None if the runner is not a cluster, or if there is no run
+        to submit.
 
         >>> print(project.proposal(project.plan("population_size=8"), "local"))
         None
         """
         from sierra.execution import submission_proposal
 
-        return submission_proposal.proposal(plan, self.stored(), runner, detach=detach)
+        return submission_proposal.proposal(plan, self.stored(), runner, detach=detach, runs=runs)
 
     def status(self, prefix: str | None = None, *, observer: Observer | None = None) -> list[ClusterSession]:
         """Return the state of cluster jobs, of all batches or of one. Record the runs that have finished there first.

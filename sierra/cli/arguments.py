@@ -22,6 +22,16 @@ ClusterId = Annotated[
         help="Batch id, or session id from `sierra status`; a prefix is enough.",
     ),
 ]
+Criteria = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="QUERY",
+        autocompletion=complete.criteria,
+        help="Criteria, one per axis. The name of a query in sierra.toml stands for its criteria. "
+        "Or a batch id prefix: execute its missing runs with the recorded code. Or a FILE.json with a request.",
+    ),
+]
+RunsEach = Annotated[int | None, typer.Option("--runs", metavar="N", help="Runs per experiment.")]
 Jobs = Annotated[
     int | None, typer.Option("-j", "--jobs", metavar="N", help="Number of parallel runs (default: number of cores).")
 ]
@@ -46,6 +56,10 @@ Sets = Annotated[
 EngineOfRuns = Annotated[
     str | None,
     typer.Option("--engine", metavar="ENGINE", help="Container engine: podman, apptainer, none (default: the project's)."),
+]
+Only = Annotated[
+    str | None,
+    typer.Option("--only", metavar="CONDITION", help='Execute only these experiments: "population_size<=4 and noise=0,0.5".'),
 ]
 DrawFigures = Annotated[bool | None, typer.Option("--figures/--no-figures", help="Draw the figures (default) or not.")]
 Long = Annotated[bool, typer.Option("--long", help="Show full ids, and do not shorten text to fit the terminal.")]

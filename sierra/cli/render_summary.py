@@ -33,7 +33,7 @@ def print_and_exit(project: Project, summary: Summary, more: Mapping[str, object
         print_json({**_answer(summary), "detached": [_left(one) for one in left], **more})
     if summary.interrupted:
         raise typer.Exit(130)
-    if summary.failed or (summary.missing and not detached):
+    if summary.failed or (summary.missing > summary.left_out and not detached):
         raise typer.Exit(1)
     if summary.figure_error:
         raise Missing(summary.figure_error)
@@ -57,6 +57,8 @@ def _answer(summary: Summary) -> dict[str, object]:
         "reevaluated",
         "failed",
         "missing",
+        "selected",
+        "left_out",
         "interrupted",
     )
     answer: dict[str, object] = {name: getattr(summary, name) for name in names}
@@ -77,11 +79,15 @@ def _print(summary: Summary, left: Sequence[ClusterSession]) -> None:
     rows = [[*one.values.values(), one.runs, one.succeeded, one.failed] for one in summary.counts]
     table([*axes, *COUNTED], rows, right=COUNTED)
     failed = f", {summary.failed} failed" if summary.failed else ""
-    missing = f", {summary.missing} {'pending' if left else 'not executed'}" if summary.missing else ""
+    wanted = summary.missing - summary.left_out
+    missing = f", {wanted} {'pending' if left else 'not executed'}" if wanted else ""
+    others = f", {summary.left_out} left out" if summary.left_out else ""
     awaited = f" ({summary.awaited} executed meanwhile by another session)" if summary.awaited else ""
     judged = f" ({summary.reevaluated} evaluated again by the changed [outputs] or [success])" if summary.reevaluated else ""
     runs = counted(summary.runs, "run")
-    print(f"{runs}: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}{judged}")
+    if summary.selected is not None:
+        print(f"{summary.selected} of {counted(summary.experiments, 'experiment')} selected by --only")
+    print(f"{runs}: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}{others}{judged}")
     _print_failures(summary)
     if left:
         print("\n".join(ask_detach.lines(left, summary.batch)))

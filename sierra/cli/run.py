@@ -4,36 +4,39 @@ from __future__ import annotations
 
 import os
 from collections.abc import Set as AbstractSet
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sierra.cli import complete
-from sierra.cli.arguments import AsJson, Controller, DrawFigures, EngineOfRuns, Jobs, Runner, Scenario, Sets
+from sierra.cli import plan_query
+from sierra.cli.arguments import (
+    AsJson,
+    Controller,
+    Criteria,
+    DrawFigures,
+    EngineOfRuns,
+    Jobs,
+    Only,
+    Runner,
+    RunsEach,
+    Scenario,
+    Sets,
+)
 from sierra.cli.output import note, print_json, table
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.api import Project
-    from sierra.execution.observer import Observer
     from sierra.execution.plan_json import PlanPreview
     from sierra.execution.resolve_plan import Plan
+    from sierra.query.condition import Selection
 
 STDERR = 2
 
 
 def run(
-    query: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="QUERY",
-            autocompletion=complete.criteria,
-            help="Criteria, one per axis. The name of a query in sierra.toml stands for its criteria. "
-            "Or a batch id prefix: execute its missing runs with the recorded code. Or a FILE.json with a request.",
-        ),
-    ],
-    runs: Annotated[int | None, typer.Option("--runs", metavar="N", help="Runs per experiment.")] = None,
+    query: Criteria,
+    runs: RunsEach = None,
     controller: Controller = None,
     scenario: Scenario = None,
     sets: Sets = None,
@@ -43,6 +46,7 @@ def run(
     engine: EngineOfRuns = None,
     dry_run: Annotated[bool, typer.Option("-n", "--dry-run", help="Show what would execute, and execute nothing.")] = False,
     explain: Annotated[bool, typer.Option("--explain", help="Show why runs execute or are reused.")] = False,
+    only: Only = None,
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failed run.")] = False,
     figures: DrawFigures = None,
     as_json: AsJson = False,
@@ -69,6 +73,7 @@ def run(
       sierra run noise=0:1:5 scenario=low,high -j 4
       sierra run population_size=4 --set "//arena/@size=20"
       sierra run scalability noise=0,0.1 --dry-run --explain
+      sierra run population_size.Log8 noise=0:1:5 --only "population_size<=4 and noise=0,0.5"
       sierra run 774d
       sierra run query.json
       sierra run population_size.Log8 --on slurm --detach
@@ -78,12 +83,16 @@ def run(
     from sierra.cli.progress import Display, Planning, watching
     from sierra.cli.render_reasons import build
     from sierra.config import user
+    from sierra.query import condition
     from sierra.query.grammar import setting
 
     project = open_project.project()
     observer = Planning(agreed=yes, quiet=as_json)
-    settings = Settings(runs=runs, controller=controller, scenario=scenario, sets=[setting(text) for text in sets or ()])
-    plan = _plan(project, query, settings, engine=engine, observer=observer)
+    settings = plan_query.Settings(
+        runs=runs, controller=controller, scenario=scenario, sets=[setting(text) for text in sets or ()]
+    )
+    plan = plan_query.plan(project, query, settings, engine=engine, observer=observer)
+    selection = condition.select(only, plan.batch) if only is not None else None
     more: dict[str, object] = {}
     state = plan.build
     if not dry_run:
@@ -91,7 +100,9 @@ def run(
         plan = project.build(plan, observer=Display())
     if dry_run or explain:
         built = build(state, dry_run=dry_run) if state else None
-        preview = _preview(project, plan, runner, built, detach=detach, explain=explain, dry_run=dry_run, quiet=as_json)
+        preview = _preview(
+            project, plan, selection, runner, built, detach=detach, explain=explain, dry_run=dry_run, quiet=as_json
+        )
         if dry_run and as_json:
             print_json(preview.as_dict())
         if dry_run:
@@ -109,46 +120,15 @@ def run(
             observer=display,
             runner=runner,
             detach=detach,
+            only=only,
         )
     render_summary.print_and_exit(project, summary, more if as_json else None, detached=detach)
-
-
-class Settings(TypedDict):
-    """The settings of a query that are given as options."""
-
-    runs: int | None
-    controller: str | None
-    scenario: str | None
-    sets: list[tuple[str, str]]
-
-
-def _plan(project: Project, query: list[str], settings: Settings, *, engine: str | None, observer: Observer) -> Plan:
-    """Return the plan of a query, or of the request in a file.
-
-    Prints a note if the file names a batch that the request no longer gives.
-    """
-    from sierra.errors import UsageError
-    from sierra.query import query_request
-    from sierra.util.hashing import short
-
-    if not query[0].endswith(query_request.SUFFIX):
-        return project.plan(*query, **settings, engine=engine, observer=observer)
-    if len(query) > 1 or any(settings.values()):
-        raise UsageError(
-            f"{query[0]} is a complete request; leave out other criteria, --runs, --controller, --scenario and --set"
-        )
-    found = query_request.read(Path(query[0]))
-    plan = project.resolve(found.request, engine=engine, observer=observer)
-    if found.batch not in (None, plan.batch.id):
-        inside = Path(query[0]).resolve().is_relative_to(project.root)
-        hint = " (the file is part of its source: move it elsewhere, or let git ignore it)" if inside else ""
-        note(f"the project has changed since {query[0]} was written{hint}: then it was batch {short(found.batch)}")
-    return plan
 
 
 def _preview(
     project: Project,
     plan: Plan,
+    selection: Selection | None,
     runner: str,
     built: str | None,
     *,
@@ -170,16 +150,18 @@ def _preview(
     from sierra.explain.why_new_runs import other_programs, why_new
 
     store = project.stored()
-    found = forecast(plan, store)
+    runs = selection.runs if selection else None
+    found = forecast(plan, store, runs)
     reasons = found.reasons
     new = explain and reasons[Reason(ChangeReason.NEW)]
     other = explain and store and reasons[Reason(ChangeReason.PROGRAMS)]
-    proposal = project.proposal(plan, runner, detach=detach)
+    proposal = project.proposal(plan, runner, detach=detach, runs=runs)
     preview = PlanPreview(
         request=plan.request,
         batch=plan.batch.id,
         query=plan.text,
         experiments=len(plan.batch.experiments),
+        selected=len(selection.experiments) if selection else None,
         runs=len(found.states),
         to_execute=len(found.to_execute),
         reused=len(found.states) - len(found.to_execute) - len(found.on_clusters),
@@ -194,7 +176,7 @@ def _preview(
         proposal=proposal,
     )
     if not quiet:
-        _print(plan, preview, found.to_execute, explain=explain)
+        _print(plan, preview, selection, found.to_execute, explain=explain)
         if proposal:
             render_estimate.show(proposal, explain=explain, script=dry_run)
     for message in (*plan.notes, *(proposal.notes if proposal else ())) if dry_run else ():
@@ -202,7 +184,9 @@ def _preview(
     return preview
 
 
-def _print(plan: Plan, preview: PlanPreview, to_execute: AbstractSet[str], *, explain: bool) -> None:
+def _print(
+    plan: Plan, preview: PlanPreview, selection: Selection | None, to_execute: AbstractSet[str], *, explain: bool
+) -> None:
     from sierra.cli import render_status
     from sierra.util.hashing import short
 
@@ -210,7 +194,10 @@ def _print(plan: Plan, preview: PlanPreview, to_execute: AbstractSet[str], *, ex
     rows = [
         [*experiment.values.values(), len(experiment.runs), sum(run.id in to_execute for run in experiment.runs)]
         for experiment in plan.batch.experiments
+        if selection is None or experiment.ordinal in selection.experiments
     ]
+    if selection is not None:
+        print(f"{len(rows)} of {counted(preview.experiments, 'experiment')} selected by --only")
     table([*(axis.name for axis in plan.batch.axes), "runs", "to execute"], rows, right=["runs", "to execute"])
     if preview.build:
         print(preview.build)

@@ -29,6 +29,8 @@ class Attached:
     interrupted: bool
     """True if the user or another process ended it while it was followed."""
     notes: tuple[str, ...] = ()
+    unfinished: int | None = None
+    """Number of its runs that were not executed, if it was limited to a part of its batch; None if it was not."""
 
 
 def attach(store: Store, session: Session, tally: Tally, *, detach: bool = False) -> Attached:
@@ -40,11 +42,14 @@ def attach(store: Store, session: Session, tally: Tally, *, detach: bool = False
     try:
         context, runner = _submitted(session)
         followed = follow(runner, Recorder(store, session.paths, context), store, session, tally, None, detach=detach)
+        unfinished = None
         if not followed.left:
-            session_records.finish(store, session, interrupted=session.paths.cancelled.exists())
+            unfinished = session_records.finish(store, session, interrupted=session.paths.cancelled.exists())
         ended = not (cancelled or followed.left) and session.paths.cancelled.exists()  # by others, or on the cluster
         interrupted = followed.interrupted or ended
-        return Attached(context.batch, len(tally.statuses), len(tally.failed), followed.left, interrupted, followed.notes)
+        return Attached(
+            context.batch, len(tally.statuses), len(tally.failed), followed.left, interrupted, followed.notes, unfinished
+        )
     finally:
         session.close()
 

@@ -16,7 +16,7 @@ from sierra.execution import recover, session_records
 from sierra.execution.observation import reusable_executions, stale_sessions
 from sierra.execution.reasons import FAILED
 from sierra.execution.resolve_plan import Plan, context, versioned
-from sierra.execution.reuse import is_answered, states
+from sierra.execution.reuse import FileCheck, is_answered, states
 from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary, of_session
@@ -37,7 +37,7 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
     recover.finish_dead(store)
     began = datetime.now(UTC)
     if is_answered(plan, store):
-        return of_session(plan, store, len({run.id for run in plan.batch.runs}))
+        return of_session(plan, store, len({run.id for run in plan.batch.runs}), only=options.only)
     return _execute(plan, store, options, began)
 
 
@@ -63,7 +63,8 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         slots = None if stays else options.slots
         begun = session_records.begun(plan, session, started=began, runner=options.runner, slots=slots)
         if stays:
-            session_records.prepare(plan, store, session, begun)
+            left_out = len(_unselected(plan, store, found, options)) if options.only is not None else None
+            session_records.prepare(plan, store, session, begun, left_out)
         odd = find_odd(store, session.paths, context(plan, session.id, session.number))
         executor = Executor(plan, store, session, make, options, found)
         if executor.rules_changed:
@@ -76,6 +77,12 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         return summary
     finally:
         session.close()
+
+
+def _unselected(plan: Plan, store: Store, found: FileCheck, options: RunOptions) -> set[str]:
+    """Return the runs without a successful execution that the session leaves out."""
+    only = options.only or frozenset()
+    return {run for run, state in states(plan, store, found).items() if not state.succeeded and run not in only}
 
 
 def check_packages(plan: Plan) -> None:
@@ -96,7 +103,9 @@ def _sum_up(executor: Executor) -> Summary:
     for run in [run for run, state in now.items() if state.succeeded]:
         del now[run]
     bad = now.keys()
+    only = executor.only
     failed = bad & (executor.attempted | executor.failed)
+    failed = failed if only is None else failed & only
     return of_session(
         plan,
         store,
@@ -111,4 +120,5 @@ def _sum_up(executor: Executor) -> Summary:
         interrupted=executor.interrupted,
         detached=tuple(paths.root.name for paths in executor.left),
         notes=executor.notes,
+        only=only,
     )

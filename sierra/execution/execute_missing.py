@@ -66,12 +66,18 @@ class Executor:
         self._options = options
         observer = Relay(options.observer, leave=True) if options.detach else options.observer
         self._context = context(plan, session.id, session.number)
-        self._tally = Tally(observer, len({run.id for run in plan.batch.runs}))
+        runs = {run.id for run in plan.batch.runs}
+        self._tally = Tally(observer, len(runs if options.only is None else runs & options.only))
         self._service: Service | None = None
         self._before: dict[str, int] | None = None
         self._claimed: AbstractSet[str] = frozenset()
         self._doubted: Doubt | None = None
         self._looked_at: set[str] = set()
+
+    @property
+    def only(self) -> AbstractSet[str] | None:
+        """Return the runs that the session is limited to; None for all."""
+        return self._options.only
 
     @property
     def attempted(self) -> AbstractSet[str]:
@@ -120,7 +126,8 @@ class Executor:
         wanted = {run for run, state in now.items() if not state.succeeded}
         if self._before is None:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
-            self._tally.reused = self._tally.total - len(wanted)
+            lacking = wanted if self.only is None else wanted & self.only
+            self._tally.reused = self._tally.total - len(lacking)
         self.failed |= {run for run in wanted if now[run].executions > self._before.get(run, 0)}
         if self._options.only is not None:
             wanted &= self._options.only

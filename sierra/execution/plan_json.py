@@ -18,7 +18,8 @@ class PlanPreview(BaseModel):
     batch: str = Field(description="id of the batch that the query expands to")
     query: str = Field(description="the criteria, in full")
     experiments: int = Field(description="number of experiments")
-    runs: int = Field(description="number of different runs")
+    selected: int | None = Field(None, description="with --only: number of these experiments that it selects")
+    runs: int = Field(description="number of different runs; with --only, of the selected experiments")
     to_execute: int = Field(description="number of runs that would execute")
     reused: int = Field(description="number of runs with a recorded execution that would be reused, or evaluated again")
     to_reevaluate: int = Field(
@@ -37,7 +38,7 @@ class PlanPreview(BaseModel):
 
     def as_dict(self) -> dict[str, object]:
         """Return the fields for JSON. Keys without a value are left out where the schema does not require them."""
-        optional = ("other_programs", "build")
+        optional = ("other_programs", "build", "selected")
         names = [name for name in type(self).model_fields if name not in optional or getattr(self, name) is not None]
         request = self.request.model_dump(mode="json", exclude_defaults=True)
         return {name: getattr(self, name) for name in names} | {"request": request}

@@ -111,28 +111,34 @@ def close(plan: Plan, store: Store, session: Session, summary: Summary, begun: S
     store.publish(writer)
 
 
-def prepare(plan: Plan, store: Store, session: Session, begun: SessionRow) -> None:
+def prepare(plan: Plan, store: Store, session: Session, begun: SessionRow, left_out: int | None = None) -> None:
     """Prepare the record of a session whose process may end before its jobs do.
 
-    Records everything except the result, which `finish` records.
+    Records everything except the result, which `finish` records. `left_out`: the session is limited to a part of the batch, and
+    so many other runs have no successful execution; None if it is not limited.
     """
     writer = store.writer(session.paths.segment, plan.batch.id)
     _write_source_and_host(plan, writer, executed=True)
     _write_programs(plan, store, session, writer)
     store.publish(writer)
     known = {name: value for name, value in begun._asdict().items() if name not in RESULT}
-    record = {"runs": len({run.id for run in plan.batch.runs}), **known}
+    record = {"runs": len({run.id for run in plan.batch.runs}), "left_out": left_out, **known}
     with disk_errors(session.paths.root):
         write_whole(session.paths.asking, json.dumps(record, default=datetime.isoformat).encode())
 
 
-def finish(store: Store, session: Session, *, interrupted: bool) -> None:
-    """Record the result of a session that another process prepared; do nothing if none did."""
+def finish(store: Store, session: Session, *, interrupted: bool) -> int | None:
+    """Record the result of a session that another process prepared; do nothing if none did.
+
+    If the session was limited to a part of its batch, return how many of its runs were not executed; otherwise None.
+    """
     if not session.paths.asking.exists():
-        return
+        return None
     fields = read_record(session.paths.asking)
     try:
         runs = int(fields.pop("runs"))
+        left_out = fields.pop("left_out", None)
+        others = int(left_out or 0)
         started = datetime.fromisoformat(fields["started"])
         begun = of_fields(SessionRow, {"build": None, **fields, **NO_RESULT, "started": started, "ended": started})
     except (KeyError, TypeError, ValueError) as error:
@@ -140,9 +146,10 @@ def finish(store: Store, session: Session, *, interrupted: bool) -> None:
     claimed = len(sessions.claims(session.paths))
     [counts] = store.select(Counts, COUNTS, s=session.id)
     writer = store.writer(session.paths.segment, begun.batch)
-    reused, missing = runs - claimed, claimed - counts.executed
-    writer.records([_ended(session, begun, counts, reused, missing, interrupted=interrupted)])
+    reused, missing = runs - claimed - others, claimed - counts.executed
+    writer.records([_ended(session, begun, counts, reused, missing + others, interrupted=interrupted)])
     store.publish(writer)
+    return None if left_out is None else missing
 
 
 class Counts(NamedTuple):

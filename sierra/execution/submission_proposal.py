@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Container
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,14 +37,16 @@ SELECT sum(size)::DOUBLE / (SELECT count(*) FROM those) AS bytes FROM artifacts 
 """
 
 
-def proposal(plan: Plan, store: Store | None, runner: str, *, detach: bool) -> Estimate | None:
+def proposal(
+    plan: Plan, store: Store | None, runner: str, *, detach: bool, runs: Container[str] | None = None
+) -> Estimate | None:
     """Return the estimate of a plan's missing runs on the cluster of that runner.
 
     Returns None if the runner has no cluster, or if all missing runs are on a cluster already. With `detach`, no process
-    would follow the jobs. Raises ConfigError.
+    would follow the jobs. `runs`: only these runs are submitted. Raises ConfigError.
     """
     found = runners.scheduler_of(runner, plan.project.config.runners)
-    wanted = forecast(plan, store).to_execute
+    wanted = forecast(plan, store, runs).to_execute
     count = len(wanted)
     if found is None or not count:
         return None

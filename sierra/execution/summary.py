@@ -12,6 +12,7 @@ from sierra.model import Batch, Value
 from sierra.store.store import Store
 from sierra.util import html
 from sierra.util.hashing import short
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.execution import show_record
@@ -67,6 +68,10 @@ class Summary:
     """Numbers of runs by experiment, in the batch's order."""
     failures: tuple[Failure, ...] = ()
     """Failures by reason, most frequent first; at most `SHOWN_REASONS`."""
+    selected: int | None = None
+    """Number of experiments that the session was limited to; None if it was not limited."""
+    left_out: int = 0
+    """Number of the missing runs that do not belong to these experiments."""
     notes: tuple[str, ...] = ()
     figures: tuple[str, ...] = ()
     figure_error: str | None = None
@@ -98,16 +103,21 @@ def of_session(
     interrupted: bool = False,
     detached: tuple[str, ...] = (),
     notes: tuple[str, ...] = (),
+    only: AbstractSet[str] | None = None,
 ) -> Summary:
     """Return the summary of a session that executed some runs.
 
     The arguments are sets of run ids. Runs that are neither `failed` nor `missing` are successful. Runs that are `missing` were
-    not `executed`. `tried` are the unsuccessful runs that failed, now or earlier.
+    not `executed`. `tried` are the unsuccessful runs that failed, now or earlier. `only`: the session was limited to these
+    runs; None if it was not limited.
     """
     failures = tuple(_failures(plan, store, failed)) if failed else ()
     if failures:
         none_good = len(failed | missing) == runs
         notes += tuple(out_of_reach(plan, None if none_good else [failure.log or "" for failure in failures]))
+    left_out = len(missing - only) if only is not None else 0
+    if left_out:
+        notes += (f"figures and statistics of this batch lack {counted(left_out, 'run')} that --only has left out",)
     return Summary(
         batch=plan.batch.id,
         query=plan.text,
@@ -124,6 +134,8 @@ def of_session(
         detached=detached,
         counts=tuple(_counts(plan.batch, failed | missing if failed else missing, tried)),
         failures=failures,
+        selected=None if only is None else sum(all(run.id in only for run in one.runs) for one in plan.batch.experiments),
+        left_out=left_out,
         notes=(*plan.notes, *dict.fromkeys(notes)),
     )
 
@@ -167,16 +179,19 @@ def of_recorded(
     interrupted: bool,
     detached: tuple[str, ...],
     notes: tuple[str, ...],
+    unfinished: int | None = None,
 ) -> Summary:
     """Return the summary of a recorded batch after some of its runs were followed on a cluster.
 
-    `executed` is the number of runs that ended meanwhile; `failed` of these failed.
+    `executed` is the number of runs that ended meanwhile; `failed` of these failed. `unfinished`: the runs were a part of the
+    batch, and so many of them were not executed; None if they were not a part.
     """
     from sierra.execution import show_record
 
     shown = show_record.batch(store, batch)
     counts = tuple(Counted(one.values, one.runs, one.succeeded, one.failed) for one in shown.experiments)
     succeeded, unsuccessful = sum(one.succeeded for one in counts), sum(one.failed for one in counts)
+    missing = max(0, shown.row.runs - succeeded - unsuccessful)
     return Summary(
         batch=batch,
         query=shown.sessions[-1].query if shown.sessions else shown.row.query,
@@ -186,11 +201,12 @@ def of_recorded(
         reexecuted=0,
         reused=max(0, succeeded - executed + failed),
         failed=unsuccessful,
-        missing=max(0, shown.row.runs - succeeded - unsuccessful),
+        missing=missing,
         interrupted=interrupted,
         detached=detached,
         counts=counts,
         failures=tuple(_failure(store, one) for one in shown.failures[:SHOWN_REASONS]),
+        left_out=0 if unfinished is None else max(0, missing - unfinished),
         notes=tuple(dict.fromkeys(notes)),
     )
 

@@ -64,6 +64,7 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
         left += [row.session] if attached[-1].left else []
     if not attached:
         raise SierraError("; ".join(busy))
+    parts = [one.unfinished for one in attached]
     return summary.of_recorded(
         store,
         rows[0].batch,
@@ -71,6 +72,7 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
         failed=sum(one.failed for one in attached),
         interrupted=attached[-1].interrupted,
         detached=tuple(left),
+        unfinished=None if None in parts else sum(part or 0 for part in parts),
         notes=(*busy, *(note for one in attached for note in one.notes)),
     )
 

@@ -146,14 +146,15 @@ def _steps(name: str, start: str, end: str, count: int) -> Scale:
 def _spelled(name: str, rest: str) -> Scale:
     """Parse the text after `=`: a list, or a span."""
     if ":" not in rest:
-        return Listed(tuple(_item(word) for word in rest.split(",")))
+        return Listed(tuple(value(word) for word in rest.split(",")))
     parts = rest.split(":")
     if len(parts) != 3 or not _WHOLE.fullmatch(parts[2]):
         raise QueryError(f"a range needs from, to and a count; use {name}=0:1:5")
     return Span(_fraction(parts[0]), _fraction(parts[1]), _whole(parts[2]))
 
 
-def _item(word: str) -> Value:
+def value(word: str) -> Value:
+    """Return the value that a word in a list of values means. Raises QueryError."""
     if _WHOLE.fullmatch(word):
         return _whole(word)
     if _NUMBER.fullmatch(word):

@@ -33,7 +33,8 @@ def probe(plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
     Returns nothing if there is no such run, or if it fails. Raises KeyboardInterrupt when it is interrupted.
     """
     found = states(plan, store)
-    run = next((run.id for run in plan.batch.runs if not found[run.id].succeeded), None)
+    wanted = (run.id for run in plan.batch.runs if options.only is None or run.id in options.only)
+    run = next((run for run in wanted if not found[run].succeeded), None)
     if run is None:
         return ()
     first = execute.run(plan, store, replaced(options, slots=1, only={run}, detach=False))

@@ -108,6 +108,20 @@ def test_attach_follows_a_detached_batch_to_its_end(waiting: Waiting) -> None:
     assert waiting.project.executed().total() == 6
 
 
+def test_a_part_of_a_batch_is_detached_attached_and_completed(waiting: Waiting) -> None:
+    left = waiting.submit(*QUERY, "--only", "size>=2")
+    assert left["runs"] == 4
+    waiting.open()
+    done = waiting.project.quick("attach", waiting.batch(), "--no-figures")
+    assert done.returncode == 0, done.stderr
+    assert "6 runs: 4 executed, 0 reused, 2 left out\n" in done.stdout
+    assert waiting.project.sql("SELECT executed, reused, missing FROM sessions") == [{"executed": 4, "reused": 0, "missing": 2}]
+    preview = waiting.project.quick("run", *QUERY, "--on", "slurm", "-n", "--only", "size=1", "--json")
+    assert json.loads(preview.stdout)["proposal"]["runs"] == 2
+    rest = waiting.project.quick("run", *QUERY, "--on", "slurm", "--no-figures", "--json")
+    assert [json.loads(rest.stdout)[name] for name in ("executed", "reused", "missing")] == [2, 4, 0]
+
+
 @pytest.mark.nightly
 def test_attach_accepts_the_prefix_of_a_session_id(waiting: Waiting) -> None:
     left = waiting.submit()
