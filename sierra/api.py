@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from sierra.execution.summary import Summary
     from sierra.execution.takeover import Cancelled
     from sierra.execution.trial import Trial
+    from sierra.execution.write_inputs import WrittenInputs
     from sierra.explain.diff.compare import Comparison
     from sierra.explain.why_executed import Why
     from sierra.maintenance.fsck import Report
@@ -282,6 +283,20 @@ class Project:
         plan = self.build(self.resolve(request, engine=engine, observer=observer), observer=observer)
         run, files = trial.choose(plan, experiment, seed)
         return trial.attempt(plan, run, files, StorePaths(self.paths.store), observer, show)
+
+    def write_inputs(self, plan: Plan, folder: str | os.PathLike[str], *, only: str | None = None) -> WrittenInputs:
+        """Write the inputs and commands of a plan's runs into a new folder, and execute nothing.
+
+        `only`: as in `run`. See `sierra.execution.write_inputs` for the files. Raises UsageError if the folder is not empty.
+
+        >>> project.write_inputs(project.plan("population_size=1,2", runs=2), "../inputs").runs
+        4
+        """
+        from sierra.execution import write_inputs
+        from sierra.query import condition
+
+        selection = None if only is None else condition.select(only, plan.batch)
+        return write_inputs.write(plan, Path(folder), selection)
 
     def build(self, plan: Plan, *, observer: Observer | None = None) -> Plan:
         """Build the products of `[build]` if they are not up to date; return the plan with them. `execute` does this too.

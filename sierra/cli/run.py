@@ -73,7 +73,7 @@ def run(
       sierra run noise=0:1:5 scenario=low,high -j 4
       sierra run population_size=4 --set "//arena/@size=20"
       sierra run scalability noise=0,0.1 --dry-run --explain
-      sierra run population_size.Log8 noise=0:1:5 --only "population_size<=4 and noise=0,0.5"
+      sierra run population_size.Log8 --only "population_size<=4"
       sierra run 774d
       sierra run query.json
       sierra run population_size.Log8 --on slurm --detach

@@ -598,3 +598,11 @@ def test_a_run_is_tried_in_its_image_without_a_record(tmp_path: Path, busybox: P
     assert "swarm.csv" in said
     assert rows(folder, "SELECT count(*) AS n FROM executions") == [{"n": 0}]
     assert containers.left(folder) == []
+
+
+def test_commands_of_inputs_have_the_paths_in_the_image(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox)
+    assert "start the container yourself" in says(folder, "inputs", "population_size=2", "--to", "../inputs")
+    command = json.loads((tmp_path / "inputs" / "runs" / "0" / "0" / "command.json").read_text())
+    assert command["argv"] == ["sh", "/run/sierra/project/sim.sh", "../input.xml"]
+    assert command["image_id"] in (folder / "sierra.lock").read_text()

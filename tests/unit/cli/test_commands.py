@@ -18,6 +18,7 @@ COMMANDS = (
     "init",
     "try",
     "run",
+    "inputs",
     "status",
     "attach",
     "cancel",

@@ -1,0 +1,147 @@
+"""The inputs and commands of a batch as files, for sites that start programs in their own way.
+
+DIR/manifest.csv                a row for each run: run, experiment, number, seed, folder, and the values of the variables
+DIR/batch.json                  the request and the batch's id, as `sierra run FILE.json` accepts them
+DIR/runs/<experiment>/<number>/ a run: its input files, `command.json`, and the empty folder `output`
+
+A command is to be started in the folder `output`, as SIERRA does, and its paths of the run are relative to that folder:
+`{input}` is `../input.xml`, `{output}` is `.`, and `{run}` is `..`. All is written beside DIR first and then renamed, so that
+an incomplete folder never has this name.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import shlex
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from sierra.containers.engines.base import PROJECT
+from sierra.errors import UsageError
+from sierra.execution.commands import HERE, CommandBuilder
+from sierra.execution.resolve_plan import Plan
+from sierra.model import Job
+from sierra.query.condition import Selection
+from sierra.query.query_request import KEY
+from sierra.store.layout import RUN_OUTPUT
+from sierra.store.segments import disk_errors
+from sierra.util.fs import inside
+from sierra.worker import worker
+
+MANIFEST, REQUEST, RUNS, COMMAND = "manifest.csv", "batch.json", "runs", "command.json"
+COLUMNS = ("run", "experiment", "number", "seed", "folder")
+OWN = ("SIERRA_RUN_ID", "SIERRA_SEED")
+"""The variables of a run that are not declared but mean the same everywhere."""
+_OF_RUN = re.compile(rf"{HERE}(/{RUN_OUTPUT}(?![\w.-]))?")
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenInputs:
+    """The folder that was written."""
+
+    folder: Path
+    batch: str
+    experiments: int
+    runs: int
+    notes: tuple[str, ...] = ()
+
+
+def check_target(folder: Path) -> None:
+    """Raise UsageError if a folder is not empty, or is no folder."""
+    if os.path.lexists(folder) and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(f"{folder} is not empty; use a new folder")
+    if not folder.parent.is_dir():
+        raise UsageError(f"{folder.parent} does not exist; create it first")
+
+
+def write(plan: Plan, folder: Path, selection: Selection | None = None) -> WrittenInputs:
+    """Write the inputs and commands of a plan's runs into a new folder. Raises UsageError, and Missing if the disk is full."""
+    folder = Path.cwd() / folder
+    check_target(folder)
+    ordinals = frozenset(one.ordinal for one in plan.batch.experiments) if selection is None else selection.experiments
+    with disk_errors(folder):
+        unfinished = Path(tempfile.mkdtemp(prefix=f".{folder.name}.unfinished-", dir=folder.parent))
+        try:
+            count = _write_all(plan, unfinished, ordinals)
+            unfinished.chmod(0o777 & ~_umask())
+            os.sync()
+            unfinished.rename(folder)
+        except BaseException:
+            worker.remove(str(unfinished))
+            raise
+    return WrittenInputs(folder, plan.batch.id, len(ordinals), count, (*plan.notes, *_notes(plan, folder)))
+
+
+def _write_all(plan: Plan, folder: Path, ordinals: frozenset[int]) -> int:
+    """Write everything; return the number of runs."""
+    builder = _builder(plan)
+    widths = len(str(len(plan.batch.experiments) - 1)), len(str(max(len(one.runs) for one in plan.batch.experiments) - 1))
+    axes = [axis.name for axis in plan.batch.axes]
+    count = 0
+    with (folder / MANIFEST).open("w", encoding="utf-8", newline="") as file:
+        manifest = csv.writer(file, lineterminator="\n")
+        manifest.writerow([*COLUMNS, *(f"{name}_value" if name in COLUMNS else name for name in axes)])
+        for run, files in plan.inputs.files(plan.batch, lambda run: run.experiment in ordinals):
+            place = f"{RUNS}/{run.experiment:0{widths[0]}}/{run.number:0{widths[1]}}"
+            _write_run(inside(folder, place), builder.job(run, files), plan)
+            values = plan.batch.experiments[run.experiment].values
+            manifest.writerow([run.id, run.experiment, run.number, run.seed, place, *(values[name] for name in axes)])
+            count += 1
+    request = plan.request.model_dump(mode="json", exclude_defaults=True)
+    (folder / REQUEST).write_text(json.dumps({KEY: request, "batch": plan.batch.id}, indent=2) + "\n", "utf-8")
+    return count
+
+
+def _write_run(folder: Path, job: Job, plan: Plan) -> None:
+    (folder / RUN_OUTPUT).mkdir(parents=True)
+    for name, content in job.files:
+        if name in (COMMAND, RUN_OUTPUT):
+            raise UsageError(f"an input file is called {name!r}, as a file that SIERRA writes beside it; use another name")
+        path = inside(folder, name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    argv = [_relative(word) for word in job.argv]
+    image = {"image": plan.image.name, "image_id": plan.image.id} if plan.image else {}
+    command = {"argv": argv, "line": shlex.join(argv), "folder": RUN_OUTPUT, "environment": _environment(plan, job), **image}
+    (folder / COMMAND).write_text(json.dumps(command, indent=2) + "\n", "utf-8")
+
+
+def _builder(plan: Plan) -> CommandBuilder:
+    root = plan.project.root
+    code = Path(PROJECT) if plan.image else root
+    return CommandBuilder(plan.batch.spec, code, plan.engine, plan.limits, "", root, image=plan.image)
+
+
+def _environment(plan: Plan, job: Job) -> dict[str, str]:
+    """Return the declared variables of a run, with those of its image."""
+    names = {*plan.batch.spec.environment, *(plan.image.variables if plan.image else ()), *OWN}
+    return {name: _relative(value) for name, value in sorted(job.environment.items()) if name in names}
+
+
+def _relative(text: str) -> str:
+    """Return a text in which paths of the run's folder are relative to its folder for outputs."""
+    return _OF_RUN.sub(lambda found: "." if found[1] else "..", text)
+
+
+def _notes(plan: Plan, folder: Path) -> Iterator[str]:
+    root = plan.project.root.resolve()
+    if folder.resolve().is_relative_to(root) and not plan.project.config.source.paths:
+        yield f"{folder} is in the project: its files count as code, and make all runs new, unless git ignores them"
+    if plan.checkout is not None:
+        yield 'the ids are those of the commit (dirty = "ignore"), but the commands name the current files of the project'
+    if plan.build is not None and plan.build.reason is not None:
+        yield f"the products of [build] are not up to date ({plan.build.reason}); sierra run and sierra try build them"
+    if plan.image is not None:
+        yield f"commands are for the image {plan.image.name}, with the project at {PROJECT}; start the container yourself"
+
+
+def _umask() -> int:
+    """Return the permissions that new files do not get."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
