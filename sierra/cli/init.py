@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -14,6 +15,7 @@ from sierra.cli.output import note, print_json
 from sierra.util.text import one_line
 
 if TYPE_CHECKING:
+    from sierra.execution.trial import Trial
     from sierra.setup.init.answers import Question
     from sierra.setup.init.write import Guess
 
@@ -31,7 +33,11 @@ def init(
             "--from-sierra1", metavar="DIR", help="Convert a project of SIERRA 1.x (ARGoS); nothing of it is executed."
         ),
     ] = None,
-    template: Annotated[str | None, typer.Option("--template", metavar="FILE", help="The simulator's XML input file.")] = None,
+    template: Annotated[str | None, typer.Option("--template", metavar="FILE", help="The simulator's input file.")] = None,
+    format: Annotated[
+        str | None,
+        typer.Option("--format", metavar="NAME", help="Format of that file, if its ending does not say it: text, ini."),
+    ] = None,
     command: Annotated[
         str | None, typer.Option("--command", metavar="TEXT", help="Command that starts it: 'python3 sim.py {input}'.")
     ] = None,
@@ -43,13 +49,16 @@ def init(
         list[str] | None,
         typer.Option("--source", metavar="PATH", help="Code that results depend on (default: all). May be repeated."),
     ] = None,
+    no_try: Annotated[bool, typer.Option("--no-try", help="Do not execute a run before writing.")] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask; use the detected values.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Do not ask; print the written settings as JSON.")] = False,
 ) -> None:
     """Write a sierra.toml, or copy the bundled example.
 
-    Settings are detected from the files in the folder; on a terminal, sierra asks for the others. An existing sierra.toml is
-    never overwritten.
+    Settings are detected from the files in the folder; on a terminal, sierra asks for the others. The simulator's input file
+    may be XML, JSON, YAML, TOML, INI, or a text with placeholders such as {{speed}}. If you give the command, one run is
+    tried before anything is written, as sierra try does; if it fails, nothing is written. An existing sierra.toml is never
+    overwritten.
 
     \b
     Examples:
@@ -58,6 +67,7 @@ def init(
       sierra init --from-sierra1 ../old/projects/foraging
       sierra init -y --template arena.xml --command "./sim {input}" \\
                   --variable "population_size=//swarm/@count"
+      sierra init -y --template params.yaml --command "python3 model.py {input}"
     """
     from sierra.setup.init import wizard
 
@@ -68,10 +78,45 @@ def init(
     if example is not None:
         _say_example(folder, wizard.copy_example(example, folder), as_json=as_json)
         return
-    said = wizard.Options(template, command, seed, tuple(variables or ()), tuple(source or ()))
+    said = wizard.Options(template, format, command, seed, tuple(variables or ()), tuple(source or ()))
     somebody = not yes and not as_json and sys.stdin.isatty() and sys.stdout.isatty()
     guess = wizard.find_out(folder, said, _ask if somebody else None)
-    _say(folder, wizard.write(folder, guess), guess, as_json=as_json)
+    found = None if no_try else _tried(folder, guess, ask=somebody, quiet=as_json)
+    trial = None if isinstance(found, str) else found
+    notes = (*guess.notes, found) if isinstance(found, str) else guess.notes
+    _say(folder, wizard.write(folder, guess, trial), replace(guess, notes=notes), trial, as_json=as_json)
+
+
+def _tried(folder: Path, guess: Guess, *, ask: bool, quiet: bool) -> Trial | str | None:
+    """Execute one run, if the user has given the command; print what it did unless `quiet`.
+
+    Returns the trial, or why there is none. Raises SierraError if the run failed, unless the user wants the file nevertheless
+    (`ask`); typer.Exit if it was interrupted.
+    """
+    from sierra.cli.try_run import Printer, print_trial
+    from sierra.errors import SierraError
+    from sierra.model import Status
+    from sierra.setup.init import wizard
+
+    if guess.given and not quiet:
+        print(f"trying one run: {one_line(guess.command)} (--no-try does not)")
+    printer = Printer(to_stderr=True)
+    found = wizard.try_run(folder, guess, printer.show if not quiet else lambda log, content: None)
+    printer.end()
+    if found is None or isinstance(found, str):
+        return found
+    if not quiet:
+        for text in found.notes:
+            note(one_line(text))
+        print_trial(found)
+    if found.status is Status.INTERRUPTED:
+        raise typer.Exit(130)
+    if found.status is not Status.OK and ask and typer.confirm("the run failed; write sierra.toml nevertheless?"):
+        return found
+    if found.status is not Status.OK:
+        kept = f"; {found.folder} has its files" if found.folder else ""
+        raise SierraError(f"no sierra.toml was written, because a run failed: {found.reason} (--no-try writes it){kept}")
+    return found
 
 
 def _check_alone(*others: object) -> None:
@@ -126,10 +171,11 @@ def _ask(question: Question, check: Callable[[str], T]) -> T:
             print(f"  {error}")
 
 
-def _say(folder: Path, path: Path, guess: Guess, *, as_json: bool) -> None:
+def _say(folder: Path, path: Path, guess: Guess, trial: Trial | None, *, as_json: bool) -> None:
     command = f"{_there(folder)}sierra run {guess.next} -n" if guess.next else None
     if as_json:
-        print_json(_answer(path, guess) | {"next": command})
+        tried = {"tried": trial} if trial else {}
+        print_json(_answer(path, guess) | tried | {"next": command})
         return
     print(f"wrote {path}")
     started = guess.command or f"platform {guess.platform}"

@@ -21,6 +21,8 @@ class Options:
     """The values that options give; None, or empty, means that the value must be found out."""
 
     template: str | None = None
+    format: str | None = None
+    """The format of the template."""
     command: str | None = None
     seed: str | None = None
     variables: tuple[str, ...] = ()

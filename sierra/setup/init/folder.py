@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 from sierra import templates
 from sierra.config import find_project
-from sierra.errors import Missing, UsageError
+from sierra.errors import Missing, TemplateError, UsageError
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.suggest_exclusions import is_hardly_code
 from sierra.setup.init.answers import Ask, Question, settled
@@ -18,6 +18,19 @@ from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.templates.base import Template
 
 TEMPLATES = (".xml", ".argos", ".world", ".sdf", ".launch")
+DATA = (".json", ".yaml", ".yml", ".toml", ".ini", ".properties")
+"""The endings of data files, which are templates only if there is none of the others."""
+TEXTS = (".txt", ".in", ".tmpl", ".tpl", ".template")
+"""The endings of texts, which are templates if they have placeholders."""
+PLACEHOLDER = re.compile(rb"\{\{[A-Za-z_]\w*\}\}")
+OF_TOOLS = re.compile(
+    r"(package|package-lock|composer|tsconfig|compile_commands|CMakePresets|CMakeUserPresets|vcpkg|launch|settings)\.json"
+    r"|(pyproject|sierra|Cargo|rust-toolchain|Pipfile|poetry|uv|ruff|taplo|rustfmt)\.toml"
+    r"|(tox|pytest|mypy|setup|desktop)\.ini|(gradle|log4j|sonar-project)[\w-]*\.properties"
+    r"|(docker-)?compose[\w.-]*\.ya?ml|(mkdocs|environment|_config|codecov|conda|meta|action|pnpm-lock|readthedocs)\.ya?ml"
+    r"|(requirements|constraints|LICENSE|README|AUTHORS|COPYING|CMakeLists|NOTES|notes)[\w.-]*\.(txt|in)"
+)
+"""Data files and texts of other tools, which are no templates."""
 INTERPRETERS = {".py": "python3", ".sh": "bash", ".jl": "julia", ".R": "Rscript", ".lua": "lua", ".pl": "perl", ".rb": "ruby"}
 OTHERS = re.compile(r"(package|pom|build)\.xml|(setup|conftest|test_.*|.*_test)\.py|.*\.(so|dylib)")
 """Files that are neither template nor simulator."""
@@ -50,17 +63,32 @@ def doubts(root: Path) -> Iterator[str]:
         yield f"this folder was in the project of {above[0]}; from now on it is a separate project"
 
 
-def template(root: Path, given: str | None, ask: Ask | None) -> tuple[str, Template]:
-    """Return the template's path relative to the folder, and its content. Raises Missing, TemplateError."""
+def template(root: Path, given: str | None, format: str | None, ask: Ask | None) -> tuple[str, Template]:
+    """Return the template's path relative to the folder, and its content, read as `format` or by its ending.
+
+    Raises Missing, TemplateError, ConfigError.
+    """
     below = [name for name in listed(root) if not is_hardly_code(name, is_folder=True)]
-    found = _files(root, [""], TEMPLATES) or _files(root, below, TEMPLATES)
-    default = found[0] if len(found) == 1 else "template.xml" if "template.xml" in found else None
-    what = f"several files could be the template ({', '.join(found)})" if found else f"no {', '.join(TEMPLATES)} file found"
+    found = next((some for some in _possible(root, below) if some), [])
+    named = [name for name in found if Path(name).stem == "template"]
+    default = found[0] if len(found) == 1 else named[0] if len(named) == 1 else None
+    endings = ", ".join((*TEMPLATES, *DATA))
+    what = f"several files could be the template ({', '.join(found)})" if found else f"no {endings} file found"
     missing = f"{root}: {what}; give the template with --template FILE"
-    question = Question(
-        "template: the XML file from which the inputs of all runs are generated", tuple(found), default, missing
-    )
-    return settled(given, question, ask, partial(_check_template, root))
+    question = Question("template: the file from which the inputs of all runs are generated", tuple(found), default, missing)
+    return settled(given, question, ask, partial(_check_template, root, format))
+
+
+def _possible(root: Path, below: Sequence[str]) -> Iterator[list[str]]:
+    """Yield the files that may be the template, the most likely group first."""
+    for endings in (TEMPLATES, DATA, TEXTS):
+        for places in ([""], below):
+            files = _files(root, places, endings)
+            if endings is TEMPLATES:
+                yield files
+            else:
+                likely = [name for name in files if not OF_TOOLS.fullmatch(Path(name).name)]
+                yield [name for name in likely if endings is DATA or PLACEHOLDER.search(_beginning(root / name, 1 << 20))]
 
 
 def simulators(root: Path) -> dict[str, list[str]]:
@@ -86,10 +114,13 @@ def _files(root: Path, places: Iterable[str], endings: str | tuple[str, ...] = "
     return [str(file.relative_to(root)) for file in named if file.is_file() and not OTHERS.fullmatch(file.name)]
 
 
-def _check_template(root: Path, text: str) -> tuple[str, Template]:
+def _check_template(root: Path, format: str | None, text: str) -> tuple[str, Template]:
     """Read the template at `text`: a path relative to the folder, or to the working directory, as a shell completes it."""
     path = root / text if (root / text).exists() or not Path(text).is_file() else Path(text)
-    return os.path.relpath(path, root), templates.read(path)
+    try:
+        return os.path.relpath(path, root), templates.read(path, format=format)
+    except TemplateError as error:  # there is no sierra.toml yet that could have the key
+        raise TemplateError(str(error).replace("set template_format to one of", "use --format with one of")) from error
 
 
 def _words(file: Path, name: str) -> list[str]:

@@ -26,6 +26,8 @@ CROWDS = frozenset(
 )
 COUNTS = frozenset(["quantity", "count", "number", "num", "n", "amount"])
 BESIDE = frozenset(["size", "of", "total", "model"])
+SEEDS = frozenset(["rng", "random_state", "randomstate"])
+"""Names of seeds without the word."""
 GENERIC = frozenset(["value", "val", "default", "data"])
 SELDOM = frozenset(["id", "name", "version", "port", "threads"])
 POPULATION = "population_size"
@@ -34,13 +36,28 @@ FEW = 16
 
 
 def numbers(template: Template) -> dict[str, str]:
-    """Return the paths that select one number, with the number."""
-    return {path: value.strip() for path, value in template.attributes() if NUMBER.fullmatch(value.strip())}
+    """Return the paths that select one number, with the number; of a text, the paths of all placeholders."""
+    found = {path: value.strip() for path, value in template.attributes()}
+    return {path: value for path, value in found.items() if _is_text(template) or NUMBER.fullmatch(value)}
+
+
+def unset(template: Template) -> tuple[str, ...]:
+    """Return the paths of placeholders, which have no value."""
+    return tuple(path for path, _ in template.attributes()) if _is_text(template) else ()
+
+
+def _is_text(template: Template) -> bool:
+    from sierra.templates.text import TextTemplate
+
+    return isinstance(template, TextTemplate)
 
 
 def seeds(numbers: Iterable[str]) -> tuple[str, ...]:
     """Return the paths of numbers that are called a seed."""
-    return tuple(path for path in numbers if any(word.endswith("seed") for word in _words(_called(path)[0])))
+    called = {path: _called(path)[0] for path in numbers}
+    return tuple(
+        path for path, name in called.items() if name.lower() in SEEDS or any(w.endswith("seed") for w in _words(name))
+    )
 
 
 def named(numbers: Mapping[str, str], known: Collection[str]) -> dict[str, str]:
@@ -86,9 +103,12 @@ def _counting(numbers: Mapping[str, str]) -> str | None:
 def _called(path: str) -> tuple[str, str]:
     """Return a name for what a path selects, and its element: for `//param[@name='speed']/@value`, the name is speed."""
     element, _, attribute = path.rpartition("/@") if "/@" in path else (path, "", "")
+    above = re.search(r"/([^/\[\]]+)/[^/]+$", element) if not attribute else None
     named = re.search(r"\[(?:@\w+|local-name\(\))='(.+)'\]$", element)
     label = named[1] if named else re.split("[/:]", element)[-1]
     attribute = attribute.rpartition(":")[2]
+    if above:
+        return label, above[1]
     return (label if not attribute or attribute.lower() in GENERIC else attribute), label
 
 
@@ -161,7 +181,8 @@ def _check(template: Template, per_run: Sequence[Change], known: Iterable[str], 
     why = f"variable {name!r}"
     if refusal := refused(name, known):
         raise UsageError(f"{why}: {refusal}")
-    one, two = (template.changed((Set(path, value, why=why), *per_run), {"seed": 0}).render() for value in ("1", "2"))
+    others = [Set(other, "0") for other in unset(template)]
+    one, two = (template.changed((*others, Set(path, value, why=why), *per_run), {"seed": 0}).render() for value in ("1", "2"))
     if one == two:
         raise UsageError(f"{why}: {path} gets the seed; vary something else, or use montecarlo.C20 for other seeds")
     return name, path
@@ -186,6 +207,8 @@ def first_query(platform: Platform, template: Template, variables: Mapping[str, 
     with contextlib.suppress(SierraError):  # the platform finds no population in the template
         if POPULATION not in variables and platform.criterion(criterion, template):
             return grammar.text(criterion)
+    if unset(template):  # each placeholder needs a value
+        return " ".join(f"{name}=1,2" for name in variables) or None
     return next((_criterion(name, template.find(path)[0].strip()) for name, path in variables.items()), None)
 
 

@@ -337,7 +337,7 @@ def test_an_empty_answer_accepts_the_detected_value(folder: Path) -> None:
 @pytest.mark.integration
 def test_several_templates_and_simulators_are_numbered_choices(folder: Path) -> None:
     (folder / "other.xml").write_text('<a count="3" seed="1"/>')
-    (folder / "other.py").write_text(SIMULATOR)
+    (folder / "other.py").write_text("open('out.csv', 'w').write('t,x\\n0,1\\n')\n")
     code, said = answering(folder, "", "2", "python3 other.py {input}", "", "")
     assert code == 0
     assert "  1  arena.xml\n  2  other.xml\n" in said
