@@ -224,6 +224,16 @@ def test_a_pattern_that_matches_nothing_is_an_error(root: Path) -> None:
     assert "it made no file that matches 'build/*.so' of produces" in failing(root)
 
 
+def test_a_try_builds_what_its_run_needs_and_a_batch_uses_it(root: Path) -> None:
+    done = projects.quick(root, "try", "population_size=3")
+    assert done.returncode == 0, done.stderr
+    assert "result  ok\n" in done.stdout
+    assert projects.sql(root, "SELECT (SELECT count(*) FROM builds) AS b, (SELECT count(*) FROM executions) AS e") == [
+        {"b": 1, "e": 0}
+    ]
+    assert "building" not in run(root).stderr
+
+
 @pytest.mark.integration
 def test_an_interrupted_build_is_ended_and_leaves_the_older_product(tmp_path: Path) -> None:
     root = make(tmp_path / "project", ignored="build/\nbegun\n")

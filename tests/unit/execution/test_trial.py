@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.projects import CONFIG, SIMULATOR, make, quick, run, sql, start
+from tests.projects import CONFIG, SIMULATOR, commit, make, quick, run, sql, start
 from tests.waiting import until
 
 TALKING = 'import sys\nprint("first words")\nprint("a warning", file=sys.stderr)\n' + SIMULATOR
@@ -199,3 +199,28 @@ def test_a_program_that_is_not_there_is_an_error_before_anything_executes(projec
     assert done.returncode == 3
     assert "no-such-program" in done.stderr
     assert not (project / RUN).exists()
+
+
+def test_the_commit_is_tried_if_changes_are_ignored(project: Path) -> None:
+    (project / "sierra.toml").write_text('[source]\ndirty = "ignore"\n'.join((CONFIG, "")))
+    commit(project)
+    (project / "sim.py").write_text("raise SystemExit(7)\n")
+    assert tried(project)["status"] == "ok"
+
+
+def test_a_limit_ends_the_run(tmp_path: Path) -> None:
+    simulator = "import time\nopen('begun', 'w')\ntime.sleep(1000)\n"
+    project = make(tmp_path / "project", CONFIG + "[limits]\nwall = 1\n", simulator=simulator)
+    found = tried(project, code=1)
+    assert (found["status"], found["reason"]) == ("timeout", "ran longer than its limit ([limits] wall)")
+    assert (project / RUN / "output" / "begun").exists()
+
+
+def test_a_file_that_the_template_names_is_looked_for_where_runs_look(tmp_path: Path) -> None:
+    simulator = "import sys\nopen(open(sys.argv[1]).read().split('map=\"')[1].split('\"')[0])\n"
+    project = make(tmp_path / "project", simulator=simulator, template='<a map="maps/one.png"><random seed="0"/></a>')
+    (project / "sierra.toml").write_text(CONFIG.partition("[variables]")[0])
+    (project / "maps").mkdir()
+    (project / "maps" / "one.png").write_text("")
+    found = tried(project, code=1)
+    assert any("maps/one.png" in text for text in found["notes"])
