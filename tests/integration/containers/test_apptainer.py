@@ -237,3 +237,14 @@ def test_requested_and_enforced_limits_are_recorded(tmp_path: Path, busybox: Pat
     assert row["limits_asked"] == '{"cpus": 1.0, "pids": 60}'
     assert ("LIMIT IGNORED" in said) == (row["limits_enforced"] != row["limits_asked"])
     assert row["rootless"] == (os.geteuid() != 0)
+
+
+@pytest.mark.parametrize("isolation", ["run", pytest.param("worker", marks=pytest.mark.nightly)])
+def test_a_run_is_tried_in_its_image(tmp_path: Path, python: Path, isolation: str) -> None:
+    talking = "echo hello\n" + containers.SIMULATOR
+    folder = containers.make(tmp_path / "project", python, ENGINE, f'isolation = "{isolation}"', simulator=talking)
+    said = says(folder, "try", "population_size=2")
+    assert said.startswith("hello\n--\nresult  ok\n")
+    assert "not observed" in said
+    assert rows(folder, "SELECT count(*) AS n FROM executions") == [{"n": 0}]
+    assert not (folder / ".sierra" / "try" / "store").exists()
