@@ -82,6 +82,7 @@ def keep_for_trial(plan: Plan, store: Store, session: Session) -> None:
     writer = store.writer(session.paths.segment, plan.batch.id)
     writer.records([batch_row(plan, _lamport(session))])
     writer.records([_spec_row(plan.batch)])
+    writer.records(plan.shared_files)
     _write_host(plan, writer)
     _write_experiments(plan.batch, writer)
     writer.records(_members(plan.batch))

@@ -16,21 +16,24 @@ import json
 import os
 import re
 import shlex
+import shutil
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.containers.engines.base import PROJECT
-from sierra.errors import UsageError
+from sierra.errors import Missing, UsageError
 from sierra.execution.commands import HERE, CommandBuilder
 from sierra.execution.resolve_plan import Plan
 from sierra.model import Job
 from sierra.query.condition import Selection
 from sierra.query.query_request import KEY
 from sierra.store.layout import RUN_OUTPUT
+from sierra.store.row_types import SharedFileRow
 from sierra.store.segments import disk_errors
 from sierra.util.fs import inside
+from sierra.util.hashing import sha256_file
 from sierra.worker import worker
 
 MANIFEST, REQUEST, RUNS, COMMAND = "manifest.csv", "batch.json", "runs", "command.json"
@@ -105,10 +108,21 @@ def _write_run(folder: Path, job: Job, plan: Plan) -> None:
         path = inside(folder, name)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
+    for row in plan.shared_files:
+        _copy(plan.project.root / row.name, inside(folder, row.name), row)
     argv = [_relative(word) for word in job.argv]
     image = {"image": plan.image.name, "image_id": plan.image.id} if plan.image else {}
     command = {"argv": argv, "line": shlex.join(argv), "folder": RUN_OUTPUT, "environment": _environment(plan, job), **image}
     (folder / COMMAND).write_text(json.dumps(command, indent=2) + "\n", "utf-8")
+
+
+def _copy(source: Path, target: Path, row: SharedFileRow) -> None:
+    """Copy a file that lies beside the inputs. Raises Missing if it has changed since the plan was made."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, target)
+    if sha256_file(target) != row.sha256:
+        raise Missing(f"files: {row.name} has changed meanwhile; run the command again")
+    target.chmod(0o755 if row.executable else 0o644)
 
 
 def _builder(plan: Plan) -> CommandBuilder:

@@ -123,3 +123,18 @@ def test_inputs_in_the_project_are_reported_because_they_count_as_code(project: 
     done = quick(project, "inputs", *QUERY, "--to", "inputs")
     assert done.returncode == 0
     assert "is in the project: its files count as code, and make all runs new, unless git ignores them" in done.stderr
+
+
+def test_files_beside_the_inputs_and_values_of_the_command_are_written(tmp_path: Path) -> None:
+    config = 'files = ["maps"]\n' + CONFIG.replace("{input}", "{input} {population_size}")
+    project = make(tmp_path / "project", config, simulator="import sys\nprint(open('../maps/a').read(), sys.argv[2])\n")
+    (project / "maps").mkdir()
+    (project / "maps" / "a").write_text("a map of")
+    row = written(project)[-1]
+    found = command(project, row)
+    assert found["argv"][2:] == ["../input.xml", "8"]
+    place = project.parent / "inputs" / row["folder"]
+    assert (
+        subprocess.run(found["argv"], cwd=place / "output", check=True, capture_output=True, text=True).stdout == "a map of 8\n"
+    )
+    assert quick(project, "try", "population_size=8").stdout.startswith("a map of 8\n--\nresult  ok\n")
