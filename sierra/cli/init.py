@@ -72,7 +72,7 @@ def init(
     from sierra.setup.init import wizard
 
     if from_sierra1 is not None:
-        _check_alone(example, command, variables, seed, source)
+        _check_alone(example, command, variables, seed, source, format, no_try)
         _convert(folder, from_sierra1, template, as_json=as_json)
         return
     if example is not None:
