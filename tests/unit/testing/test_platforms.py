@@ -13,8 +13,8 @@ from pydantic import ConfigDict
 from sierra import platforms
 from sierra.config import project_file
 from sierra.config.plugin_registry import PLATFORMS
+from sierra.config.project_file import OWN_PLACEHOLDERS
 from sierra.errors import ConfigError, TemplateError
-from sierra.execution import commands
 from sierra.model import Add, Axis, Change, Criterion, Point, Remove, Rename, Set
 from sierra.platforms.argos import Argos
 from sierra.platforms.base import Platform, Reader
@@ -89,7 +89,7 @@ def test_command_conforms() -> None:
 
 
 def test_the_suite_knows_all_placeholders_of_commands() -> None:
-    assert set(commands.KNOWN) == conformance.COMMAND_PLACEHOLDERS
+    assert set(OWN_PLACEHOLDERS) == conformance.COMMAND_PLACEHOLDERS
 
 
 SPEED = grammar.parse("speed=1,2")
