@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.list_batches import ListedBatch
     from sierra.execution.observer import Observer
+    from sierra.execution.outputs_taken import TakenOutputs
     from sierra.execution.resolve_plan import Plan
     from sierra.execution.run_options import RunOptions
     from sierra.execution.show_record import Shown, ShownSession
@@ -96,6 +97,11 @@ class Project:
     def root(self) -> Path:
         """The absolute path of the project's folder."""
         return self._found.root
+
+    @property
+    def file(self) -> Path:
+        """The absolute path of the project's file: `sierra.toml` or `pyproject.toml`."""
+        return self._found.file
 
     @property
     def config(self) -> project_file.Project:
@@ -248,7 +254,7 @@ class Project:
         plan = self.build(plan, observer=options.observer)
         probed = self._probe(plan, store, options) if self.config.determinism.probe else ()
         summary = execute.run(plan, store, options)
-        summary = replace(summary, notes=(*probed, *summary.notes))
+        summary = self._described(replace(summary, notes=(*probed, *summary.notes)))
         return self._drawn(summary) if figures else summary
 
     def try_run(
@@ -500,7 +506,7 @@ class Project:
         """
         from sierra.execution import takeover
 
-        summary = takeover.follow(self.store, prefix, observer or _observer(progress))
+        summary = self._described(takeover.follow(self.store, prefix, observer or _observer(progress)))
         return self._drawn(summary) if figures else summary
 
     def cancel(self, prefix: str, *, observer: Observer | None = None) -> list[Cancelled]:
@@ -750,6 +756,56 @@ class Project:
         if not known:
             raise Missing("no batch is recorded yet; record one with sierra run")
         return known[-1].batch
+
+    def outputs(self, *query: str) -> TakenOutputs:
+        """Return how a batch's outputs were read: its tables, and the files that became no table, with the reasons.
+
+        `query` is a prefix of the batch's id, or its criteria; without any, it is the batch requested last. Raises NotFound,
+        Missing, QueryError.
+
+        >>> [(table.name, table.rows) for table in project.outputs(summary.batch).tables]
+        [('swarm', '5 rows')]
+        """
+        from sierra.execution import outputs_taken
+
+        return outputs_taken.taken(self.store, self._asked(query), self.config.outputs)
+
+    def declare_outputs(self, *query: str) -> dict[str, dict[str, str | bool]]:
+        """Write the undeclared tables of a batch into `sierra.toml`, as `[outputs.NAME]`; return what was written.
+
+        The declared tables are the same as before. Nothing is executed again. Raises UsageError if the file cannot be changed
+        without changing anything else in it.
+
+        >>> project.declare_outputs(summary.batch)
+        {'swarm': {'file': 'swarm.csv'}}
+        """
+        from sierra.execution.outputs_taken import proposed
+        from sierra.setup import declare_outputs
+
+        found = self.outputs(*query)
+        tables = proposed(found)
+        declare_outputs.write(self._found, tables, {table.name: table for table in found.tables})
+        return tables
+
+    def _asked(self, query: Sequence[str]) -> str:
+        """Return the id of the batch that a prefix or a query names; without either, that of the batch requested last."""
+        from sierra.store.store import PREFIX
+
+        store = self.store
+        if not query or (len(query) == 1 and PREFIX.fullmatch(query[0].lower()) and query[0] not in self.config.queries):
+            return self.batch(*query)
+        batch = self.plan(*query).batch.id
+        if not store.values(str, "SELECT batch FROM batches WHERE batch = $b", b=batch):
+            raise NotFound(f"the query {' '.join(query)!r} has not been run with this project as it is; see sierra ls")
+        return batch
+
+    def _described(self, summary: Summary) -> Summary:
+        """Return the summary with a description of the outputs, if its sessions are the first with such tables or files."""
+        from sierra.execution import outputs_taken
+
+        if summary.interrupted or not any(outputs_taken.is_new(self.store, session) for session in summary.sessions):
+            return summary
+        return replace(summary, outputs=outputs_taken.taken(self.store, summary.batch, self.config.outputs))
 
     def _probe(self, plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
         from sierra.replay import determinism  # loads everything that a replay needs

@@ -65,13 +65,14 @@ def _answer(summary: Summary) -> dict[str, object]:
     answer["figures"] = list(summary.figures)
     answer["counts"] = [{**counted.values, **{name: getattr(counted, name) for name in COUNTED}} for counted in summary.counts]
     answer["failures"] = [asdict(failure) for failure in summary.failures]
+    answer["outputs"] = asdict(summary.outputs) if summary.outputs else None
     answer["notes"] = list(summary.notes)
     answer["figure_error"] = summary.figure_error
     return answer
 
 
 def _print(summary: Summary, left: Sequence[ClusterSession]) -> None:
-    from sierra.cli import ask_detach
+    from sierra.cli import ask_detach, render_outputs
     from sierra.cli.figures import from_here
 
     print(f"batch {short(summary.batch)}: {summary.query}")
@@ -88,6 +89,8 @@ def _print(summary: Summary, left: Sequence[ClusterSession]) -> None:
     if summary.selected is not None:
         print(f"{summary.selected} of {counted(summary.experiments, 'experiment')} selected by --only")
     print(f"{runs}: {summary.executed} executed, {summary.reused} reused{awaited}{failed}{missing}{others}{judged}")
+    if summary.outputs:
+        print("\n".join(render_outputs.short_lines(summary.outputs)))
     _print_failures(summary)
     if left:
         print("\n".join(ask_detach.lines(left, summary.batch)))

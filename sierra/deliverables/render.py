@@ -23,7 +23,7 @@ from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store.layout import ProjectPaths
-from sierra.store.samples import MIXED, Column, Frame, OutputTable
+from sierra.store.samples import MIXED, TIMES, Column, Frame, OutputTable
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
@@ -35,8 +35,6 @@ from sierra.version import __version__
 if TYPE_CHECKING:
     import pyarrow as pa
 
-TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
-"""Names of a first column that make it the time axis, if the project declares no time column."""
 MEASURES = ("final", "mean", "time_to")
 ONE_FILE = "file in [outputs.{}] can name one of them"
 AT_MOST = 16

@@ -7,6 +7,7 @@ query executes only the runs without a successful execution.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
@@ -70,7 +71,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
         if executor.rules_changed:
             executor.failed |= odd
         executor.answer()
-        summary = _sum_up(executor)
+        summary = replace(_sum_up(executor), sessions=(session.id,))
         log.info("%d runs: %d executed, %d failed, %d missing", summary.runs, summary.executed, summary.failed, summary.missing)
         if session.paths not in executor.left:
             session_records.close(plan, store, session, summary, begun)

@@ -16,6 +16,7 @@ from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.execution import show_record
+    from sierra.execution.outputs_taken import TakenOutputs
 
 SHOWN_REASONS = 10
 
@@ -73,6 +74,10 @@ class Summary:
     left_out: int = 0
     """Number of the missing runs that do not belong to these experiments."""
     notes: tuple[str, ...] = ()
+    sessions: tuple[str, ...] = ()
+    """Ids of the sessions that recorded executions for it."""
+    outputs: TakenOutputs | None = None
+    """How outputs were read, if these sessions are the first with such tables or files."""
     figures: tuple[str, ...] = ()
     figure_error: str | None = None
     """Reason why no figure could be written (a full disk, a file in the way); the results themselves are recorded."""

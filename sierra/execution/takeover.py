@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sierra.errors import Missing, NotFound, SierraError
 from sierra.execution import sessions, summary
@@ -65,7 +65,7 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
     if not attached:
         raise SierraError("; ".join(busy))
     parts = [one.unfinished for one in attached]
-    return summary.of_recorded(
+    found = summary.of_recorded(
         store,
         rows[0].batch,
         executed=sum(one.executed for one in attached),
@@ -75,6 +75,7 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
         unfinished=None if None in parts else sum(part or 0 for part in parts),
         notes=(*busy, *(note for one in attached for note in one.notes)),
     )
+    return replace(found, sessions=tuple(row.session for row in rows))
 
 
 def cancel(store: Store, prefix: str, observer: Observer) -> list[Cancelled]:

@@ -42,8 +42,8 @@ class OutputMatcher:
         automatic = []
         for file in sorted(result.outputs, key=lambda file: natural(file.path)):
             declared = next((n for n, o in self._outputs.items() if o.matches(file.path)), None)
-            kind = self._outputs[declared].kind if declared else _automatic(file.path)
-            if declared is not None and (named := self._unnamed(self._outputs[declared])):
+            kind = self._outputs[declared].kind if declared else automatic_format(file.path)
+            if declared is not None and (named := unnamed_format(self._outputs[declared])):
                 self._keep(UNNAMED.format(output=declared, format=named), file)
             if kind not in READERS.shipped and kind not in self._readers:
                 continue
@@ -66,12 +66,7 @@ class OutputMatcher:
                 self._keep(TAKEN, file)
             else:
                 taken.add(name.lower())
-                yield name, Shape(_automatic(file.path) or ""), file
-
-    def _unnamed(self, output: Output) -> str | None:
-        """Return the format that would make a table of an output, if it is only read if it is named."""
-        ending = output.file.rpartition(".")[2].lower()
-        return ending if output.format is None and ending in NAMED_FORMATS else None
+                yield name, Shape(automatic_format(file.path) or ""), file
 
     def _shape(self, output: Output) -> Shape:
         many = bool(output.ticks) or any(c in output.file for c in "*?[")
@@ -95,7 +90,13 @@ def table_name(path: str) -> str:
     return name if check_name(name) else name + "_"
 
 
-def _automatic(path: str) -> str | None:
+def unnamed_format(output: Output) -> str | None:
+    """Return the format that would make a table of an output, if it is only read if it is named."""
+    ending = output.file.rpartition(".")[2].lower()
+    return ending if output.format is None and ending in NAMED_FORMATS else None
+
+
+def automatic_format(path: str) -> str | None:
     """Return the format of a file with a table's suffix, or None."""
     ending = PurePosixPath(path).suffix.lower().removeprefix(".")
     name = SAME_FORMAT.get(ending, ending)

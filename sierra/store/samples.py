@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 MEMBERS = "SELECT judgement FROM membership"
 MIXED = "has numbers in some runs and other values in others"
+TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
+"""Names of a first column that make it the time axis, if the project declares no time column."""
 WHOLE, NUMERIC = rf"BOOLEAN|{INTEGER}", rf"BOOLEAN|{NUMBER}"
 """DuckDB's types of the columns that statistics use, as regular expressions; flags are 0 and 1."""
 

@@ -1,0 +1,60 @@
+"""`sierra outputs`: show how a batch's outputs were read, or declare them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from sierra.cli import complete
+from sierra.cli.arguments import AsJson
+from sierra.cli.output import print_json
+
+
+def outputs(
+    query: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[HASH|QUERY]",
+            show_default=False,
+            autocompletion=complete.batches,
+            help="Batch id or prefix, or the criteria of a query (default: the last batch).",
+        ),
+    ] = None,
+    write: Annotated[
+        bool, typer.Option("--write", help="Write the tables that are not declared into sierra.toml; leave all else as it is.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Show how a batch's outputs were read, or declare them.
+
+    Shows each table with its columns, their types in SQL, the time axis and the number of rows of a run. Shows also the files
+    that became no table, why, and what to declare to make tables of them. With --write, the tables become [outputs.NAME] in
+    sierra.toml. They stay the same, and nothing is executed again.
+
+    \b
+    Examples:
+      sierra outputs
+      sierra outputs 774d
+      sierra outputs population_size.Log8
+      sierra outputs --write
+    """
+    from sierra.cli.open_project import project
+    from sierra.cli.render_outputs import lines
+
+    opened = project()
+    if write:
+        written = opened.declare_outputs(*(query or ()))
+        if as_json:
+            print_json(written)
+        else:
+            names = ", ".join(f"[outputs.{name}]" for name in written)
+            print(
+                f"{opened.file}: added {names}" if written else f"{opened.file}: all tables are declared; nothing was changed"
+            )
+        return
+    found = opened.outputs(*(query or ()))
+    if as_json:
+        print_json(found)
+    else:
+        print("\n".join(lines(found)))

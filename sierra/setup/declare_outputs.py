@@ -1,0 +1,103 @@
+"""Declarations of outputs that are added to a project's file; all else in the file stays as it is, byte for byte."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from sierra.config import project_file
+from sierra.config.find_project import ProjectFolder
+from sierra.errors import Missing, UsageError
+from sierra.store.layout import PYPROJECT
+from sierra.util.fs import write_whole
+
+if TYPE_CHECKING:
+    from tomlkit import TOMLDocument
+    from tomlkit.items import Table
+
+    from sierra.execution.outputs_taken import TakenTable
+
+Keys = Mapping[str, str | bool]
+
+
+def write(found: ProjectFolder, outputs: Mapping[str, Keys], tables: Mapping[str, TakenTable]) -> None:
+    """Add `[outputs.NAME]` for each of these outputs to the project's file.
+
+    Raises Missing if there is no such file, or if it cannot be written; UsageError if its form does not allow the addition.
+    """
+    if not outputs:
+        return
+    if not found.written:
+        raise Missing(f"no {found.file.name} in {found.root}; create one with: sierra init")
+    file = found.file.resolve()
+    try:
+        before = file.read_bytes().decode()
+        after = _added(before, outputs, tables, inside=found.file.name == PYPROJECT)
+        if not _only_added(before, after, outputs, inside=found.file.name == PYPROJECT):
+            raise UsageError(f"{found.file}: outputs cannot be added to it as it is; add these lines: {_as_lines(outputs)}")
+        mode = file.stat().st_mode
+        write_whole(file, after.encode()).chmod(mode)
+    except OSError as error:
+        raise Missing(f"{found.file}: {error.strerror}") from error
+
+
+def _added(before: str, outputs: Mapping[str, Keys], tables: Mapping[str, TakenTable], *, inside: bool) -> str:
+    """Return the file's text with the outputs; `inside`: the settings are in `[tool.sierra]`."""
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    document = tomlkit.parse(before)
+    try:
+        place = _section(document, ("tool", "sierra") if inside else ())
+        if "outputs" not in place:
+            place.add("outputs", tomlkit.table(is_super_table=True))
+        for name, keys in outputs.items():
+            place["outputs"].add(name, _table(keys, tables[name]))
+    except (TOMLKitError, AttributeError, TypeError, ValueError):
+        return before
+    return tomlkit.dumps(document)
+
+
+def _section(document: TOMLDocument, names: tuple[str, ...]) -> TOMLDocument | Table:
+    place: TOMLDocument | Table = document
+    for name in names:
+        place = place[name]
+    return place
+
+
+def _table(keys: Keys, taken: TakenTable) -> Table:
+    import tomlkit
+
+    table = tomlkit.table()
+    table.add(tomlkit.comment(" ".join(f"{taken.rows}; {', '.join(f'{c.name} {c.type}' for c in taken.columns)}".split())))
+    for key, value in keys.items():
+        table.add(key, value)
+    return table
+
+
+def _only_added(before: str, after: str, outputs: Mapping[str, Keys], *, inside: bool) -> bool:
+    """Check that all lines are still there in their order, and that the settings differ only by these outputs."""
+    rest = iter(after.splitlines())
+    if not all(line in rest for line in before.splitlines()):
+        return False
+    try:
+        old, new = ({**tomllib.loads(text)} for text in (before, after))
+        for name in ("tool", "sierra") if inside else ():
+            old, new = old[name], new[name]
+        project_file.parse(new, "sierra.toml")
+    except (ValueError, LookupError, TypeError):
+        return False
+    return bool(new == {**old, "outputs": {**old.get("outputs", {}), **outputs}})
+
+
+def _as_lines(outputs: Mapping[str, Keys]) -> str:
+    return "; ".join(_lines(outputs))
+
+
+def _lines(outputs: Mapping[str, Keys]) -> Iterator[str]:
+    import tomlkit
+
+    for name, keys in outputs.items():
+        values = ", ".join(f"{key} = {tomlkit.item(value).as_string()}" for key, value in keys.items())
+        yield f"[outputs.{tomlkit.key(name).as_string()}] {values}"

@@ -1,0 +1,145 @@
+"""After the first runs SIERRA says how it read the outputs; `sierra outputs` shows it again, and declares the tables."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests import projects
+from tests.projects import quick, sql
+
+FILES = """
+import os
+open("map.xml", "w").write("<a/>")
+open("log.bin", "wb").write(b"x")
+os.mkdir("floor")
+for number in range(3):
+    open(f"floor/f-{number}.csv", "w").write("a,b\\n1,2\\n")
+"""
+QUERY = ("run", "population_size=1,2", "--no-figures")
+TABLE = "table swarm from swarm.csv: 5 rows; tick BIGINT, coverage DOUBLE; time axis: tick"
+
+
+def project(folder: Path, more: str = "", config: str = projects.CONFIG) -> Path:
+    return projects.commit(projects.make(folder, config, simulator=projects.SIMULATOR + more))
+
+
+def test_first_runs_say_what_was_read_and_what_was_not_and_later_ones_do_not(tmp_path: Path) -> None:
+    project(tmp_path, FILES)
+    first = quick(tmp_path, *QUERY)
+    assert TABLE in first.stdout.splitlines()
+    assert "not a table: log.bin: no reader takes .bin files" in first.stdout
+    assert '[outputs.map] file = "map.xml", format = "xml", rows = "//ELEMENT"' in first.stdout
+    again = quick(tmp_path, *QUERY, "--runs", "3")
+    assert "2 executed" in again.stdout
+    assert "table swarm" not in again.stdout
+    assert json.loads(quick(tmp_path, *QUERY, "--runs", "4", "--json").stdout)["outputs"] is None
+
+
+def test_new_shape_of_a_table_is_said_again(tmp_path: Path) -> None:
+    project(tmp_path)
+    assert TABLE in quick(tmp_path, *QUERY).stdout
+    (tmp_path / "sim.py").write_text(projects.SIMULATOR.replace('"tick,coverage"', '"tick,area"'))
+    projects.commit(tmp_path, "second")
+    assert "swarm.csv: 5 rows; tick BIGINT, area DOUBLE" in quick(tmp_path, *QUERY).stdout
+
+
+def test_outputs_shows_the_tables_of_a_batch_or_query_from_the_store(tmp_path: Path) -> None:
+    project(tmp_path, FILES)
+    assert quick(tmp_path, *QUERY).returncode == 0
+    found = json.loads(quick(tmp_path, "outputs", "--json").stdout)
+    [table] = found["tables"]
+    assert (table["name"], table["file"], table["least"], table["most"], table["time"]) == ("swarm", "swarm.csv", 5, 5, "tick")
+    assert [(column["name"], column["type"]) for column in table["columns"]] == [("tick", "BIGINT"), ("coverage", "DOUBLE")]
+    assert [(one["path"], one["files"]) for one in found["unread"]] == [("floor/f-0.csv", 12), ("log.bin", 4), ("map.xml", 4)]
+    assert 'file = "floor/f-{tick}.csv"' in found["unread"][0]["why"]
+    for words in ((found["batch"][:8],), ("population_size=1,2",)):
+        assert json.loads(quick(tmp_path, "outputs", *words, "--json").stdout) == found
+    ended = quick(tmp_path, "outputs", "population_size=4")
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert "has not been run" in ended.stderr
+
+
+def test_declared_keys_of_a_file_that_is_no_table_make_one(tmp_path: Path) -> None:
+    project(tmp_path, FILES)
+    assert quick(tmp_path, *QUERY).returncode == 0
+    found = json.loads(quick(tmp_path, "outputs", "--json").stdout)
+    [keys] = [one["why"].partition("declare ")[2] for one in found["unread"] if one["path"].startswith("floor/")]
+    with (tmp_path / "sierra.toml").open("a") as file:
+        print("\n".join(keys.partition(" ")[::2]), file=file)
+    assert quick(tmp_path, *QUERY).returncode == 0
+    assert sql(tmp_path, "SELECT count(*) AS rows, max(tick) AS tick FROM f") == [{"rows": 12, "tick": 2}]
+
+
+AROUND = """# what a person wrote
+runs = 2   # few
+[outputs.other]   # a file
+file = 'note.txt'
+format = "file"
+required=false
+
+[figures.one]
+kind = "summary"
+table = "swarm"
+column = [ "coverage" ]   # the last lines
+"""
+
+
+def test_write_adds_the_tables_changes_nothing_else_and_nothing_executes_again(tmp_path: Path) -> None:
+    head, variables = projects.CONFIG.replace("runs = 2\n", "").split("[variables]")
+    before = head + AROUND + "[variables]" + variables
+    project(tmp_path, config=before)
+    batch = json.loads(quick(tmp_path, *QUERY, "--json").stdout)["batch"]
+    rows = sql(tmp_path, "SELECT * FROM swarm ORDER BY run, tick")
+    executions = sql(tmp_path, "SELECT execution FROM executions ORDER BY 1")
+    written = quick(tmp_path, "outputs", "--write")
+    assert written.returncode == 0, written.stderr
+    assert "[outputs.swarm]" in written.stdout
+    after = (tmp_path / "sierra.toml").read_text()
+    rest = iter(after.splitlines())
+    assert all(line in rest for line in before.splitlines())
+    assert tomllib.loads(after)["outputs"]["swarm"] == {"file": "swarm.csv"}
+    again = json.loads(quick(tmp_path, *QUERY, "--json").stdout)
+    assert (again["batch"], again["executed"], again["reused"]) == (batch, 0, 4)
+    assert sql(tmp_path, "SELECT * FROM swarm ORDER BY run, tick") == rows
+    assert sql(tmp_path, "SELECT execution FROM executions ORDER BY 1") == executions
+    assert "nothing was changed" in quick(tmp_path, "outputs", "--write").stdout
+    assert (tmp_path / "sierra.toml").read_text() == after
+
+
+def test_table_that_only_some_runs_wrote_is_declared_as_not_required(tmp_path: Path) -> None:
+    config = projects.CONFIG + '[outputs.rare]\nfile = "rare.csv"\nrequired = false\n'
+    project(tmp_path, 'if count == 2:\n    open("two.csv", "w").write("a\\n1\\n")\n', config)
+    assert quick(tmp_path, *QUERY).returncode == 0
+    assert quick(tmp_path, "outputs", "--write").returncode == 0
+    assert tomllib.loads((tmp_path / "sierra.toml").read_text())["outputs"]["two"] == {"file": "two.csv", "required": False}
+    again = json.loads(quick(tmp_path, *QUERY, "--json").stdout)
+    assert (again["executed"], again["failed"]) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    "written", ["outputs = {}\n", "outputs = { other = { file = 'a', format = 'file', required = false } }\n"]
+)
+def test_inline_table_is_refused_with_the_lines_to_write(tmp_path: Path, written: str) -> None:
+    project(tmp_path, config=written + projects.CONFIG)
+    assert quick(tmp_path, *QUERY).returncode == 0
+    before = (tmp_path / "sierra.toml").read_bytes()
+    ended = quick(tmp_path, "outputs", "--write")
+    assert (ended.returncode, len(ended.stderr.splitlines())) == (2, 1)
+    assert '[outputs.swarm] file = "swarm.csv"' in ended.stderr
+    assert (tmp_path / "sierra.toml").read_bytes() == before
+
+
+def test_settings_in_pyproject_get_the_tables_too(tmp_path: Path) -> None:
+    project(tmp_path)
+    (tmp_path / "sierra.toml").unlink()
+    config = projects.CONFIG.replace("[variables]", "[tool.sierra.variables]")
+    (tmp_path / "pyproject.toml").write_text('[project]\nname = "a"\nversion = "1"\n\n[tool.sierra]\n' + config)
+    assert quick(tmp_path, *QUERY).returncode == 0
+    assert quick(tmp_path, "outputs", "--write").returncode == 0
+    tool = tomllib.loads((tmp_path / "pyproject.toml").read_text())["tool"]["sierra"]
+    assert tool["outputs"] == {"swarm": {"file": "swarm.csv"}}
+    assert json.loads(quick(tmp_path, *QUERY, "--json").stdout)["executed"] == 0
