@@ -100,7 +100,11 @@ class Project:
 
     @property
     def file(self) -> Path:
-        """The absolute path of the project's file: `sierra.toml` or `pyproject.toml`."""
+        """The absolute path of the project's file: `sierra.toml` or `pyproject.toml`.
+
+        >>> project.file.name
+        'sierra.toml'
+        """
         return self._found.file
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,11 +11,12 @@ import typer
 
 from sierra.cli.arguments import AsJson, Jobs, Runner, ShownId
 from sierra.cli.output import cell, print_json, readable, table
+from sierra.cli.render_columns import column_lines, volatile_lines
 from sierra.errors import Missing, UsageError
 from sierra.util.text import few
 
 if TYPE_CHECKING:
-    from sierra.config.project_file import Tolerance
+    from sierra.config.project_file import Output, Tolerance
     from sierra.replay.compare_values import Agreement, Verdict
     from sierra.replay.verdicts import Compared, OfExperiment, Replay
 
@@ -88,7 +89,7 @@ def replay(
     if as_json:
         print_json(_answer(answer))
     else:
-        _print(answer)
+        _print(answer, project.config.outputs)
     if answer.interrupted:
         raise typer.Exit(130)
     if not answer.verdict.fine:
@@ -162,7 +163,7 @@ def _output(run: Compared, path: str | None, found: Agreement) -> dict[str, obje
     }
 
 
-def _print(answer: Replay) -> None:
+def _print(answer: Replay, outputs: Mapping[str, Output]) -> None:
     from sierra.util.hashing import short
 
     if answer.interrupted:
@@ -170,6 +171,8 @@ def _print(answer: Replay) -> None:
         return
     for (verdict, path), found in _alike(answer).items():
         _print_outputs(verdict, path, found)
+    for line in volatile_lines(answer, outputs):
+        print(readable(line))
     for experiment in answer.experiments:
         for metric in experiment.metrics:
             print(
@@ -224,6 +227,9 @@ def _print_outputs(verdict: Verdict, path: str | None, found: Sequence[tuple[Com
             print(f"    {_grown(agreement)}")
     if more := len(found) - len(shown):
         print(readable(f"{verdict}: {path or 'as a whole'} of {more} more run{'s' * (more > 1)} (--json has them all)"))
+    if verdict in ("different", "within tolerance"):
+        for line in column_lines([agreement for _, agreement in found]):
+            print(f"    {readable(line)}")
 
 
 def _grown(agreement: Agreement) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from sierra.config.project_file import Output
@@ -167,7 +168,8 @@ def _output(contents: _Contents, was: ArtifactRow, now: ArtifactRow, declared: M
     old, new = contents.rows(was), contents.rows(now)
     if old is None or new is None:
         return _without_rows(was, now)
-    return of_tables(old, new, Rules(rules.tolerance, volatile, rules.time, rules.ordered) if rules else Rules())
+    found = of_tables(old, new, Rules(rules.tolerance, volatile, rules.time, rules.ordered) if rules else Rules())
+    return replace(found, output=was.output)
 
 
 def _without_rows(was: ArtifactRow, now: ArtifactRow) -> Agreement:

@@ -15,6 +15,7 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from sierra.config.project_file import Tolerance
+from sierra.replay.clock_columns import Clock, clock_of
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
@@ -65,6 +66,23 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict:
 
 
 @dataclass(frozen=True, slots=True)
+class DifferentColumn:
+    """One column in which two tables differ."""
+
+    name: str
+    rows: int
+    """Number of rows that differ; `of` is the number of rows that both tables have."""
+    of: int
+    max_abs: float | None
+    """Greatest distances; None if the column is not numeric."""
+    max_rel: float | None
+    max_ulp: float | None
+    within: bool
+    """True if the differences are within the tolerance."""
+    clock: Clock
+
+
+@dataclass(frozen=True, slots=True)
 class Agreement:
     """Result of comparing one output: the verdict, and for tables the first difference and the greatest distances."""
 
@@ -84,6 +102,12 @@ class Agreement:
     """For each tenth of the rows: its last time (or row number, without a time), and its greatest absolute distance."""
     form: bool = False
     """True if the form differs instead of values: a missing or additional file, or other columns of a table."""
+    output: str | None = None
+    """The table; None for other files."""
+    columns: tuple[DifferentColumn, ...] = ()
+    """All columns that differ, except volatile ones."""
+    same: int = 0
+    """Number of columns that do not differ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,8 +199,16 @@ def _of_rows(recorded: pa.Table, found: pa.Table, rules: Rules, unlike: Sequence
     time = recorded.column(rules.time) if rules.time in recorded.column_names else None
     distances = [_Distance(name, recorded.column(name), found.column(name), time) for name in recorded.column_names]
     parted = [one for one in distances if one.first is not None]
-    if recorded.num_rows != found.num_rows:
-        return _other_length(recorded.num_rows, found.num_rows, parted)
+    answer = _verdict(recorded.num_rows, found.num_rows, distances, rules, unlike)
+    columns = tuple(one.difference(rules.of(one.name)) for one in parted)
+    return replace(answer, columns=columns, same=len(distances) - len(parted))
+
+
+def _verdict(was: int, now: int, distances: Sequence[_Distance], rules: Rules, unlike: Sequence[str]) -> Agreement:
+    """Return the verdict on tables with these numbers of rows and the same columns."""
+    parted = [one for one in distances if one.first is not None]
+    if was != now:
+        return _other_length(was, now, parted)
     if not parted:
         return Agreement(Verdict.EQUAL, _equal(distances, unlike))
     beyond = [one for one in parted if not one.keeps_to(rules.of(one.name))]
@@ -353,11 +385,7 @@ class _Distance:
         return f"largest difference {self.far()}" if self.numeric and self.abs < float("inf") else ""
 
     def far(self) -> str:
-        known = [
-            *([f"relative {self.rel:.3g}"] if self.rel < float("inf") else []),
-            *([f"{self.ulp:.3g} ulp"] if self.ulp < MANY_ULP else []),
-        ]
-        return f"{self.abs:.3g}" + (f" ({', '.join(known)})" if known else "")
+        return distances(self.abs, self.rel, self.ulp)
 
     def agreement(self, verdict: Verdict, why: str) -> Agreement:
         was, now = self._values()
@@ -365,9 +393,25 @@ class _Distance:
             return Agreement(verdict, why, self.first, self.name, was, now)
         return Agreement(verdict, why, self.first, self.name, was, now, self.abs, self.rel, self.ulp, self.growth)
 
+    def difference(self, tolerance: Tolerance) -> DifferentColumn:
+        """Return the description of this column, which differs."""
+        clock = clock_of(self.name, self._recorded, self._found, self.first or 0)
+        far, rel, ulp = (self.abs, self.rel, self.ulp) if self.numeric else (None, None, None)
+        rows, fine = int(self._apart.sum()), self.keeps_to(tolerance)
+        return DifferentColumn(self.name, rows, len(self._apart), far, rel, ulp, fine, clock)
+
     def _values(self) -> tuple[str, str]:
         place = self.first or 0
         return _value(self._recorded[place].as_py()), _value(self._found[place].as_py())
+
+
+def distances(far: float, rel: float, ulp: float) -> str:
+    """Return distances as text: absolute, relative, and in units in the last place if there are few."""
+    known = [
+        *([f"relative {rel:.3g}"] if rel < float("inf") else []),
+        *([f"{ulp:.3g} ulp"] if ulp < MANY_ULP else []),
+    ]
+    return f"{far:.3g}" + (f" ({', '.join(known)})" if known else "")
 
 
 def distance(far: float) -> str:
