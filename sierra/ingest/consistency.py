@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from typing import NamedTuple
 
 from sierra.config.project_file import Output
+from sierra.ingest.event_tables import of_events
 from sierra.ingest.messages import difference
 from sierra.ingest.model import Group, Siblings
 from sierra.ingest.recording_context import SAME_PROGRAMS, Context
@@ -29,7 +30,8 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
     """Find executions whose tables differ from their siblings', record findings, and return their runs.
 
     Siblings are the successful executions of one experiment with the same programs, whenever they were recorded. The majority
-    is taken as right; in a tie, the greater number. Row counts and columns of an output with `mismatch = "ragged"` may
+    is taken as right; in a tie, the greater number. Row counts of tables of events (see `sierra.ingest.event_tables`) may
+    differ; `Recorder.notes` reports them. Row counts and columns of an output with `mismatch = "ragged"` may
     differ, and an output that is not required may be absent. The kind of values in a column (numbers, text, …) must be the
     same among siblings. It may differ between experiments; `Recorder.notes` reports that.
     """
@@ -41,14 +43,25 @@ def find_odd(store: Store, session: SessionPaths, context: Context) -> set[str]:
     for row in rows:
         tables.setdefault((row.ordinal, row.output), []).append(row)
     found: dict[str, str] = {}
+    events = _events(store, context, tables)
     for (_, name), siblings in sorted(tables.items()):
-        for execution, reason in _odd(siblings, name, context.outputs.get(name)):
+        for execution, reason in _odd(siblings, name, context.outputs.get(name), events=name in events):
             found.setdefault(execution, reason)
     now, lamport = datetime.now(UTC), context.lamport()
     writer = store.writer(session.segment, context.batch)
     writer.records(FindingRow(one, now, Status.MISMATCH, reason, lamport) for one, reason in found.items())
     store.publish(writer)
     return {row.run for row in rows if row.execution in found}
+
+
+def _events(store: Store, context: Context, tables: Mapping[tuple[int, str], Sequence[Sibling]]) -> set[str]:
+    """Return the outputs with `mismatch = "strict"` that are taken as tables of events."""
+    sizes: dict[str, dict[int, list[int]]] = {}
+    for (ordinal, name), siblings in tables.items():
+        declared = context.outputs.get(name)
+        if declared is None or declared.mismatch == "strict":
+            sizes.setdefault(name, {})[ordinal] = [row.rows for row in siblings if row.rows is not None]
+    return of_events(store, context.batch, sizes)
 
 
 def parameters(context: Context) -> dict[str, str]:
@@ -97,8 +110,11 @@ class Sibling(NamedTuple):
     forms: list[str] | None
 
 
-def _odd(siblings: Sequence[Sibling], name: str, declared: Output | None) -> Iterator[tuple[str, str]]:
-    """Yield the executions among siblings whose table `name` differs, each with the difference."""
+def _odd(siblings: Sequence[Sibling], name: str, declared: Output | None, *, events: bool) -> Iterator[tuple[str, str]]:
+    """Yield the executions among siblings whose table `name` differs, each with the difference.
+
+    `events`: it is taken as a table of events, so that its number of rows may differ.
+    """
     having = [row for row in siblings if row.rows is not None]
     lacking = [row for row in siblings if row.rows is None]
     others = f"the {counted(len(siblings) - 1, 'other run')} of its experiment"
@@ -118,7 +134,7 @@ def _odd(siblings: Sequence[Sibling], name: str, declared: Output | None) -> Ite
         for form in row.forms or ():
             if reason := _unlike(parsed[form], likely, ragged, allow):
                 yield row.execution, f"table {name!r} {reason}"
-    if not ragged:
+    if not (ragged or events):
         rows = Counter(row.rows or 0 for row in having)
         most = max(rows, key=lambda number: (rows[number], number))
         for row in having:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from sierra.ingest.consistency import GOOD, many, parameters
 from sierra.ingest.csv import delimiter_of
+from sierra.ingest.event_tables import TableSize, is_uneven, of_events, short
 from sierra.ingest.match_outputs import NOTED_AT_MOST
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
@@ -20,9 +21,11 @@ from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import Columns, TableLayout
 from sierra.store.type_inference import AS_TEXT
 from sierra.store.union_files import TEXT
+from sierra.util.hashing import short as digits
 from sierra.util.text import counted
 
 COMMENT = """the first line is a comment; begin with the column names, without '#' (comment = "#" leaves comments out)"""
+NOTED_DOUBTS = 3
 SEVERAL = "are these several columns? (set delimiter = {delimiter} in [outputs.{output}])"
 
 
@@ -30,13 +33,6 @@ class _Form(NamedTuple):
     output: str
     table_layout: str
     executions: int
-
-
-class _Events(NamedTuple):
-    output: str
-    path: str
-    least: int
-    most: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +64,40 @@ class TableWarnings:
         return [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms), *self._events()]
 
     def _events(self) -> Iterator[str]:
-        """Yield a proposal for each strict table whose row counts differ so much that it is probably a table of events."""
-        for row in self._store.select(_Events, EXECUTED + EVENTS, **parameters(self._context)):
-            declared = self._context.outputs.get(row.output)
-            if row.output in self._shapes and (declared is None or declared.mismatch == "strict"):
-                file = "" if declared else f"file = {json.dumps(row.path, ensure_ascii=False)}, "
-                message = f"output {row.output!r} has {row.least} to {row.most} rows, a different number in most runs"
-                yield f'{message}; if these are events, set {file}mismatch = "ragged" in [outputs.{row.output}]'
+        """Yield a proposal for each strict table whose row counts differ so much that it is probably a table of events.
+
+        Also yield doubts about runs that have far fewer rows than the others.
+        """
+        rows = self._store.select(TableSize, EXECUTED + SIZES, **parameters(self._context))
+        rows = [row for row in rows if row.output in self._shapes]
+        sizes: dict[str, dict[int, list[int]]] = {}
+        for row in rows:
+            sizes.setdefault(row.output, {}).setdefault(row.ordinal, []).append(row.rows)
+        strict = {name: found for name, found in sizes.items() if self._is_strict(name)}
+        events = of_events(self._store, self._context.batch, strict)
+        for name, found in strict.items():
+            if is_uneven(found):
+                path = min(row.path for row in rows if row.output == name)
+                yield self._proposal(name, path, [size for some in found.values() for size in some], events=name in events)
+        doubtful = [one for one in short(rows) if one[0].output in events or not self._is_strict(one[0].output)]
+        for one, least, most in doubtful[:NOTED_DOUBTS]:
+            theirs = f"{least} to {most}" if least < most else str(most)
+            whose = f"output {one.output!r} of run {digits(one.run)} has {counted(one.rows, 'row')}"
+            yield f"{whose}, the other runs of its experiment have {theirs}: was the run cut short?"
+        if len(doubtful) > NOTED_DOUBTS:
+            yield f"{counted(len(doubtful) - NOTED_DOUBTS, 'more run')} have less than half of the rows of the others"
+
+    def _is_strict(self, output: str) -> bool:
+        declared = self._context.outputs.get(output)
+        return declared is None or declared.mismatch == "strict"
+
+    def _proposal(self, output: str, path: str, sizes: Sequence[int], *, events: bool) -> str:
+        """Return the note on a table whose row counts differ; `events`: these were not compared."""
+        file = "" if output in self._context.outputs else f"file = {json.dumps(path, ensure_ascii=False)}, "
+        message = f"output {output!r} has {min(sizes)} to {max(sizes)} rows, a different number in most runs"
+        if events:
+            message += ", so the numbers were not compared"
+        return f'{message}; if these are events, set {file}mismatch = "ragged" in [outputs.{output}]'
 
     def _alone(self, forms: Sequence[_Table]) -> Iterator[str]:
         """Yield warnings about columns that only one run of the batch has, which is possible with one run per experiment."""
@@ -193,21 +216,16 @@ def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
 
 EXECUTED = GOOD.replace("e.status = 'ok'", "e.status IN ('ok', 'mismatch')")
 """The executions of a batch, including those that differ from their siblings."""
-EVENTS = """,
-counted AS (
-    SELECT g.ordinal, a.output, min(a.path) AS path, g.execution, sum(a.rows)::BIGINT AS rows
+SIZES = """,
+sizes AS (
+    SELECT g.ordinal, a.output, g.run, min(a.path) AS path, sum(a.rows)::BIGINT AS rows
     FROM good g JOIN all_artifacts a ON a.execution = g.execution AND a.kind = 'table' GROUP BY ALL
-),
-lengths AS (
-    SELECT ordinal, output, rows, min(path) AS path, count(*) AS executions FROM counted GROUP BY ordinal, output, rows
-),
-points AS (
-    SELECT output, min(path) AS path, min(rows) AS least, max(rows) AS most FROM lengths GROUP BY ordinal, output
-    HAVING count(*) >= 3 AND 2 * max(executions) <= sum(executions)
 )
-SELECT output, min(path) AS path, min(least) AS least, max(most) AS most FROM points GROUP BY output ORDER BY output
+SELECT * FROM sizes SEMI JOIN (
+    SELECT output FROM (SELECT output, ordinal FROM sizes GROUP BY ALL HAVING min(rows) < max(rows))
+) USING (output) ORDER BY output, ordinal, run
 """
-"""The tables for which no number of rows is that of most runs of an experiment."""
+"""The number of rows of each run, for outputs in which it differs within an experiment."""
 FORMS = """
 SELECT a.output, a.table_layout, count(DISTINCT a.execution) AS executions
 FROM all_artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
