@@ -201,6 +201,8 @@ READERS = Kind(
         "npy": "sierra.ingest.numpy_arrays:NumpyArrays",
         "arrow": "sierra.ingest.arrow_files:ArrowFiles",
         "sqlite": "sierra.ingest.sqlite_tables:SqliteTables",
+        "hdf5": "sierra.ingest.hdf5_datasets:Hdf5Datasets",
+        "netcdf": "sierra.ingest.netcdf_variables:NetcdfVariables",
     },
 )
 KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS)

@@ -58,7 +58,7 @@ SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
 FILE_FORMAT = "file"
 """The format of outputs that are kept as files and become no table."""
-NAMED_FORMATS = ("json", "xml", "graphml", "npy", "arrow", "sqlite")
+NAMED_FORMATS = ("json", "xml", "graphml", "npy", "arrow", "sqlite", "hdf5", "netcdf")
 """Formats that are only read if they are named, because such files were kept as files before there was a reader."""
 PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 """A name in braces that stands for a number in the name of an output file."""
@@ -67,7 +67,7 @@ ELEMENTS = re.compile(r"(//?(\*|[^\W\d][\w.:-]*))+")
 CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "na", "widths")
 KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(CSV_KEYS, ("csv",)),
-    "rows": ("json", "xml", "graphml", "sqlite"),
+    "rows": ("json", "xml", "graphml", "sqlite", "hdf5", "netcdf"),
     **dict.fromkeys(("flatten", "unnest"), ("json", "jsonl")),
 }
 """Keys of `[outputs.NAME]` that are only for certain formats."""
@@ -373,7 +373,20 @@ class Output(Table):
             WithJsonSchema(
                 {
                     "type": "string",
-                    "enum": ["csv", "parquet", "jsonl", "json", "xml", "graphml", "npy", "arrow", "sqlite", "file"],
+                    "enum": [
+                        "csv",
+                        "parquet",
+                        "jsonl",
+                        "json",
+                        "xml",
+                        "graphml",
+                        "npy",
+                        "arrow",
+                        "sqlite",
+                        "hdf5",
+                        "netcdf",
+                        "file",
+                    ],
                 }
             ),
         ]
@@ -405,7 +418,8 @@ class Output(Table):
     rows: str = Field(
         "",
         description="part of a file that has the rows: in JSON, keys such as `results.steps`; in XML, `//NAME` or `/A/B`; "
-        "in GraphML, `nodes` or `edges`; in SQLite, a table or a SELECT statement",
+        "in GraphML, `nodes` or `edges`; in SQLite, a table or a SELECT statement; "
+        "in HDF5, the path of a dataset or group; in NetCDF, variables separated by commas",
     )
     flatten: bool | None = Field(
         None, description="whether objects in JSON become columns such as `pose.x`; default: yes in `json`, no in `jsonl`"
@@ -448,6 +462,9 @@ class Output(Table):
             raise ValueError('format = "graphml" needs rows = "nodes" or rows = "edges"')
         if self.kind == "sqlite" and not self.rows:
             raise ValueError('format = "sqlite" needs rows, the name of a table or a SELECT statement')
+        if self.kind in ("hdf5", "netcdf") and not self.rows.strip(" ,"):
+            what = "the path of a dataset or group" if self.kind == "hdf5" else "one or more variables, separated by commas"
+            raise ValueError(f'format = "{self.kind}" needs rows, {what}')
         if self.ticks and any(character in self.file for character in "*?["):
             raise ValueError(f"file: {{{self.ticks[0]}}} and the characters * ? [ exclude each other: {self.file!r}")
         if len(set(map(str.lower, self.ticks))) < len(self.ticks):

@@ -26,6 +26,8 @@ NAMED = {
     **dict.fromkeys(("npy", "npz"), 'format = "npy"'),
     **dict.fromkeys(("arrow", "feather"), 'format = "arrow"'),
     **dict.fromkeys(("sqlite", "sqlite3", "db"), 'format = "sqlite", rows = "TABLE"'),
+    **dict.fromkeys(("h5", "hdf5", "hdf"), 'format = "hdf5", rows = "/DATASET"'),
+    **dict.fromkeys(("nc", "nc4", "cdf"), 'format = "netcdf", rows = "VARIABLE"'),
     **dict.fromkeys(("dat", "txt", "out"), 'format = "csv" and, for columns between blanks, delimiter = "blanks"'),
 }
 """The keys that make tables of files with these endings, which no reader takes by itself."""

@@ -25,7 +25,7 @@ from sierra.execution.build.recorded import RecordedBuild
 from sierra.execution.checkout import Checkout
 from sierra.execution.resolve_plan import Plan, this_environment
 from sierra.execution.row_queries import RecordedProgram, axis_values, required_row
-from sierra.ingest.base import Used, described
+from sierra.ingest.base import Used, check_packages, described
 from sierra.ingest.recording_context import rules_of
 from sierra.model import Axis, Batch, Experiment, Query, Run, RunSpec
 from sierra.provenance.change_guard import guard
@@ -155,6 +155,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         around.recorded(row.around),
     )
     manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
+    check_packages({output.kind for output in outputs.values()})
     return Recalled(batch, spec, manifest, commit, used, programs, outputs, success, installed(readers), build, observed)
 
 

@@ -15,15 +15,17 @@ of the hash of these rules (`Context.ingest_rules`). If one changes, executions 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypedDict
 
 from sierra.config.plugin_registry import READERS, Tables
 from sierra.config.project_file import FILE_FORMAT, Output, Table
-from sierra.errors import ConfigError
+from sierra.errors import ConfigError, Missing
 from sierra.util.json_types import Json
 
+EXTRAS = {"hdf5": "HDF5", "netcdf": "NetCDF"}
+"""The formats whose readers need an extra of the same name."""
 Columns = Mapping[str, Sequence[object]]
 """A table: the values of each column, by its name. All columns have the same length."""
 
@@ -77,7 +79,21 @@ def used(outputs: Mapping[str, Output], tables: Tables) -> Used:
         first = next(name for name, output in outputs.items() if output.format == unknown[0])
         known = ", ".join((*READERS.names(), FILE_FORMAT))
         raise ConfigError(f"[outputs.{first}] format: unknown format {unknown[0]!r}; known are {known}")
+    check_packages(set(formats))
     return described((name for name in formats if name in READERS.added()), tables)
+
+
+def check_packages(formats: Set[str]) -> None:
+    """Check that the packages are installed that readers of these formats need. Raises Missing."""
+    from importlib.util import find_spec
+
+    for name in sorted(formats & set(EXTRAS)):
+        try:
+            found = find_spec("h5py") is not None
+        except ValueError:
+            found = False
+        if not found:
+            raise Missing(f"outputs in {EXTRAS[name]} need the package h5py: pip install 'sierra-experiments[{name}]'")
 
 
 def described(formats: Iterable[str], tables: Tables) -> Used:

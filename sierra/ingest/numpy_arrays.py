@@ -36,7 +36,7 @@ class NumpyArrays(Columnar):
         import numpy as np
         import pyarrow as pa
 
-        arrays = _columns({name: _loaded(name, content) for name, content in _members(source.content()).items()})
+        arrays = fields_of({name: _loaded(name, content) for name, content in _members(source.content()).items()})
         shapes = {name: array.shape for name, array in arrays.items()}
         first = next(iter(shapes), "")
         for name, shape in shapes.items():
@@ -51,7 +51,7 @@ class NumpyArrays(Columnar):
         indices = dict(zip(INDICES, places, strict=False))
         if twice := sorted(indices.keys() & arrays.keys()):
             raise UnreadableError(f"the array {twice[0]!r} has the name of an index")
-        return pa.table(indices | {name: _plain(name, array) for name, array in arrays.items()})
+        return pa.table(indices | {name: plain(name, array) for name, array in arrays.items()})
 
     def count(self, source: Source, written: int) -> int:
         first = next(iter(_members(source.content()).values()), b"")
@@ -92,7 +92,7 @@ def _loaded(name: str, content: bytes) -> np.ndarray:
     return array
 
 
-def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def fields_of(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the arrays, with an array for each field of a structured one."""
     found: dict[str, np.ndarray] = {}
     for name, array in arrays.items():
@@ -104,7 +104,7 @@ def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return found
 
 
-def _plain(name: str, array: np.ndarray) -> pa.Array:
+def plain(name: str, array: np.ndarray) -> pa.Array:
     """Return the elements of an array in their order, by rows."""
     import pyarrow as pa
 
