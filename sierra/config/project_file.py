@@ -506,6 +506,16 @@ class Output(Table):
         return self.format or (FILE_FORMAT if ending in NAMED_FORMATS else SAME_FORMAT.get(ending, ending))
 
 
+def _apart(outputs: Mapping[str, Output]) -> Mapping[str, Output]:
+    """Check that no two outputs have the same file. Raises ValueError."""
+    owners: dict[str, str] = {}
+    for name, output in outputs.items():
+        file = output.file.removeprefix("./")
+        if (first := owners.setdefault(file, name)) != name:
+            raise ValueError(f"{first!r} and {name!r} have the same file {file!r}; a file becomes one table")
+    return outputs
+
+
 class Success(Table):
     """Conditions for a successful run, in addition to its required outputs."""
 
@@ -890,7 +900,7 @@ class Project(Table):
         description='scenarios for `scenario` and --scenario, by name; `"LowBlockCount.{x}x{y}"` stands for all names with '
         "numbers in these places, and `{x}` in its changes is such a number",
     )
-    outputs: Mapping[Name, Output] = Field(
+    outputs: Annotated[Mapping[Name, Output], AfterValidator(_apart)] = Field(
         default_factory=dict,
         description="files that runs write, by the table's name; default: each .csv, .parquet and .jsonl of the output folder",
     )

@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import PurePosixPath
 
 from sierra.config.plugin_registry import READERS
-from sierra.config.project_file import NAMED_FORMATS, SAME_FORMAT, Output
+from sierra.config.project_file import FILE_FORMAT, NAMED_FORMATS, SAME_FORMAT, Output
 from sierra.ingest.base import Used
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Form, Shape
@@ -41,7 +41,7 @@ class OutputMatcher:
         """Yield the files of one execution that become tables: first the declared ones, then files with a table's suffix."""
         automatic = []
         for file in sorted(result.outputs, key=lambda file: natural(file.path)):
-            declared = next((n for n, o in self._outputs.items() if o.matches(file.path)), None)
+            declared = next(iter(claims(self._outputs, file.path)), None)
             kind = self._outputs[declared].kind if declared else automatic_format(file.path)
             if declared is not None and (named := unnamed_format(self._outputs[declared])):
                 self._keep(UNNAMED.format(output=declared, format=named), file)
@@ -88,6 +88,22 @@ def table_name(path: str) -> str:
     stem = "".join(c if c.isalnum() and c.isascii() else "_" for c in PurePosixPath(path).stem)
     name = ("_" if stem[:1].isdigit() else "") + stem or "_"
     return name if check_name(name) else name + "_"
+
+
+def claims(outputs: Mapping[str, Output], path: str) -> list[str]:
+    """Return the outputs that a file belongs to: those that name it, or else those whose pattern it matches."""
+    found = [name for name, output in outputs.items() if output.matches(path)]
+    return [name for name in found if outputs[name].file.removeprefix("./") == path] or found
+
+
+def claimed_twice(result: Result, outputs: Mapping[str, Output]) -> str | None:
+    """Return the message that a file belongs to several outputs, of which at least one is a table; None if there is none."""
+    for file in result.outputs if len(outputs) > 1 else ():
+        names = claims(outputs, file.path)
+        if len(names) > 1 and any(outputs[name].kind != FILE_FORMAT for name in names):
+            both = " and ".join(f"{name!r} ({outputs[name].file})" for name in names[:2])
+            return f"{shown(file.path)}: belongs to the outputs {both}; a file becomes one table: change file in one of them"
+    return None
 
 
 def unnamed_format(output: Output) -> str | None:

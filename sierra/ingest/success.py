@@ -9,6 +9,7 @@ from pathlib import Path
 
 from sierra.config.project_file import Output, Success
 from sierra.ingest import astray
+from sierra.ingest.match_outputs import claimed_twice
 from sierra.ingest.observations import observed
 from sierra.model import Result, Status
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
@@ -64,7 +65,7 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
     for name, output in outputs.items():
         if output.required and not any(output.matches(file.path) for file in result.outputs):
             return Status.FAILED, astray.lacking(name, output, result.elsewhere)
-    if (reason := astray.failure(result, outputs)) is not None:
+    if (reason := astray.failure(result, outputs) or claimed_twice(result, outputs)) is not None:
         return Status.FAILED, reason
     return _marked(result, success)
 
