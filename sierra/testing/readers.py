@@ -27,6 +27,8 @@ from sierra.testing.assertions import holds, is_one_line, says_what_its_options_
 from sierra.worker import worker
 
 GARBAGE = (b"", b"\0", b"\xff\xfe\x00", b"PAR1", b"{", b"[" * 10_000, b"\n\n\n", bytes(range(256)))
+CUTS = 8
+"""The number of places, spread over a file, at which it is cut."""
 Row = Mapping[str, object]
 
 OWN = ("run", "execution")
@@ -129,6 +131,24 @@ def refuses_damaged_files(trial: Trial) -> None:
             _are(rows.get(f"e{number}", []), columns)
 
 
+def never_invents_rows(trial: Trial) -> None:
+    """Check that a file that is cut short is refused, or gives its first rows, unchanged."""
+    for content, columns in trial.tables.items():
+        whole = _rows(columns)
+        for place in sorted({len(content) * part // CUTS for part in range(CUTS)} | {len(content) - 1}):
+            reading, rows = trial.read([*trial.tables, content[:place]])
+            cut = f"e{len(trial.tables)}"
+            found = rows.get(cut, [])
+            refused = cut in reading.faults
+            holds(
+                refused or found == whole[: len(found)], f"a file that is cut after {place} bytes has other rows: {found[-1:]}"
+            )
+            holds(
+                refused or set(reading.columns.get((cut, f"out.{trial.name}"), columns)) <= set(columns),
+                f"a file that is cut after {place} bytes has other columns",
+            )
+
+
 def survives_garbage(trial: Trial) -> None:
     """Check that any bytes are read, or refused in one line, without a fault of the reader itself."""
     for content in GARBAGE:
@@ -138,8 +158,12 @@ def survives_garbage(trial: Trial) -> None:
             holds("failed: " not in fault, f"the reader itself failed for {content[:40]!r}: {fault}")
 
 
+def _rows(columns: Columns) -> list[Row]:
+    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+
+
 def _are(rows: Sequence[Row], columns: Columns) -> None:
-    wanted = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    wanted = _rows(columns)
     holds(len(rows) == len(wanted), f"the file has {len(wanted)} rows, but {len(rows)} were read")
     for row, expected in zip(rows, wanted, strict=True):
         holds(row == expected and list(row) == list(expected), f"the row {expected} became {dict(row)}")
@@ -157,5 +181,6 @@ CLAIMS: tuple[Callable[[Trial], None], ...] = (
     reads_each_table,
     reads_many_as_each_alone,
     refuses_damaged_files,
+    never_invents_rows,
     survives_garbage,
 )
