@@ -84,7 +84,7 @@ def _checked(root: Path, guess: Guess, tried: Trial | None) -> tuple[bytes, proj
 
 def _outputs(tried: Trial | None) -> Iterator[str]:
     """Yield comments on the files of a run, and the declaration of its first table."""
-    from sierra.deliverables.render import TIMES
+    from sierra.store.samples import TIMES
 
     if tried is None or not tried.files:
         return
