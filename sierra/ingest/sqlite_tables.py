@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 STATEMENT = re.compile(r"\s*(select|with)\b", re.IGNORECASE)
 ALLOWED = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE)
+MAGIC, HEADER = b"SQLite format 3\0", 100
+"""The first bytes of each database, and the size of its header: https://sqlite.org/fileformat.html"""
 LIMIT = 1 << 28
 """The limit on steps of SQLite's virtual machine, so that a statement ends."""
 
@@ -55,6 +57,20 @@ class SqliteTables(Columnar):
         return rows if STATEMENT.match(rows) else f"SELECT * FROM {identifier(rows)}"
 
 
+def _check_size(file: Path) -> None:
+    """Raise UnreadableError if pages are missing. SQLite takes missing bytes of the last page as zeros."""
+    size = file.stat().st_size
+    if size == 0:
+        raise UnreadableError("is empty")
+    with file.open("rb") as opened:
+        header = opened.read(HEADER)
+    page = int.from_bytes(header[16:18], "big")
+    page = 1 << 16 if page == 1 else page
+    pages = int.from_bytes(header[28:32], "big") if header[24:28] == header[92:96] else 0
+    if header.startswith(MAGIC) and (len(header) < HEADER or page == 0 or size % page or size < pages * page):
+        raise UnreadableError("is truncated")
+
+
 @contextmanager
 def _opened(source: Source) -> Iterator[sqlite3.Connection]:
     """Open a database for reading. Raises UnreadableError for all errors of SQLite."""
@@ -65,8 +81,7 @@ def _opened(source: Source) -> Iterator[sqlite3.Connection]:
                 raise UnreadableError(f"has an unfinished journal (…{ending}); the run must close the database before it ends")
         copy = Path(folder, "copy.db")  # under a name without special characters, and without a journal beside it
         copy.write_bytes(source.content())
-        if copy.stat().st_size == 0:
-            raise UnreadableError("is empty")
+        _check_size(copy)
         try:
             with closing(sqlite3.connect(f"file:{copy}?mode=ro&immutable=1", uri=True)) as database:
                 [first, *_] = database.execute("PRAGMA quick_check").fetchall()
