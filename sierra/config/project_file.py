@@ -13,11 +13,11 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -34,9 +34,9 @@ from pydantic import (
 )
 
 from sierra.config import forbidden_directives as directives
-from sierra.config import group_names
+from sierra.config import group_names, targets
 from sierra.config.find_project import ProjectFolder, find, settings
-from sierra.errors import ConfigError, Missing
+from sierra.errors import ConfigError, Missing, UsageError
 from sierra.store.layout import CONFIG, PYPROJECT, STORE
 
 NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
@@ -51,8 +51,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Scalar = str | int | float
 Words = str | tuple[str, ...]
 """A list of texts, or its short form."""
-RawTable = Mapping[str, object]
-"""A table that no model has validated yet."""
+RawTable = targets.RawTable
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
 SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
@@ -89,8 +88,10 @@ VALUE = "{value}"
 """The text that stands for the value in the `argument` of a variable or of the seed."""
 OWN_PLACEHOLDERS = ("input", "output", "run", "seed", "project", "python", "arguments")
 """Names in braces that have a meaning of their own in a command."""
+NO_CHANGE = 'it changes nothing; give it "set", "changes", "argument" or "environment"'
 NOT_VARIED = ("HOME", "TMPDIR", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "PYTHONPATH", "PYTHONHOME")
 """Environment variables that no variable of a query can set: the programs that runs use depend on them, or SIERRA sets them."""
+OF_TARGETS = "for single targets, by name: other changes than the ones here"
 SYSTEM = ("proc", "sys", "dev", "tmp")
 """Folders in a container where nothing can be mounted."""
 KINDS = {
@@ -144,6 +145,16 @@ def _not_options(table: object) -> object:
         if isinstance(value, dict):
             raise ValueError(f"the options of formats have another name now: [template_formats.{name}]")
     return table
+
+
+def _only_own(tables: Mapping[str, RawTable]) -> Mapping[str, RawTable]:
+    """Check that targets have no keys that are shared by all."""
+    for name, key in ((name, key) for name, table in tables.items() for key in table if key in targets.SHARED):
+        if key in targets.PER_TARGET:
+            place = key if key == "seed" else f"{key}.…"
+            raise ValueError(f"{name}.{key} cannot be in a target; write [{place}.targets.{name}]")
+        raise ValueError(f"{name}.{key} cannot be in a target; it is the same for all targets")
+    return tables
 
 
 def _path(is_valid: Callable[[str], bool], expected: str) -> AfterValidator:
@@ -295,12 +306,8 @@ Argument = Annotated[Argv, AfterValidator(_with_value)]
 EnvironmentName = Annotated[str, StringConstraints(pattern=NAME), AfterValidator(_not_fixed)]
 
 
-class Variable(Table):
-    """An independent variable: what one of its values changes in the template, the command or the environment of a run.
-
-    The short form `name = "XPATH"` sets the attributes or elements that the XPath selects to the value. `{}` is a variable that
-    the command or other changes use as `{name}`.
-    """
+class ValueOfVariable(Table):
+    """What one value of a variable changes for a target. The short form is the XPath alone."""
 
     set: str | None = Field(None, description="XPath of the attributes or elements that get the value itself")
     changes: tuple[ChangeTable, ...] = Field((), description="further changes; `{name}` is the value")
@@ -310,8 +317,6 @@ class Variable(Table):
     environment: EnvironmentName | None = Field(
         None, description="name of the environment variable of runs that gets the value"
     )
-    label: str = Field("", description="name in figures; default: the variable's name")
-    unit: str = Field("", description="unit in figures")
 
     @property
     def is_given(self) -> bool:
@@ -319,30 +324,58 @@ class Variable(Table):
         return bool(self.set or self.changes or self.argument or self.environment)
 
     @model_validator(mode="after")
-    def _complete(self) -> Variable:
+    def _complete(self) -> Self:
         if any(change.set and change.value is None for change in self.changes):
             raise ValueError('a "set" in "changes" needs a "value"')
         return self
 
 
-class Seed(Table):
-    """Where the seed goes, and how seeds are derived. The short form is the XPath alone."""
+class Variable(ValueOfVariable):
+    """An independent variable: what one of its values changes in the template, the command or the environment of a run.
+
+    The short form `name = "XPATH"` sets the attributes or elements that the XPath selects to the value. `{}` is a variable that
+    the command or other changes use as `{name}`.
+    """
+
+    label: str = Field("", description="name in figures; default: the variable's name")
+    unit: str = Field("", description="unit in figures")
+    targets: Mapping[
+        Name, Annotated[ValueOfVariable, BeforeValidator(_set_to, json_schema_input_type=str | ValueOfVariable)]
+    ] = Field(default_factory=dict, description=OF_TARGETS)
+
+
+class PlaceOfSeed(Table):
+    """Where the seed goes for a target. The short form is the XPath alone."""
 
     set: str | None = Field(None, description="XPath of the attribute or element that gets the seed")
     argument: Argument = Field((), description="words of the command with the seed, as in `--seed {value}`")
     environment: EnvironmentName | None = Field(None, description="name of the environment variable of runs that gets the seed")
+
+
+class Seed(PlaceOfSeed):
+    """Where the seed goes, and how seeds are derived. The short form is the XPath alone."""
+
     base: int = Field(0, ge=0, description="base seed: the number that all seeds derive from")
     independent: bool = Field(
         False,
         description="different seeds in each experiment; by default, all experiments use the same seeds: common random numbers",
     )
+    targets: Mapping[Name, Annotated[PlaceOfSeed, BeforeValidator(_set_to, json_schema_input_type=str | PlaceOfSeed)]] = Field(
+        default_factory=dict, description=OF_TARGETS
+    )
 
 
-class Group(Table):
-    """A controller or a scenario: a named group of changes."""
+class ChangesOfGroup(Table):
+    """The changes of a controller or a scenario for a target."""
 
     changes: tuple[ChangeTable, ...] = Field((), description="changes to the template; may be empty")
+
+
+class Group(ChangesOfGroup):
+    """A controller or a scenario: a named group of changes."""
+
     label: str = Field("", description="name in figures; default: the group's name")
+    targets: Mapping[Name, ChangesOfGroup] = Field(default_factory=dict, description=OF_TARGETS)
 
 
 class Tolerance(Table):
@@ -876,6 +909,14 @@ class Project(Table):
     platform: str = Field(
         "command", description="platform, which drives the simulator: `command`, `argos`, or an installed plug-in"
     )
+    target: str | None = Field(
+        None, description="target of queries that name none; default: the keys outside `targets`, as they are"
+    )
+    targets: Annotated[Mapping[Name, RawTable], AfterValidator(_only_own)] = Field(
+        default_factory=dict,
+        description="targets, by name: other values of the keys that say how runs execute, for one platform; "
+        "a table such as `limits` is merged key by key",
+    )
     runs: PositiveInt = Field(10, description="runs per experiment")
     controller: str | None = Field(None, description="default controller, if none is requested")
     scenario: str | None = Field(None, description="default scenario, if none is requested")
@@ -962,11 +1003,8 @@ class Project(Table):
         for name, variable in self.variables.items():
             if variable.argument and name in OWN_PLACEHOLDERS:
                 raise ValueError(f"variables.{name}: in a command, {{{name}}} has another meaning; use another name")
-            if not variable.is_given and not self._uses(name):
-                raise ValueError(
-                    f'variables.{name}: it changes nothing; give it "set", "changes", "argument" or "environment", '
-                    f"or write {{{name}}} in the command"
-                )
+            if not (self.targets or self.target) and not self.changes_with(name):
+                raise ValueError(f"variables.{name}: {NO_CHANGE}, or write {{{name}}} in the command")
         return self
 
     @model_validator(mode="after")
@@ -977,6 +1015,23 @@ class Project(Table):
             if variable is not None and (other := setters.setdefault(variable, name)) != name:
                 raise ValueError(f"{other} and {name} both set the environment variable {variable}; use one of them")
         return self
+
+    def for_target(self, name: str) -> Project:
+        """Return the project with one target merged over its other keys, and without targets. Raises UsageError."""
+        if name not in self.targets:
+            raise UsageError(self._unknown(name))
+        return options(Project, targets.merged(self._written(), name), f"target {name!r}")
+
+    def changes_with(self, name: str) -> bool:
+        """Return True if the values of a variable change something in runs."""
+        return self.variables[name].is_given or self._uses(name)
+
+    def _written(self) -> RawTable:
+        return self.model_dump(exclude_unset=True, by_alias=True)
+
+    def _unknown(self, name: str) -> str:
+        known = f"known are {', '.join(self.targets)}" if self.targets else "sierra.toml declares no [targets.NAME]"
+        return f"unknown target {name!r}; {known}"
 
     def _uses(self, name: str) -> bool:
         """Return True if the command uses a variable, or if a change does that does not belong to a variable."""
@@ -1005,8 +1060,22 @@ class LoadedProject:
     root: Path
     file: Path
     config: Project
+    """The configuration: that of the default target, or of the one that was chosen."""
     written: bool = True
     """True if the file exists. A store without a file can be read too."""
+    declared: Project | None = None
+    """The content of the file, with all targets; None if it has no targets."""
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Return the names of the targets."""
+        return tuple(self.declared.targets) if self.declared else ()
+
+    def for_target(self, name: str | None) -> LoadedProject:
+        """Return the project for another target; with None, the project itself. Raises UsageError for an unknown name."""
+        if name is None or name == self.config.target:
+            return self
+        return replace(self, config=(self.declared or self.config).for_target(name))
 
     def check_written(self) -> None:
         """Raise Missing if there is no `sierra.toml`, so that nothing can be executed."""
@@ -1025,7 +1094,10 @@ def read(found: ProjectFolder) -> LoadedProject:
     if not written:
         return LoadedProject(root, file, Project(), written=False)
     origin = f"{file} [tool.sierra]" if file.name == PYPROJECT else str(file)
-    return LoadedProject(root, file, parse(settings(file) or {}, origin))
+    whole = parse(settings(file) or {}, origin)
+    if not whole.targets:
+        return LoadedProject(root, file, whole)
+    return LoadedProject(root, file, whole.for_target(whole.target) if whole.target else whole, declared=whole)
 
 
 def parse(table: object, origin: str) -> Project:
@@ -1035,12 +1107,39 @@ def parse(table: object, origin: str) -> Project:
     those of shipped schedulers here too.
     """
     project = options(Project, table, origin)
+    _check_clusters(project, origin)
+    _check_names_of_targets(project, origin)
+    each = {name: _resolved(project, name, origin) for name in project.targets}
+    for name in project.variables if each else ():
+        if not any(one.changes_with(name) for one in (project, *each.values())):
+            raise ConfigError(f"{origin}: variables.{name}: {NO_CHANGE}, here or in [variables.{name}.targets.{min(each)}]")
+    return project
+
+
+def _check_names_of_targets(project: Project, origin: str) -> None:
+    """Raise ConfigError if a key names a target that is not declared."""
+    given = [("target", (project.target,))] if project.target else []
+    for place, names in (*given, *((f"{place}.targets", names) for place, names in targets.named(project._written()))):
+        if unknown := [name for name in names if name not in project.targets]:
+            raise ConfigError(f"{origin}: {place}: {project._unknown(unknown[0])}")
+
+
+def _resolved(project: Project, name: str, origin: str) -> Project:
+    """Return a target of a project after checking its keys. Raises ConfigError."""
+    within = ("targets", name)
+    found = options(Project, targets.merged(project._written(), name), origin, within)
+    _check_clusters(found, origin, within)
+    return found
+
+
+def _check_clusters(project: Project, origin: str, within: tuple[str, ...] = ()) -> None:
+    """Check the tables of clusters of shipped schedulers. Raises ConfigError."""
     for name, runner in project.runners.items():
         scheduler = runner.get("scheduler", name)
         if isinstance(scheduler, str) and scheduler in directives.CHECKED:
-            cluster = options(ClusterTable, runner, origin, ("runners", name))
-            check_directives(cluster, partial(directives.complaint, scheduler), f"{origin}: runners", name)
-    return project
+            cluster = options(ClusterTable, runner, origin, (*within, "runners", name))
+            where = ".".join((*within, "runners"))
+            check_directives(cluster, partial(directives.complaint, scheduler), f"{origin}: {where}", name)
 
 
 def check_directives(table: ClusterTable, complaint: Callable[[str], str | None], where: str, name: str) -> None:
@@ -1123,8 +1222,15 @@ def _nearest(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
 
 
 def _keys(model: type[BaseModel], location: tuple[int | str, ...]) -> set[str]:
-    others = [other for other in Table.__subclasses__() if other is not model]
     for part in location:
         inner = next((f.annotation for n, f in model.model_fields.items() if part in (n, f.alias)), None)
-        model = next((other for other in others if inner is not None and other.__name__ in str(inner)), model)
+        model = next((other for other in _tables() if re.search(rf"\b{other.__name__}\b", str(inner))), model)
     return {field.alias or name for name, field in model.model_fields.items()}
+
+
+def _tables() -> Iterator[type[BaseModel]]:
+    """Yield the models of tables."""
+    pending = Table.__subclasses__()
+    while pending:
+        pending += (model := pending.pop(0)).__subclasses__()
+        yield model

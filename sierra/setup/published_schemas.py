@@ -19,7 +19,8 @@ from typing import TypedDict, cast
 from pydantic import BaseModel, TypeAdapter
 
 from sierra.config.plugin_registry import ENGINES, KINDS, PLATFORMS, READERS, RUNNERS, SCHEDULERS, TEMPLATES, Kind
-from sierra.config.project_file import ClusterTable, Project
+from sierra.config.project_file import NAME, ClusterTable, Project
+from sierra.config.targets import SHARED
 from sierra.errors import PluginError
 from sierra.execution.plan_json import PlanPreview
 from sierra.query.query_request import QueryRequest, RequestFile
@@ -82,6 +83,7 @@ def json_schema(note: Note | None = None) -> Schema:
         if named:
             table["properties"] = named
     _clusters(schema, note)
+    _targets(schema)
     formats = schema["$defs"]["Output"]["properties"]["format"]["anyOf"][0]["enum"]
     formats.extend(name for name in _usable(READERS, note) if name not in formats)
     schema["$defs"] = dict(sorted(schema["$defs"].items()))
@@ -142,6 +144,14 @@ def _clusters(schema: Schema, note: Note | None) -> None:
         clusters.append(_define(schema, f"schedulers.{name}", SCHEDULERS.load(name).Options))
         runners.setdefault("properties", {}).setdefault(name, clusters[-1])
     runners["additionalProperties"] = clusters[0] if len(clusters) == 1 else {"anyOf": clusters}
+
+
+def _targets(schema: Schema) -> None:
+    """Add the table of a target: the keys of `sierra.toml` that are not shared by all targets."""
+    own = {name: key for name, key in schema["properties"].items() if name not in SHARED}
+    described: Schema = {"description": "A target: other values of keys, for one platform.", "title": schema["title"]}
+    schema["$defs"]["Target"] = {**described, "type": "object", "additionalProperties": False, "properties": own}
+    schema["properties"]["targets"]["patternProperties"] = {NAME: {"$ref": "#/$defs/Target"}}
 
 
 def toml_schema(note: Note | None = None) -> str:

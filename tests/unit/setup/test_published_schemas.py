@@ -22,7 +22,15 @@ from tests import projects
 
 FOLDER = Path(__file__).parents[3] / "schemas"
 EXAMPLE = Path(sierra.__file__).parent / "setup" / "examples" / "swarm" / "sierra.toml"
-MODELS = {model.__name__: model for model in project_file.Table.__subclasses__() if model.__module__ == project_file.__name__}
+
+
+def own(model: type[BaseModel]) -> list[type[BaseModel]]:
+    """Return the models of `sierra.toml` that inherit from a model, without those that others inherit from."""
+    found = [one for one in model.__subclasses__() if one.__module__ == project_file.__name__]
+    return [leaf for one in found for leaf in own(one) or [one]]
+
+
+MODELS = {model.__name__: model for model in own(project_file.Table)}
 
 
 def schema(*options: str) -> str:
@@ -151,7 +159,14 @@ def test_the_example_project_is_valid_by_the_json_schema() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"comand": "true"}, {"platforms": {"argos": {"lenght": 5}}}, {"figures": {"f": {"times": "x"}}}]
+    "wrong",
+    [
+        {"comand": "true"},
+        {"targets": {"sim": {"comand": "true"}}},
+        {"targets": {"sim": {"runs": 3}}},
+        {"platforms": {"argos": {"lenght": 5}}},
+        {"figures": {"f": {"times": "x"}}},
+    ],
 )
 def test_the_json_schema_refuses_unknown_keys_and_values(wrong: dict[str, Any]) -> None:
     with pytest.raises(jsonschema.ValidationError):
