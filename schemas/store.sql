@@ -189,7 +189,8 @@ CREATE TABLE sessions (
     "ingest_rules" VARCHAR,  -- hash of the rules, as in executions
     "batch_rules" VARCHAR,  -- hash of the rules and of the allowed differences between runs of the batch (mismatch)
     "lamport" BIGINT,  -- its position in the logical order: a greater number is later, independent of clocks; old records have negative numbers, in the order of their times, and so come first
-    "build" VARCHAR  -- the build whose products its runs used, as in builds; NULL if there is no [build]
+    "build" VARCHAR,  -- the build whose products its runs used, as in builds; NULL if there is no [build]
+    "target" VARCHAR  -- the target that was requested; NULL if it was none
 );
 
 -- Builds: each time that the command of [build] was executed to make the products from the source.

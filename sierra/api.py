@@ -109,8 +109,17 @@ class Project:
 
     @property
     def config(self) -> project_file.Project:
-        """The content of `sierra.toml`; if there is no such file, the settings that the store implies."""
+        """The content of `sierra.toml`, for its default target; if there is no file, the settings that the store implies."""
         return self._loaded.config
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """The names of the targets in `sierra.toml`.
+
+        >>> project.targets
+        ()
+        """
+        return self._loaded.targets
 
     @property
     def store(self) -> Store:
@@ -128,13 +137,14 @@ class Project:
         controller: str | None = None,
         scenario: str | None = None,
         sets: Sequence[tuple[str, str]] = (),
+        target: str | None = None,
         engine: str | None = None,
         observer: Observer | None = None,
     ) -> Plan:
         """Return the plan of a query: the batch that it would execute, with all ids.
 
-        `sets` are pairs of XPath and value. `engine` is the engine that isolates the runs; it overrides the project's.
-        `observer` receives the progress of planning.
+        `sets` are pairs of XPath and value. `target` is the name of a target in `sierra.toml`. `engine` is the engine that
+        isolates the runs; it overrides the project's. `observer` receives the progress of planning.
 
         A prefix of a recorded batch's id instead of a query plans that batch with the recorded code and inputs. Raises
         QueryError, UsageError, TemplateError, and Missing for a program that is not found.
@@ -148,15 +158,54 @@ class Project:
 
         [word] = query if len(query) == 1 else ("",)
         if PREFIX.fullmatch(word.lower()) and word not in self.config.queries and self.stored():
-            if runs or controller or scenario or sets:
+            if runs or controller or scenario or sets or target:
                 raise UsageError(
-                    f"batch {word} is executed as it was recorded; leave out --runs, --controller, --scenario and --set"
+                    f"batch {word} is executed as it was recorded; "
+                    "leave out --runs, --controller, --scenario, --set and --target"
                 )
             from sierra.execution import plan_from_record
 
             return plan_from_record.plan(self._loaded, self.store, word, contained=engine)
-        request = query_request.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets)
+        request = query_request.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets, target=target)
         return self.resolve(request, engine=engine, observer=observer)
+
+    def plans(
+        self,
+        *query: str,
+        targets: Sequence[str],
+        runs: int | None = None,
+        controller: str | None = None,
+        scenario: str | None = None,
+        sets: Sequence[tuple[str, str]] = (),
+        engine: str | None = None,
+        observer: Observer | None = None,
+    ) -> list[Plan]:
+        """Return the plans of a query for several targets: the arguments are those of `plan`.
+
+        The runs of their batches are pairs: they have the same values and the same seeds. Raises QueryError if they have not.
+
+        >>> project.plans("population_size=1,2", targets=["sim", "robots"])
+        Traceback (most recent call last):
+        sierra.errors.UsageError: ...
+        """
+        from sierra.execution import targets as of_query
+
+        of_query.check_names(targets)
+        plans = [
+            self.plan(
+                *query,
+                runs=runs,
+                controller=controller,
+                scenario=scenario,
+                sets=sets,
+                target=name,
+                engine=engine,
+                observer=observer,
+            )
+            for name in targets
+        ]
+        of_query.check_pairs(plans)
+        return plans
 
     def resolve(self, request: QueryRequest, *, engine: str | None = None, observer: Observer | None = None) -> Plan:
         """Return the plan of a query request: see `plan`.
@@ -182,6 +231,7 @@ class Project:
         controller: str | None = None,
         scenario: str | None = None,
         sets: Sequence[tuple[str, str]] = (),
+        target: str | None = None,
         jobs: int | None = None,
         fail_fast: bool = False,
         figures: bool = True,
@@ -204,7 +254,7 @@ class Project:
         >>> summary.runs, summary.failed, summary.missing
         (4, 0, 0)
         """
-        plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets, engine=engine)
+        plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets, target=target, engine=engine)
         return self.execute(
             plan,
             jobs=jobs,
@@ -241,7 +291,7 @@ class Project:
         from sierra.query import condition
 
         selected = None if only is None else condition.select(only, plan.batch).runs
-        stays = runners.find(runner, self.config.runners)(1).stays
+        stays = runners.find(runner, plan.project.config.runners)(1).stays
         if detach and not stays:
             raise UsageError(
                 f"cannot detach from runner {runner!r}: its runs end with this process; only cluster jobs can be detached"

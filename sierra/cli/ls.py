@@ -35,6 +35,7 @@ def ls(
         "query": [one.query for one in batches],
         **_where_any("controller", [one.controller or "" for one in batches]),
         **_where_any("scenario", [one.scenario or "" for one in batches]),
+        **_where_any("target", [", ".join(one.targets) for one in batches]),
         **_where_any("overrides", [" ".join(one.overrides) for one in batches]),
         **_where_any("changed", [", ".join(one.changed) for one in batches]),
         "experiments": [one.experiments for one in batches],

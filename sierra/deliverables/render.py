@@ -20,6 +20,7 @@ from sierra.config.project_file import Figure, LoadedProject
 from sierra.deliverables import seconds
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.errors import Missing, NotFound, SierraError, UsageError
+from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store.layout import ProjectPaths
@@ -94,7 +95,12 @@ def statistics(
             (table, text), notes = samples.by_experiment(measure, stats.STATISTICS, threshold), []
         if stats.is_rate(table):
             notes.append(f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate")
-        notes = [*gallery.time_notes, *stats.left_out([table], samples.coverage, gallery.planned, threshold), *notes]
+        notes = [
+            *gallery.target_notes,
+            *gallery.time_notes,
+            *stats.left_out([table], samples.coverage, gallery.planned, threshold),
+            *notes,
+        ]
         metadata = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
         return _with_axes(table, frame).replace_schema_metadata(metadata)
 
@@ -169,7 +175,10 @@ class _Gallery:
     """The data that the figures of one batch share."""
 
     def __init__(self, project: LoadedProject, store: Store, frame: Frame) -> None:
-        self._config = project.config
+        target = targets.recorded(store, frame.batch) if project.targets else None
+        self.target_notes = [f"target {target}"] if target else []
+        """The target that the batch was requested for; its declarations are used."""
+        self._config = targets.of_batch(project, store, frame.batch).config
         self._store = store
         self._frame = frame
         self._outputs = {output.name: output for output in frame.outputs()}
@@ -254,7 +263,7 @@ class _Gallery:
             cells=self._cells,
             tables=tables,
             runs=computed.runs,
-            note=note,
+            note="; ".join(filter(None, (*self.target_notes, note))),
             sql=computed.sql,
             batch=self._frame.batch,
             time=time or "row",

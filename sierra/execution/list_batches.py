@@ -35,6 +35,8 @@ class ListedBatch:
     controller: str | None
     """Controller of the whole batch; None if it is an axis. `scenario` likewise."""
     scenario: str | None
+    targets: Sequence[str]
+    """Targets that it was requested for."""
     experiments: int
     runs: int
     submitted: datetime | None
@@ -61,6 +63,7 @@ class _Batch(NamedTuple):
     query: str
     controller: str | None
     scenario: str | None
+    targets: list[str] | None
     experiments: int
     runs: int
     axes: list[str]
@@ -83,10 +86,11 @@ class _Batch(NamedTuple):
 BATCHES = """
 WITH last AS (
     SELECT batch, max(lamport) AS lamport, arg_max(ended, lamport) AS submitted, arg_max(failed, lamport) AS failed,
-           arg_max(missing, lamport) AS missing, arg_max(query, lamport) AS query, sum(reexecuted) AS reexecuted
+           arg_max(missing, lamport) AS missing, arg_max(query, lamport) AS query, sum(reexecuted) AS reexecuted,
+           list(DISTINCT target ORDER BY target) FILTER (target IS NOT NULL) AS targets
     FROM sessions GROUP BY batch
 )
-SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.scenario, b.experiments, b.runs,
+SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.scenario, l.targets, b.experiments, b.runs,
        b.axes, b.overrides, b.base_seed, b.template_sha256, s.source, s.image, s.command, s.variables, s.host_access, s.around,
        l.submitted, l.failed, l.missing, b.batch IN (
            SELECT m.batch FROM findings f JOIN all_judgements e ON e.judgement = f.execution JOIN batch_runs m ON m.run = e.run
@@ -140,7 +144,7 @@ def batches(store: Store) -> list[ListedBatch]:
     listed = []
     for row in rows:
         controller, scenario = whole(row.axes, row.controller, row.scenario)
-        named = (row.query, controller, scenario, *row.overrides)
+        named = (row.query, controller, scenario, *row.overrides, None, *(row.targets or ()))
         count = counts.get(row.batch)
         listed.append(
             ListedBatch(
@@ -149,6 +153,7 @@ def batches(store: Store) -> list[ListedBatch]:
                 query=row.query,
                 controller=controller,
                 scenario=scenario,
+                targets=row.targets or [],
                 experiments=row.experiments,
                 runs=row.runs,
                 submitted=row.submitted,

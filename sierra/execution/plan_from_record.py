@@ -19,7 +19,7 @@ from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
 from sierra.containers.images.image_contents import Contents
 from sierra.errors import Damaged, Missing, NotFound, UsageError
-from sierra.execution import around, commands, row_queries
+from sierra.execution import around, commands, row_queries, targets
 from sierra.execution.build import recorded as recorded_build
 from sierra.execution.build.recorded import RecordedBuild
 from sierra.execution.checkout import Checkout
@@ -244,6 +244,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
     with store.snapshot() as snapshot:
         row = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=found.id)
         [last] = snapshot.select(Last, LAST, b=found.id)
+    project = targets.of_batch(project, store, found.id)
     if last.ingest_rules is None or last.programs is None:
         raise Missing(f"batch {short(found.id)}: none of its sessions has finished; submit its query instead: {row.query}")
     recalled = recall(store, found.id, last.programs, last.ingest_rules)
@@ -253,7 +254,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
     text = last.query or row.query
     return Plan(
         project=project,
-        request=repeated(row._asdict(), len(batch.experiments[0].runs)),
+        request=repeated(row._asdict(), len(batch.experiments[0].runs), targets.recorded(store, found.id)),
         query=Query(
             grammar.parse_all(text.split()),
             len(batch.experiments[0].runs),

@@ -20,7 +20,7 @@ from sierra.design import run_values
 from sierra.design.expand import Expansion
 from sierra.design.factorial_design import GROUPED, PlanningProgress, design, ignore_progress, mentions
 from sierra.errors import ConfigError, Missing, QueryError
-from sierra.execution import around, commands, shared_files
+from sierra.execution import around, commands, shared_files, targets
 from sierra.execution.build import recipe as build_recipe
 from sierra.execution.build.state import BuildState, look
 from sierra.execution.checkout import INSIDE, Checkout, programs_in
@@ -91,6 +91,11 @@ class Plan:
     build: BuildState | None = None
     """State of the products of `[build]`; None without it."""
 
+    @property
+    def target(self) -> str | None:
+        """Return the target that the batch is requested for; None if there is none."""
+        return self.project.config.target if self.source else self.request.target  # a recorded batch has the recorded one
+
     def _repr_html_(self) -> str:
         batch = self.batch
         axes = tuple(axis.name for axis in batch.axes)
@@ -129,7 +134,7 @@ def resolve(project: LoadedProject, request: QueryRequest) -> Query:
             raise QueryError(f"{word!r} is not a query in sierra.toml{hint}")
     named = config.queries[names[0]] if names else None
     spelled = [part for word in words for part in (named.criteria if named and word in names else (word,))]
-    return Query(
+    query = Query(
         criteria=grammar.parse_all(spelled),
         runs=request.runs or (named and named.runs) or config.runs,
         controller=request.controller or (named and named.controller) or None,
@@ -137,6 +142,8 @@ def resolve(project: LoadedProject, request: QueryRequest) -> Query:
         sets=tuple(Set(one.xpath, one.value, why=f"--set {one.xpath}") for one in request.overrides),
         base_seed=config.seed.base,
     )
+    targets.check(project, query)
+    return query
 
 
 def plan(
@@ -149,6 +156,7 @@ def plan(
 
     Raises an error for a mistake in project, query, template, source or programs.
     """
+    project = project.for_target(request.target)
     query = resolve(project, request)
     config, root = project.config, project.root
     _check_names(project)

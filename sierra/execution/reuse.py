@@ -81,11 +81,12 @@ def is_answered(plan: Plan, store: Store) -> bool:
         snapshot.views.make(("sessions",))
         snapshot.views.make(("batches",))
         last = snapshot.run(
-            "SELECT arg_max(batch, lamport), arg_max(programs, lamport), arg_max(batch_rules, lamport) FROM sessions"
+            "SELECT arg_max(batch, lamport), arg_max(programs, lamport), arg_max(batch_rules, lamport), "
+            "arg_max(coalesce(target, ''), lamport) FROM sessions"
         )
         if not snapshot.run("SELECT 1 FROM batches WHERE batch = $b LIMIT 1", {"b": plan.batch.id}):
             return False  # its records are lost
-        if last != [(plan.batch.id, now.programs, now.batch_rules)]:
+        if last != [(plan.batch.id, now.programs, now.batch_rules, plan.target or "")]:
             return False
         found, found_states = check(plan, snapshot)
         if stale_sessions.recorded(snapshot) != found.stale.keys():

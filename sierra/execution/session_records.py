@@ -141,7 +141,9 @@ def finish(store: Store, session: Session, *, interrupted: bool) -> int | None:
         left_out = fields.pop("left_out", None)
         others = int(left_out or 0)
         started = datetime.fromisoformat(fields["started"])
-        begun = of_fields(SessionRow, {"build": None, **fields, **NO_RESULT, "started": started, "ended": started})
+        begun = of_fields(
+            SessionRow, {"build": None, "target": None, **fields, **NO_RESULT, "started": started, "ended": started}
+        )
     except (KeyError, TypeError, ValueError) as error:
         raise Damaged(f"{session.paths.asking}: was not written by this version of SIERRA; use the other version") from error
     claimed = len(sessions.claims(session.paths))
@@ -192,6 +194,7 @@ def begun(plan: Plan, session: Session, *, started: datetime, runner: str, slots
         "ingest_rules": now.ingest_rules,
         "batch_rules": now.batch_rules,
         "build": plan.build.recipe.id if plan.build else None,
+        "target": plan.target,
     }
     return of_fields(SessionRow, fields | NO_RESULT)
 

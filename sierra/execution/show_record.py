@@ -221,6 +221,8 @@ class ShownBatch:
     attempts: Sequence[Attempt]
     sessions: Sequence[SessionRow]
     clusters: Sequence[OnCluster]
+    targets: Sequence[str] = ()
+    """Targets that it was requested for."""
     history: Known | None = None
     """The recorded commit as the repository has it now."""
     log_file: str | None = None
@@ -389,6 +391,7 @@ def _batch(snapshot: Snapshot, identity: str, clusters: Sequence[OnCluster]) -> 
     controller, scenario = whole(row.axes, row.controller, row.scenario)
     [last] = snapshot.select(LastHost, LAST_HOST, b=identity)
     experiments = _experiments(snapshot, identity, row.axes)
+    sessions = snapshot.select(SessionRow, "SELECT * FROM sessions WHERE batch = $b ORDER BY lamport", b=identity)
     return ShownBatch(
         row=row._replace(controller=controller, scenario=scenario),
         spec=spec,
@@ -403,8 +406,9 @@ def _batch(snapshot: Snapshot, identity: str, clusters: Sequence[OnCluster]) -> 
         nondeterminism=snapshot.select(Nondeterminism, NONDETERMINISM, b=identity, r=None),
         replays=snapshot.select(ReplayOfBatch, REPLAYS, b=identity),
         attempts=snapshot.select(Attempt, ATTEMPTS_OF_BATCH, b=identity),
-        sessions=snapshot.select(SessionRow, "SELECT * FROM sessions WHERE batch = $b ORDER BY lamport", b=identity),
+        sessions=sessions,
         clusters=clusters,
+        targets=sorted({one.target for one in sessions if one.target}),
     )
 
 

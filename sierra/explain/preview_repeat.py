@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError
-from sierra.execution import resolve_plan
+from sierra.execution import resolve_plan, targets
 from sierra.execution.build.state import BuildState
 from sierra.execution.dry_run import forecast
 from sierra.execution.reasons import ChangeReason, Reason
@@ -58,4 +58,4 @@ def next_run(project: LoadedProject, store: Store, batch: str, runs: Container[s
 def _plan(project: LoadedProject, store: Store, batch: str) -> Plan:
     [row] = store.select(BatchRow, "SELECT * FROM batches WHERE batch = $b", b=batch)
     [runs] = store.values(int, "SELECT max(number) + 1 AS runs FROM batch_runs WHERE batch = $b", b=batch)
-    return resolve_plan.plan(project, repeated(row._asdict(), runs))
+    return resolve_plan.plan(project, repeated(row._asdict(), runs, targets.recorded(store, batch)))

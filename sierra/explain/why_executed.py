@@ -24,10 +24,12 @@ SELECT b.batch FROM batches b LEFT JOIN (SELECT batch, max(lamport) AS asked FRO
 WHERE b.batch IN (SELECT batch FROM batch_runs WHERE run = $r) ORDER BY coalesce(s.asked, b.lamport) DESC
 """
 EARLIER = """
+WITH s AS (SELECT batch, max(lamport) AS asked, arg_max(coalesce(target, ''), lamport) AS target FROM sessions GROUP BY batch)
 SELECT b.batch FROM batches b JOIN batches this ON this.batch = $b
-LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s ON s.batch = b.batch
+LEFT JOIN s ON s.batch = b.batch LEFT JOIN s now ON now.batch = this.batch
 WHERE b.axes = this.axes AND b.lamport < this.lamport AND b.batch <> this.batch
-ORDER BY CASE WHEN s.asked < this.lamport THEN s.asked ELSE b.lamport END DESC LIMIT 1
+ORDER BY coalesce(s.target, '') = coalesce(now.target, '') DESC,
+         CASE WHEN s.asked < this.lamport THEN s.asked ELSE b.lamport END DESC LIMIT 1
 """
 
 

@@ -44,17 +44,21 @@ class Recorded(NamedTuple):
     image: str | None
     host_access: list[str] | None
     around: str | None
+    target: str | None
+    """The target of its last session."""
 
 
 COLUMNS = """
 SELECT b.batch, b.query, b.runs, b.controller, b.scenario, b.base_seed, b.overrides, b.template_sha256, b.platform,
-       r.command, r.variables, r.source, r.image, r.host_access, r.around
-FROM batches b JOIN specs r USING (spec)
+       r.command, r.variables, r.source, r.image, r.host_access, r.around, s.target
+FROM batches b JOIN specs r USING (spec) LEFT JOIN (
+    SELECT batch, max(lamport) AS asked, nullif(arg_max(coalesce(target, ''), lamport), '') AS target
+    FROM sessions GROUP BY batch
+) s USING (batch)
 """
-LIKE = f"""{COLUMNS} LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
-WHERE b.axes = $axes AND b.batch <> $batch
-ORDER BY coalesce(s.asked, b.lamport) DESC LIMIT 1
-"""  # noqa: S608 - of our own parts
+LIKE = f"""{COLUMNS} WHERE b.axes = $axes AND b.batch <> $batch
+ORDER BY coalesce(s.target, '') = $target DESC, coalesce(s.asked, b.lamport) DESC LIMIT 1
+"""
 THIS = f"{COLUMNS} WHERE b.batch = $batch"
 
 
@@ -107,8 +111,9 @@ def why_again(plan: Plan, store: Store) -> tuple[PlanChange, ...]:
 
 
 def _similar(plan: Plan, store: Store | Snapshot) -> Recorded | None:
-    """Return the last other batch over the same axes."""
-    rows = store.select(Recorded, LIKE, axes=[axis.name for axis in plan.batch.axes], batch=plan.batch.id)
+    """Return the last other batch over the same axes, if possible for the same target."""
+    axes = [axis.name for axis in plan.batch.axes]
+    rows = store.select(Recorded, LIKE, axes=axes, batch=plan.batch.id, target=plan.target or "")
     return rows[0] if rows else None
 
 
@@ -223,6 +228,7 @@ def _query(plan: Plan, before: Recorded) -> tuple[PlanChange, ...]:
     """Return the differences in the query."""
     now = batch_row(plan)
     settings = [(name, getattr(before, name), getattr(now, name)) for name in QUERY if name not in now.axes]
+    settings.append(("target", before.target, plan.target))
     added = [change for change in now.overrides if change not in before.overrides]
     removed = [change for change in before.overrides if change not in now.overrides]
     return (

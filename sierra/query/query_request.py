@@ -36,6 +36,7 @@ class QueryRequest(Table):
     controller: str | None = Field(None, description="name of the controller; default: the project's")
     scenario: str | None = Field(None, description="name of the scenario; default: the project's")
     overrides: tuple[Override, ...] = Field((), description="values that are set in the template of all runs")
+    target: str | None = Field(None, description="name of the target; default: the project's")
 
 
 class RequestFile(BaseModel):
@@ -54,6 +55,7 @@ def request(
     controller: str | None = None,
     scenario: str | None = None,
     sets: Iterable[tuple[str, str]] = (),
+    target: str | None = None,
 ) -> QueryRequest:
     """Return a request; `sets` are pairs of XPath and value. Raises UsageError."""
     if runs is not None and runs < 1:
@@ -64,13 +66,14 @@ def request(
         controller=controller,
         scenario=scenario,
         overrides=tuple(Override(xpath=path, value=value) for path, value in sets),
+        target=target,
     )
 
 
-def repeated(row: Mapping[str, Any], runs: int) -> QueryRequest:
+def repeated(row: Mapping[str, Any], runs: int, target: str | None = None) -> QueryRequest:
     """Return the request that repeats a recorded batch, from its row of `batches` and the number of runs per experiment."""
     named = {name: row[name] for name in ("controller", "scenario") if name not in row["axes"]}
-    return request(row["query"].split(), runs=runs, sets=map(setting, row["overrides"]), **named)
+    return request(row["query"].split(), runs=runs, sets=map(setting, row["overrides"]), target=target, **named)
 
 
 def read(path: Path) -> RequestFile:

@@ -19,7 +19,7 @@ from sierra import runners
 from sierra.config.project_file import LoadedProject, Output
 from sierra.containers.engines.base import Engine
 from sierra.errors import Missing, NotFound, UsageError
-from sierra.execution import commands, expected_durations, plan_from_record, recover, row_queries
+from sierra.execution import commands, expected_durations, plan_from_record, recover, row_queries, targets
 from sierra.execution.build.recorded import rebuild
 from sierra.execution.observation import plan_files
 from sierra.execution.observation.current_files import Current
@@ -108,6 +108,7 @@ def replay(
     observer = observer or Observer()
     recover.finish_dead(store)
     record = _look_up(store, store.resolve(prefix), options.runs)
+    project = targets.of_batch(project, store, record.of.batch)
     declared = _declared(record, project, options.tolerances)
     was = _metrics(project, store, record, declared)
     engine = plan_from_record.engine(
@@ -219,6 +220,8 @@ def unrecorded(
         raise UsageError("--keep keeps folders in the store; remove --no-record")
     if runners.find(options.runner, project.config.runners)(options.slots).stays:
         raise UsageError(f"runner {options.runner!r} needs the record to find its runs again; remove --no-record")
+    found = store.resolve(prefix)
+    project = targets.of_batch(project, store, found.batch or found.id)
     own = project.config.store.model_copy(update={"work_folder": None})  # the temporary store is in that folder already
     inner = replace(project, config=project.config.model_copy(update={"store": own}))
     with store.overlay(project.config.store.place()) as other:

@@ -241,6 +241,7 @@ class SessionRow(NamedTuple):
         "negative numbers, in the order of their times, and so come first",
     ]
     build: Annotated[str | None, "the build whose products its runs used, as in builds; NULL if there is no [build]"]
+    target: Annotated[str | None, "the target that was requested; NULL if it was none"] = None
 
 
 class BuildRow(NamedTuple):

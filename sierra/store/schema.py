@@ -53,7 +53,7 @@ RECORDED = {name: _recorded(name, row) for name, row in ROWS.items()}
 """The tables that are written, by name."""
 
 LATER: dict[str, tuple[str, ...]] = {
-    "sessions": ("build",),
+    "sessions": ("build", "target"),
     "observations": ("distributions",),
     "specs": ("named_inputs", "shared_files", "around"),
 }

@@ -12,6 +12,7 @@ from functools import partial
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import Damaged, NotFound, SqlError
+from sierra.execution import targets
 from sierra.explain.diff import code, environment, images, query, results, run_inputs, used_files
 from sierra.explain.diff.load_sides import AFTER, BEFORE, check, gather, pair
 from sierra.explain.diff.model import KINDS, Difference, Note
@@ -41,6 +42,7 @@ def compare(project: LoadedProject, store: Store, before: str, after: str, *, re
     check(old, new)
     if old == new:
         return Comparison(old, new, (), KINDS, (f"both are the same {old.kind}",))
+    project = targets.of_batch(project, store, new.batch or new.id)
     found: list[Difference] = []
     notes: list[Note] = []
     compared: set[str] = set()

@@ -27,6 +27,7 @@ def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterat
                 yield from changed("query", name, old.get(name), new.get(name))
     for name in ("controller", "scenario"):
         yield from changed("query", name, _whole(before, name), _whole(after, name))
+    yield from changed("query", "target", *(side.session.target if side.session else None for side in (before, after)))
     if not before.is_one:
         yield from changed("query", "runs", _runs(before), _runs(after), called="runs per experiment")
     old_sets, new_sets = before.batch.overrides, after.batch.overrides
