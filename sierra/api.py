@@ -317,6 +317,7 @@ class Project:
         controller: str | None = None,
         scenario: str | None = None,
         sets: Sequence[tuple[str, str]] = (),
+        target: str | None = None,
         seed: int | None = None,
         experiment: int = 0,
         engine: str | None = None,
@@ -339,7 +340,7 @@ class Project:
 
         observer = observer or Observer()
         words = query or (trial.UNCHANGED,)
-        request = query_request.request(words, runs=1, controller=controller, scenario=scenario, sets=sets)
+        request = query_request.request(words, runs=1, controller=controller, scenario=scenario, sets=sets, target=target)
         plan = self.build(self.resolve(request, engine=engine, observer=observer), observer=observer)
         run, files = trial.choose(plan, experiment, seed)
         return trial.attempt(plan, run, files, StorePaths(self.paths.store), observer, show)

@@ -50,6 +50,18 @@ Controller = Annotated[
 Scenario = Annotated[
     str | None, typer.Option("--scenario", metavar="NAME", autocompletion=complete.scenarios, help="The scenario.")
 ]
+TargetNames = Annotated[
+    str | None,
+    typer.Option(
+        "--target",
+        metavar="NAME[,NAME...]",
+        autocompletion=complete.targets,
+        help="Targets in sierra.toml; there is a batch for each.",
+    ),
+]
+TargetName = Annotated[
+    str | None, typer.Option("--target", metavar="NAME", autocompletion=complete.targets, help="A target in sierra.toml.")
+]
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="XPATH=VALUE", help="Change the template in all runs. May be repeated.")
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sierra.cli.arguments import AsJson, ClusterId, DrawFigures
+from sierra.cli.output import print_json
 
 
 def attach(
@@ -27,4 +28,9 @@ def attach(
     drawn = user.load().figures if figures is None else figures
     with watching(quiet=as_json) as display:
         summary = project.attach(prefix, figures=drawn, observer=display)
-    render_summary.print_and_exit(project, summary, {} if as_json else None)
+    if as_json:
+        render_summary.print_notes(summary)
+        print_json(render_summary.answer(project, summary, {}))
+    else:
+        render_summary.print_text(project, summary)
+    render_summary.leave([summary])

@@ -85,6 +85,15 @@ def scenarios(incomplete: str) -> list[str]:
     return _groups("scenarios", incomplete)
 
 
+def targets(incomplete: str) -> list[str]:
+    """Return the names of targets, after those that are complete."""
+    before, comma, last = incomplete.rpartition(",")
+    found: tuple[str, ...] = ()
+    with contextlib.suppress(*IGNORED):
+        found = _project().targets
+    return [f"{before}{comma}{name}" for name in _beginning(found, last) if name not in before.split(",")]
+
+
 def figures(incomplete: str) -> list[str]:
     """Return the names of the figures in `sierra.toml`."""
     return _named("figures", incomplete)

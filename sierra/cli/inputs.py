@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from sierra.cli import plan_query
-from sierra.cli.arguments import AsJson, Controller, Criteria, EngineOfRuns, Only, RunsEach, Scenario, Sets
+from sierra.cli.arguments import AsJson, Controller, Criteria, EngineOfRuns, Only, RunsEach, Scenario, Sets, TargetNames
 from sierra.cli.output import note, print_json
 from sierra.util.text import counted
 
@@ -20,6 +20,7 @@ def inputs(
     controller: Controller = None,
     scenario: Scenario = None,
     sets: Sets = None,
+    target: TargetNames = None,
     only: Only = None,
     engine: EngineOfRuns = None,
     as_json: AsJson = False,
@@ -29,31 +30,39 @@ def inputs(
 
     For sites that start programs in their own way. Each run gets a folder with its input files, command.json and the empty
     folder output, where its command is to be started. manifest.csv lists all runs with their ids, values, seeds and folders.
-    The folder appears as a whole, or not at all.
+    The folder appears as a whole, or not at all. With several targets, it gets such a folder for each.
 
     \b
     Examples:
       sierra inputs population_size.Log8 --runs 10 --to ../inputs
       sierra inputs population_size.Log8 --only "population_size=8" --to ../inputs
+      sierra inputs population_size.Log8 --target sim,robots --to ../inputs
     """
-    from sierra.cli import open_project
+    from sierra.cli import open_project, render_summary
     from sierra.cli.progress import Planning
     from sierra.execution.write_inputs import MANIFEST, check_target
     from sierra.query.grammar import setting
-    from sierra.util.hashing import short
 
     check_target(to)
     project = open_project.project()
     settings = plan_query.Settings(
         runs=runs, controller=controller, scenario=scenario, sets=[setting(text) for text in sets or ()]
     )
-    plan = plan_query.plan(project, query, settings, engine=engine, observer=Planning(agreed=yes, quiet=as_json))
-    written = project.write_inputs(plan, to, only=only)
+    observer = Planning(agreed=yes, quiet=as_json)
+    plans = plan_query.plans(project, query, settings, target, engine=engine, observer=observer)
+    if len(plans) > 1:
+        to.mkdir(exist_ok=True)
+    answers: dict[str, object] = {}
+    for plan in plans:
+        folder = to / (plan.target or "") if len(plans) > 1 else to
+        written = project.write_inputs(plan, folder, only=only)
+        answers[plan.target or ""] = written
+        if as_json:
+            continue
+        for text in written.notes:
+            note(text)
+        part = f" of {counted(written.experiments, 'experiment')}" + (" selected by --only" if only else "")
+        print(render_summary.heading(written.batch, plan.text, plan.target))
+        print(f"wrote {counted(written.runs, 'run')}{part}; {folder / MANIFEST} lists them")
     if as_json:
-        print_json(written)
-        return
-    for text in written.notes:
-        note(text)
-    part = f" of {counted(written.experiments, 'experiment')}" + (" selected by --only" if only else "")
-    print(f"batch {short(written.batch)}: {plan.text}")
-    print(f"wrote {counted(written.runs, 'run')}{part}; {to / MANIFEST} lists them")
+        print_json({"targets": answers} if len(plans) > 1 else answers[plans[0].target or ""])

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
 from sierra.cli.output import note
+from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
@@ -22,12 +23,24 @@ class Settings(TypedDict):
     sets: list[tuple[str, str]]
 
 
+def plans(
+    project: Project, query: list[str], settings: Settings, targets: str | None, *, engine: str | None, observer: Observer
+) -> list[Plan]:
+    """Return a plan for each target; `targets` are names that are separated by commas. Without any, return one plan."""
+    from sierra.query import query_request
+
+    if targets is None:
+        return [plan(project, query, settings, engine=engine, observer=observer)]
+    if query[0].endswith(query_request.SUFFIX):
+        raise UsageError(f'{query[0]} is a complete request; leave out --target, and write "target" into the file')
+    return project.plans(*query, **settings, targets=targets.split(","), engine=engine, observer=observer)
+
+
 def plan(project: Project, query: list[str], settings: Settings, *, engine: str | None, observer: Observer) -> Plan:
     """Return the plan of a query, or of the request in a file.
 
     Prints a note if the file names a batch that the request no longer gives.
     """
-    from sierra.errors import UsageError
     from sierra.query import query_request
     from sierra.util.hashing import short
 

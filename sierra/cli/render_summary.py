@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from sierra.cli.output import note, print_json, table
+from sierra.cli.output import note, table
 from sierra.errors import Missing
 from sierra.util.hashing import short
 from sierra.util.text import counted
@@ -21,22 +21,36 @@ if TYPE_CHECKING:
 COUNTED = ("runs", "succeeded", "failed")
 
 
-def print_and_exit(project: Project, summary: Summary, more: Mapping[str, object] | None, *, detached: bool = False) -> None:
-    """Print a summary, as JSON together with `more` if that is not None; then exit with the code for this result."""
-
-    left = project.left(summary)
+def print_notes(summary: Summary) -> None:
     for text in summary.notes:
         note(text)
-    if more is None:
-        _print(summary, left)
-    else:
-        print_json({**_answer(summary), "detached": [_left(one) for one in left], **more})
-    if summary.interrupted:
+
+
+def print_text(project: Project, summary: Summary) -> None:
+    """Print a summary for people."""
+    print_notes(summary)
+    _print(summary, project.left(summary))
+
+
+def answer(project: Project, summary: Summary, more: Mapping[str, object]) -> dict[str, object]:
+    """Return a summary for JSON, together with `more`."""
+    return {**_answer(summary), "detached": [_left(one) for one in project.left(summary)], **more}
+
+
+def leave(summaries: Sequence[Summary], *, detached: bool = False) -> None:
+    """Exit with the code for these results, if it is not 0."""
+    if any(one.interrupted for one in summaries):
         raise typer.Exit(130)
-    if summary.failed or (summary.missing > summary.left_out and not detached):
+    if any(one.failed or (one.missing > one.left_out and not detached) for one in summaries):
         raise typer.Exit(1)
-    if summary.figure_error:
-        raise Missing(summary.figure_error)
+    for one in summaries:
+        if one.figure_error:
+            raise Missing(one.figure_error)
+
+
+def heading(batch: str, query: str, target: str | None) -> str:
+    """Return the first line about a batch."""
+    return f"batch {short(batch)}{f' (target {target})' if target else ''}: {query}"
 
 
 def _left(one: ClusterSession) -> dict[str, object]:
@@ -48,6 +62,7 @@ def _answer(summary: Summary) -> dict[str, object]:
     names = (
         "batch",
         "query",
+        "target",
         "experiments",
         "runs",
         "executed",
@@ -75,7 +90,7 @@ def _print(summary: Summary, left: Sequence[ClusterSession]) -> None:
     from sierra.cli import ask_detach, render_outputs
     from sierra.cli.figures import from_here
 
-    print(f"batch {short(summary.batch)}: {summary.query}")
+    print(heading(summary.batch, summary.query, summary.target))
     axes = list(summary.counts[0].values)
     rows = [[*one.values.values(), one.runs, one.succeeded, one.failed] for one in summary.counts]
     table([*axes, *COUNTED], rows, right=COUNTED)

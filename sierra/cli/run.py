@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -21,6 +22,7 @@ from sierra.cli.arguments import (
     RunsEach,
     Scenario,
     Sets,
+    TargetNames,
 )
 from sierra.cli.output import note, print_json, table
 from sierra.util.text import counted
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.execution.plan_json import PlanPreview
     from sierra.execution.resolve_plan import Plan
+    from sierra.execution.summary import Summary
     from sierra.query.condition import Selection
 
 STDERR = 2
@@ -40,6 +43,7 @@ def run(
     controller: Controller = None,
     scenario: Scenario = None,
     sets: Sets = None,
+    target: TargetNames = None,
     jobs: Jobs = None,
     runner: Runner = "local",
     detach: Annotated[bool, typer.Option("--detach", help="Submit to a cluster, and return without waiting.")] = False,
@@ -74,16 +78,15 @@ def run(
       sierra run population_size=4 --set "//arena/@size=20"
       sierra run scalability noise=0,0.1 --dry-run --explain
       sierra run population_size.Log8 --only "population_size<=4"
+      sierra run population_size.Log8 --target sim,robots
       sierra run 774d
       sierra run query.json
       sierra run population_size.Log8 --on slurm --detach
       sierra run population_size.Log8 --on slurm --dry-run --explain
     """
     from sierra.cli import open_project, render_summary
-    from sierra.cli.progress import Display, Planning, watching
-    from sierra.cli.render_reasons import build
+    from sierra.cli.progress import Planning
     from sierra.config import user
-    from sierra.query import condition
     from sierra.query.grammar import setting
 
     project = open_project.project()
@@ -91,53 +94,87 @@ def run(
     settings = plan_query.Settings(
         runs=runs, controller=controller, scenario=scenario, sets=[setting(text) for text in sets or ()]
     )
-    plan = plan_query.plan(project, query, settings, engine=engine, observer=observer)
-    selection = condition.select(only, plan.batch) if only is not None else None
+    plans = plan_query.plans(project, query, settings, target, engine=engine, observer=observer)
+    options = Options(
+        runner=runner,
+        jobs=jobs,
+        only=only,
+        detach=detach,
+        dry_run=dry_run,
+        explain=explain,
+        fail_fast=fail_fast,
+        figures=user.load().figures if figures is None else figures,
+        as_json=as_json,
+    )
+    answers: dict[str, object] = {}
+    summaries: list[Summary] = []
+    for plan in plans:
+        summary, answers[plan.target or ""] = _run(project, plan, options)
+        if summary is not None:
+            summaries.append(summary)
+            if summary.interrupted:
+                break
+    if as_json:
+        print_json({"targets": answers} if len(plans) > 1 else answers[plans[0].target or ""])
+    render_summary.leave(summaries, detached=detach)
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Options of `sierra run` that are the same for all targets."""
+
+    runner: str
+    jobs: int | None
+    only: str | None
+    detach: bool
+    dry_run: bool
+    explain: bool
+    fail_fast: bool
+    figures: bool
+    as_json: bool
+
+
+def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None, dict[str, object]]:
+    """Execute a plan, or only preview it; print the result unless it is to be JSON. Return the summary and the JSON."""
+    from sierra.cli import render_summary
+    from sierra.cli.progress import Display, watching
+    from sierra.cli.render_reasons import build
+    from sierra.query import condition
+
+    selection = condition.select(options.only, plan.batch) if options.only is not None else None
     more: dict[str, object] = {}
     state = plan.build
-    if not dry_run:
+    if not options.dry_run:
         _check_log(plan)
         plan = project.build(plan, observer=Display())
-    if dry_run or explain:
-        built = build(state, dry_run=dry_run) if state else None
-        preview = _preview(
-            project, plan, selection, runner, built, detach=detach, explain=explain, dry_run=dry_run, quiet=as_json
-        )
-        if dry_run and as_json:
-            print_json(preview.as_dict())
-        if dry_run:
-            return
+    if options.dry_run or options.explain:
+        preview = _preview(project, plan, selection, build(state, dry_run=options.dry_run) if state else None, options)
+        if options.dry_run:
+            return None, preview.as_dict()
         more = {"reasons": preview.reasons, "new_because": preview.new_because, "proposal": preview.proposal}
         more |= {"build": preview.build} if preview.build else {}
     elif why := _again(project, plan):
         more = {"new_because": why}
-    with watching(quiet=as_json) as display:
+    with watching(quiet=options.as_json) as display:
         summary = project.execute(
             plan,
-            jobs=jobs,
-            fail_fast=fail_fast,
-            figures=user.load().figures if figures is None else figures,
+            jobs=options.jobs,
+            fail_fast=options.fail_fast,
+            figures=options.figures,
             observer=display,
-            runner=runner,
-            detach=detach,
-            only=only,
+            runner=options.runner,
+            detach=options.detach,
+            only=options.only,
         )
-    render_summary.print_and_exit(project, summary, more if as_json else None, detached=detach)
+    if options.as_json:
+        render_summary.print_notes(summary)
+        return summary, render_summary.answer(project, summary, more)
+    render_summary.print_text(project, summary)
+    return summary, {}
 
 
-def _preview(
-    project: Project,
-    plan: Plan,
-    selection: Selection | None,
-    runner: str,
-    built: str | None,
-    *,
-    detach: bool,
-    explain: bool,
-    dry_run: bool,
-    quiet: bool,
-) -> PlanPreview:
-    """Return the preview of a plan, with `explain` also its reasons; print it unless `quiet`.
+def _preview(project: Project, plan: Plan, selection: Selection | None, built: str | None, options: Options) -> PlanPreview:
+    """Return the preview of a plan, with `--explain` also its reasons; print it unless it is to be JSON.
 
     `built` says whether products are built.
     """
@@ -149,17 +186,18 @@ def _preview(
     from sierra.execution.reasons import ChangeReason, Reason
     from sierra.explain.why_new_runs import other_programs, why_new
 
-    store = project.stored()
+    store, explain = project.stored(), options.explain
     runs = selection.runs if selection else None
     found = forecast(plan, store, runs)
     reasons = found.reasons
     new = explain and reasons[Reason(ChangeReason.NEW)]
     other = explain and store and reasons[Reason(ChangeReason.PROGRAMS)]
-    proposal = project.proposal(plan, runner, detach=detach, runs=runs)
+    proposal = project.proposal(plan, options.runner, detach=options.detach, runs=runs)
     preview = PlanPreview(
         request=plan.request,
         batch=plan.batch.id,
         query=plan.text,
+        target=plan.target,
         experiments=len(plan.batch.experiments),
         selected=len(selection.experiments) if selection else None,
         runs=len(found.states),
@@ -175,11 +213,11 @@ def _preview(
         build=built,
         proposal=proposal,
     )
-    if not quiet:
+    if not options.as_json:
         _print(plan, preview, selection, found.to_execute, explain=explain)
         if proposal:
-            render_estimate.show(proposal, explain=explain, script=dry_run)
-    for message in (*plan.notes, *(proposal.notes if proposal else ())) if dry_run else ():
+            render_estimate.show(proposal, explain=explain, script=options.dry_run)
+    for message in (*plan.notes, *(proposal.notes if proposal else ())) if options.dry_run else ():
         note(message)
     return preview
 
@@ -187,10 +225,9 @@ def _preview(
 def _print(
     plan: Plan, preview: PlanPreview, selection: Selection | None, to_execute: AbstractSet[str], *, explain: bool
 ) -> None:
-    from sierra.cli import render_status
-    from sierra.util.hashing import short
+    from sierra.cli import render_status, render_summary
 
-    print(f"batch {short(preview.batch)}: {preview.query}")
+    print(render_summary.heading(preview.batch, preview.query, preview.target))
     rows = [
         [*experiment.values.values(), len(experiment.runs), sum(run.id in to_execute for run in experiment.runs)]
         for experiment in plan.batch.experiments

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import AsJson, Controller, EngineOfRuns, Scenario, Sets
+from sierra.cli.arguments import AsJson, Controller, EngineOfRuns, Scenario, Sets, TargetName
 from sierra.cli.output import fields, note, print_json, size, table
 from sierra.util.text import counted, few
 
@@ -36,6 +36,7 @@ def try_(
     controller: Controller = None,
     scenario: Scenario = None,
     sets: Sets = None,
+    target: TargetName = None,
     seed: Annotated[
         int | None,
         typer.Option("--seed", metavar="N", min=0, help="Seed of the run (default: that of a batch's first run)."),
@@ -58,6 +59,7 @@ def try_(
       sierra try population_size=4 --seed 7
       sierra try population_size.Log8 --experiment 3
       sierra try --set "//arena/@size=20"
+      sierra try population_size=4 --target robots
     """
     from sierra.cli import open_project
     from sierra.cli.progress import Planning
@@ -71,6 +73,7 @@ def try_(
         controller=controller,
         scenario=scenario,
         sets=[setting(text) for text in sets or ()],
+        target=target,
         seed=seed,
         experiment=experiment,
         engine=engine,

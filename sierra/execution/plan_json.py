@@ -17,6 +17,7 @@ class PlanPreview(BaseModel):
     request: QueryRequest = Field(description="the query, without settings that have their default")
     batch: str = Field(description="id of the batch that the query expands to")
     query: str = Field(description="the criteria, in full")
+    target: str | None = Field(None, description="target that the batch is for; missing if there is none")
     experiments: int = Field(description="number of experiments")
     selected: int | None = Field(None, description="with --only: number of these experiments that it selects")
     runs: int = Field(description="number of different runs; with --only, of the selected experiments")
@@ -38,7 +39,7 @@ class PlanPreview(BaseModel):
 
     def as_dict(self) -> dict[str, object]:
         """Return the fields for JSON. Keys without a value are left out where the schema does not require them."""
-        optional = ("other_programs", "build", "selected")
+        optional = ("other_programs", "build", "selected", "target")
         names = [name for name in type(self).model_fields if name not in optional or getattr(self, name) is not None]
         request = self.request.model_dump(mode="json", exclude_defaults=True)
         return {name: getattr(self, name) for name in names} | {"request": request}

@@ -69,6 +69,8 @@ class Summary:
     """Numbers of runs by experiment, in the batch's order."""
     failures: tuple[Failure, ...] = ()
     """Failures by reason, most frequent first; at most `SHOWN_REASONS`."""
+    target: str | None = None
+    """Target that the batch was requested for."""
     selected: int | None = None
     """Number of experiments that the session was limited to; None if it was not limited."""
     left_out: int = 0
@@ -141,6 +143,7 @@ def of_session(
         failures=failures,
         selected=None if only is None else sum(all(run.id in only for run in one.runs) for one in plan.batch.experiments),
         left_out=left_out,
+        target=plan.target,
         notes=(*plan.notes, *dict.fromkeys(notes)),
     )
 
@@ -211,6 +214,7 @@ def of_recorded(
         detached=detached,
         counts=counts,
         failures=tuple(_failure(store, one) for one in shown.failures[:SHOWN_REASONS]),
+        target=shown.sessions[-1].target if shown.sessions else None,
         left_out=0 if unfinished is None else max(0, missing - unfinished),
         notes=tuple(dict.fromkeys(notes)),
     )
