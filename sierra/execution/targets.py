@@ -11,6 +11,7 @@ from sierra.design.factorial_design import GROUPED
 from sierra.errors import QueryError, UsageError
 from sierra.model import Batch, Listed, Query
 from sierra.store.store import Store
+from sierra.util.text import few
 
 if TYPE_CHECKING:
     from sierra.execution.resolve_plan import Plan
@@ -84,7 +85,8 @@ def _unlike(one: Batch, other: Batch) -> str | None:
     """Return the first difference between the values and seeds of two batches, in words."""
     for mine, theirs in zip(one.axes, other.axes, strict=True):
         if (mine.name, mine.values) != (theirs.name, theirs.values):
-            return f"{mine.name} has other values; use a list of values, as in {mine.name}=1,2"
+            values = " and ".join(few(list(map(str, axis.values)), 4) for axis in (mine, theirs))
+            return f"the values of {mine.name} are {values}; use a variable that has the same values for both"
     if [run.seed for run in one.runs] != [run.seed for run in other.runs]:
         return "their seeds differ"
     return None
