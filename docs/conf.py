@@ -21,6 +21,7 @@ CONTENTS = {
         "how-to/compile",
         "how-to/around-a-run",
         "how-to/queries",
+        "how-to/targets",
         "how-to/outputs",
         "how-to/sql",
         "how-to/figures",
