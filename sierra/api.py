@@ -237,7 +237,7 @@ class Project:
         figures: bool = True,
         observer: Observer | None = None,
         engine: str | None = None,
-        runner: str = "local",
+        runner: str | None = None,
         detach: bool = False,
         progress: bool | None = None,
         only: str | None = None,
@@ -246,9 +246,10 @@ class Project:
 
         `jobs` is the number of runs that execute at the same time (default: the user's setting, or the number of usable cores).
         `observer` receives the progress and notices instead: see `Observer`. `runner` is where runs execute: `local`, or the
-        name of a cluster; with `detach`, this function returns once the jobs are submitted. `only` is a condition that selects
-        the experiments to execute, as in `population_size<=4`: see `sierra.query.condition`. The summary counts failed runs;
-        they raise no error. Raises the errors of `plan`, and Missing if the disk is full.
+        name of a cluster (default: the `runner` in `sierra.toml`); with `detach`, this function returns once the jobs are
+        submitted. `only` is a condition that selects the experiments to execute, as in `population_size<=4`: see
+        `sierra.query.condition`. The summary counts failed runs; they raise no error. Raises the errors of `plan`, and Missing
+        if the disk is full.
 
         >>> summary = project.run("population_size=1,2", runs=2, figures=False)
         >>> summary.runs, summary.failed, summary.missing
@@ -275,7 +276,7 @@ class Project:
         fail_fast: bool = False,
         figures: bool = True,
         observer: Observer | None = None,
-        runner: str = "local",
+        runner: str | None = None,
         detach: bool = False,
         progress: bool | None = None,
         only: str | None = None,
@@ -285,20 +286,14 @@ class Project:
         >>> project.execute(project.plan("population_size=1,2", runs=2), figures=False).executed
         0
         """
-        from sierra import runners
         from sierra.execution import execute
         from sierra.execution.run_options import RunOptions
         from sierra.query import condition
 
         selected = None if only is None else condition.select(only, plan.batch).runs
-        stays = runners.find(runner, plan.project.config.runners)(1).stays
-        if detach and not stays:
-            raise UsageError(
-                f"cannot detach from runner {runner!r}: its runs end with this process; only cluster jobs can be detached"
-            )
         options = RunOptions(
             _slots(jobs),
-            runner,
+            self.runner_of(plan, runner, detach=detach),
             fail_fast,
             selected,
             observer=observer or _observer(progress),
@@ -310,6 +305,21 @@ class Project:
         summary = execute.run(plan, store, options)
         summary = self._described(replace(summary, notes=(*probed, *summary.notes)))
         return self._drawn(summary) if figures else summary
+
+    def runner_of(self, plan: Plan, runner: str | None = None, *, detach: bool = False) -> str:
+        """Return the name of the runner of a plan: `runner`, or the one in `sierra.toml`. Raises ConfigError, UsageError.
+
+        >>> project.runner_of(project.plan("population_size=8"))
+        'local'
+        """
+        from sierra import runners
+
+        name, tables = runner or plan.project.config.runner, plan.project.config.runners
+        if not runners.find(name, tables)(1).stays and detach:
+            raise UsageError(
+                f"cannot detach from runner {name!r}: its runs end with this process; only cluster jobs can be detached"
+            )
+        return name
 
     def try_run(
         self,

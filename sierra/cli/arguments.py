@@ -44,6 +44,15 @@ Runner = Annotated[
         help="Where runs execute: local, slurm, pbs, or a cluster of sierra.toml.",
     ),
 ]
+RunnerOfRuns = Annotated[
+    str | None,
+    typer.Option(
+        "--on",
+        metavar="RUNNER",
+        autocompletion=complete.runners,
+        help="Where runs execute: local, slurm, pbs, or a cluster of sierra.toml (default: its runner, local).",
+    ),
+]
 Controller = Annotated[
     str | None, typer.Option("--controller", metavar="NAME", autocompletion=complete.controllers, help="The controller.")
 ]

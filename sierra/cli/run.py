@@ -18,7 +18,7 @@ from sierra.cli.arguments import (
     EngineOfRuns,
     Jobs,
     Only,
-    Runner,
+    RunnerOfRuns,
     RunsEach,
     Scenario,
     Sets,
@@ -45,7 +45,7 @@ def run(
     sets: Sets = None,
     target: TargetNames = None,
     jobs: Jobs = None,
-    runner: Runner = "local",
+    runner: RunnerOfRuns = None,
     detach: Annotated[bool, typer.Option("--detach", help="Submit to a cluster, and return without waiting.")] = False,
     engine: EngineOfRuns = None,
     dry_run: Annotated[bool, typer.Option("-n", "--dry-run", help="Show what would execute, and execute nothing.")] = False,
@@ -106,6 +106,9 @@ def run(
         figures=user.load().figures if figures is None else figures,
         as_json=as_json,
     )
+    if not dry_run:
+        for plan in plans:
+            _check(project, plan, options)
     answers: dict[str, object] = {}
     summaries: list[Summary] = []
     for plan in plans:
@@ -123,7 +126,7 @@ def run(
 class Options:
     """Options of `sierra run` that are the same for all targets."""
 
-    runner: str
+    runner: str | None
     jobs: int | None
     only: str | None
     detach: bool
@@ -145,7 +148,6 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
     more: dict[str, object] = {}
     state = plan.build
     if not options.dry_run:
-        _check_log(plan)
         plan = project.build(plan, observer=Display())
     if options.dry_run or options.explain:
         preview = _preview(project, plan, selection, build(state, dry_run=options.dry_run) if state else None, options)
@@ -192,7 +194,7 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
     reasons = found.reasons
     new = explain and reasons[Reason(ChangeReason.NEW)]
     other = explain and store and reasons[Reason(ChangeReason.PROGRAMS)]
-    proposal = project.proposal(plan, options.runner, detach=options.detach, runs=runs)
+    proposal = project.proposal(plan, project.runner_of(plan, options.runner), detach=options.detach, runs=runs)
     preview = PlanPreview(
         request=plan.request,
         batch=plan.batch.id,
@@ -250,6 +252,12 @@ def _print(
         print(f"{preview.to_execute} of {counted(preview.runs, 'run')} would execute{again}{follow_up}")
     for line in render_status.lines(preview.clusters):
         print(line)
+
+
+def _check(project: Project, plan: Plan, options: Options) -> None:
+    """Check what can be known before the first of several batches executes. Raises SierraError."""
+    _check_log(plan)
+    project.runner_of(plan, options.runner, detach=options.detach)
 
 
 def _check_log(plan: Plan) -> None:

@@ -909,6 +909,9 @@ class Project(Table):
     platform: str = Field(
         "command", description="platform, which drives the simulator: `command`, `argos`, or an installed plug-in"
     )
+    runner: str = Field(
+        "local", description="where runs execute unless `--on` says otherwise: `local`, or a cluster of `runners`"
+    )
     target: str | None = Field(
         None, description="target of queries that name none; default: the keys outside `targets`, as they are"
     )

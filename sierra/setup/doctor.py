@@ -12,12 +12,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from sierra.config import plugin_registry, user
-from sierra.config.project_file import BuildTable
+from sierra.config import find_project, plugin_registry, user
+from sierra.config.project_file import BuildTable, LoadedProject
 from sierra.containers.engines.base import Capabilities
 from sierra.errors import SierraError
 from sierra.provenance.machine import usable_cores
-from sierra.store.layout import StorePaths, user_settings
+from sierra.store.layout import ProjectPaths, StorePaths, user_settings
 
 State = Literal["ok", "absent", "missing"]
 
@@ -138,6 +138,26 @@ def _properties(able: Capabilities) -> Iterator[str]:
 
 def _project() -> Iterator[Check]:
     import sierra
+    from sierra.config import project_file
+
+    try:
+        project = sierra.open()
+        loaded = project_file.read(find_project.find_store(Path()))
+    except SierraError as error:
+        yield Check("project", "absent" if error.exit_code == 3 else "missing", str(error))
+        return
+    yield Check("project", "ok", str(project.root))
+    if loaded.config.target or loaded.config.command or not loaded.targets:
+        yield from _configured(loaded, "")
+    for name in loaded.targets:
+        if name != loaded.config.target:
+            yield from _configured(loaded.for_target(name), f" of target {name}")
+    if project.paths.store.exists():
+        yield _tried("store", lambda: f"{len(project.batches)} batches")
+
+
+def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
+    """Check what a project needs for its default target, or for another target, which `of` names."""
     from sierra import platforms, runners, templates
     from sierra.containers import container_setup, images
     from sierra.design import run_values
@@ -145,70 +165,60 @@ def _project() -> Iterator[Check]:
     from sierra.ingest.base import used
     from sierra.provenance import fingerprint_programs, required_packages
 
-    try:
-        project = sierra.open()
-    except SierraError as error:
-        yield Check("project", "absent" if error.exit_code == 3 else "missing", str(error))
-        return
-    yield Check("project", "ok", str(project.root))
+    config = project.config
 
     def find_program() -> str:
-        platform = platforms.find(project.config.platform, project.config)
-        declared = run_values.declared(project.config)
-        if project.config.container is not None:
-            image = images.pinned(project.root, project.config.container.image)
+        platform = platforms.find(config.platform, config)
+        declared = run_values.declared(config)
+        if config.container is not None:
+            image = images.pinned(project.root, config.container.image)
             images.verify(project.root, image)
-            inside = images.examine(project.root, StorePaths(project.paths.store), image)
-            command = commands.command(platform, project.root, contained=True, declared=declared, project=project.config)
-            path = commands.environment(platform, project.config).get("PATH")
+            inside = images.examine(project.root, StorePaths(ProjectPaths(project.root).store), image)
+            command = commands.command(platform, project.root, contained=True, declared=declared, project=config)
+            path = commands.environment(platform, config).get("PATH")
             return f"{container_setup.program(command, path, inside)} in {image.name}"
-        made = project.config.build.produces if project.config.build else ()
-        command = commands.command(platform, project.root, made=made, declared=declared, project=project.config)
+        made = config.build.produces if config.build else ()
+        command = commands.command(platform, project.root, made=made, declared=declared, project=config)
         words = commands.fill(command, project.root)
         if made and not Path(words[0]).exists() and Path(words[0]).is_relative_to(project.root):
             return f"{words[0]}, which [build] makes"
-        variables = commands.declared(commands.environment(platform, project.config), project.root)
+        variables = commands.declared(commands.environment(platform, config), project.root)
         return fingerprint_programs.find(words, variables, project.root).all[0].path
 
     def find_builder(table: BuildTable) -> str:
         word = table.command[0]
         if "/" in word and not word.startswith("{"):
             word = str(project.root / table.folder / word)
-        if project.config.container is not None and not Path(word).is_relative_to(project.root):
-            image = images.pinned(project.root, project.config.container.image)
-            inside = images.examine(project.root, StorePaths(project.paths.store), image)
+        if config.container is not None and not Path(word).is_relative_to(project.root):
+            image = images.pinned(project.root, config.container.image)
+            inside = images.examine(project.root, StorePaths(ProjectPaths(project.root).store), image)
             return f"{container_setup.program((word,), None, inside)} in {image.name}"
-        variables = commands.declared(
-            commands.environment(platforms.find(project.config.platform, project.config), project.config), project.root
-        )
+        variables = commands.declared(commands.environment(platforms.find(config.platform, config), config), project.root)
         return fingerprint_programs.find(commands.fill((word,), project.root), variables, project.root).all[0].path
 
     def check_options() -> str:
-        plugin_registry.check(project.config)
-        runners.check(project.config.runners)
-        used(project.config.outputs, project.config.readers)
+        plugin_registry.check(config)
+        runners.check(config.runners)
+        used(config.outputs, config.readers)
         return "the options of all plug-ins are valid"
 
-    yield _tried("options", check_options)
-    config = project.config
+    yield _tried(f"options{of}", check_options)
     yield _tried(
-        "template",
+        f"template{of}",
         lambda: f"{', '.join(config.template_paths) or 'none'}, {templates.of_project(config, project.root).sha256[:10]}",
     )
-    table = project.config.build
+    table = config.build
     if table is not None:
-        yield _tried("build", lambda: find_builder(table))
-    yield _tried("command", find_program)
-    if project.config.requires:
-        absent = required_packages.missing(project.config, contained=project.config.container is not None)
-        found = f"not installed: {', '.join(absent)}" if absent else ", ".join(project.config.requires)
-        yield _check("requires", not absent, found, required_packages.remedy(absent))
-    clusters = [name for name in project.config.runners if name != "local"]
-    if clusters and project.config.observe != "none":
+        yield _tried(f"build{of}", lambda: find_builder(table))
+    yield _tried(f"command{of}", find_program)
+    if config.requires:
+        absent = required_packages.missing(config, contained=config.container is not None)
+        found = f"not installed: {', '.join(absent)}" if absent else ", ".join(config.requires)
+        yield _check(f"requires{of}", not absent, found, required_packages.remedy(absent))
+    clusters = [name for name in config.runners if name != "local"]
+    if clusters and config.observe != "none":
         found = f"{', '.join(clusters)}: checked on the node when a run is observed"
-        yield Check("observation on clusters", "ok", found)
-    if project.paths.store.exists():
-        yield _tried("store", lambda: f"{len(project.batches)} batches")
+        yield Check(f"observation on clusters{of}", "ok", found)
 
 
 def _check(name: str, fits: bool, found: str, remedy: str, otherwise: State = "missing") -> Check:

@@ -239,6 +239,13 @@ def test_inputs_of_targets_are_written_to_folders_with_their_names(executed: Pat
     assert commands["robots"][-4:-1] == ["--robots", "2", "--seed"]
 
 
+def test_the_doctor_checks_each_target(project: Path) -> None:
+    (project / "sierra.toml").write_text(CONFIG.replace("python3 {project}/robots.py", "no-such-robots"))
+    checks = {one["name"]: one for one in json.loads(projects.quick(project, "doctor", "--json").stdout)}
+    assert (checks["command"]["state"], checks["command of target robots"]["state"]) == ("ok", "missing")
+    assert "no-such-robots" in checks["command of target robots"]["found"]
+
+
 def test_a_trial_uses_a_target(executed: Path) -> None:
     done = projects.quick(executed, "try", "population_size=2", "--target", "robots", "--json")
     assert done.returncode == 0, done.stderr
@@ -270,6 +277,17 @@ def test_wrong_targets_are_named_in_one_line_before_anything_runs(executed: Path
     done = projects.quick(executed, "run", *words)
     assert (done.returncode, done.stderr) == (2, f"sierra: {message}\n")
     assert len(listed(executed)) == 2
+
+
+def test_a_target_names_where_its_runs_execute(tmp_path: Path) -> None:
+    folder = make(tmp_path / "p", CONFIG.replace("[targets.robots]", '[targets.robots]\nrunner = "field"'))
+    done = projects.quick(folder, "run", "population_size=1", *BOTH)
+    assert (done.returncode, done.stderr) == (2, "sierra: unknown runner 'field'; known are local, slurm, pbs\n")
+    assert not (folder / ".sierra" / "segments").exists()
+    answers, _ = projects.run(folder, "population_size=1", *BOTH, "--on", "local")
+    assert [one["executed"] for one in answers["targets"].values()] == [2, 2]
+    refused = projects.quick(folder, "run", "population_size=1", *BOTH, "--on", "local", "--detach")
+    assert (refused.returncode, "cannot detach from runner 'local'" in refused.stderr) == (2, True)
 
 
 def test_a_variable_of_targets_only_needs_a_target(tmp_path: Path) -> None:
