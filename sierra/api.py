@@ -822,24 +822,22 @@ class Project:
             raise Missing("no batch is recorded yet; record one with sierra run")
         return known[-1].batch
 
-    def outputs(self, *query: str) -> TakenOutputs:
+    def outputs(self, *query: str, target: str | None = None) -> TakenOutputs:
         """Return how a batch's outputs were read: its tables, and the files that became no table, with the reasons.
 
-        `query` is a prefix of the batch's id, or its criteria; without any, it is the batch requested last. Raises NotFound,
-        Missing, QueryError.
+        `query` is a prefix of the batch's id, or its criteria; without any, it is the batch requested last (for `target`).
+        Raises NotFound, Missing, QueryError.
 
         >>> [(table.name, table.rows) for table in project.outputs(summary.batch).tables]
         [('swarm', '5 rows')]
         """
-        from sierra.execution import outputs_taken
+        return self._taken(self._asked(query, target))
 
-        return outputs_taken.taken(self.store, self._asked(query), self.config.outputs)
-
-    def declare_outputs(self, *query: str) -> dict[str, dict[str, str | bool]]:
+    def declare_outputs(self, *query: str, target: str | None = None) -> dict[str, dict[str, str | bool]]:
         """Write the undeclared tables of a batch into `sierra.toml`, as `[outputs.NAME]`; return what was written.
 
-        The declared tables are the same as before. Nothing is executed again. Raises UsageError if the file cannot be changed
-        without changing anything else in it.
+        If the batch is for a target, the tables are written into the table of this target. The declared tables are the same as
+        before. Nothing is executed again. Raises UsageError if the file cannot be changed without changing anything else in it.
 
         >>> project.declare_outputs(summary.batch)
         {'swarm': {'file': 'swarm.csv'}}
@@ -847,19 +845,34 @@ class Project:
         from sierra.execution.outputs_taken import proposed
         from sierra.setup import declare_outputs
 
-        found = self.outputs(*query)
+        found = self.outputs(*query, target=target)
         tables = proposed(found)
-        declare_outputs.write(self._found, tables, {table.name: table for table in found.tables})
+        taken = {table.name: table for table in found.tables}
+        declare_outputs.write(self._found, tables, taken, found.target if found.target in self.targets else None)
         return tables
 
-    def _asked(self, query: Sequence[str]) -> str:
+    def _taken(self, batch: str) -> TakenOutputs:
+        from sierra.execution import outputs_taken, targets
+
+        declared = targets.of_batch(self._loaded, self.store, batch).config.outputs
+        found = outputs_taken.taken(self.store, batch, declared)
+        return replace(found, target=targets.recorded(self.store, batch)) if self.targets else found
+
+    def _asked(self, query: Sequence[str], target: str | None) -> str:
         """Return the id of the batch that a prefix or a query names; without either, that of the batch requested last."""
         from sierra.store.store import PREFIX
 
         store = self.store
+        if target is not None:
+            self._loaded.for_target(target)  # raises an error for an unknown one
+        if target is not None and not query:
+            found = [one.batch for one in self.batches if target in one.targets]
+            if not found:
+                raise NotFound(f"no batch is recorded for target {target!r}; record one with sierra run")
+            return found[-1]
         if not query or (len(query) == 1 and PREFIX.fullmatch(query[0].lower()) and query[0] not in self.config.queries):
             return self.batch(*query)
-        batch = self.plan(*query).batch.id
+        batch = self.plan(*query, target=target).batch.id
         if not store.values(str, "SELECT batch FROM batches WHERE batch = $b", b=batch):
             raise NotFound(f"the query {' '.join(query)!r} has not been run with this project as it is; see sierra ls")
         return batch
@@ -870,7 +883,7 @@ class Project:
 
         if summary.interrupted or not any(outputs_taken.is_new(self.store, session) for session in summary.sessions):
             return summary
-        return replace(summary, outputs=outputs_taken.taken(self.store, summary.batch, self.config.outputs))
+        return replace(summary, outputs=self._taken(summary.batch))
 
     def _probe(self, plan: Plan, store: Store, options: RunOptions) -> tuple[str, ...]:
         from sierra.replay import determinism  # loads everything that a replay needs

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import AsJson
+from sierra.cli.arguments import AsJson, TargetName
 from sierra.cli.output import print_json
 
 
@@ -21,6 +21,7 @@ def outputs(
             help="Batch id or prefix, or the criteria of a query (default: the last batch).",
         ),
     ] = None,
+    target: TargetName = None,
     write: Annotated[
         bool, typer.Option("--write", help="Write the tables that are not declared into sierra.toml; leave all else as it is.")
     ] = False,
@@ -30,13 +31,14 @@ def outputs(
 
     Shows each table with its columns, their types in SQL, the time axis and the number of rows of a run. Shows also the files
     that became no table, why, and what to declare to make tables of them. With --write, the tables become [outputs.NAME] in
-    sierra.toml. They stay the same, and nothing is executed again.
+    sierra.toml, or those of the batch's target. They stay the same, and nothing is executed again.
 
     \b
     Examples:
       sierra outputs
       sierra outputs 774d
       sierra outputs population_size.Log8
+      sierra outputs --target robots
       sierra outputs --write
     """
     from sierra.cli.open_project import project
@@ -44,16 +46,18 @@ def outputs(
 
     opened = project()
     if write:
-        written = opened.declare_outputs(*(query or ()))
+        of = opened.outputs(*(query or ()), target=target).target
+        written = opened.declare_outputs(*(query or ()), target=target)
         if as_json:
             print_json(written)
         else:
-            names = ", ".join(f"[outputs.{name}]" for name in written)
+            before = f"targets.{of}." if of in opened.targets else ""
+            names = ", ".join(f"[{before}outputs.{name}]" for name in written)
             print(
                 f"{opened.file}: added {names}" if written else f"{opened.file}: all tables are declared; nothing was changed"
             )
         return
-    found = opened.outputs(*(query or ()))
+    found = opened.outputs(*(query or ()), target=target)
     if as_json:
         print_json(found)
     else:

@@ -40,7 +40,8 @@ def short_lines(found: TakenOutputs) -> Iterator[str]:
 def lines(found: TakenOutputs) -> Iterator[str]:
     """Yield all that is known about the outputs of a batch."""
     tables = counted(len(found.tables), "table")
-    yield f"batch {short(found.batch)}: {tables} from {counted(found.runs, 'successful run')}"
+    target = f" (target {found.target})" if found.target else ""
+    yield f"batch {short(found.batch)}{target}: {tables} from {counted(found.runs, 'successful run')}"
     for table in found.tables:
         yield from _table(table, found.runs)
     for one in found.unread:

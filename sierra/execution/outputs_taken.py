@@ -89,6 +89,8 @@ class TakenOutputs:
     """The number of runs with an effective execution."""
     tables: tuple[TakenTable, ...]
     unread: tuple[UnreadFiles, ...]
+    target: str | None = None
+    """The target that the batch was requested for."""
 
 
 class _Layout(NamedTuple):

@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 Keys = Mapping[str, str | bool]
 
 
-def write(found: ProjectFolder, outputs: Mapping[str, Keys], tables: Mapping[str, TakenTable]) -> None:
-    """Add `[outputs.NAME]` for each of these outputs to the project's file.
+def write(
+    found: ProjectFolder, outputs: Mapping[str, Keys], tables: Mapping[str, TakenTable], target: str | None = None
+) -> None:
+    """Add `[outputs.NAME]` for each of these outputs to the project's file, or to the table of a target there.
 
     Raises Missing if there is no such file, or if it cannot be written; UsageError if its form does not allow the addition.
     """
@@ -31,30 +33,33 @@ def write(found: ProjectFolder, outputs: Mapping[str, Keys], tables: Mapping[str
     if not found.written:
         raise Missing(f"no {found.file.name} in {found.root}; create one with: sierra init")
     file = found.file.resolve()
+    settings = ("tool", "sierra") if found.file.name == PYPROJECT else ()
+    within = ("targets", target) if target else ()
     try:
         before = file.read_bytes().decode()
-        after = _added(before, outputs, tables, inside=found.file.name == PYPROJECT)
-        if not _only_added(before, after, outputs, inside=found.file.name == PYPROJECT):
-            raise UsageError(f"{found.file}: outputs cannot be added to it as it is; add these lines: {_as_lines(outputs)}")
+        after = _added(before, outputs, tables, (*settings, *within))
+        if not _only_added(before, after, outputs, settings, within):
+            lines = "; ".join(_lines(outputs, within))
+            raise UsageError(f"{found.file}: outputs cannot be added to it as it is; add these lines: {lines}")
         mode = file.stat().st_mode
         write_whole(file, after.encode()).chmod(mode)
     except OSError as error:
         raise Missing(f"{found.file}: {error.strerror}") from error
 
 
-def _added(before: str, outputs: Mapping[str, Keys], tables: Mapping[str, TakenTable], *, inside: bool) -> str:
-    """Return the file's text with the outputs; `inside`: the settings are in `[tool.sierra]`."""
+def _added(before: str, outputs: Mapping[str, Keys], tables: Mapping[str, TakenTable], names: tuple[str, ...]) -> str:
+    """Return the file's text with the outputs; `names` are those of the tables that they are in."""
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 
     document = tomlkit.parse(before)
     try:
-        place = _section(document, ("tool", "sierra") if inside else ())
+        place = _section(document, names)
         if "outputs" not in place:
             place.add("outputs", tomlkit.table(is_super_table=True))
         for name, keys in outputs.items():
             place["outputs"].add(name, _table(keys, tables[name]))
-    except (TOMLKitError, AttributeError, TypeError, ValueError):
+    except (TOMLKitError, AttributeError, LookupError, TypeError, ValueError):
         return before
     return tomlkit.dumps(document)
 
@@ -76,28 +81,31 @@ def _table(keys: Keys, taken: TakenTable) -> Table:
     return table
 
 
-def _only_added(before: str, after: str, outputs: Mapping[str, Keys], *, inside: bool) -> bool:
+def _only_added(
+    before: str, after: str, outputs: Mapping[str, Keys], settings: tuple[str, ...], within: tuple[str, ...]
+) -> bool:
     """Check that all lines are still there in their order, and that the settings differ only by these outputs."""
     rest = iter(after.splitlines())
     if not all(line in rest for line in before.splitlines()):
         return False
     try:
         old, new = ({**tomllib.loads(text)} for text in (before, after))
-        for name in ("tool", "sierra") if inside else ():
+        for name in settings:
             old, new = old[name], new[name]
         project_file.parse(new, "sierra.toml")
+        place = old
+        for name in within:
+            place = place[name]
+        place["outputs"] = {**place.get("outputs", {}), **outputs}
     except (ValueError, LookupError, TypeError):
         return False
-    return bool(new == {**old, "outputs": {**old.get("outputs", {}), **outputs}})
+    return bool(new == old)
 
 
-def _as_lines(outputs: Mapping[str, Keys]) -> str:
-    return "; ".join(_lines(outputs))
-
-
-def _lines(outputs: Mapping[str, Keys]) -> Iterator[str]:
+def _lines(outputs: Mapping[str, Keys], within: tuple[str, ...]) -> Iterator[str]:
     import tomlkit
 
+    before = "".join(f"{name}." for name in within)
     for name, keys in outputs.items():
         values = ", ".join(f"{key} = {tomlkit.item(value).as_string()}" for key, value in keys.items())
-        yield f"[outputs.{tomlkit.key(name).as_string()}] {values}"
+        yield f"[{before}outputs.{tomlkit.key(name).as_string()}] {values}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -237,6 +238,29 @@ def test_inputs_of_targets_are_written_to_folders_with_their_names(executed: Pat
     }
     assert commands["sim"][-1] == "../input.json"
     assert commands["robots"][-4:-1] == ["--robots", "2", "--seed"]
+
+
+def test_outputs_are_those_of_the_target(project: Path) -> None:
+    found = json.loads(projects.quick(project, "outputs", "--target", "sim", "--json").stdout)
+    assert (found["batch"], found["target"]) == (batch(project, "sim"), "sim")
+    asked = json.loads(projects.quick(project, "outputs", "population_size=1,2", "--target", "robots", "--json").stdout)
+    [table] = asked["tables"]
+    assert (asked["target"], table["file"], table["declared"]) == ("robots", "log.txt", True)
+    refused = projects.quick(project, "outputs", "--target", "x")
+    assert (refused.returncode, refused.stderr) == (2, "sierra: unknown target 'x'; known are sim, robots\n")
+
+
+def test_outputs_are_declared_for_the_target_that_wrote_them(tmp_path: Path) -> None:
+    config = CONFIG.replace('outputs.swarm = { file = "swarm.csv", time = "tick" }\n', "")
+    folder = make(tmp_path / "p", config)
+    projects.run(folder, "population_size=1", *BOTH)
+    done = projects.quick(folder, "outputs", "--target", "sim", "--write")
+    assert (done.returncode, "added [targets.sim.outputs.swarm]" in done.stdout) == (0, True), done.stderr
+    written = tomllib.loads((folder / "sierra.toml").read_text())
+    assert written["targets"]["sim"]["outputs"] == {"swarm": {"file": "swarm.csv"}}
+    assert {**written, "targets": 0} == {**tomllib.loads(config), "targets": 0}
+    answers, _ = projects.run(folder, "population_size=1", *BOTH)
+    assert [one["executed"] for one in answers["targets"].values()] == [0, 0]
 
 
 def test_the_doctor_checks_each_target(project: Path) -> None:
