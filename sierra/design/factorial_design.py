@@ -239,7 +239,7 @@ def _span(criterion: Criterion, project: Project) -> Spanned | None:
         return Axis(criterion.name, values), tuple(Point(v, (), stream) for stream, v in enumerate(values))
     if criterion.name in GROUPED:
         return _grouped(criterion, project)
-    if criterion.name not in project.variables:
+    if criterion.name not in project.variables or not project.changes_with(criterion.name):
         return None
     variable = project.variables[criterion.name]
     why, own = f"variable {criterion.name!r}", f"{{{criterion.name}}}"

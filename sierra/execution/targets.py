@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from sierra import platforms
 from sierra.config import group_names
-from sierra.config.project_file import LoadedProject
+from sierra.config.project_file import NAME, LoadedProject
 from sierra.design.factorial_design import GROUPED
 from sierra.errors import QueryError, UsageError
 from sierra.model import Batch, Listed, Query
@@ -24,14 +26,15 @@ def check(project: LoadedProject, query: Query) -> None:
     if project.declared is None:
         return
     config, name = project.config, project.config.target
-    for criterion in query.criteria:
-        if criterion.name in config.variables and not config.changes_with(criterion.name):
-            raise QueryError(_lacking(project, "variable", f"variables.{criterion.name}"))
+    lacking = [one.name for one in query.criteria if one.name in config.variables and not config.changes_with(one.name)]
+    own = platforms.find(config.platform, config).criteria() if lacking else ()
+    if others := [one for one in lacking if one not in own]:
+        raise QueryError(_lacking(project, "variable", others[0]))
     for kind, group in _groups(project, query):
         tables = project.declared.controllers if kind == "controller" else project.declared.scenarios
         for one in (part for found in group_names.resolve(group, tables) for part in found.declared):
             if tables[one].targets and "changes" not in tables[one].model_fields_set and name not in tables[one].targets:
-                raise QueryError(_lacking(project, kind, f"{kind}s.{one}"))
+                raise QueryError(_lacking(project, kind, one))
 
 
 def _groups(project: LoadedProject, query: Query) -> Iterator[tuple[str, str]]:
@@ -44,16 +47,16 @@ def _groups(project: LoadedProject, query: Query) -> Iterator[tuple[str, str]]:
             yield kind, name
 
 
-def _lacking(project: LoadedProject, kind: str, place: str) -> str:
-    called = f"{kind} {place.partition('.')[2]!r}"
+def _lacking(project: LoadedProject, kind: str, called: str) -> str:
     if name := project.config.target:
-        return f"{called} has no change for target {name!r}; add [{place}.targets.{name}]"
-    return f"{called} has no change without a target; use --target with {' or '.join(project.targets)}"
+        key = called if re.fullmatch(NAME, called) else f'"{called}"'
+        return f"{kind} {called!r} has no change for target {name!r}; add [{kind}s.{key}.targets.{name}]"
+    return f"{kind} {called!r} has no change without a target; use --target with {' or '.join(project.targets)}"
 
 
-def of_batch(project: LoadedProject, store: Store | None, batch: str) -> LoadedProject:
+def of_batch(project: LoadedProject, store: Store, batch: str) -> LoadedProject:
     """Return the project for the target that a batch was last requested for, if the project still has that target."""
-    if store is None or project.declared is None:
+    if project.declared is None:
         return project
     name = recorded(store, batch)
     return project.for_target(name) if name in project.targets else project

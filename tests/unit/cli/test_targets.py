@@ -349,6 +349,32 @@ def test_runs_that_are_no_pairs_are_refused(tmp_path: Path) -> None:
     assert "the runs for targets 'small' and 'large' are no pairs: the values of population_variable_density are" in done.stderr
 
 
+def test_a_target_may_vary_what_its_platform_knows_itself(tmp_path: Path) -> None:
+    config = """
+        runs = 1
+        [targets.sim]
+        platform = "argos"
+        template = "arena.argos"
+        command = "python3 {project}/sim.py {input}"
+        platforms.argos.length = 10
+        [targets.robots]
+        command = "python3 {project}/robots.py {arguments}"
+        [seed.targets]
+        robots = { argument = "--seed {value}" }
+        [variables.population_size]
+        label = "Robots"
+        targets.robots.argument = "--robots {value}"
+    """
+    folder = make(tmp_path / "p", config)
+    (folder / "arena.argos").write_text(ARENA)
+    (folder / "sim.py").write_text("import shutil, sys\nshutil.copy(sys.argv[1], 'seen.xml')\n")
+    answers, _ = projects.run(folder, "population_size=3", *BOTH)
+    assert [one["executed"] for one in answers["targets"].values()] == [1, 1]
+    written = projects.quick(folder, "inputs", "population_size=3", "--target", "sim", "--to", str(tmp_path / "inputs"))
+    assert written.returncode == 0, written.stderr
+    assert 'quantity="3"' in next((tmp_path / "inputs" / "runs").rglob("*.argos")).read_text()
+
+
 ARENA = """<?xml version="1.0"?>
 <argos-configuration>
   <framework><system threads="1"/><experiment length="60" ticks_per_second="10" random_seed="1"/></framework>
