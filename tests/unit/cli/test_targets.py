@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import sierra
+from sierra.cli import complete
 from sierra.errors import QueryError, UsageError
 from tests import projects
 
@@ -387,6 +388,13 @@ ARENA = """<?xml version="1.0"?>
   </arena>
 </argos-configuration>
 """
+
+
+def test_completion_offers_targets_that_are_not_named_yet(executed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(executed)
+    assert complete.targets("") == ["robots", "sim"]
+    assert complete.targets("sim,") == ["sim,robots"]
+    assert complete.targets("sim,x") == []
 
 
 def test_python_has_targets_and_plans_for_them(executed: Path) -> None:
