@@ -122,6 +122,19 @@ def test_a_part_of_a_batch_is_detached_attached_and_completed(waiting: Waiting) 
     assert [json.loads(rest.stdout)[name] for name in ("executed", "reused", "missing")] == [2, 4, 0]
 
 
+def test_a_target_on_a_cluster_is_detached_and_recorded_with_its_name(waiting: Waiting) -> None:
+    config = waiting.project.folder / "sierra.toml"
+    config.write_text(config.read_text() + '[targets.field]\nrunner = "slurm"\nlimits.wall = 500\n')
+    done = waiting.project.quick("run", *QUERY, "--target", "field", "--detach")
+    assert done.returncode == 0, done.stderr
+    waiting.open()
+    done = waiting.project.quick("attach", waiting.batch(), "--json", "--no-figures")
+    assert (done.returncode, json.loads(done.stdout)["target"], json.loads(done.stdout)["executed"]) == (0, "field", 6)
+    assert waiting.project.sql("SELECT target, runner, executed FROM sessions") == [
+        {"target": "field", "runner": "slurm", "executed": 6}
+    ]
+
+
 @pytest.mark.nightly
 def test_attach_accepts_the_prefix_of_a_session_id(waiting: Waiting) -> None:
     left = waiting.submit()
