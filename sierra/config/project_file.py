@@ -912,7 +912,7 @@ class Project(Table):
     runner: str = Field(
         "local", description="where runs execute unless `--on` says otherwise: `local`, or a cluster of `runners`"
     )
-    target: str | None = Field(
+    target: Name | None = Field(
         None, description="target of queries that name none; default: the keys outside `targets`, as they are"
     )
     targets: Annotated[Mapping[Name, RawTable], AfterValidator(_only_own)] = Field(

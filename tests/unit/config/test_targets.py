@@ -140,6 +140,8 @@ def test_only_keys_that_say_how_runs_execute_can_be_in_a_target(key: str) -> Non
         ),
         ("[targets.robots.runners.slurm]\ndirectives = ['--array=1-3']", "targets.robots.runners: directive '--array=1-3'"),
         ("[targets]\nrobots = 3", "targets.robots should be a table, not 3"),
+        ("[targets]\nsim.target = 'x'", "targets: sim.target cannot be in a target"),
+        ("[targets]\nsim.services.bridge.command = 'bridge'", "'targets.sim.services.bridge.ready' is missing"),
         ("[targets.'a-b']", "'a-b' is not a valid name"),
     ],
 )
@@ -155,6 +157,17 @@ def test_an_unknown_default_target_is_an_error() -> None:
         with pytest.raises(ConfigError, match="target: unknown target 'robots'") as raised:
             project_file.parse(tomllib.loads(f'target = "robots"\n{text}'), "sierra.toml")
         assert known in str(raised.value)
+
+
+def test_the_name_of_the_default_target_cannot_be_empty() -> None:
+    with pytest.raises(ConfigError, match="target: '' is not a valid name"):
+        project_file.parse({"target": "", "targets": {"sim": {}}}, "sierra.toml")
+
+
+def test_services_and_commands_around_a_run_can_be_in_a_target() -> None:
+    bridge = '{ command = "bridge", ready = { output = "listening" } }'
+    found = parse(f'[targets.robots]\nservices.bridge = {bridge}\nbefore = "calibrate"').for_target("robots")
+    assert (list(found.services), found.before) == (["bridge"], (("calibrate",),))
 
 
 def test_an_unknown_target_is_named_with_the_known_ones() -> None:
