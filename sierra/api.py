@@ -806,20 +806,27 @@ class Project:
         batch = self.batch(prefix)
         return Result(render.statistics(self._loaded, self.store, batch, output, column, measure, threshold, times))
 
-    def batch(self, prefix: str | None = None) -> str:
-        """Return the id of a batch from a prefix; without one, that of the batch requested last. Raises NotFound, Missing.
+    def batch(self, prefix: str | None = None, *, target: str | None = None) -> str:
+        """Return the id of a batch from a prefix; without one, that of the batch requested last, for `target` if it is given.
+
+        Raises NotFound, Missing, and UsageError for an unknown target, or for a prefix together with a target.
 
         >>> project.batch(summary.batch[:10]) == summary.batch
         True
         """
+        if target is not None:
+            self._loaded.for_target(target)  # raises an error for an unknown one
+            if prefix is not None:
+                raise UsageError(f"batch {prefix} is one of a target already; leave out --target")
         if prefix is not None:
             found = self.store.resolve(prefix)
             if found.kind != "batch":
                 raise NotFound(f"{prefix!r} is the id of another kind ({found.kind}); a batch is required here")
             return found.id
-        known = self.batches
+        known = [one for one in self.batches if target is None or target in one.targets]
         if not known:
-            raise Missing("no batch is recorded yet; record one with sierra run")
+            of = f" for target {target!r}" if target else ""
+            raise Missing(f"no batch is recorded{of} yet; record one with sierra run")
         return known[-1].batch
 
     def outputs(self, *query: str, target: str | None = None) -> TakenOutputs:
@@ -863,15 +870,8 @@ class Project:
         from sierra.store.store import PREFIX
 
         store = self.store
-        if target is not None:
-            self._loaded.for_target(target)  # raises an error for an unknown one
-        if target is not None and not query:
-            found = [one.batch for one in self.batches if target in one.targets]
-            if not found:
-                raise NotFound(f"no batch is recorded for target {target!r}; record one with sierra run")
-            return found[-1]
         if not query or (len(query) == 1 and PREFIX.fullmatch(query[0].lower()) and query[0] not in self.config.queries):
-            return self.batch(*query)
+            return self.batch(*query, target=target)
         batch = self.plan(*query, target=target).batch.id
         if not store.values(str, "SELECT batch FROM batches WHERE batch = $b", b=batch):
             raise NotFound(f"the query {' '.join(query)!r} has not been run with this project as it is; see sierra ls")

@@ -71,6 +71,10 @@ TargetNames = Annotated[
 TargetName = Annotated[
     str | None, typer.Option("--target", metavar="NAME", autocompletion=complete.targets, help="A target in sierra.toml.")
 ]
+TargetOfBatch = Annotated[
+    str | None,
+    typer.Option("--target", metavar="NAME", autocompletion=complete.targets, help="The last batch of this target instead."),
+]
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="XPATH=VALUE", help="Change the template in all runs. May be repeated.")
 ]

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from sierra.cli import complete
+from sierra.cli.arguments import TargetOfBatch
 from sierra.cli.output import note, print_json
 
 
@@ -19,6 +20,7 @@ def figures(
     name: Annotated[
         str | None, typer.Argument(metavar="NAME", autocompletion=complete.figures, help="One figure (default: all).")
     ] = None,
+    target: TargetOfBatch = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list of files instead of text.")] = False,
 ) -> None:
     """Draw the figures of a batch again.
@@ -29,11 +31,13 @@ def figures(
     Examples:
       sierra figures
       sierra figures 3f9a1c
+      sierra figures --target robots
       sierra figures 3f9a1c swarm_coverage_summary
     """
     from sierra.cli.open_project import project
 
-    paths, notes = project().draw(prefix, name)
+    opened = project()
+    paths, notes = opened.draw(opened.batch(prefix, target=target), name)
     for text in notes:
         note(text)
     if as_json:

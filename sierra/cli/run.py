@@ -115,7 +115,7 @@ def run(
         summary, answers[plan.target or ""] = _run(project, plan, options)
         if summary is not None:
             summaries.append(summary)
-            if summary.interrupted:
+            if summary.interrupted or (fail_fast and summary.failed):
                 break
     if as_json:
         print_json({"targets": answers} if len(plans) > 1 else answers[plans[0].target or ""])

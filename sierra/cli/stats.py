@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from sierra.cli import complete
+from sierra.cli.arguments import TargetOfBatch
 from sierra.cli.sql import Format, Printable, write
 from sierra.errors import UsageError
 
@@ -45,6 +46,7 @@ def stats(
             help="Batch id or prefix (default: the last batch).",
         ),
     ] = None,
+    target: TargetOfBatch = None,
     measure: Annotated[
         Measure | None, typer.Option("--measure", "-m", help="Value of a run (default: final, its last value).")
     ] = None,
@@ -82,5 +84,8 @@ def stats(
     if times and measure:
         raise UsageError("--times gives a row for each time, --measure one for each experiment; choose one of them")
     reduced = None if times else (measure or Measure.final).value
-    table = project().statistics(batch, output, column, measure=reduced, threshold=threshold, times=times and times.value)
+    opened = project()
+    table = opened.statistics(
+        opened.batch(batch, target=target), output, column, measure=reduced, threshold=threshold, times=times and times.value
+    )
     write(Printable.of_arrow(table.arrow), Format.json if as_json else format, file)

@@ -163,9 +163,13 @@ def test_list_show_statistics_and_figures_say_the_target(project: Path) -> None:
     assert "robots" in projects.quick(project, "ls").stdout
     shown = json.loads(projects.quick(project, "show", identity, "--json").stdout)
     assert (shown["targets"], [one["target"] for one in shown["sessions"]]) == (["robots"], ["robots"])
+    of_sim = projects.quick(project, "stats", "swarm", "coverage", "--target", "sim")
+    assert (of_sim.returncode, "target sim" in of_sim.stderr) == (0, True)
     statistics = projects.quick(project, "stats", "swarm", "coverage", "--batch", identity)
     assert (statistics.returncode, "target robots" in statistics.stderr) == (0, True)
     drawn = projects.quick(project, "figures", identity, "swarm_coverage_summary", "--json")
+    refused = projects.quick(project, "figures", identity[:10], "--target", "sim")
+    assert (refused.returncode, "leave out --target" in refused.stderr) == (2, True)
     assert drawn.returncode == 0, drawn.stderr
     image = Path(next(path for path in json.loads(drawn.stdout) if path.endswith(".svg"))).read_text()
     assert "target robots" in image
