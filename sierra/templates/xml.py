@@ -8,13 +8,15 @@ the CDATA sections beside it are one text.
 **Bytes**: the template is parsed once, with the place of each value. A set value replaces the bytes of its place, and all
 others stay as they are: also quotes, white space within tags, references such as `&#233;`, comments, CDATA and line ends. A
 number that is set to itself in another spelling stays too (see `sierra.templates.same_number`). A new value is written within
-the quotes of its place, in the document's encoding (missing characters as `&#8364;`), with CRLF if all lines end so. CDATA that
-is set becomes a usual text. A doctype keeps the root's old name if the root is renamed.
+the quotes of its place, with CRLF if all lines end so. It has the document's encoding; a character that this encoding lacks, or
+reads back as another one, is written as a reference, for example `&#8364;`. CDATA that is set becomes a usual text. A doctype
+keeps the root's old name if the root is renamed.
 
 An added, removed or renamed part is written into a copy of the document, which is read again (`xml_copy`).
 
 **Checks**: what is rendered is read again by lxml, once for each set of places that change; it must be the document with these
-values. A value with special characters is also read again by itself, each time.
+values. A value with special characters is also read again by itself, each time. In encodings that libraries read differently
+(`xml_markup` has the others), the whole document is read again each time.
 
 **Hostile input**: nothing is loaded (no DTD, no external entity, no network, no XInclude). A document that *declares* an entity
 is refused, so there is nothing to expand. A reference that an external DTD would define stays unchanged. libxml2's own limits
@@ -216,7 +218,7 @@ class XmlDocument:
         """Let errors name the change."""
         try:
             yield
-        except ValueError as error:  # lxml's error about names
+        except ValueError as error:  # names that lxml refuses, values that cannot be written
             raise self.view.error(change, "cannot be changed", f": {one_line(error)}") from error
         except ConfigError as error:
             raise ConfigError(f"{who(change)}{error}") from error

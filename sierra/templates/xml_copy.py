@@ -88,10 +88,11 @@ class XmlCopy:
     def _write(self, place: Place, text: str) -> None:
         self._touched.add(place.element)
         place.write(text)
+        token = self._scan.token(text, '"' if place.kind == "attribute" else "")
         if place.kind == "attribute":
             self._written.add(place)
         else:
-            self._raws[place] = self.view.source.escaped(text)
+            self._raws[place] = token
 
     def _put(self, place: Place, text: str, raw: str) -> None:
         """Write a text that is known as it is written."""
@@ -287,7 +288,7 @@ class XmlCopy:
             uri = decoded(text[attribute.begin : attribute.end], quoted=True)
             if attribute.declares and (outer.get(prefix) or "") == uri:
                 text = text[: attribute.start] + text[attribute.end + 1 :]
-        return self.view.source.with_line_ends(text)
+        return self.view.source.with_line_ends(self.view.source.with_references(text))
 
 
 def _indents(text: str) -> bool:

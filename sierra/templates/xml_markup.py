@@ -16,8 +16,8 @@ from sierra.errors import TemplateError
 
 _MARKS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
 _UNMARKED = ((b"<\0", "utf-16-le"), (b"\0<", "utf-16-be"))
-_PIECEWISE = ("utf-8", "utf-16-le", "utf-16-be", "ascii", "iso8859-1")
-"""Encodings in which the bytes of a text are the bytes of its pieces."""
+_PIECEWISE = ("utf-8", "utf-16-le", "utf-16-be", "ascii", "iso8859-1", "iso8859-15", "cp1252")
+"""Encodings that all libraries read alike, and in which the bytes of a text are the bytes of its pieces."""
 _SKIPPED = r"<!--.*?-->|<\?.*?\?>"
 _QUOTED = r""" "[^"]*+" | '[^']*+' """
 _MARKUP = re.compile(
@@ -54,7 +54,7 @@ class Source:
     text: str
     codec: str
     piecewise: bool
-    """True if pieces of the text can be encoded one by one."""
+    """True if pieces of the text can be encoded one by one, and are read as they were written."""
     crlf: bool
     """True if all lines end with CRLF."""
     has_types: bool
@@ -65,16 +65,22 @@ class Source:
         return text.encode(self.codec, "xmlcharrefreplace")
 
     def lacks(self, text: str) -> bool:
+        """Return True if the encoding lacks characters of a text, or changes them: EUC-JP writes a yen sign as a backslash."""
         try:
-            text.encode(self.codec)
-        except UnicodeEncodeError:
+            return text.encode(self.codec).decode(self.codec) != text
+        except UnicodeError:
             return True
-        return False
 
     def escaped(self, text: str, quote: str = "") -> str:
         """Return a value as it is written in a text, or within quotes."""
-        written = text.translate(_ESCAPES[quote])
+        written = self.with_references(text.translate(_ESCAPES[quote]))
         return self.with_line_ends(written) if not quote else written
+
+    def with_references(self, xml: str) -> str:
+        """Return XML with references in place of characters that the encoding lacks or changes; names must not have any."""
+        if xml.isascii() or not self.lacks(xml):
+            return xml
+        return "".join(f"&#{ord(character)};" if self.lacks(character) else character for character in xml)
 
     def with_line_ends(self, xml: str) -> str:
         """Return XML with the line ends of the document."""

@@ -105,9 +105,10 @@ class Scan:
     def verify(self, rendered: bytes, places: frozenset[Place], values: Iterable[tuple[Place, str]]) -> None:
         """Check once for each set of places that rendered bytes are read as this document with these values.
 
-        If the doctype declares the types of attributes, check it each time. Raises TemplateError.
+        Check it each time if the doctype declares the types of attributes, or if libraries may read the encoding differently.
+        Raises TemplateError.
         """
-        if places in self._verified and not self.source.has_types:
+        if places in self._verified and self.source.piecewise and not self.source.has_types:
             return
         name = self.source.name
         shown = Shown()
@@ -126,11 +127,26 @@ class Scan:
         return Edit(spot, self.source.text[spot.start : spot.end], place.read())
 
     def written(self, spot: Spot, value: str) -> Edit:
-        """Return a value as it is written in a spot, after checking that lxml reads it back. Raises TemplateError."""
-        token = self.source.escaped(value, spot.quote)
-        if not _PLAIN.fullmatch(value) and _read(token, spot.quote) != value:
-            raise TemplateError(f"{self.source.name}: {value[:40]!r} would be read as another text")
-        return Edit(spot, spot.before + token + spot.after, value)
+        """Return a value as it is written in a spot. Raises ValueError."""
+        return Edit(spot, spot.before + self.token(value, spot.quote) + spot.after, value)
+
+    def token(self, value: str, quote: str = "") -> str:
+        """Return a value as it is written in a text or within quotes. Raises ValueError if lxml would read another value."""
+        token = self.source.escaped(value, quote)
+        if not _PLAIN.fullmatch(value) and self._read(token, quote) != value:
+            raise ValueError(f"{value[:40]!r} would be read as another text; save the template as UTF-8")
+        return token
+
+    def _read(self, token: str, quote: str) -> str | None:
+        """Return the value that lxml reads where a token is written; None if it reads none."""
+        xml = f"<_ a={quote}{token}{quote}/>" if quote else f"<_>{token}</_>"
+        encoding = None if self.source.piecewise else self.source.codec
+        try:
+            root = etree.fromstring(self.source.encoded(xml) if encoding else xml, parser(encoding))
+        except (etree.XMLSyntaxError, ValueError):
+            return None
+        found: str | None = root.get("a") if quote else root.text or ""
+        return found
 
     def attributes(self, element: Element) -> Iterator[tuple[str, Attribute]]:
         """Yield the attributes that are written in a start tag, with their names as `{uri}name`."""
@@ -219,15 +235,3 @@ _BEGINNINGS = {etree.Comment: "<!--", etree.ProcessingInstruction: "<?", etree.E
 def prefix_of(uri: str, prefixes: Mapping[str | None, str | None]) -> str | None:
     """Return the first prefix of a namespace, in the order of the alphabet."""
     return min((prefix for prefix, other in prefixes.items() if other == uri and prefix), default=None)
-
-
-def _read(token: str, quote: str) -> str | None:
-    """Return the value that lxml reads where a text is written."""
-    try:
-        if quote:
-            found: str | None = etree.fromstring(f"<_ a={quote}{token}{quote}/>", parser()).get("a")
-        else:
-            found = etree.fromstring(f"<_>{token}</_>", parser()).text or ""
-    except (etree.XMLSyntaxError, ValueError):
-        return None
-    return found

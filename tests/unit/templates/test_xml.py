@@ -5,19 +5,21 @@ import hashlib
 import os
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from xml.sax.saxutils import escape
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from lxml import etree
 
 from sierra import templates
 from sierra.config.plugin_registry import TEMPLATES
 from sierra.errors import ConfigError, Missing, SierraError, TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set, Value
-from sierra.templates.base import Template
+from sierra.templates.base import Rendered, Template
 from sierra.templates.xml import XmlTemplate
 from tests import projects
 from tests.effort import effort
@@ -230,6 +232,52 @@ def test_characters_that_the_encoding_lacks_become_references() -> None:
         made = make(template(data), [Set("/r/@é", "€ é"), Set("/r", "𝄞")], {})
         assert made == data.replace(b'"1">\xfc<', b'"&#8364; \xe9">&#119070;<')
         assert XmlTemplate(made, "made").find("//@é") == ("€ é",)
+
+
+def test_characters_that_the_encoding_changes_become_references() -> None:
+    """Python writes a yen sign in EUC-JP as a backslash; the second value of a place is checked as the first is."""
+    data = '<?xml version="1.0" encoding="EUC-JP"?><r a="x">あ</r>'.encode("euc-jp")
+    per_run = template(data).changed((), {}).per_run([Set("/r/@a", "{value}")])
+    assert per_run({"value": "\\"}) == data.replace(b'"x"', b'"\\"')
+    assert per_run({"value": "¥あ"}) == data.replace(b'"x"', '"&#165;あ"'.encode("euc-jp"))
+    added = changes_made(template(data), [Add("/r", "<b c='{value}'/>")], {"value": "¥あ"})
+    assert added.endswith('あ<b c="&#165;あ"/></r>'.encode("euc-jp"))
+    assert "write &#8364; for €" in refused(data, Add("/r", "<!-- ¥ --><b/>"))
+
+
+@pytest.mark.parametrize("encoding", ["EUC-JP", "Shift_JIS", "CP932", "GB18030", "Big5", "EUC-KR", "windows-1252"])
+def test_a_value_is_read_back_or_refused_in_all_ways_of_changing(encoding: str) -> None:
+    """Libraries read some bytes of these encodings differently."""
+    made = template(f'<?xml version="1.0" encoding="{encoding}"?>\n<r a="x">y<b/></r>'.encode())
+    sets = [Set("/r/@a", "{value}"), Set("/r", "{value}"), Set("//b", "{value}", attribute="c")]
+    per_run = made.changed((), {}).per_run(sets)
+    per_run({"value": "first"})
+    for character in "\\~¥‾\uff5e∥￣￢갂ḿあé€":
+        values = {"value": character}
+        ways = {
+            read_or_refused(partial(per_run, values)),
+            read_or_refused(partial(changes_made, made, sets, values)),
+            read_or_refused(partial(changes_made, made, [*sets, Rename("//b", "d")], values)),
+            read_or_refused(partial(changes_made, made, [Rename("//b", "b"), *sets], values)),
+        }
+        assert ways in ({(character,) * 3}, {("refused",)})
+
+
+def read_or_refused(make: Callable[[], Rendered]) -> tuple[str, ...]:
+    try:
+        root = etree.fromstring(make())
+    except TemplateError as error:
+        return ("refused",) if str(error).isprintable() else (str(error), "is not one line")
+    return str(root.get("a")), str(root.text), str(root[0].get("c"))
+
+
+@pytest.mark.parametrize(
+    ("encoding", "codec"), [("ISO-8859-1", "latin-1"), ("ISO-8859-15", "iso8859-15"), ("windows-1252", "cp1252")]
+)
+def test_all_libraries_read_the_encodings_of_single_bytes_alike(encoding: str, codec: str) -> None:
+    text = bytes(range(128, 256)).decode(codec, "ignore")
+    data = f'<?xml version="1.0" encoding="{encoding}"?><r>{text}</r>'.encode(codec)
+    assert etree.fromstring(data).text == text == template(data).find("/r")[0]
 
 
 def test_names_with_characters_that_the_encoding_lacks_are_refused() -> None:
@@ -581,6 +629,14 @@ def test_a_number_of_matches_other_than_expected_is_refused() -> None:
 
 def test_a_text_with_cdata_sections_is_one_match() -> None:
     assert changed("<r>a<![CDATA[b]]>c</r>", Set("/r/text()", "x", expect=1)) == "<r>x</r>"
+
+
+def test_a_number_in_cdata_sections_that_is_set_to_itself_stays() -> None:
+    text = "<r><![CDATA[.]]><![CDATA[0]]><b/></r>"
+    for path in ("/r", "//text()[1]"):
+        assert changed(text, Set(path, "0")) == text, ".0 is 0"
+        assert changed(text, Set(path, "1")) == "<r>1<b/></r>"
+        assert changed(text.replace("[0]", "[5]"), Set(path, "0")) == "<r>0<b/></r>"
 
 
 def test_a_text_that_is_empty_is_no_match() -> None:
