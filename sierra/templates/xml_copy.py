@@ -36,6 +36,8 @@ class XmlCopy:
         """Attributes with new values."""
         self._raws: dict[Place, str] = {}
         """Texts that are not those of the original, as they are written."""
+        self._declares = False
+        """True if a change has added or removed declarations of namespaces, whose prefixes are known when they are written."""
         copies = dict(zip(scan.nodes, self._nodes, strict=True)) if edits else {}
         for place, edit in edits.items():
             self._write(Place(copies[place.element], place.kind, place.name), edit.value or "")
@@ -44,9 +46,11 @@ class XmlCopy:
         """Make a change. Raises TemplateError, ConfigError, and ValueError for an invalid name.
 
         Raises Unspliced, and changes nothing, if the document must be read again before: if the change concerns an added
-        element, or names in an element that was changed.
+        element, or names in an element that was changed, or if the change before declared namespaces.
         """
         view = self.view
+        if self._declares:
+            raise Unspliced
         match change:
             case Set():
                 text = view.legal(filled(change.value), change)
@@ -78,8 +82,8 @@ class XmlCopy:
                     element.tag = view.clark(to, element, change, etree.QName(element).namespace)
                     self._touched.add(element)
                     self._renamed.add(element)
-        if not isinstance(change, Set):
-            view.namespaces = declarations(view.root)
+        if not isinstance(change, Set) or change.attribute:
+            self._declares = declarations(view.root) != view.namespaces
 
     def _check_read(self, elements: Iterable[Element]) -> None:
         if any(element not in self._originals for element in elements):
@@ -235,7 +239,7 @@ class XmlCopy:
         pieces = [kept[start] for start in sorted(kept)]
         for clark, value in element.attrib.items():
             if clark not in known:
-                called = self._called(element, clark, prefixes, more)
+                called = self._called(clark, prefixes, more)
                 pieces.append(f' {called}="{self.view.source.escaped(value, chr(34))}"')
         pieces += [f' xmlns{":" if p else ""}{p or ""}="{self.view.source.escaped(u or "", chr(34))}"' for p, u in more.items()]
         end = "" if mark.empty else text[self._scan.last(original) : mark.inner]
@@ -251,22 +255,20 @@ class XmlCopy:
         if uri is None:
             more[None] = prefixes[None] = ""
             return local
-        return f"{self._prefix(element, uri, prefixes, more)}:{local}"
+        return f"{self._prefix(uri, prefixes, more)}:{local}"
 
-    def _called(self, element: Element, clark: str, prefixes: Prefixes, more: Prefixes) -> str:
+    def _called(self, clark: str, prefixes: Prefixes, more: Prefixes) -> str:
         """Return the name of a new attribute as it is written."""
         name = etree.QName(clark)
         if not name.namespace:
             return str(name.localname)
-        return f"{self._prefix(element, name.namespace, prefixes, more)}:{name.localname}"
+        return f"{self._prefix(name.namespace, prefixes, more)}:{name.localname}"
 
-    def _prefix(self, element: Element, uri: str, prefixes: Prefixes, more: Prefixes) -> str:
+    def _prefix(self, uri: str, prefixes: Prefixes, more: Prefixes) -> str:
         """Return a prefix of a namespace; declare one if there is none."""
         found = prefix_of(uri, prefixes)
         if found is None:
-            found = prefix_of(uri, element.nsmap) or next(
-                f"ns{n}" for n in range(len(prefixes) + 1) if f"ns{n}" not in prefixes
-            )
+            found = next(f"ns{n}" for n in range(len(prefixes) + 1) if f"ns{n}" not in prefixes)
             more[found] = prefixes[found] = uri
         return found
 

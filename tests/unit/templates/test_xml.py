@@ -646,6 +646,16 @@ def test_a_text_that_is_empty_is_no_match() -> None:
         assert changed(text, *changes, Set("//a", "x")) == "<r><a>x</a></r>"
 
 
+def test_a_new_prefix_is_the_same_for_changes_together_and_one_by_one() -> None:
+    text = "<r><a/><b/><c/></r>"
+    renamed = [Rename("//a", "{urn:x}n"), Rename("//b", "{urn:y}n")]
+    made = changed(text, *renamed)
+    assert made == '<r><ns0:n xmlns:ns0="urn:x"/><ns0:n xmlns:ns0="urn:y"/><c/></r>'
+    assert made == changed(changed(text, renamed[0]), renamed[1])
+    assert "Undefined namespace prefix" in refused(text, *renamed, Remove("//ns1:n"))
+    assert changed(text, *renamed, Remove("//ns0:n")) == '<r><ns0:n xmlns:ns0="urn:y"/><c/></r>'
+
+
 # Paths without a match
 
 
