@@ -44,6 +44,7 @@ def make(folder: Path, config: str = CONFIG) -> Path:
     return folder
 
 
+@pytest.mark.integration
 def test_templates_that_name_each_other_are_changed_together(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     summary, noted = run(root, "population_size=3,4", "max_speed=0.25")
@@ -66,6 +67,7 @@ def test_one_named_template_needs_no_prefix_and_is_input(tmp_path: Path) -> None
     assert str(sql(root, "SELECT path FROM out")[0]["path"]).endswith("/config/params.json")
 
 
+@pytest.mark.integration
 def test_the_names_of_templates_are_part_of_the_identity(tmp_path: Path) -> None:
     root = make(tmp_path / "p", CONFIG.replace("{input.world}", "{run}/sim/world.sdf"))
     run(root, "population_size=1", "max_speed=1")
