@@ -12,6 +12,8 @@ from fractions import Fraction
 
 LONGEST = 60
 """Maximum number of characters of a text that may be a number."""
+_BLANKS = " \t\n\r\f\v"
+"""White space that programs skip before a number; they do not skip a no-break space."""
 _NUMBER = re.compile(r"[+-]?(?:(?:0|[1-9][0-9]*)(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 _VERSION = re.compile(r"\.[0-9]*[1-9]0+(?:[eE]|\Z)")
 """Decimals that end with zeros after other digits."""
@@ -21,7 +23,7 @@ def same(one: str, other: str) -> bool:
     """Return whether two texts are the same, or spell the same number."""
     if one == other:
         return True
-    one, other = one.strip(), other.strip()
+    one, other = one.strip(_BLANKS), other.strip(_BLANKS)
     if one.isdecimal() and other.isdecimal() and one[0] != "0" != other[0]:
         return one == other
     if not (_is_number(one) and _is_number(other)) or one.startswith("-") != other.startswith("-"):
