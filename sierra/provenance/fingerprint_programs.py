@@ -4,9 +4,9 @@ The fingerprint of a program is the SHA-256 of its file. In a script of a virtua
 not count, so that it may be moved, or made again elsewhere. Every word of a command that names a program is included (as in
 `nice -n 5 simulator`), and so is the interpreter that a script names in its first line. A program includes the libraries that
 the loader loads for it in the runs' own environment (`sierra.provenance.libraries`). A Python interpreter includes its
-installed distributions (`pythons`). Files that the command, a variable or the template names are included too
-(`referenced_files`). Files that a program opens by itself, such as plug-ins, are included if a variable names their folder by
-`{project}/…`.
+installed distributions (`pythons`), and a script of a package the compiled program of the same name. Files that the command, a
+variable or the template names are included too (`referenced_files`). Files that a program opens by itself, such as plug-ins,
+are included if a variable names their folder by `{project}/…`.
 """
 
 from __future__ import annotations
@@ -113,6 +113,8 @@ class _Finding:
             return
         self._programs[path] = Program(name, path, self._digests.counted(path))
         self._load(name, path, needed=needed)
+        for packaged in pythons.programs_of_script(Path(path)):
+            self.start(f"{called(name)}: program", str(packaged), needed=needed)
         if pythons.is_python(path):
             self._python(name, path, needed=needed)
         for word in _interpreter(Path(path)):

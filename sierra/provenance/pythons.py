@@ -9,6 +9,7 @@ from a folder, the entries in its RECORD are used; for one that was installed fr
 from __future__ import annotations
 
 import ast
+import glob
 import itertools
 import json
 import os
@@ -22,6 +23,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from sierra.errors import Missing
+from sierra.provenance import libraries
 from sierra.provenance.dependency_model import INSTALLED, Programs, normalized
 from sierra.provenance.hash_cache import VENV, HashCache
 from sierra.util.hashing import digest
@@ -114,6 +116,17 @@ def ask(path: str, variables: Mapping[str, str], root: Path, project: Path) -> I
     beside = [f for f in seen if f not in installed and not _is_in(f, Path(prefix), Path(base))]
     others = [folder for folder in beside if not _is_in(folder, root, project)]
     return Interpreter(executable, tuple(installed), tuple(others), tuple(f for f in beside if _is_in(f, project)))
+
+
+def programs_of_script(script: Path) -> list[Path]:
+    """Return the programs that a script of a virtual environment starts, if it has their name: `*/bin/NAME` in the packages.
+
+    Packages with compiled programs have such scripts, for example `sumo`.
+    """
+    if not (script.parent.parent / VENV).is_file() or libraries.interpreter(str(script)) is not None:
+        return []
+    found = (path for site in _beside(script) for path in site.glob(f"*/bin/{glob.escape(script.name)}"))
+    return sorted(path for path in found if libraries.interpreter(str(path)) is not None)
 
 
 def environment(programs: Programs, search: str) -> Path | None:

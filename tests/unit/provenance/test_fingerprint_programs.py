@@ -90,6 +90,33 @@ def test_a_missing_library_is_reported_before_any_run_executes(built: Built, tmp
     assert not (tmp_path / "p" / ".sierra").exists()
 
 
+def packaged(folder: Path, built: Built) -> Path:
+    """Return the script of a package in a virtual environment; it starts the package's compiled program of the same name."""
+    program = folder / "lib" / "python3.11" / "site-packages" / "sims" / "bin" / "sim"
+    script = folder / "bin" / "sim"
+    for path in (program, script):
+        path.parent.mkdir(parents=True)
+    (folder / "pyvenv.cfg").touch()
+    program.write_bytes(built.program.read_bytes())
+    script.write_text(f"#!/usr/bin/env python3\nimport subprocess, sys\nsys.exit(subprocess.call([{str(program)!r}]))\n")
+    for path in (program, script):
+        path.chmod(0o755)
+    return script
+
+
+def test_a_library_that_a_packaged_program_lacks_is_reported_before_any_run_executes(built: Built, tmp_path: Path) -> None:
+    project = make(tmp_path / "p", str(packaged(tmp_path / "env", built)))
+    with pytest.raises(Missing, match=r"^sim: program needs libcore\.so, which was not found; install it"):
+        project.run("n=1", figures=False)
+    assert not (tmp_path / "p" / ".sierra").exists()
+
+
+def test_the_compiled_program_of_a_packaged_script_is_recorded(built: Built, tmp_path: Path) -> None:
+    script, variables = packaged(tmp_path / "env", built), {"PATH": SEARCH, "LD_LIBRARY_PATH": str(built.library.parent)}
+    found = fingerprint_programs.find((str(script),), variables, tmp_path)
+    assert {"sim: program", "libcore.so"} <= {one.name for one in found.all}
+
+
 def test_variables_that_the_env_command_sets_are_used_to_find_libraries(built: Built, tmp_path: Path) -> None:
     project = make(tmp_path / "p", f"env LD_LIBRARY_PATH={built.library.parent} {built.program}")
     assert project.run("n=1", figures=False).failed == 0
