@@ -18,6 +18,7 @@ CONTENTS = {
         "how-to/your-simulator",
         "how-to/from-sierra1",
         "how-to/templates",
+        "how-to/simulators",
         "how-to/compile",
         "how-to/around-a-run",
         "how-to/queries",

@@ -1,4 +1,4 @@
-"""`sierra init`: make a new project, or copy the bundled example."""
+"""`sierra init`: make a new project, or copy a bundled example."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from sierra.cli.output import note, print_json
 from sierra.util.text import one_line
 
 if TYPE_CHECKING:
+    from sierra.config.project_file import Project
     from sierra.execution.trial import Trial
     from sierra.setup.init.answers import Question
     from sierra.setup.init.write import Guess
@@ -25,7 +26,8 @@ T = TypeVar("T")
 def init(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The project's folder.")] = Path(),
     example: Annotated[
-        str | None, typer.Option("--example", metavar="NAME", help="Copy a bundled example to FOLDER: swarm.")
+        str | None,
+        typer.Option("--example", metavar="NAME", help="Copy a bundled example to FOLDER: swarm, sumo, mujoco or jsbsim."),
     ] = None,
     from_sierra1: Annotated[
         Path | None,
@@ -53,7 +55,7 @@ def init(
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask; use the detected values.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Do not ask; print the written settings as JSON.")] = False,
 ) -> None:
-    """Write a sierra.toml, or copy the bundled example.
+    """Write a sierra.toml, or copy a bundled example.
 
     Settings are detected from the files in the folder; on a terminal, sierra asks for the others. The simulator's input file
     may be XML, JSON, YAML, TOML, INI, or a text with placeholders such as {{speed}}. If you give the command, one run is
@@ -205,22 +207,25 @@ def _answer(path: Path, guess: Guess) -> dict[str, object]:
 
 
 def _say_example(folder: Path, files: list[str], *, as_json: bool) -> None:
-    command = f"{_there(folder)}sierra run population_size.Log8"
+    from sierra.config import project_file
+
+    project = project_file.load(folder).config
+    query = next(iter(project.queries.values()))
+    command, absent = f"{_there(folder)}sierra run {shlex.join(query.criteria)}", _absent(project)
     if as_json:
-        print_json({"written": [str(folder / file) for file in files], "first": _absent(folder), "next": command})
+        print_json({"written": [str(folder / file) for file in files], "first": absent, "next": command})
         return
     print(f"{folder}: {', '.join(files)}")
-    if absent := _absent(folder):
+    if absent:
         print(f"first: {absent}")
     print(f"next: {command}")
 
 
-def _absent(folder: Path) -> str | None:
-    """Return the command that installs what the example needs; None if all of that is installed."""
-    from sierra.config import project_file
+def _absent(project: Project) -> str | None:
+    """Return the command that installs the packages that an example needs; None if they are installed."""
     from sierra.provenance import required_packages
 
-    absent = required_packages.missing(project_file.load(folder).config, contained=False)
+    absent = required_packages.missing(project, contained=False)
     return required_packages.remedy(absent) if absent else None
 
 

@@ -907,7 +907,8 @@ class Project(Table):
         (), description="Python packages that `{python}` needs, as for pip; checked before anything executes"
     )
     platform: str = Field(
-        "command", description="platform, which drives the simulator: `command`, `argos`, or an installed plug-in"
+        "command",
+        description="platform, which drives the simulator: `command`, `argos`, `sumo`, `mujoco`, `jsbsim`, or a plug-in",
     )
     runner: str = Field(
         "local", description="where runs execute unless `--on` says otherwise: `local`, or a cluster of `runners`"
