@@ -18,8 +18,11 @@ PYTHON = "{python}"
 
 
 def missing(project: Project, *, contained: bool) -> tuple[str, ...]:
-    """Return those of a project's required packages that are not installed, as `sierra.toml` writes them."""
-    if contained or project.command[:1] != (PYTHON,):
+    """Return those of a project's required packages that are not installed, as `sierra.toml` writes them.
+
+    A project without a command has that of its platform, and what it requires is for `{python}`.
+    """
+    if contained or project.command[:1] not in ((), (PYTHON,)):
         return ()
     return tuple(text for text in project.requires if not _is_installed(text))
 

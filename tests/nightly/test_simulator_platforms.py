@@ -53,3 +53,64 @@ def test_dates_in_outputs_of_sumo_are_no_difference(started: Started, require: C
     assert (summary["executed"], summary["failed"]) == (2, 0)
     replayed = projects.quick(root, "replay", summary["batch"][:10])
     assert (replayed.returncode, "equal (2 runs: 2 equal)" in replayed.stdout) == (0, True), replayed.stdout
+
+
+def mujoco_project(started: Started) -> Path:
+    """Return the example of MuJoCo, whose runs use the environment of the test."""
+    root, mujoco = started("mujoco")
+    settings = (root / "sierra.toml").read_text()
+    (root / "sierra.toml").write_text(f'command = "{mujoco.bin}/python"\n{settings}')
+    return root
+
+
+def configure(root: Path, before: str, after: str) -> None:
+    """Replace a text in sierra.toml."""
+    settings = (root / "sierra.toml").read_text()
+    assert before in settings
+    (root / "sierra.toml").write_text(settings.replace(before, after))
+
+
+def test_the_example_of_mujoco_goes_from_a_query_to_figures(started: Started) -> None:
+    root = mujoco_project(started)
+    done = projects.quick(root, "run", "population_size=1,8", "--runs", "2")
+    assert done.returncode == 0, done.stderr
+    assert len(list((root / "figures").glob("*/*.png"))) == 1
+    energy = "SELECT avg(energy) AS e FROM sensors GROUP BY population_size ORDER BY population_size"
+    few, many = (float(str(row["e"])) for row in projects.sql(root, energy))
+    assert 0 < few < many
+    assert len(values(root, "SELECT sum(energy) AS s FROM sensors GROUP BY run")) == 4
+    assert values(root, "SELECT count(DISTINCT body) AS n FROM bodies GROUP BY run") == {1, 8}
+    batch = str(projects.sql(root, "SELECT batch FROM batches")[0]["batch"])
+    replayed = projects.quick(root, "replay", batch[:10])
+    assert (replayed.returncode, "identical (4 runs: 4 identical)" in replayed.stdout) == (0, True), replayed.stderr
+
+
+def test_what_is_recorded_of_mujoco_and_how_often_changes_no_physics(started: Started) -> None:
+    root = mujoco_project(started)
+    projects.run(root, "population_size=3", "--runs", "1")
+    configure(root, "duration = 20.0,", 'duration = 20.0, interval = 0.5, joints = ["*"],')
+    (root / "sierra.toml").write_text(
+        (root / "sierra.toml")
+        .read_text()
+        .replace("outputs.sensors", "outputs.joints = { file = 'joints.csv' }\noutputs.sensors")
+    )
+    projects.run(root, "population_size=3", "--runs", "1")
+    ends = values(root, "SELECT energy FROM sensors WHERE time = 20")
+    assert len(ends) == 1
+    assert len(values(root, "SELECT count(*) AS n FROM sensors GROUP BY run")) == 2
+
+
+def test_a_controller_of_mujoco_gets_the_generator_of_the_run(started: Started) -> None:
+    root = mujoco_project(started)
+    (root / "walk.py").write_text("def control(model, data, random):\n    data.ctrl[:] = random.normal(0, 5, model.nu)\n")
+    configure(root, "control_noise = 20.0", 'control = "walk.py"')
+    summary, _ = projects.run(root, "population_size=2", "--runs", "2")
+    assert (summary["executed"], summary["failed"]) == (2, 0)
+    assert len(values(root, "SELECT sum(energy) AS s FROM sensors GROUP BY run")) == 2
+
+
+def test_a_misspelt_body_fails_with_the_names_that_there_are(started: Started) -> None:
+    root = mujoco_project(started)
+    configure(root, '"robot*"', '"robto"')
+    done = projects.quick(root, "run", "population_size=1", "--no-figures")
+    assert (done.returncode, "the model has no 'robto'; known are world, robot" in done.stdout + done.stderr) == (1, True), done
