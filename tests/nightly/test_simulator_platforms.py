@@ -114,3 +114,38 @@ def test_a_misspelt_body_fails_with_the_names_that_there_are(started: Started) -
     configure(root, '"robot*"', '"robto"')
     done = projects.quick(root, "run", "population_size=1", "--no-figures")
     assert (done.returncode, "the model has no 'robto'; known are world, robot" in done.stdout + done.stderr) == (1, True), done
+
+
+@pytest.fixture
+def flight(started: Started) -> Path:
+    """Return the example of JSBSim, whose runs use the environment of the test."""
+    root, jsbsim = started("jsbsim")
+    settings = (root / "sierra.toml").read_text()
+    (root / "sierra.toml").write_text(f'command = "{jsbsim.bin}/python"\n{settings}')
+    return root
+
+
+def test_the_example_of_jsbsim_goes_from_a_query_to_figures(flight: Path) -> None:
+    done = projects.quick(flight, "run", "severity=1,5", "--runs", "2")
+    assert done.returncode == 0, done.stderr
+    assert len(list((flight / "figures").glob("*/*.png"))) == 2
+    speeds = 'SELECT stddev("/fdm/jsbsim/velocities/vc-kts") AS s FROM flight GROUP BY severity ORDER BY severity'
+    calm, rough = (float(str(row["s"])) for row in projects.sql(flight, speeds))
+    assert 0 < calm < rough
+    assert len(values(flight, 'SELECT sum("/fdm/jsbsim/position/h-sl-ft") AS s FROM flight GROUP BY run')) == 4
+    batch = str(projects.sql(flight, "SELECT batch FROM batches")[0]["batch"])
+    replayed = projects.quick(flight, "replay", batch[:10])
+    assert (replayed.returncode, "identical (4 runs: 4 identical)" in replayed.stdout) == (0, True), replayed.stderr
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after", "message"),
+    [
+        ("sierra.toml", "position/h-sl-ft", "position/h-sl-fet", "there is no property 'position/h-sl-fet'"),
+        ("cruise.xml", "c172x", "c172y", "cannot load the script, or the aircraft"),
+    ],
+)
+def test_mistakes_in_flights_fail_in_one_line(flight: Path, file: str, before: str, after: str, message: str) -> None:
+    (flight / file).write_text((flight / file).read_text().replace(before, after))
+    done = projects.quick(flight, "run", "severity=1", "--runs", "1", "--no-figures")
+    assert (done.returncode, message in done.stdout + done.stderr) == (1, True), done
