@@ -50,6 +50,7 @@ Schema = TypedDict(
         "description": str,
         "type": str,
         "default": Json,
+        "examples": list[Json],
         "anyOf": "list[Schema]",
         "enum": list[Json],
         "items": "Schema",
@@ -289,7 +290,10 @@ def _of_any(schema: Schema) -> Schema:
 
 
 def _placeholder(schema: Schema) -> Json:
-    """Return a value for a key without an example: its default, or one of its type."""
+    """Return a value for a key without an example in a table: that of its field, its default, or one of its type."""
+    if schema.get("examples"):
+        example: Json = schema["examples"][0]
+        return example
     if schema.get("default") is not None:
         return schema["default"]
     options = [schema, *schema.get("anyOf", ())]

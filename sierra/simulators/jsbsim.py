@@ -46,7 +46,9 @@ class JsbsimOptions(Table):
     )
     rate: Positive = Field(10.0, description=f"rows of {TABLE} for each simulated second")
     root: Inside | None = Field(
-        None, description="folder of the project with aircraft, engine and systems; default: those of the package jsbsim"
+        None,
+        description="folder of the project with aircraft, engine and systems; default: those of the package jsbsim",
+        examples=["jsb"],
     )
 
 
@@ -103,7 +105,7 @@ class Jsbsim:
         return self._command
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
-        return (INPUT, document), (DRIVER, Path(__file__).with_name(DRIVER).read_bytes())
+        return (INPUT, document), (DRIVER, (Path(__file__).parent / "drivers" / DRIVER).read_bytes())
 
     def environment(self) -> Mapping[str, str]:
         return {}

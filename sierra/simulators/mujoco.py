@@ -46,11 +46,15 @@ class MujocoOptions(Table):
     sensors: tuple[Element, ...] = Field(("*",), description="sensors that sensors.csv records, such as `speed` or `touch_*`")
     joints: tuple[Element, ...] = Field((), description="joints whose positions joints.csv records")
     bodies: tuple[Element, ...] = Field((), description="bodies whose places bodies.csv records")
-    keyframe: Element | None = Field(None, description="name of the keyframe to begin with; default: as in the model")
+    keyframe: Element | None = Field(
+        None, description="name of the keyframe to begin with; default: as in the model", examples=["home"]
+    )
     position_noise: NotNegative = Field(0.0, description="standard deviation of the first positions, in metres or radians")
     control_noise: NotNegative = Field(0.0, description="standard deviation that each control gets in each step")
     control: Inside | None = Field(
-        None, description="Python file of the project with the function control(model, data, random), called before each step"
+        None,
+        description="Python file of the project with the function control(model, data, random), called before each step",
+        examples=["walk.py"],
     )
     population: str = Field(POPULATION, description="XPath of the attribute that population_size sets")
 
@@ -106,7 +110,7 @@ class Mujoco:
         return (*self._python, self._driver, "{input}", "{output}", "--seed", "{seed}", *words, *chosen, *keyframe, *control)
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
-        return (INPUT, document), (DRIVER, Path(__file__).with_name(DRIVER).read_bytes())
+        return (INPUT, document), (DRIVER, (Path(__file__).parent / "drivers" / DRIVER).read_bytes())
 
     def environment(self) -> Mapping[str, str]:
         return {}

@@ -59,7 +59,9 @@ class SumoOptions(Table):
         description="outputs that each run writes as NAME.xml, in addition to those of the configuration",
     )
     flow: Annotated[str, StringConstraints(pattern=r"^[^'\"{}]+$")] | None = Field(
-        None, description="id of the flow that population_size and vehicles_per_hour set; default: the only flow"
+        None,
+        description="id of the flow that population_size and vehicles_per_hour set; default: the only flow",
+        examples=["main"],
     )
 
 

@@ -53,7 +53,7 @@ def test_a_run_gets_its_seed_and_the_program_that_simulates_it(tmp_path: Path) -
     seeded = f'<run start="0" end="2" dt="0.01"><property value="{SEED}">simulation/randomseed</property>'
     flat = re.sub(r">\s+<", "><", made["input.xml"])
     assert (seeded in flat, '<set name="a/b" value="7"/>' in flat) == (True, True)
-    assert made[DRIVER] == (Path(sierra.simulators.__file__).parent / DRIVER).read_text()
+    assert made[DRIVER] == (Path(sierra.simulators.__file__).parent / "drivers" / DRIVER).read_text()
 
 
 def test_a_seed_that_the_script_has_is_used(tmp_path: Path) -> None:

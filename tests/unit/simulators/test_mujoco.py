@@ -46,7 +46,7 @@ def test_it_is_a_platform(tmp_path: Path) -> None:
 def test_a_run_gets_its_model_and_the_program_that_simulates_it(tmp_path: Path) -> None:
     made = inputs(make(tmp_path / "p"), "population_size=9")
     assert made["input.xml"] == MODEL.replace('count="4"', 'count="9"')
-    assert made[DRIVER] == (Path(sierra.simulators.__file__).parent / DRIVER).read_text()
+    assert made[DRIVER] == (Path(sierra.simulators.__file__).parent / "drivers" / DRIVER).read_text()
 
 
 def test_options_are_arguments_of_the_program(tmp_path: Path) -> None:
