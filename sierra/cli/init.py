@@ -27,7 +27,9 @@ def init(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The project's folder.")] = Path(),
     example: Annotated[
         str | None,
-        typer.Option("--example", metavar="NAME", help="Copy a bundled example to FOLDER: swarm, sumo, mujoco or jsbsim."),
+        typer.Option(
+            "--example", metavar="NAME", help="Copy a bundled example to FOLDER: swarm, sumo, mujoco, jsbsim or mesa."
+        ),
     ] = None,
     from_sierra1: Annotated[
         Path | None,

@@ -149,3 +149,18 @@ def test_mistakes_in_flights_fail_in_one_line(flight: Path, file: str, before: s
     (flight / file).write_text((flight / file).read_text().replace(before, after))
     done = projects.quick(flight, "run", "severity=1", "--runs", "1", "--no-figures")
     assert (done.returncode, message in done.stdout + done.stderr) == (1, True), done
+
+
+def test_the_example_of_mesa_goes_from_a_query_to_figures(started: Started) -> None:
+    root, mesa = started("mesa")
+    configure(root, "{python}", f"{mesa.bin}/python")
+    done = projects.quick(root, "run", "people=50,200", "--runs", "2")
+    assert done.returncode == 0, done.stderr
+    assert len(list((root / "figures").glob("*/*.png"))) == 1
+    informed = "SELECT avg(informed) AS i FROM rumour WHERE step = 50 GROUP BY people ORDER BY people"
+    few, many = (float(str(row["i"])) for row in projects.sql(root, informed))
+    assert 0 < few < many
+    assert len(values(root, "SELECT sum(informed) AS s FROM rumour GROUP BY run")) == 4
+    batch = str(projects.sql(root, "SELECT batch FROM batches")[0]["batch"])
+    replayed = projects.quick(root, "replay", batch[:10])
+    assert (replayed.returncode, "identical (4 runs: 4 identical)" in replayed.stdout) == (0, True), replayed.stderr
