@@ -28,7 +28,7 @@ def init(
     example: Annotated[
         str | None,
         typer.Option(
-            "--example", metavar="NAME", help="Copy a bundled example to FOLDER: swarm, sumo, mujoco, jsbsim or mesa."
+            "--example", metavar="NAME", help="Copy a bundled example to FOLDER: swarm, sumo, mujoco, jsbsim, mesa, ngspice."
         ),
     ] = None,
     from_sierra1: Annotated[

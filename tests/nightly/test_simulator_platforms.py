@@ -164,3 +164,18 @@ def test_the_example_of_mesa_goes_from_a_query_to_figures(started: Started) -> N
     batch = str(projects.sql(root, "SELECT batch FROM batches")[0]["batch"])
     replayed = projects.quick(root, "replay", batch[:10])
     assert (replayed.returncode, "identical (4 runs: 4 identical)" in replayed.stdout) == (0, True), replayed.stderr
+
+
+def test_the_example_of_ngspice_goes_from_a_query_to_figures(require: Callable[..., str], tmp_path: Path) -> None:
+    require("ngspice")
+    assert projects.quick(tmp_path, "init", "--example", "ngspice", "demo").returncode == 0
+    root = tmp_path / "demo"
+    done = projects.quick(root, "run", "tolerance=0.05,0.2", "--runs", "4")
+    assert done.returncode == 0, done.stderr
+    assert len(list((root / "figures").glob("*/*.png"))) == 1
+    spread = "SELECT stddev(gain) AS s FROM gain WHERE frequency BETWEEN 1000 AND 1001 GROUP BY tolerance ORDER BY tolerance"
+    narrow, wide = (float(str(row["s"])) for row in projects.sql(root, spread))
+    assert 0 < narrow < wide
+    batch = str(projects.sql(root, "SELECT batch FROM batches")[0]["batch"])
+    replayed = projects.quick(root, "replay", batch[:10])
+    assert (replayed.returncode, "identical (8 runs: 8 identical)" in replayed.stdout) == (0, True), replayed.stderr
