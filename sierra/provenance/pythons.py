@@ -119,11 +119,11 @@ def ask(path: str, variables: Mapping[str, str], root: Path, project: Path) -> I
 
 
 def programs_of_script(script: Path) -> list[Path]:
-    """Return the programs that a script of a virtual environment starts, if it has their name: `*/bin/NAME` in the packages.
+    """Return the compiled programs with the name of a script, in the packages beside it: `site-packages/*/bin/NAME`.
 
     Packages with compiled programs have such scripts, for example `sumo`.
     """
-    if not (script.parent.parent / VENV).is_file() or libraries.interpreter(str(script)) is not None:
+    if libraries.interpreter(str(script)) is not None:
         return []
     found = (path for site in _beside(script) for path in site.glob(f"*/bin/{glob.escape(script.name)}"))
     return sorted(path for path in found if libraries.interpreter(str(path)) is not None)

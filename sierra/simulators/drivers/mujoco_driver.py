@@ -81,7 +81,7 @@ class Simulation:
         names = [mj.mj_id2name(self.model, kind, number) or f"unnamed_{number}" for number in range(count)]
         found: dict[int, str] = {}
         for text in wanted:
-            fits = {number: name for number, name in enumerate(names) if fnmatchcase(name, text)}
+            fits = {number: name for number, name in enumerate(names) if name == text or fnmatchcase(name, text)}
             if not fits and text != "*":
                 raise InputError(f"the model has no {text!r}; known are {', '.join(names[:8]) or 'none'}")
             found |= fits

@@ -91,12 +91,11 @@ def test_a_missing_library_is_reported_before_any_run_executes(built: Built, tmp
 
 
 def packaged(folder: Path, built: Built) -> Path:
-    """Return the script of a package in a virtual environment; it starts the package's compiled program of the same name."""
+    """Return the script of a Python package; it starts the package's compiled program of the same name."""
     program = folder / "lib" / "python3.11" / "site-packages" / "sims" / "bin" / "sim"
     script = folder / "bin" / "sim"
     for path in (program, script):
         path.parent.mkdir(parents=True)
-    (folder / "pyvenv.cfg").touch()
     program.write_bytes(built.program.read_bytes())
     script.write_text(f"#!/usr/bin/env python3\nimport subprocess, sys\nsys.exit(subprocess.call([{str(program)!r}]))\n")
     for path in (program, script):
