@@ -146,7 +146,8 @@ class Kind:
         model = found.Options  # type: ignore[attr-defined]
         if not (isinstance(model, type) and issubclass(model, self.options_base)):
             raise PluginError(f"{plugin}: Options is not a subclass of {self.options_base.__name__}; {offer.remedy}")
-        _loaded[found.__module__.partition(".")[0]] = plugin
+        if (module := found.__module__.partition(".")[0]) != __name__.partition(".")[0]:
+            _loaded[module] = plugin
         return found
 
     def _others(self) -> Mapping[str, tuple[Offer, ...]]:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sierra.config import project_file
-from sierra.errors import QueryError, TemplateError
+from sierra.config import plugin_registry, project_file
+from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.query import grammar
 from sierra.simulators.sumo import Sumo
 from sierra.templates import several
@@ -57,6 +57,13 @@ def test_it_is_a_platform(tmp_path: Path) -> None:
     template = several.of_project(project, root)
     words = ("population_size.Log8", "vehicles_per_hour=100,200", "scale=0.5,1")
     platforms.check(Sumo, project, template, {one.name: one for one in grammar.parse_all(words)})
+
+
+def test_faults_of_sierra_are_not_attributed_to_a_platform_that_it_ships() -> None:
+    plugin_registry.PLATFORMS.load("sumo")
+    with pytest.raises(ConfigError) as raised:
+        project_file.parse({"platfrom": "sumo"}, "sierra.toml")
+    assert plugin_registry.culprit(raised.value) is None
 
 
 def test_a_run_gets_its_seed_and_its_outputs_beside_what_the_configuration_says(tmp_path: Path) -> None:
