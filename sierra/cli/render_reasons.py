@@ -69,6 +69,8 @@ CHANGES = {
     Aspect.PACKAGES: "the images differ in packages: {details}",
     Aspect.FILES: "the images differ in files: {details}",
     Aspect.SAME_CONTENT: "both images have the same packages and files",
+    Aspect.INPUT_NAMES: "the input files had the names {was} and have the names {now}",
+    Aspect.SHARED_FILES: "the files beside the inputs have changed: {details}",
     Aspect.HOST_ACCESS: "the host access of runs has changed: {name}",
     Aspect.SOURCE: "the source has changed: {details}",
     Aspect.EXCLUSIONS: "{details}",

@@ -6,7 +6,9 @@ files are generated again later, lazily, and only for the runs that execute.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 
 from sierra.design import run_values, seeds
 from sierra.design.factorial_design import PlanningProgress, ignore_progress
@@ -20,6 +22,8 @@ from sierra.util.hashing import canonical, canonical_plain, digest, merkle, sha2
 STREAM = 1 << 16
 STREAMS = (1 << 15) - 1
 """Run numbers per stream of seeds (STREAM), and number of streams (STREAMS); each `montecarlo` experiment has its own."""
+USUAL = {"command": ("input.xml",), "argos": ("input.argos",)}
+"""The names of input files, by platform, that are not part of specifications: these have kept the ids of format 1."""
 
 
 class Expansion:
@@ -40,10 +44,10 @@ class Expansion:
         self._given = given
         self._template = template
         self._platform = platform
-        self._spec = spec
-        self.spec_id = digest("recipe", spec.preimage())
         self._numbers = tuple(range(design.query.runs))
         self._names: dict[tuple[str, ...], tuple[str, ...]] = {}
+        self._spec = self._naming(spec)
+        self.spec_id = digest("recipe", self._spec.preimage())
         if any(cell.stream for cell in design.cells):
             _check_streams(max(cell.stream for cell in design.cells), design.query.runs)
 
@@ -54,6 +58,9 @@ class Expansion:
         for cell in self._design.cells:
             report(len(experiments), count, count * self._design.query.runs)
             experiments.append(self._experiment(cell))
+        if len(self._names) > 1:
+            one, other = (", ".join(names) for names in itertools.islice(self._names, 2))
+            raise ConfigError(f"the runs of a batch need input files of the same names; these differ: {one}; {other}")
         identity = merkle("batch", (experiment.id for experiment in experiments))
         return Batch(identity, self._design.axes, tuple(experiments), self._spec, self.spec_id)
 
@@ -70,6 +77,14 @@ class Expansion:
         """Return the run that another seed makes of a run of the batch, with its input files."""
         cell = self._design.cells[run.experiment]
         return self._run(cell, self._renderer(cell), run.number, seed)
+
+    def _naming(self, spec: RunSpec) -> RunSpec:
+        """Return the specification with the names that the platform gives, unless they are those of every project with it."""
+        cell = self._design.cells[0]
+        files = self._files(cell, self._renderer(cell), 0, self._seed(cell, 0))
+        own = tuple(name for name in (name.removeprefix(self._folder) for name, _ in files) if name not in spec.named_inputs)
+        usual = (USUAL.get(spec.platform), ())
+        return spec if own in usual else replace(spec, named_inputs=(*spec.named_inputs, *own))
 
     def _experiment(self, cell: Cell) -> Experiment:
         render = self._renderer(cell)

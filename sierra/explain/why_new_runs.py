@@ -20,6 +20,7 @@ from sierra.provenance import fingerprint_programs, source
 from sierra.provenance.dependency_model import Programs, mentioned
 from sierra.provenance.source import suggest_exclusions
 from sierra.provenance.source.manifest import changed
+from sierra.store.row_types import SharedFileRow
 from sierra.store.store import Snapshot, Store
 
 if TYPE_CHECKING:
@@ -46,11 +47,14 @@ class Recorded(NamedTuple):
     around: str | None
     target: str | None
     """The target of its last session."""
+    files: list[str]
+    shared_files: str | None
 
 
 COLUMNS = """
 SELECT b.batch, b.query, b.runs, b.controller, b.scenario, b.base_seed, b.overrides, b.template_sha256, b.platform,
-       r.command, r.variables, r.source, r.image, r.host_access, r.around, s.target
+       r.command, r.variables, r.source, r.image, r.host_access, r.around, s.target, r.files,
+       r.shared_files
 FROM batches b JOIN specs r USING (spec) LEFT JOIN (
     SELECT batch, max(lamport) AS asked, nullif(arg_max(coalesce(target, ''), lamport), '') AS target
     FROM sessions GROUP BY batch
@@ -118,7 +122,7 @@ def _similar(plan: Plan, store: Store | Snapshot) -> Recorded | None:
 
 
 def _changes(plan: Plan, store: Store, before: Recorded) -> tuple[PlanChange, ...]:
-    changes = (*_spec(plan, before), *_image(plan, store, before), *_source(plan, store, before))
+    changes = (*_spec(plan, store, before), *_image(plan, store, before), *_source(plan, store, before))
     if before.template_sha256 != plan.template_sha256:
         changes += (PlanChange(Aspect.TEMPLATE, " ".join(plan.project.config.template_paths)),)
     return (*changes, *_query(plan, before)) or (OTHER_SETTINGS,)
@@ -145,8 +149,8 @@ def other_programs(plan: Plan, store: Store) -> tuple[PlanChange, ...]:
     return tuple(PlanChange(Aspect.PROGRAM, details=(line,)) for line in lines)
 
 
-def _spec(plan: Plan, before: Recorded) -> Iterator[PlanChange]:
-    """Yield the differences in command, variables and platform."""
+def _spec(plan: Plan, store: Store, before: Recorded) -> Iterator[PlanChange]:
+    """Yield the differences in command, variables, platform, and the names and neighbours of input files."""
     spec = plan.batch.spec
     if before.command != list(spec.command):
         yield PlanChange(Aspect.COMMAND, was=" ".join(before.command), now=" ".join(spec.command))
@@ -161,6 +165,20 @@ def _spec(plan: Plan, before: Recorded) -> Iterator[PlanChange]:
             yield PlanChange(Aspect.VARIABLE, name, was, now)
     if before.platform != spec.platform:
         yield PlanChange(Aspect.PLATFORM, was=before.platform, now=spec.platform)
+    if before.files != (names := list(plan.batch.runs[0].names)):
+        yield PlanChange(Aspect.INPUT_NAMES, was=", ".join(before.files), now=", ".join(names))
+    if before.shared_files != spec.shared_files:
+        yield PlanChange(Aspect.SHARED_FILES, details=_beside(plan, store, before.shared_files))
+
+
+SHARED = "SELECT * FROM shared_files WHERE shared = $s"
+
+
+def _beside(plan: Plan, store: Store, before: str | None) -> tuple[str, ...]:
+    """Return the names of the files beside the inputs that differ."""
+    rows = store.select(SharedFileRow, SHARED, s=before) if before else []
+    was, now = ({(row.name, row.sha256, row.executable) for row in some} for some in (rows, plan.shared_files))
+    return tuple(sorted({name for name, *_ in was ^ now}))
 
 
 def _image(plan: Plan, store: Store, before: Recorded) -> Iterator[PlanChange]:

@@ -76,6 +76,29 @@ def ids(plan: Plan) -> dict[str, str]:
     }
 
 
+def test_names_of_input_files_are_part_of_the_specification(tmp_path: Path) -> None:
+    xml = plan(project(tmp_path / "xml"))
+    folder = project(tmp_path / "sdf", TOML.replace("t.xml", "t.sdf"))
+    (folder / "t.xml").rename(folder / "t.sdf")
+    sdf = plan(folder)
+    assert [one.batch.runs[0].names for one in (xml, sdf)] == [("input.xml",), ("input.sdf",)]
+    assert sdf.batch.runs[0].digests == xml.batch.runs[0].digests
+    assert sdf.batch.spec_id != xml.batch.spec_id
+
+
+def test_a_template_of_another_name_keeps_records_sound(tmp_path: Path) -> None:
+    for name in ("t.xml", "t.sdf"):
+        folder = project(tmp_path / "p", TOML.replace("t.xml", name))
+        (folder / "t.xml").rename(folder / name)
+        (folder / "sim.sh").write_text('echo given > out.csv; basename "$1" >> out.csv\n')
+        projects.run(folder, "n=1")
+    assert projects.quick(folder, "fsck").returncode == 0
+    for row in projects.sql(folder, "SELECT batch FROM batches"):
+        assert projects.quick(folder, "replay", row["batch"]).returncode == 0
+    names = projects.sql(folder, "SELECT DISTINCT given FROM out ORDER BY 1")
+    assert [row["given"] for row in names] == ["input.sdf", "input.xml"]
+
+
 def test_ids_are_unchanged(tmp_path: Path) -> None:
     assert ids(plan(project(tmp_path))) == GOLDEN
 

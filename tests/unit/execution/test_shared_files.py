@@ -85,6 +85,14 @@ def test_contents_are_part_of_the_identity_and_stored_once(tmp_path: Path) -> No
     assert sql(root, copies)[0]["n"] == 1
 
 
+def test_their_change_is_the_reason_for_new_runs(tmp_path: Path) -> None:
+    root = make(tmp_path / "p")
+    run(root, "population_size=1")
+    (root / "conf" / "speed.txt").write_text("0.7\n")
+    told = quick(root, "run", "population_size=1", "--explain", "--dry-run").stdout
+    assert "the files beside the inputs have changed: conf/speed.txt" in told
+
+
 def test_a_replay_takes_them_from_the_store(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     summary, _ = run(root, "population_size=1")
