@@ -69,6 +69,10 @@ def _below(root: Path, pattern: str) -> Iterator[Path]:
 
 
 def _row(root: Path, name: str, digests: HashCache) -> SharedFileRow:
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise ConfigError(f"files: the name {one_line(name)} is not UTF-8; rename the file") from None
     status = (root / name).stat()
     if not stat.S_ISREG(status.st_mode):
         raise ConfigError(f"files: {one_line(name)} is not a file")

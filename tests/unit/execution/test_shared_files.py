@@ -91,6 +91,19 @@ def test_their_change_is_the_reason_for_new_runs(tmp_path: Path) -> None:
     (root / "conf" / "speed.txt").write_text("0.7\n")
     told = quick(root, "run", "population_size=1", "--explain", "--dry-run").stdout
     assert "the files beside the inputs have changed: conf/speed.txt" in told
+    run(root, "population_size=1")
+    old, new = (row["batch"] for row in sql(root, "SELECT batch FROM batches ORDER BY lamport"))
+    differences = quick(root, "diff", old, new)
+    assert "file beside the inputs: conf/speed.txt has changed" in differences.stdout
+    assert differences.returncode == 1
+
+
+def test_a_name_that_is_not_utf8_is_one_line(tmp_path: Path) -> None:
+    root = make(tmp_path / "p")
+    (root / "conf" / os.fsdecode(b"\xff")).write_text("")
+    done = quick(root, "run", "population_size=1", "--dry-run")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "is not UTF-8" in done.stderr
 
 
 def test_a_replay_takes_them_from_the_store(tmp_path: Path) -> None:
