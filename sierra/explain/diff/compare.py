@@ -95,6 +95,8 @@ def _parts(
         pairs = pair(snapshot, before, after)
         yield ("query",), query.query(before, after, pairs)
         yield ("platform", "command", "variables"), query.spec(before, after)
+        if before.spec.shared_files != after.spec.shared_files:
+            yield ("inputs",), run_inputs.beside(snapshot, before, after)
         yield ("image",), images.image(snapshot, store, before, after, project.root)
         yield ("source",), code.source(store, project.root, before, after)
         if code.has_commits(before, after):
