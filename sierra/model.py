@@ -294,8 +294,8 @@ class RunSpec:
     host_access: tuple[str, ...] = ()
     """The host access of runs beyond the image and their own folder, sorted: `network`, `device /dev/dri`, `mount /data`."""
     named_inputs: tuple[str, ...] = ()
-    """The names of input files that the platform does not give: of several templates, and of the values of variables. Also
-    the folder of the input, if it has one of its own."""
+    """The names of input files, unless they are the only ones that the platform ever gives (`input.xml`). Also the folder of
+    the input, if it has one of its own."""
 
     shared_files: str | None = None
     """The id of the files that lie beside the inputs of all runs; None without any."""
