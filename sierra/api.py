@@ -785,13 +785,14 @@ class Project:
         output: str,
         column: str,
         *,
-        measure: str | None = "final",
+        measure: str | None = "auto",
         threshold: float | None = None,
         times: str | None = None,
     ) -> Result:
         """Return all statistics of a column over the runs of each experiment of a batch: n, mean, sd, interval, median, ….
 
-        First, `measure` reduces each run to one value (`final`, `mean`, or `time_to` a `threshold`). With `measure=None`,
+        First, `measure` reduces each run to one value: `final`, `mean` or `time_to` a `threshold`; `auto` is `final`, or `mean`
+        in a table of events: without a time column, and with different numbers of rows. With `measure=None`,
         there is a row for each experiment and time instead: the runs' `own` times, or common ones (`carry`: last values
         carried forward, `linear`: interpolated). Column `experiment` is the experiment's place in the batch; the values of the
         axes follow it. The schema's metadata hold the statement (`sierra:sql`) and notes on everything that is not in the

@@ -48,7 +48,8 @@ def stats(
     ] = None,
     target: TargetOfBatch = None,
     measure: Annotated[
-        Measure | None, typer.Option("--measure", "-m", help="Value of a run (default: final, its last value).")
+        Measure | None,
+        typer.Option("--measure", "-m", help="Value of a run (default: final, its last value; in a table of events, mean)."),
     ] = None,
     threshold: Annotated[
         float | None, typer.Option("--threshold", metavar="X", help="For time_to: the value to reach or exceed.")
@@ -83,7 +84,7 @@ def stats(
         raise UsageError("--measure time_to and --threshold X must be used together")
     if times and measure:
         raise UsageError("--times gives a row for each time, --measure one for each experiment; choose one of them")
-    reduced = None if times else (measure or Measure.final).value
+    reduced = None if times else measure.value if measure else "auto"
     opened = project()
     table = opened.statistics(
         opened.batch(batch, target=target), output, column, measure=reduced, threshold=threshold, times=times and times.value

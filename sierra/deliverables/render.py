@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 MEASURES = ("final", "mean", "time_to")
+AUTO = "auto"
+"""Stands for `final`, and for `mean` in tables of events, whose last rows say nothing about the others."""
 ONE_FILE = "file in [outputs.{}] can name one of them"
 AT_MOST = 16
 """The largest number of default figures of one batch; others are reported, and drawn on request."""
@@ -65,7 +67,7 @@ def figures(
                     raise
                 notes.append(f"figure {figure_name}: {error}")
         drawer.note()
-        notes += gallery.time_notes
+        notes += [*gallery.time_notes, *gallery.event_notes]
     return drawn, notes
 
 
@@ -85,10 +87,13 @@ def statistics(
     that column gets a `_` after its name, as outputs' columns do in SQL. The schema's metadata hold the statement
     (`sierra:sql`) and notes for the reader (`sierra:note`). Raises NotFound, UsageError.
     """
-    _check_reduction(measure, threshold, times)
+    _check_reduction("final" if measure == AUTO else measure, threshold, times)
     with Frame(store, batch) as frame:
         gallery = _Gallery(project, store, frame)
-        samples = gallery.column(Figure(table=output, column=(column,)))
+        figure = Figure(table=output, column=(column,))
+        samples = gallery.column(figure)
+        if measure == AUTO:
+            measure = "mean" if gallery.is_of_events(gallery.output(figure)) else "final"
         if measure is None:
             table, text, notes = samples.at_times(times or "own", stats.STATISTICS)
         else:
@@ -98,6 +103,7 @@ def statistics(
         notes = [
             *gallery.target_notes,
             *gallery.time_notes,
+            *gallery.event_notes,
             *stats.left_out([table], samples.coverage, gallery.planned, threshold),
             *notes,
         ]
@@ -188,6 +194,8 @@ class _Gallery:
         self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
         self._seen: dict[str, stats.Coverage] = {}
         self._times: dict[str, str] = {}
+        self.event_notes: list[str] = []
+        """Notes on tables of events, of which the mean of each run is taken."""
         self.time_notes: list[str] = []
         """Notes on outputs whose time column is neither declared nor known by its name: the column that was chosen, or none."""
 
@@ -219,13 +227,14 @@ class _Gallery:
             except SierraError as error:
                 notes.append(f"no figure of output {output.name!r}: {error}")
                 continue
-            proposed = stats.default_figures(output.name, columns, self._axes, series=output.rows > 1)
+            series = output.rows > 1 and not self.is_of_events(output)
+            proposed = stats.default_figures(output.name, columns, self._axes, series=series)
             found |= {_file_name(name, found): figure for name, figure in proposed.items()}
         return found, notes
 
     def column(self, figure: Figure) -> stats.Samples:
         """Return the samples of the one column that a figure names."""
-        output = self._output(figure)
+        output = self.output(figure)
         (column,) = figure.columns
         self._check(output, figure.columns)
         frame = Column(self._frame, output.name, column, self.time(output))
@@ -240,7 +249,9 @@ class _Gallery:
 
     def drawing(self, name: str, figure: Figure) -> Drawing:
         """Return the computed content of a figure."""
-        output = self._output(figure)
+        output = self.output(figure)
+        if "measure" not in figure.model_fields_set and figure.kind != "timeseries" and self.is_of_events(output):
+            figure = figure.model_copy(update={"measure": "mean"})
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
         self._check(output, columns)
@@ -316,7 +327,22 @@ class _Gallery:
                 ) from error
         return self._seen[output.name]
 
-    def _output(self, figure: Figure) -> OutputTable:
+    def is_of_events(self, output: OutputTable) -> bool:
+        """Return whether an output has a row for each event: it has no time, and runs have different numbers of rows."""
+        if output.fewest == output.rows or self.time(output):
+            return False
+        lacks = f"output {output.name!r} has no time column"
+        note = (
+            f"{lacks}, and its runs have {output.fewest} to {output.rows} rows: the mean of each run's rows is taken, not the "
+            f"last row (set time in [outputs.{output.name}] if rows follow each other in time)"
+        )
+        if note not in self.event_notes:
+            self.event_notes.append(note)
+        self.time_notes = [one for one in self.time_notes if not one.startswith(lacks)]
+        return True
+
+    def output(self, figure: Figure) -> OutputTable:
+        """Return the output that a figure names, or the only one with its columns. Raises NotFound."""
         if figure.table:
             if figure.table not in self._outputs:
                 raise NotFound(f"this batch has no output {figure.table!r}; its outputs: {', '.join(self._outputs) or 'none'}")

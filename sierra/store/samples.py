@@ -48,6 +48,8 @@ class OutputTable:
     """The columns that hold numbers in some runs, and other values in others."""
     whole: tuple[str, ...] = ()
     """The numeric columns that hold only whole numbers or flags."""
+    fewest: int = 0
+    """The number of rows of its shortest run."""
 
 
 class Frame:
@@ -150,15 +152,17 @@ class Frame:
             source = self._relation(name, files)
             columns = [(name, kind) for name, kind in source.types.items() if name not in ("run", "execution", "file")]
             many = "count(DISTINCT file)" if "file" in source.types else "1"
-            [(rows, most)] = self._snapshot.run(
-                f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0) FROM (SELECT count(*) AS rows, {many} AS files "
-                f"FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY execution)"
+            sizes = (
+                f"SELECT count(*) AS rows, {many} AS files FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY execution"
+            )
+            [(rows, most, fewest)] = self._snapshot.run(
+                f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0), coalesce(min(rows), 0) FROM ({sizes})"
             )
             mixed = _mixed(source)
             numeric, whole = (
                 tuple(c for c, kind in columns if re.fullmatch(kinds, kind) and c not in mixed) for kinds in (NUMERIC, WHOLE)
             )
-            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, whole))
+            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, whole, fewest))
         return tuple(found)
 
     def _relation(self, table: str, files: Sequence[str]) -> Relation:
