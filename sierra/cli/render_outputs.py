@@ -23,7 +23,7 @@ def short_lines(found: TakenOutputs) -> Iterator[str]:
     for table in found.tables[:TABLES]:
         columns = few([f"{readable(column.name)} {column.type}" for column in table.columns], COLUMNS)
         time = f"; time axis: {readable(table.time)}" if table.time else ""
-        yield f"table {readable(table.name)} from {readable(table.file)}: {table.rows}; {columns}{time}"
+        yield f"table {readable(table.name)} from {readable(table.file)}: {table.rows}; {columns or 'no columns'}{time}"
     if more := len(found.tables) - TABLES:
         yield from [f"and {counted(more, 'more table')}"] if more > 0 else []
     unread = [one for one in found.unread if not one.noted]

@@ -207,11 +207,13 @@ def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | 
     """Yield the columns of a table with their types in SQL."""
     layouts = list(layouts)
     name = layouts[0].output
+    names = dict.fromkeys(column for row in layouts for column in TableLayout.load(row.table_layout).columns)
+    if not names:
+        return  # SQL has no table without columns
     snapshot.views.make((name,))
     described = {row[0]: row[1] for row in snapshot.run(f"DESCRIBE {identifier(name)}")}
     own = {stored: sql for stored, sql in snapshot.views.sql_names.get(name.lower(), {}).items() if stored not in OWN}
     units: Mapping[str, str] = declared.units if declared else {}
-    names = dict.fromkeys(column for row in layouts for column in TableLayout.load(row.table_layout).columns)
     original = dict(zip(column_names(list(names)), names, strict=True))
     for stored, sql in own.items():
         yield TakenColumn(original.get(stored, stored), described.get(sql, ""), units.get(original.get(stored, stored)))

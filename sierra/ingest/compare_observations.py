@@ -62,6 +62,15 @@ def notes(store: Store, session: str) -> Iterator[str]:
         yield from _different(snapshot, session)
 
 
+def changed_meanwhile(reasons: Iterable[str]) -> Iterator[str]:
+    """Yield a warning with the files that changed while observed runs used them."""
+    from sierra.worker.file_trace import CHANGED as MEANWHILE
+
+    end = f": {MEANWHILE}"
+    if names := list(dict.fromkeys(p.removesuffix(end) for reason in reasons for p in reason.split("; ") if p.endswith(end))):
+        yield f"files changed while runs used them, so the runs of this batch may not be comparable: {few(names, NAMED)}"
+
+
 def incomplete(reasons: Iterable[str]) -> Iterator[str]:
     """Yield a warning with the reasons why no observation of a session is complete."""
     if why := list(reasons):

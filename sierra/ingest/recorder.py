@@ -90,8 +90,10 @@ class Recorder:
         """The position of the next execution in the session; earlier ones may be other processes'. None if it is unknown."""
         self._file_sets: set[str] = set()
         """The recorded sets of files that executions used."""
-        self._incomplete: dict[str, None] | None = {}
-        """Why observations by a tracer are incomplete; None as soon as one is complete."""
+        self._reasons: dict[str, None] = {}
+        """The reasons why observations by a tracer are incomplete."""
+        self._complete = False
+        """True if an observation is complete."""
         self._astray: set[str] = set()
         """The files that executions wrote, but not among their outputs."""
         self._left_nothing = False
@@ -204,7 +206,10 @@ class Recorder:
         kept = self._assigning.kept
         used = compare_observations.notes(self._store, self.context.session) if len(self._file_sets) > 1 else ()
         elsewhere = astray.notes(self._astray)
-        unseen = compare_observations.incomplete(self._incomplete or ())
+        unseen = [
+            *compare_observations.changed_meanwhile(self._reasons),
+            *compare_observations.incomplete(() if self._complete else self._reasons),
+        ]
         return [*self._twice(), *lost(list(self._left_out)), *elsewhere, *unseen, *used, *as_files(kept), *remarks.all()]
 
     def _twice(self) -> Iterator[str]:
@@ -236,9 +241,9 @@ class Recorder:
         writer.records(one.observation for one in found)
         for one in found:
             if one.observation.reason is None:
-                self._incomplete = None
-            elif self._incomplete is not None and one.observation.method == TRACED:
-                self._incomplete[one.observation.reason] = None
+                self._complete = True
+            elif one.observation.method == TRACED:
+                self._reasons[one.observation.reason] = None
         sets = {one.observation.files: one.read for one in found if one.observation.files not in self._file_sets}
         writer.records(row for rows in sets.values() for row in rows)
         new = {row.sha256: row for one in found if one.observation.files in sets for row in one.listings}

@@ -57,11 +57,12 @@ class TableWarnings:
 
         This queries the store, so call it once, after everything is recorded and `find_odd` has checked it.
         """
+        empty = list(self._empty())
         if not self._shapes:
-            return []
+            return empty
         rows = self._store.select(_Form, GOOD + FORMS, **parameters(self._context))
         forms = [_Table(row.output, TableLayout.load(row.table_layout).columns, row.executions) for row in rows]
-        return [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms), *self._events()]
+        return [*empty, *self._alone(forms), *self._renamed(forms), *self._of_kinds(forms), *self._events()]
 
     def _events(self) -> Iterator[str]:
         """Yield a proposal for each strict table whose row counts differ so much that it is probably a table of events.
@@ -86,6 +87,14 @@ class TableWarnings:
             yield f"{whose}, the other runs of its experiment have {theirs}: was the run cut short?"
         if len(doubtful) > NOTED_DOUBTS:
             yield f"{counted(len(doubtful) - NOTED_DOUBTS, 'more run')} have less than half of the rows of the others"
+
+    def _empty(self) -> Iterator[str]:
+        """Yield a warning for each table that has no row in any run."""
+        for name in self._store.values(str, EXECUTED + EMPTY, **parameters(self._context)):
+            declared = self._context.outputs.get(name)
+            path = f", rows = {json.dumps(declared.rows, ensure_ascii=False)}" if declared and declared.rows else ""
+            cure = f"min_rows = 1 in [outputs.{name}] makes such runs fail"
+            yield f"output {name!r} has no row in any run{path}: is this right? ({cure})"
 
     def _is_strict(self, output: str) -> bool:
         declared = self._context.outputs.get(output)
@@ -226,6 +235,10 @@ SELECT * FROM sizes SEMI JOIN (
 ) USING (output) ORDER BY output, ordinal, run
 """
 """The number of rows of each run, for outputs in which it differs within an experiment."""
+EMPTY = """
+SELECT a.output FROM good g JOIN all_artifacts a ON a.execution = g.execution AND a.kind = 'table'
+GROUP BY a.output HAVING max(a.rows) = 0 ORDER BY a.output
+"""
 FORMS = """
 SELECT a.output, a.table_layout, count(DISTINCT a.execution) AS executions
 FROM all_artifacts a WHERE a.kind = 'table' AND a.execution IN (SELECT execution FROM good)
