@@ -190,7 +190,8 @@ def test_new_version_of_a_reader_reads_recorded_files_again(plain: Path, tmp_pat
             plugins.write(lib, "texts", {"sierra.readers text": "Made"}, f"VERSION = {version}\n{READER}", version)
         run = ("run", "population_size=1", "--runs", "2", "--no-figures")
         done = projects.sierra(plain, *run, environment={"PYTHONPATH": str(lib)})
-        told.append((done.returncode, done.stdout.splitlines()[-1].partition(" (")[0]))
+        [counts] = [line for line in done.stdout.splitlines() if line.startswith("2 runs: ")]
+        told.append((done.returncode, counts.partition(" (")[0]))
         assert {(row["length"], row["version"]) for row in rows(plain, "SELECT * FROM notes")} == {(4, int(version))}
     assert told == [(0, "2 runs: 2 executed, 0 reused"), *[(0, "2 runs: 0 executed, 2 reused")] * 2]
     assert "unknown reader 'text'" in refused(plain, "replay", sierra.open(plain).batches[-1].batch)
