@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import json
 import os
 import re
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
@@ -374,22 +375,23 @@ def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
             if os.path.normpath(word) not in beside and (logs is None or any(Path(word).name in log for log in logs)):
                 meant.setdefault(word, template.parent)
     if meant:
-        word, folder = next(iter(meant.items()))
-        first = os.path.normpath(os.path.relpath(folder / word, root))
+        paths = [os.path.normpath(os.path.relpath(folder / word, root)) for word, folder in meant.items()]
         where = "it is" if len(meant) == 1 else "they are"
         yield (
             f"the template names {few([repr(word) for word in meant], 3)} by a relative path: "
-            f"{where} in the project, but runs execute in other folders; {_how_to_reach(plan, first)}"
+            f"{where} in the project, but runs execute in other folders; {_how_to_reach(plan, paths)}"
         )
 
 
-def _how_to_reach(plan: Plan, path: str) -> str:
-    """Return a hint how a template can name a file of the project."""
-    if path.split("/")[0] == os.pardir:
+def _how_to_reach(plan: Plan, paths: Sequence[str]) -> str:
+    """Return a hint how a template can name files of the project."""
+    if any(path.split("/")[0] == os.pardir for path in paths):
         absolute = "use its absolute path (all ids then depend on this machine)"
         return f"it is outside of the project: {absolute}, and mount it into the container" if plan.image else absolute
-    named = path.rpartition("/")[0] or path
-    return f'set files = ["{named}"] in sierra.toml to lay it beside the input, or change the path to {IN_PROJECT}{path}'
+    named = dict.fromkeys((*plan.project.config.files, *(path.rpartition("/")[0] or path for path in paths)))
+    files = json.dumps(list(named), ensure_ascii=False)
+    change = f'let a change set the path, with value = "{IN_PROJECT}{paths[0]}"'
+    return f"set files = {files} in sierra.toml, above all tables, to have them beside the input, or {change}"
 
 
 def versioned(plan: Plan) -> Plan:
