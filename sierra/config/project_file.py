@@ -1038,8 +1038,10 @@ class Project(Table):
         return f"unknown target {name!r}; {known}"
 
     def _uses(self, name: str) -> bool:
-        """Return True if the command uses a variable, or if a change does that does not belong to a variable."""
-        if name not in OWN_PLACEHOLDERS and any(f"{{{name}}}" in word for word in self.command):
+        """Return True if a command uses a variable, or if a change does that does not belong to a variable."""
+        services = (word for one in self.services.values() for word in (*one.command, *one.ready.words))
+        words = (*self.command, *(word for command in (*self.before, *self.after) for word in command), *services)
+        if name not in OWN_PLACEHOLDERS and any(f"{{{name}}}" in word for word in words):
             return True
         groups = (*self.controllers.values(), *self.scenarios.values())
         tables = (*self.changes, *self.run_changes, *(change for group in groups for change in group.changes))

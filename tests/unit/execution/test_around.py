@@ -135,3 +135,13 @@ def test_the_explanation_names_what_changed_around_the_command(tmp_path: Path) -
     first, second = (row["batch"] for row in projects.sql(root, "SELECT batch FROM batches ORDER BY lamport"))
     assert "after: true → true again" in projects.quick(root, "diff", first, second).stdout
     assert re.search("(?m)^  after +true again$", projects.quick(root, "show", second).stdout)
+
+
+def test_a_variable_may_be_used_by_a_command_around_the_run_only(tmp_path: Path) -> None:
+    folder = make(tmp_path / "project", before='after = "touch made-{speed}"\n')
+    config = folder / "sierra.toml"
+    config.write_text(config.read_text().replace("[variables]\n", "[variables]\nspeed = {}\n"))
+    done = projects.quick(folder, "run", "speed=2,3", "--runs", "1", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    files = projects.sql(folder, "SELECT path FROM artifacts WHERE path LIKE 'made%' ORDER BY path")
+    assert [one["path"] for one in files] == ["made-2", "made-3"]
