@@ -6,8 +6,9 @@ A new member gets the white space of the member beside it. The first of a node's
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
-from sierra.templates.notation import Node
+from sierra.templates.notation import Kind, Node
 
 _BLANK = re.compile(r"\s*")
 
@@ -44,3 +45,16 @@ def _before(text: str, node: Node, index: int) -> str:
     begin = len(text[:start].rstrip())
     blank = text[begin:start]
     return blank if index or "\n" in blank else ""
+
+
+def written(node: Node, quoted: Callable[[str], str], number: Callable[[str], str]) -> str:
+    """Return a new node on one line: `quoted` writes texts and keys, `number` all other values."""
+    match node.kind:
+        case Kind.MAPPING:
+            members = (f"{quoted(child.key or '')}: {written(child, quoted, number)}" for child in node.children)
+            return f"{{{', '.join(members)}}}"
+        case Kind.LIST:
+            return f"[{', '.join(written(child, quoted, number) for child in node.children)}]"
+        case Kind.TEXT:
+            return quoted(node.value)
+    return number(node.value)

@@ -38,7 +38,7 @@ class JsonNotation:
         return json.dumps(key, ensure_ascii=False)
 
     def added(self, text: str, node: Node, key: str | None, new: Node, at: int | None) -> str:
-        member = written(new) if key is None else f"{json.dumps(key, ensure_ascii=False)}: {written(new)}"
+        member = _written(new) if key is None else f"{_quoted(key)}: {_written(new)}"
         return brackets.insert(text, node, member, at)
 
     def removed(self, text: str, parent: Node, node: Node) -> str:
@@ -51,17 +51,12 @@ class JsonTemplate(TreeTemplate):
     notation: ClassVar[Notation] = JsonNotation()
 
 
-def written(node: Node) -> str:
-    """Return a node as JSON on one line."""
-    match node.kind:
-        case Kind.MAPPING:
-            members = (f"{json.dumps(child.key, ensure_ascii=False)}: {written(child)}" for child in node.children)
-            return f"{{{', '.join(members)}}}"
-        case Kind.LIST:
-            return f"[{', '.join(map(written, node.children))}]"
-        case Kind.TEXT:
-            return json.dumps(node.value, ensure_ascii=False)
-    return node.value
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _written(node: Node) -> str:
+    return brackets.written(node, _quoted, str)
 
 
 class _Scanner:

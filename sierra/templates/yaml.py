@@ -252,15 +252,7 @@ def _quoted(text: str) -> str:
 
 def _written(node: Node) -> str:
     """Return a new node in brackets, on one line."""
-    match node.kind:
-        case Kind.MAPPING:
-            members = (f"{_quoted(child.key or '')}: {_written(child)}" for child in node.children)
-            return f"{{{', '.join(members)}}}"
-        case Kind.LIST:
-            return f"[{', '.join(map(_written, node.children))}]"
-        case Kind.TEXT:
-            return _quoted(node.value)
-    return _number(node.value)
+    return brackets.written(node, _quoted, _number)
 
 
 def _begin(text: str, node: Node) -> int:
