@@ -6,7 +6,6 @@ its own package. The program is an input file, so it is part of the identity of 
 
 from __future__ import annotations
 
-import os.path
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -26,6 +25,7 @@ from sierra.plugin import (
     TemplateError,
     TemplateView,
 )
+from sierra.simulators.driver_path import driver_path
 
 INPUT, DRIVER = "input.xml", "jsbsim_driver.py"
 RUN = "/runscript/run"
@@ -61,8 +61,7 @@ class Jsbsim:
     def __init__(self, project: Project, options: JsbsimOptions) -> None:
         if project.template is None:
             raise ConfigError('platform "jsbsim" needs one template, as in: template = "flight.xml"')
-        folder = os.path.dirname(os.path.normpath(project.template)) if project.files else ""  # noqa: PTH120
-        driver = "/".join(("{run}", *filter(None, (folder,)), DRIVER))
+        driver = driver_path(project.template, DRIVER, is_among_files=bool(project.files))
         root = ("--root", f"{{project}}/{options.root}") if options.root else ()
         self._command = (*(project.command or ("{python}",)), driver, "{input}", "{output}", *root)
         self._options = options

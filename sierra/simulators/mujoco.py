@@ -5,7 +5,6 @@ The program is an input file, so it is part of the identity of runs, and a repla
 
 from __future__ import annotations
 
-import os.path
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -26,6 +25,7 @@ from sierra.plugin import (
     TemplateView,
     values,
 )
+from sierra.simulators.driver_path import driver_path
 
 INPUT, DRIVER = "input.xml", "mujoco_driver.py"
 POPULATION = "//worldbody//replicate/@count"
@@ -68,8 +68,7 @@ class Mujoco:
     def __init__(self, project: Project, options: MujocoOptions) -> None:
         if project.template is None:
             raise ConfigError('platform "mujoco" needs one template, as in: template = "robot.xml"; others belong to files')
-        folder = os.path.dirname(os.path.normpath(project.template)) if project.files else ""  # noqa: PTH120
-        self._driver = "/".join(("{run}", *filter(None, (folder,)), DRIVER))
+        self._driver = driver_path(project.template, DRIVER, is_among_files=bool(project.files))
         self._python = project.command or ("{python}",)
         self._options = options
 
