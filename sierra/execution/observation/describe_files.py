@@ -3,7 +3,7 @@
 For example: `argos3 3.0, 7 plug-ins; Python 3.11 with numpy 2.3; 2 meshes`. Versions are those that programs have reported,
 and those of installed distributions. Libraries that the loader loads for the command are not named
 (`sierra.provenance.libraries`). Of the others, those without a version in their file name are called plug-ins, as is usual.
-What belongs to the system or to an installed distribution is no data.
+Files of the system and of installed distributions are no data.
 """
 
 from __future__ import annotations

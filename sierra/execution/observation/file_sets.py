@@ -76,7 +76,10 @@ class FileSets:
 
     def members(self, names: Iterable[str]) -> dict[str, list[UsedFile]]:
         """Return the files of these sets."""
-        self.snapshot.add_table("asked", files=sorted(names))
+        wanted = sorted(names)
+        if not wanted:
+            return {}
+        self.snapshot.add_table("asked", files=wanted)
         return _by_set(self.snapshot.select(_Member, MEMBERS))
 
     def having(self, files: Collection[UsedFile]) -> dict[str, list[UsedFile]]:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from sierra.execution import row_queries
 from sierra.execution.observation import file_sets, plan_files
+from sierra.execution.observation.current_files import Current
 from sierra.execution.observation.unchanged_files import unchanged
 from sierra.execution.resolve_plan import Plan, context
 from sierra.model import RunSpec
@@ -127,23 +128,24 @@ def find(plan: Plan, snapshot: Snapshot, runs: Collection[str]) -> dict[str, Reu
         ingest_rules=context(plan).ingest_rules,
         **_kin(plan.batch.spec),
     )
-    same = _unchanged(plan, snapshot, {row.files for row in rows})
+    current = plan_files.current(plan)
+    same = _unchanged(current, snapshot, {row.files for row in rows})
     found = {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
-    return found if len(found) == len(sought) else {**_inherited(plan, snapshot), **found}
+    return found if len(found) == len(sought) else {**_inherited(plan, current, snapshot), **found}
 
 
-def _inherited(plan: Plan, snapshot: Snapshot) -> dict[str, Reusable]:
+def _inherited(plan: Plan, current: Current, snapshot: Snapshot) -> dict[str, Reusable]:
     """Return executions of the sought runs that were not observed, and that count because those of their session do."""
     rows = _inheriting(plan, snapshot)
-    same = _unchanged(plan, snapshot, {files for row in rows for files in row.sets})
+    same = _unchanged(current, snapshot, {files for row in rows for files in row.sets})
     return {row.run: Reusable(row.execution, plan.batch.spec_id, row.programs) for row in rows if same.issuperset(row.sets)}
 
 
-def _unchanged(plan: Plan, snapshot: Snapshot, sets: Collection[str]) -> set[str]:
+def _unchanged(current: Current, snapshot: Snapshot, sets: Collection[str]) -> set[str]:
     """Return those of these sets that have not changed."""
     if not sets:
         return set()
-    return unchanged(file_sets.load(snapshot, sets), plan_files.current(plan))
+    return unchanged(file_sets.load(snapshot, sets), current)
 
 
 def _inheriting(plan: Plan, snapshot: Snapshot) -> list[_Inheriting]:

@@ -52,7 +52,7 @@ def _changed_for(
     """Yield the sets for which a change of these files counts, which depends on the other files of the set."""
     loader = shared_libraries.LoaderCache()
     having = sets.having(doubtful)
-    members = sets.members(having) if having else {}
+    members = sets.members(having)
     for name, files in having.items():
         for one in files:
             if one.use == "listed":
@@ -85,7 +85,7 @@ def found_differently(sets: FileSets, current: Current, before: Mapping[str, Col
     """Return the sets of which a program is found elsewhere by the current search path than by any `before`, each with one."""
     found: dict[str, str] = {}
     known: dict[tuple[tuple[str, ...], tuple[str, ...], str | None], str | None] = {}
-    for name, files in (sets.members(before) if before else {}).items():
+    for name, files in sets.members(before).items():
         programs, missed = tuple(_programs(files, current)), tuple(located_paths(files, current, "missed"))
         for path in before[name]:
             key = (programs, missed, path)
