@@ -24,7 +24,7 @@ from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store.layout import ProjectPaths
-from sierra.store.samples import MIXED, TIMES, Column, Frame, OutputTable
+from sierra.store.samples import MIXED, Column, Frame, OutputTable, names_time
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
@@ -67,7 +67,7 @@ def figures(
                     raise
                 notes.append(f"figure {figure_name}: {error}")
         drawer.note()
-        notes += [*gallery.time_notes, *gallery.event_notes]
+        notes += gallery.time_notes.values()
     return drawn, notes
 
 
@@ -93,7 +93,7 @@ def statistics(
         figure = Figure(table=output, column=(column,))
         samples = gallery.column(figure)
         if measure == AUTO:
-            measure = "mean" if gallery.is_of_events(gallery.output(figure)) else "final"
+            measure = "mean" if gallery.takes_mean(gallery.output(figure)) else "final"
         if measure is None:
             table, text, notes = samples.at_times(times or "own", stats.STATISTICS)
         else:
@@ -102,8 +102,7 @@ def statistics(
             notes.append(f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate")
         notes = [
             *gallery.target_notes,
-            *gallery.time_notes,
-            *gallery.event_notes,
+            *gallery.time_notes.values(),
             *stats.left_out([table], samples.coverage, gallery.planned, threshold),
             *notes,
         ]
@@ -194,10 +193,8 @@ class _Gallery:
         self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
         self._seen: dict[str, stats.Coverage] = {}
         self._times: dict[str, str] = {}
-        self.event_notes: list[str] = []
-        """Notes on tables of events, of which the mean of each run is taken."""
-        self.time_notes: list[str] = []
-        """Notes on outputs whose time column is neither declared nor known by its name: the column that was chosen, or none."""
+        self.time_notes: dict[str, str] = {}
+        """Notes by output, if its time column is neither declared nor known by its name: what is used instead."""
 
     def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
         """Return the figures to draw, by name, and notes about them."""
@@ -227,7 +224,7 @@ class _Gallery:
             except SierraError as error:
                 notes.append(f"no figure of output {output.name!r}: {error}")
                 continue
-            series = output.rows > 1 and not self.is_of_events(output)
+            series = output.rows > 1 and not self.takes_mean(output)
             proposed = stats.default_figures(output.name, columns, self._axes, series=series)
             found |= {_file_name(name, found): figure for name, figure in proposed.items()}
         return found, notes
@@ -250,7 +247,7 @@ class _Gallery:
     def drawing(self, name: str, figure: Figure) -> Drawing:
         """Return the computed content of a figure."""
         output = self.output(figure)
-        if "measure" not in figure.model_fields_set and figure.kind != "timeseries" and self.is_of_events(output):
+        if "measure" not in figure.model_fields_set and figure.kind != "timeseries" and self.takes_mean(output):
             figure = figure.model_copy(update={"measure": "mean"})
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
@@ -284,7 +281,7 @@ class _Gallery:
     def time(self, output: OutputTable) -> str:
         """Return the name of the time column; "" if there is none.
 
-        It is the declared column; else the first, if its name is in `TIMES`; else one that increases alike in all runs.
+        It is the declared column; else the first, if its name is that of a time; else one that increases alike in all runs.
         """
         if output.name not in self._times:
             self._times[output.name] = self._time(output)
@@ -295,17 +292,17 @@ class _Gallery:
         if declared and declared.time:
             return declared.time
         first = output.all_columns[0] if output.all_columns else ""
-        if first.lower().rstrip("_") in TIMES and first in output.columns:
+        if names_time(first) and first in output.columns:
             return first
         found = self._frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
         if found is None:
             if declared is None and output.rows > 1:
-                self.time_notes.append(
+                self.time_notes[output.name] = (
                     f"output {output.name!r} has no time column: row numbers are used instead, because no column increases"
                     f' equally in all runs (to name one, set time = "COLUMN" in [outputs.{output.name}])'
                 )
             return ""
-        self.time_notes.append(
+        self.time_notes[output.name] = (
             f"{found!r} is used as the time of output {output.name!r}, because it increases equally in all runs"
             f' (to name another, set time = "COLUMN" in [outputs.{output.name}])'
         )
@@ -327,18 +324,15 @@ class _Gallery:
                 ) from error
         return self._seen[output.name]
 
-    def is_of_events(self, output: OutputTable) -> bool:
-        """Return whether an output has a row for each event: it has no time, and runs have different numbers of rows."""
+    def takes_mean(self, output: OutputTable) -> bool:
+        """Return whether runs count by the mean of an output's rows, and note it: it has no time, but a row for each event."""
         if output.fewest == output.rows or self.time(output):
             return False
-        lacks = f"output {output.name!r} has no time column"
-        note = (
-            f"{lacks}, and its runs have {output.fewest} to {output.rows} rows: the mean of each run's rows is taken, not the "
-            f"last row (set time in [outputs.{output.name}] if rows follow each other in time)"
+        self.time_notes[output.name] = (
+            f"output {output.name!r} has no time column, and its runs have {output.fewest} to {output.rows} rows: the mean "
+            f"of each run's rows is taken, not the last row (set time in [outputs.{output.name}] if rows follow each other "
+            "in time)"
         )
-        if note not in self.event_notes:
-            self.event_notes.append(note)
-        self.time_notes = [one for one in self.time_notes if not one.startswith(lacks)]
         return True
 
     def output(self, figure: Figure) -> OutputTable:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from sierra.config.plugin_registry import READERS
 from sierra.config.project_file import FILE_FORMAT, Output
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
-from sierra.store.samples import TIMES
+from sierra.store.samples import names_time
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import TableLayout
@@ -188,7 +188,7 @@ def _undeclared(layouts: Iterable[_Layout]) -> Output:
 def _table(snapshot: Snapshot, layouts: list[_Layout], size: _Rows, declared: Output | None, kind: str) -> TakenTable:
     columns = tuple(_columns(snapshot, layouts, declared))
     first = columns[0] if columns else None
-    named = first.name if first and first.name.lower().rstrip("_") in TIMES and first.type != "VARCHAR" else ""
+    named = first.name if first and names_time(first.name) and first.type != "VARCHAR" else ""
     return TakenTable(
         name=size.output,
         file=declared.file if declared else layouts[0].path,

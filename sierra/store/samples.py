@@ -288,3 +288,8 @@ def like(name: str, known: Sequence[str]) -> str:
     """Return a hint: the known name that is closest to `name`, or a list of the known names."""
     close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else f"it has {', '.join(known[:10])}{', …' if len(known) > 10 else ''}"
+
+
+def names_time(column: str) -> bool:
+    """Return whether a column has the name of a time; SQL may have added `_` to it."""
+    return column.lower().rstrip("_") in TIMES

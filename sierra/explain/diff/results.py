@@ -23,7 +23,7 @@ from sierra.ingest.recording_context import rules_of
 from sierra.replay import compare_outputs
 from sierra.replay.compare_values import Agreement, Verdict, distance
 from sierra.stats import student_t
-from sierra.store.samples import TIMES, Frame
+from sierra.store.samples import Frame, names_time
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
 from sierra.util.text import few
@@ -260,7 +260,7 @@ def _columns(store: Store, project: LoadedProject, before: Side, after: Side) ->
 
 
 def _is_time(column: str, declared: str | None) -> bool:
-    return column == declared or column.lower().rstrip("_") in TIMES
+    return column == declared or names_time(column)
 
 
 def _means(project: LoadedProject, store: Store, side: Side, output: str, column: str) -> dict[int, Mean]:
