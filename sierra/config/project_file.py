@@ -307,7 +307,7 @@ EnvironmentName = Annotated[str, StringConstraints(pattern=NAME), AfterValidator
 
 
 class ValueOfVariable(Table):
-    """What one value of a variable changes for a target. The short form is the XPath alone."""
+    """The changes that a value of a variable makes for one target. The short form is the XPath alone."""
 
     set: str | None = Field(None, description="XPath of the attributes or elements that get the value itself")
     changes: tuple[ChangeTable, ...] = Field((), description="further changes; `{name}` is the value")

@@ -30,7 +30,7 @@ FILE = "sierra_values.json"
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """What the variables of a query, and the seed, give to the command and the environment of runs."""
+    """The words and environment variables that the variables of a query, and the seed, give to runs."""
 
     arguments: tuple[str, ...] | None = None
     """The words that belong into the command, with the names of the variables; None if the project declares no such words."""

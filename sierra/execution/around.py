@@ -1,4 +1,4 @@
-"""What is executed around a run's command, as `sierra.toml` declares it: services, and commands before and after it.
+"""The programs around a run's command that `sierra.toml` declares: services, and commands before and after it.
 
 `{services.NAME.port}` stands for the port of a service, in every command and in the variables of `[environment] set`. In the
 service's own command and its `ready`, `{port}` is the same. Ports are chosen when a run is executed, and so they are no part of

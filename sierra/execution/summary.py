@@ -79,7 +79,7 @@ class Summary:
     sessions: tuple[str, ...] = ()
     """Ids of the sessions that recorded executions for it."""
     outputs: TakenOutputs | None = None
-    """How outputs were read, if these sessions are the first with such tables or files."""
+    """The description of how outputs were read, if these sessions are the first with such tables or files."""
     figures: tuple[str, ...] = ()
     figure_error: str | None = None
     """Reason why no figure could be written (a full disk, a file in the way); the results themselves are recorded."""

@@ -58,7 +58,7 @@ class TriedFile:
 
 @dataclass(frozen=True, slots=True)
 class Used:
-    """What the run was observed to use."""
+    """The files that the run was observed to use."""
 
     words: str
     """The programs and data in words, as `sierra show` says them."""

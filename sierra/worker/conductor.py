@@ -78,7 +78,7 @@ class Shared(TypedDict):
 
 
 class Plan(TypedDict):
-    """What is executed around a run's command, with all placeholders but NUL and the ports filled in."""
+    """The programs around a run's command, with all placeholders but NUL and the ports filled in."""
 
     shared: Sequence[Service]
     """Services that the worker starts once for all runs."""
