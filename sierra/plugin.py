@@ -42,8 +42,11 @@ that offer the same name for one kind are an error that names both; the shipped 
 
 from __future__ import annotations
 
+from sierra.config.cluster_table import ClusterTable
+from sierra.config.field_types import Table
 from sierra.config.plugin_registry import KINDS, VERSION, Kind, NoOptions
-from sierra.config.project_file import ClusterTable, Project, Table, options
+from sierra.config.project_file import Project
+from sierra.config.validate import options
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images.image import Image
 from sierra.errors import ConfigError, Full, Missing, PluginError, QueryError, SierraError, TemplateError, UsageError

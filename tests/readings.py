@@ -8,7 +8,7 @@ from typing import Any
 import duckdb
 import pyarrow.parquet as pq
 
-from sierra.config.project_file import Output
+from sierra.config.output_tables import Output
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read

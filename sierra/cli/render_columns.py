@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
-    from sierra.config.project_file import Output
+    from sierra.config.output_tables import Output
     from sierra.replay.clock_columns import Clock
     from sierra.replay.compare_values import Agreement, DifferentColumn
     from sierra.replay.verdicts import Replay

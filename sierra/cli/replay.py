@@ -16,7 +16,7 @@ from sierra.errors import Missing, UsageError
 from sierra.util.text import few
 
 if TYPE_CHECKING:
-    from sierra.config.project_file import Output, Tolerance
+    from sierra.config.output_tables import Output, Tolerance
     from sierra.replay.compare_values import Agreement, Verdict
     from sierra.replay.verdicts import Compared, OfExperiment, Replay
 
@@ -98,7 +98,8 @@ def replay(
 
 def tolerances(texts: Iterable[str]) -> dict[str, dict[str, Tolerance]]:
     """Return tolerances by output and column, from `[OUTPUT.]COLUMN=KIND:X[,KIND:X]`. Raises UsageError."""
-    from sierra.config import project_file
+    from sierra.config.output_tables import Tolerance
+    from sierra.config.validate import options
 
     found: dict[str, dict[str, Tolerance]] = {}
     for text in texts:
@@ -110,7 +111,7 @@ def tolerances(texts: Iterable[str]) -> dict[str, dict[str, Tolerance]]:
             kinds = {}
         if not (output and column and kinds):
             raise UsageError(f"--set-tolerance {text!r}: write it as COLUMN=rel:1e-9 or OUTPUT.COLUMN=abs:0.1,ulp:4")
-        found.setdefault(output, {})[column] = project_file.options(project_file.Tolerance, kinds, f"--set-tolerance {text!r}")
+        found.setdefault(output, {})[column] = options(Tolerance, kinds, f"--set-tolerance {text!r}")
     return found
 
 

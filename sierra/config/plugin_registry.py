@@ -17,7 +17,10 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from sierra.config.project_file import ClusterTable, Project, RawTable, Table, options
+from sierra.config.cluster_table import ClusterTable
+from sierra.config.field_types import RawTable, Table
+from sierra.config.project_file import Project
+from sierra.config.validate import options
 from sierra.errors import ConfigError, PluginError, SierraError
 
 if TYPE_CHECKING:

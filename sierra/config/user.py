@@ -10,9 +10,9 @@ import os
 
 from pydantic import Field, PositiveInt, ValidationError
 
-from sierra.config import project_file
+from sierra.config.field_types import Table
 from sierra.config.find_project import read_toml
-from sierra.config.project_file import Table
+from sierra.config.validate import options
 from sierra.errors import ConfigError
 from sierra.store.layout import user_settings
 
@@ -27,7 +27,7 @@ class Settings(Table):
 def load() -> Settings:
     """Return the settings of the user's file and variables. Raises ConfigError if they are invalid."""
     file = user_settings()
-    settings = project_file.options(Settings, read_toml(file), str(file)) if file.is_file() else Settings()
+    settings = options(Settings, read_toml(file), str(file)) if file.is_file() else Settings()
     for name in Settings.model_fields:
         variable = f"SIERRA_{name.upper()}"
         if text := os.environ.get(variable):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
 
-from sierra.config.project_file import Container
+from sierra.config.execution_tables import Container
 from sierra.containers import images
 from sierra.containers.engines.base import PROJECT, PYTHON, Capabilities, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images.image import Image

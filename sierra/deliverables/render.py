@@ -15,8 +15,9 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
-from sierra.config.project_file import Figure, LoadedProject
+from sierra.config.project_file import LoadedProject
 from sierra.deliverables import seconds
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.errors import Missing, NotFound, SierraError, UsageError

@@ -22,7 +22,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from sierra.config import group_names
-from sierra.config.project_file import ChangeTable, Group, Project
+from sierra.config.change_tables import ChangeTable, Group
+from sierra.config.project_file import Project
 from sierra.design import overwritten
 from sierra.design.overwritten import Layer
 from sierra.errors import ConfigError, QueryError

@@ -17,7 +17,8 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sierra.config.project_file import VALUE, Project
+from sierra.config.change_tables import VALUE
+from sierra.config.project_file import Project
 from sierra.errors import Damaged
 from sierra.model import Value
 from sierra.templates.arithmetic import fill

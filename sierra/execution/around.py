@@ -13,7 +13,9 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from sierra.config.project_file import OWN_PLACEHOLDERS, Project, ServiceTable
+from sierra.config.change_tables import OWN_PLACEHOLDERS
+from sierra.config.execution_tables import ServiceTable
+from sierra.config.project_file import Project
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError
 from sierra.execution import commands

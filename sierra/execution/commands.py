@@ -20,7 +20,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from sierra.config.project_file import OWN_PLACEHOLDERS, Project
+from sierra.config.change_tables import OWN_PLACEHOLDERS
+from sierra.config.project_file import Project
 from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, WRITABLE, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images.image import Image
 from sierra.design import run_values

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
+from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.config.plugin_registry import READERS
-from sierra.config.project_file import FILE_FORMAT, Output
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
 from sierra.store.samples import names_time
 from sierra.store.sql_names import column_names, identifier

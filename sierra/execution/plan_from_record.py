@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from sierra.config.output_tables import Output, Success
 from sierra.config.plugin_registry import Tables
-from sierra.config.project_file import LoadedProject, Output, Success
+from sierra.config.project_file import LoadedProject
 from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image

@@ -13,7 +13,9 @@ from typing import Protocol
 
 from sierra import platforms, templates
 from sierra.config import plugin_registry
-from sierra.config.project_file import OWN_PLACEHOLDERS, LoadedProject, Output, Project, Success
+from sierra.config.change_tables import OWN_PLACEHOLDERS
+from sierra.config.output_tables import Output, Success
+from sierra.config.project_file import LoadedProject, Project
 from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from sierra import platforms
 from sierra.config import group_names
-from sierra.config.project_file import NAME, LoadedProject
+from sierra.config.field_types import NAME
+from sierra.config.project_file import LoadedProject
 from sierra.design.factorial_design import GROUPED
 from sierra.errors import QueryError, UsageError
 from sierra.model import Batch, Listed, Query

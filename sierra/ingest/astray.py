@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
-from sierra.config.project_file import Output
+from sierra.config.output_tables import Output
 from sierra.ingest.recording_context import Context
 from sierra.model import Result, Status
 from sierra.store.layout import RUN_HOME, SessionPaths

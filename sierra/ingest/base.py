@@ -19,8 +19,9 @@ from collections.abc import Iterable, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypedDict
 
+from sierra.config.field_types import Table
+from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.config.plugin_registry import READERS, Tables
-from sierra.config.project_file import FILE_FORMAT, Output, Table
 from sierra.errors import ConfigError, Missing
 from sierra.util.json_types import Json
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import NamedTuple
 
-from sierra.config.project_file import Output
+from sierra.config.output_tables import Output
 from sierra.ingest.event_tables import of_events
 from sierra.ingest.messages import difference
 from sierra.ingest.model import Group, Siblings

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from pathlib import PurePosixPath
 
+from sierra.config.output_tables import FILE_FORMAT, NAMED_FORMATS, SAME_FORMAT, Output
 from sierra.config.plugin_registry import READERS
-from sierra.config.project_file import FILE_FORMAT, NAMED_FORMATS, SAME_FORMAT, Output
 from sierra.ingest.base import Used
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Form, Shape

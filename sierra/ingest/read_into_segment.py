@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.config.project_file import Output
+from sierra.config.output_tables import Output
 from sierra.ingest.consistency import siblings
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.messages import shown

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NotRequired, TypedDict
 
+from sierra.config.output_tables import Output, Success
 from sierra.config.plugin_registry import Tables
-from sierra.config.project_file import Output, Success
 from sierra.errors import Damaged
 from sierra.ingest.base import Used
 from sierra.store.lamport_clock import stamp

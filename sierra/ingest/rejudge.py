@@ -32,7 +32,7 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.config.project_file import Output, Success
+from sierra.config.output_tables import Output, Success
 from sierra.errors import Damaged
 from sierra.ingest.base import Used
 from sierra.ingest.match_outputs import OutputMatcher

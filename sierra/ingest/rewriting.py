@@ -17,8 +17,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, ClassVar, TypeVar
 
+from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.config.project_file import Table
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.messages import shown
 from sierra.ingest.model import PLAIN, Reading, Shape, Siblings, Written

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from sierra.config.project_file import Output, Success
+from sierra.config.output_tables import Output, Success
 from sierra.ingest import astray
 from sierra.ingest.match_outputs import claimed_twice
 from sierra.ingest.observations import observed

@@ -15,7 +15,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints
 
-from sierra.config.project_file import Project, Table
+from sierra.config.field_types import Table
+from sierra.config.project_file import Project
 from sierra.errors import ConfigError, QueryError, TemplateError
 from sierra.model import (
     Add,

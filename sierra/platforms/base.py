@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar, Protocol, runtime_checkable
 
+from sierra.config.field_types import Table
 from sierra.config.plugin_registry import PLATFORMS
-from sierra.config.project_file import Project, Table
+from sierra.config.project_file import Project
 from sierra.model import Axis, Change, Criterion, Point
 
 

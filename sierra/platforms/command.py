@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import ClassVar
 
+from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.config.project_file import Project, Table
+from sierra.config.project_file import Project
 from sierra.errors import ConfigError
 from sierra.model import Axis, Change, Criterion, Point
 from sierra.platforms.base import Reader

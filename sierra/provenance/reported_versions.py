@@ -23,7 +23,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from sierra.config.project_file import ProgramsTable
+from sierra.config.execution_tables import ProgramsTable
 from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.store.layout import user_versions
 from sierra.util.cache import Cache

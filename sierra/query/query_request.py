@@ -12,7 +12,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
-from sierra.config.project_file import Table, options
+from sierra.config.field_types import Table
+from sierra.config.validate import options
 from sierra.errors import Missing, UsageError
 from sierra.query.grammar import setting
 

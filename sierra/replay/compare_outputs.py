@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from sierra.config.project_file import Output
+from sierra.config.output_tables import Output
 from sierra.errors import Damaged
 from sierra.replay.compare_values import Agreement, Rules, Verdict, of_tables, of_texts, other_columns
 from sierra.store.parquet_row_counts import rows_by_file

@@ -14,7 +14,7 @@ from enum import StrEnum
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from sierra.config.project_file import Tolerance
+from sierra.config.output_tables import Tolerance
 from sierra.replay.clock_columns import Clock, clock_of
 from sierra.util.text import counted, few
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from sierra.config.project_file import Equivalence, Output
+from sierra.config.output_tables import Equivalence, Output
 from sierra.errors import NotFound, SierraError, UsageError
 from sierra.stats import aggregate as stats
 from sierra.stats import equivalence

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra import runners
-from sierra.config.project_file import LoadedProject, Output
+from sierra.config.output_tables import Output
+from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Engine
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.execution import commands, expected_durations, plan_from_record, recover, row_queries, targets

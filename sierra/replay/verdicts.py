@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
-from sierra.config.project_file import Tolerance
+from sierra.config.output_tables import Tolerance
 from sierra.execution.build.recorded import Rebuilt
 from sierra.model import Value
 from sierra.replay.compare_values import Agreement, Verdict, worst

@@ -16,8 +16,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import ClassVar, Protocol
 
+from sierra.config.cluster_table import ClusterTable
+from sierra.config.field_types import Table
 from sierra.config.plugin_registry import RUNNERS, SCHEDULERS, Tables
-from sierra.config.project_file import ClusterTable, Table
 from sierra.errors import ConfigError, Missing, SierraError
 from sierra.model import Job, Requirement, Result, Times
 from sierra.provenance.dependency_model import INSTALLED, Kind, Program, Programs

@@ -17,8 +17,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar, cast
 
+from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.config.project_file import Table
 from sierra.errors import Missing
 from sierra.model import Job, Limits, Result
 from sierra.runners.base import Look, Work

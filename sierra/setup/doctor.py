@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Literal
 
 from sierra.config import find_project, plugin_registry, user
-from sierra.config.project_file import BuildTable, LoadedProject
+from sierra.config.execution_tables import BuildTable
+from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Capabilities
 from sierra.errors import SierraError
 from sierra.provenance.machine import usable_cores

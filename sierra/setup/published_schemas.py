@@ -18,8 +18,10 @@ from typing import TypedDict, cast
 
 from pydantic import BaseModel, TypeAdapter
 
+from sierra.config.cluster_table import ClusterTable
+from sierra.config.field_types import NAME
 from sierra.config.plugin_registry import ENGINES, KINDS, PLATFORMS, READERS, RUNNERS, SCHEDULERS, TEMPLATES, Kind
-from sierra.config.project_file import NAME, ClusterTable, Project
+from sierra.config.project_file import Project
 from sierra.config.targets import SHARED
 from sierra.errors import PluginError
 from sierra.execution.plan_json import PlanPreview

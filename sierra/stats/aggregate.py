@@ -26,7 +26,7 @@ from pathlib import Path
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
-from sierra.config.project_file import Figure
+from sierra.config.deliverable_tables import Figure
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.stats import student_t

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Protocol
 
+from sierra.config.field_types import Table
 from sierra.config.plugin_registry import TEMPLATES, Tables
-from sierra.config.project_file import Table
 from sierra.errors import Missing, TemplateError
 from sierra.model import Change, Value
 from sierra.util.text import one_line

@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
+from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions, Tables
-from sierra.config.project_file import Project, Table
+from sierra.config.project_file import Project
 from sierra.errors import ConfigError, Missing, TemplateError
 from sierra.model import Change, Value
 from sierra.templates.base import Document, Files, Rendered, Renderer, Template, read

@@ -18,7 +18,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import AfterValidator, Field
 
-from sierra.config.project_file import Table
+from sierra.config.field_types import Table
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Change, Set, Value
 from sierra.templates.arithmetic import fill, names

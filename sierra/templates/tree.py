@@ -19,8 +19,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import ClassVar
 
+from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.config.project_file import Table
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set, Value
 from sierra.templates.arithmetic import fill, names

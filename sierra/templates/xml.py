@@ -32,8 +32,8 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import AnyStr, ClassVar
 
+from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.config.project_file import Table
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Change, Set, Value
 from sierra.templates.arithmetic import fill, names

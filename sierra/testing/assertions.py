@@ -7,7 +7,8 @@ import os
 import time
 from collections.abc import Callable, Iterator
 
-from sierra.config.project_file import Table, options
+from sierra.config.field_types import Table
+from sierra.config.validate import options
 from sierra.errors import ConfigError
 
 OPTION_NOBODY_HAS = "no_plugin_has_an_option_of_this_name"

@@ -18,7 +18,8 @@ from itertools import chain
 from pathlib import Path
 from types import UnionType
 
-from sierra.config.project_file import Project, options
+from sierra.config.project_file import Project
+from sierra.config.validate import options
 from sierra.errors import SierraError
 from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, MonteCarlo, Point, Remove, Rename, Set
 from sierra.platforms.base import Following, Platform, Reader

@@ -17,8 +17,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from sierra.config.field_types import RawTable
 from sierra.config.plugin_registry import READERS
-from sierra.config.project_file import RawTable
 from sierra.ingest.base import Columns, described
 from sierra.ingest.model import PLAIN, Form, Reading, Shape, Written
 from sierra.ingest.read import read

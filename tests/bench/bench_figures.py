@@ -36,7 +36,7 @@ def aggregates(experiments: int, times: int) -> tuple[Any, Any]:
 
 def ours(experiments: int, times: int, figures: int, folder: Path) -> float:
     """Return the CPU seconds of SIERRA."""
-    from sierra.config.project_file import Figure
+    from sierra.config.deliverable_tables import Figure
     from sierra.deliverables.figures.drawing import Drawing, draw
     from sierra.model import Axis
 

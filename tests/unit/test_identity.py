@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.config.project_file import Output, Success
+from sierra.config.output_tables import Output, Success
 from sierra.containers.container_setup import Isolation
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, NoEngine, Process
 from sierra.containers.images.image import Image, Kind

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Protocol
 
+from sierra.config.field_types import Table
 from sierra.config.plugin_registry import ENGINES, NoOptions, Tables
-from sierra.config.project_file import Table
 from sierra.containers.images.image import Image
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths

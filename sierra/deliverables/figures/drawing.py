@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from sierra.config.project_file import Figure
+from sierra.config.deliverable_tables import Figure
 from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Axis, Value
 from sierra.util.fs import write_whole

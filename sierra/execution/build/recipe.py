@@ -11,7 +11,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
-from sierra.config.project_file import BuildTable, Container
+from sierra.config.execution_tables import BuildTable, Container
 from sierra.containers import container_setup
 from sierra.errors import ConfigError, Missing
 from sierra.execution import checkout, commands

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from math import hypot, isfinite, sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
-from sierra.config.project_file import LoadedProject, Output
+from sierra.config.output_tables import Output
+from sierra.config.project_file import LoadedProject
 from sierra.deliverables import render
 from sierra.errors import SierraError
 from sierra.explain.diff.load_sides import Side

@@ -11,7 +11,7 @@ import json
 import time
 from pathlib import Path
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.errors import Missing
 from sierra.runners.cluster import submission_record
 from sierra.runners.cluster.result_log_reader import Pack

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.errors import Missing
 from sierra.model import Times
 from sierra.runners import schedulers

@@ -31,7 +31,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import ClassVar
 
-from sierra.config.project_file import ClusterTable, Table
+from sierra.config.cluster_table import ClusterTable
+from sierra.config.field_types import Table
 from sierra.errors import Full, Missing, SierraError
 from sierra.model import Result, Times
 from sierra.provenance import machine

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Damaged
 from sierra.runners import schedulers
 from sierra.runners.schedulers.base import Bounds, Request, State, Task

@@ -16,8 +16,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import ClassVar, Protocol
 
+from sierra.config.cluster_table import ClusterTable, check_directives
 from sierra.config.plugin_registry import SCHEDULERS
-from sierra.config.project_file import ClusterTable, check_directives, options
+from sierra.config.validate import options
 
 NAME_LENGTH = 15
 """Length of the longest job name that all schedulers accept."""

@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from sierra.config import forbidden_directives
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
 from sierra.runners import schedulers
 from sierra.runners.schedulers import qstat, qsub

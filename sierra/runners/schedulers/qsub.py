@@ -29,7 +29,7 @@ import shlex
 from collections.abc import Iterator
 from enum import StrEnum
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError
 from sierra.runners.schedulers.base import Request
 from sierra.runners.schedulers.qstat import ELEMENTS

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 
 PLACE = ("partition", "account", "qos")
 DIRECTIVES = ("directives",)

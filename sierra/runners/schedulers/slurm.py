@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from sierra.config import forbidden_directives
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers import slurm_accounting_limits
 from sierra.runners.schedulers.base import Bounds, Limit, Request, State, Task, least

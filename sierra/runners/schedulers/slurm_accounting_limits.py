@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Missing
 from sierra.runners.schedulers.base import Limit, least
 

@@ -16,7 +16,7 @@ from json import dumps
 from pathlib import Path
 
 from sierra import platforms, templates
-from sierra.config import project_file
+from sierra.config import field_types, project_file
 from sierra.config.group_names import GROUP_NAME
 from sierra.errors import ConfigError, Missing, QueryError, SierraError, UsageError
 from sierra.model import Add, Change, Remove, Rename, Set
@@ -365,7 +365,7 @@ def _scenarios(draft: Draft, old: OldProject) -> None:
 
 def _variables(draft: Draft, old: OldProject, template: Template, common: tuple[Change, ...]) -> None:
     for name, pairs in old.variables.items():
-        if not pairs or not re.fullmatch(project_file.NAME, name):
+        if not pairs or not re.fullmatch(field_types.NAME, name):
             draft.left_out.append(f"variables/{name}.py: its changes are computed by Python; write them in [variables.{name}]")
             continue
         made: list[Set] = []

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.runners import schedulers
 from sierra.runners.schedulers.base import Request, State, Task
 from sierra.runners.schedulers.slurm import Slurm

@@ -25,8 +25,8 @@ import pytest
 
 import sierra
 from sierra.api import Project
+from sierra.config.cluster_table import ClusterTable
 from sierra.config.plugin_registry import SCHEDULERS
-from sierra.config.project_file import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.execution.observer import Progress
 from sierra.execution.sessions import Session

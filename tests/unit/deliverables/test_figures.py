@@ -23,7 +23,7 @@ import pytest
 from PIL import Image
 
 from sierra.config import project_file
-from sierra.config.project_file import Figure
+from sierra.config.deliverable_tables import Figure
 from sierra.deliverables.figures import drawing as figures
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.errors import ConfigError, Missing, SierraError, UsageError

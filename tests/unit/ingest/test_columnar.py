@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from sierra.config.project_file import Output
+from sierra.config.output_tables import Output
 from tests.readings import read_file
 
 COLUMNS = {"t": [1, 2, 3], "v": [0.5, None, 1.5], "name": ["a", "b", None], "on": [True, False, None]}

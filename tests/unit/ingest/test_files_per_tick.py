@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sierra.config.project_file import Output
+from sierra.config.output_tables import Output
 from tests import projects
 from tests.projects import quick
 

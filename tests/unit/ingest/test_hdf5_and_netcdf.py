@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sierra.config.project_file import Output
+from sierra.config.output_tables import Output
 from sierra.ingest.model import Form
 from sierra.testing import readers as conformance
 from tests import projects

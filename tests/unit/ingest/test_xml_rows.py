@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from sierra.config.project_file import Output
+from sierra.config.output_tables import Output
 from tests.readings import read_file
 
 HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<!-- <tripinfo id="no"/> -->\n'

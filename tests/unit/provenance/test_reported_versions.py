@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.config.project_file import ProgramsTable
+from sierra.config.execution_tables import ProgramsTable
 from sierra.provenance import fingerprint_programs, reported_versions
 
 VARIABLES = {"PATH": "/usr/bin:/bin", "LC_ALL": "C.UTF-8"}

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from lxml import etree
 
 import sierra
-from sierra.config.project_file import Tolerance
+from sierra.config.output_tables import Tolerance
 from sierra.provenance import environment, machine
 from sierra.replay.compare_values import Rules, Verdict, of_tables, of_texts, worst
 from tests import projects, stores

@@ -15,7 +15,7 @@ import pytest
 from pydantic import BaseModel
 
 import sierra
-from sierra.config import project_file
+from sierra.config import field_types, project_file, validate
 from sierra.platforms.argos import ArgosOptions
 from sierra.setup import published_schemas
 from tests import projects
@@ -26,11 +26,12 @@ EXAMPLE = Path(sierra.__file__).parent / "setup" / "examples" / "swarm" / "sierr
 
 def own(model: type[BaseModel]) -> list[type[BaseModel]]:
     """Return the models of `sierra.toml` that inherit from a model, without those that others inherit from."""
-    found = [one for one in model.__subclasses__() if one.__module__ == project_file.__name__]
+    of_file = re.compile(r"sierra\.config\.(\w+_tables?|project_file)")
+    found = [one for one in model.__subclasses__() if of_file.fullmatch(one.__module__)]
     return [leaf for one in found for leaf in own(one) or [one]]
 
 
-MODELS = {model.__name__: model for model in own(project_file.Table)}
+MODELS = {model.__name__: model for model in own(field_types.Table)}
 
 
 def schema(*options: str) -> str:
@@ -105,7 +106,7 @@ def test_the_commented_toml_contains_only_comments_and_blank_lines(reference: st
 def test_the_uncommented_toml_is_a_valid_project(reference: str) -> None:
     whole = uncommented(reference)
     project_file.parse(whole, "sierra.toml")
-    project_file.options(ArgosOptions, whole["platforms"]["argos"], "[platforms.argos]")
+    validate.options(ArgosOptions, whole["platforms"]["argos"], "[platforms.argos]")
     jsonschema.validate(whole, json.loads(schema("--toml", "--json")))
 
 

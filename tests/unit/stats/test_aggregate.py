@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sierra
-from sierra.config.project_file import Figure
+from sierra.config.deliverable_tables import Figure
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.stats import aggregate as stats

@@ -11,9 +11,9 @@ import pytest
 from pydantic import ConfigDict
 
 from sierra import platforms
-from sierra.config import project_file
+from sierra.config import field_types, project_file
+from sierra.config.change_tables import OWN_PLACEHOLDERS
 from sierra.config.plugin_registry import PLATFORMS
-from sierra.config.project_file import OWN_PLACEHOLDERS
 from sierra.errors import ConfigError, TemplateError
 from sierra.model import Add, Axis, Change, Criterion, Point, Remove, Rename, Set
 from sierra.platforms.argos import Argos
@@ -106,7 +106,7 @@ def span(*values: Any, name: str = "speed", changes: tuple[Change, ...] | None =
 class Sound:
     """A platform that conforms; each test breaks one of its answers."""
 
-    Options: ClassVar[type[project_file.Table]] = project_file.Table
+    Options: ClassVar[type[field_types.Table]] = field_types.Table
 
     def __init__(self, project: project_file.Project, options: object) -> None:
         """Make a platform."""
@@ -237,7 +237,7 @@ def test_a_path_of_this_machine_is_detected(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_options_that_accept_any_key_are_detected() -> None:
-    class Anything(project_file.Table):
+    class Anything(field_types.Table):
         model_config = ConfigDict(extra="allow")
 
     class Broken(Sound):
@@ -280,7 +280,7 @@ def test_the_error_for_options_of_an_unknown_platform_lists_known_ones() -> None
 
 def test_an_installed_platform_and_its_options_are_found_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "soundly.py").write_text(
-        "from sierra.config.project_file import Table\n"
+        "from sierra.config.field_types import Table\n"
         "class Options(Table):\n    volume: int = 1\n"
         "class Soundly:\n    contract = 1\n    Options = Options\n"
         "    def __init__(self, project, options): self.project = project\n"

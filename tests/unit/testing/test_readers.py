@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from sierra.config.output_tables import FILE_FORMAT
 from sierra.config.plugin_registry import READERS
-from sierra.config.project_file import FILE_FORMAT
 from sierra.ingest.model import PLAIN, Form
 from sierra.testing import readers as conformance
 

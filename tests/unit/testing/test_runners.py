@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from sierra import runners
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.model import Job, Limits, Result
 from sierra.runners.base import Look, Runner, Work
 from sierra.runners.cluster.runner import Cluster

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sierra
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
 from sierra.runners.schedulers import qstat, qsub
 from sierra.runners.schedulers.base import Request, State

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError
 from sierra.runners.schedulers.base import Request
 from sierra.runners.schedulers.pbs import Pbs

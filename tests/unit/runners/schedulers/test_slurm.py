@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers.base import Request, State, Task
 from sierra.runners.schedulers.slurm import PATH, Slurm, refusal, tasks

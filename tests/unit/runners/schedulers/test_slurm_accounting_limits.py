@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.config.project_file import ClusterTable
+from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Full, Missing
 from sierra.runners.cluster import runner
 from sierra.runners.schedulers import slurm as scheduler

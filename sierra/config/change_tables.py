@@ -1,0 +1,154 @@
+"""Tables of `sierra.toml` that change inputs, command or environment of runs: variables, seed, controllers, scenarios."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, StringConstraints, model_validator
+
+from sierra.config.field_types import NAME, Argv, Name, Table, Text
+
+VALUE = "{value}"
+"""The text that stands for the value in the `argument` of a variable or of the seed."""
+OWN_PLACEHOLDERS = ("input", "output", "run", "seed", "project", "python", "arguments")
+"""Names in braces that have a meaning of their own in a command."""
+NO_CHANGE = 'it changes nothing; give it "set", "changes", "argument" or "environment"'
+NOT_VARIED = ("HOME", "TMPDIR", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "PYTHONPATH", "PYTHONHOME")
+"""Environment variables that no variable of a query can set: the programs that runs use depend on them, or SIERRA sets them."""
+OF_TARGETS = "for single targets, by name: other changes than the ones here"
+
+
+def set_to(value: object) -> object:
+    """Expand the short form of a table, which is the XPath alone."""
+    return {"set": value} if isinstance(value, str) else value
+
+
+def _with_value(words: tuple[str, ...]) -> tuple[str, ...]:
+    if words and not any(VALUE in word for word in words):
+        raise ValueError(f"{shlex.join(words)!r} should contain {VALUE}, as in --robots {VALUE}")
+    if any("{arguments}" in word for word in words):
+        raise ValueError("{arguments} can only be a word of the command")
+    return words
+
+
+def _not_fixed(name: str) -> str:
+    if name in NOT_VARIED or name.startswith("SIERRA_"):
+        raise ValueError(f"no value can be given in {name}, which SIERRA or the loader of programs uses; use another name")
+    return name
+
+
+class ChangeTable(Table):
+    """One change to the template: exactly one of `set`, `add`, `remove`, `rename`, each an XPath."""
+
+    set: str | None = Field(None, description="XPath of the attributes, elements or keys that get `value`")
+    add: str | None = Field(
+        None, description="XPath of the parent elements that get `xml` as a child; of the lists and mappings that get `json`"
+    )
+    remove: str | None = Field(None, description="XPath of the elements, attributes, keys or items to remove")
+    rename: str | None = Field(None, description="XPath of the elements or keys to rename to `to`")
+    value: Text | None = Field(
+        None,
+        description="for `set`: the new value; `{…}` is an expression of axes, as in `{population_size * 2}`; `{{` is a brace",
+    )
+    attribute: str | None = Field(None, description="for `set`: the attribute's name; added if it is missing")
+    xml: str | None = Field(None, description="for `add`: the new element, as XML")
+    json_: str | None = Field(
+        None, alias="json", description="for `add` in other formats than XML: the new item of a list, or the new keys, as JSON"
+    )
+    at: int | None = Field(None, ge=0, description="for `add`: the index among the children, from 0; default: last")
+    to: str | None = Field(None, description="for `rename`: the new tag or key")
+    expect: PositiveInt | None = Field(None, description="exact number of matches required; default: at least one")
+
+    @model_validator(mode="after")
+    def _one_operation(self) -> ChangeTable:
+        accepted = {"set": ("value", "attribute"), "add": ("xml", "json_", "at"), "remove": (), "rename": ("to",)}
+        given = [name for name in accepted if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError("a change needs exactly one of set, add, remove, rename")
+        operation = given[0]
+        for other in ("value", "attribute", "xml", "json_", "at", "to"):
+            if getattr(self, other) is not None and other not in accepted[operation]:
+                raise ValueError(f"{other.rstrip('_')!r} cannot be used with {operation!r}")
+        if operation == "add" and (self.xml is None) == (self.json_ is None):
+            raise ValueError("'add' needs either 'xml' or 'json'" if self.xml else "'add' needs 'xml' (or 'json')")
+        if operation == "rename" and self.to is None:
+            raise ValueError("'rename' needs 'to'")
+        return self
+
+
+Argument = Annotated[Argv, AfterValidator(_with_value)]
+EnvironmentName = Annotated[str, StringConstraints(pattern=NAME), AfterValidator(_not_fixed)]
+
+
+class ValueOfVariable(Table):
+    """The changes that a value of a variable makes for one target. The short form is the XPath alone."""
+
+    set: str | None = Field(None, description="XPath of the attributes or elements that get the value itself")
+    changes: tuple[ChangeTable, ...] = Field((), description="further changes; `{name}` is the value")
+    argument: Argument = Field(
+        (), description="words of the command with the value, as in `--robots {value}`; a value is never split into words"
+    )
+    environment: EnvironmentName | None = Field(
+        None, description="name of the environment variable of runs that gets the value"
+    )
+
+    @property
+    def is_given(self) -> bool:
+        """Return True if the variable itself says what its values change."""
+        return bool(self.set or self.changes or self.argument or self.environment)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if any(change.set and change.value is None for change in self.changes):
+            raise ValueError('a "set" in "changes" needs a "value"')
+        return self
+
+
+class Variable(ValueOfVariable):
+    """An independent variable: what one of its values changes in the template, the command or the environment of a run.
+
+    The short form `name = "XPATH"` sets the attributes or elements that the XPath selects to the value. `{}` is a variable that
+    the command or other changes use as `{name}`.
+    """
+
+    label: str = Field("", description="name in figures; default: the variable's name")
+    unit: str = Field("", description="unit in figures")
+    targets: Mapping[
+        Name, Annotated[ValueOfVariable, BeforeValidator(set_to, json_schema_input_type=str | ValueOfVariable)]
+    ] = Field(default_factory=dict, description=OF_TARGETS)
+
+
+class PlaceOfSeed(Table):
+    """Where the seed goes for a target. The short form is the XPath alone."""
+
+    set: str | None = Field(None, description="XPath of the attribute or element that gets the seed")
+    argument: Argument = Field((), description="words of the command with the seed, as in `--seed {value}`")
+    environment: EnvironmentName | None = Field(None, description="name of the environment variable of runs that gets the seed")
+
+
+class Seed(PlaceOfSeed):
+    """Where the seed goes, and how seeds are derived. The short form is the XPath alone."""
+
+    base: int = Field(0, ge=0, description="base seed: the number that all seeds derive from")
+    independent: bool = Field(
+        False,
+        description="different seeds in each experiment; by default, all experiments use the same seeds: common random numbers",
+    )
+    targets: Mapping[Name, Annotated[PlaceOfSeed, BeforeValidator(set_to, json_schema_input_type=str | PlaceOfSeed)]] = Field(
+        default_factory=dict, description=OF_TARGETS
+    )
+
+
+class ChangesOfGroup(Table):
+    """The changes of a controller or a scenario for a target."""
+
+    changes: tuple[ChangeTable, ...] = Field((), description="changes to the template; may be empty")
+
+
+class Group(ChangesOfGroup):
+    """A controller or a scenario: a named group of changes."""
+
+    label: str = Field("", description="name in figures; default: the group's name")
+    targets: Mapping[Name, ChangesOfGroup] = Field(default_factory=dict, description=OF_TARGETS)

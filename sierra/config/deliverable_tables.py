@@ -1,0 +1,55 @@
+"""Tables of `sierra.toml` about deliverables: figures."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from sierra.config.field_types import Finite, Table, Words
+
+
+class Figure(Table):
+    """One figure. If there are none, each numeric column of each output gets a time series and a summary."""
+
+    kind: Literal["timeseries", "summary", "box", "violin", "heatmap", "stacked"] = Field(
+        "timeseries",
+        description="`timeseries`: lines over time; `summary`, `box`, `violin`: points, boxes or violins over the first "
+        "variable; `heatmap`: a map of two variables; `stacked`: areas",
+    )
+    table: str = Field("", description="name of the output; may be omitted if there is only one")
+    columns: Annotated[
+        tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
+    ] = Field((), alias="column", description="column (for `stacked`: columns)")
+    times: Literal["own", "carry", "linear"] | None = Field(
+        None,
+        description="times of values drawn over time: `own`: each run's own times; `carry`, `linear`: common times, with the "
+        "last values carried forward or linear interpolation; default: `own`, or `carry` if most times differ between runs",
+    )
+    measure: Literal["final", "mean", "time_to"] = Field(
+        "final",
+        description="how a run is reduced to one number: its last value, its mean over time, or the time until `threshold`",
+    )
+    threshold: Finite | None = Field(
+        None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"
+    )
+    center: Literal["mean", "median", "iqm"] = Field(
+        "mean", description="mean with its 95 % interval, median with quartiles, or interquartile mean with its 95 % interval"
+    )
+    title: str = Field("", description="title above the figure")
+    xlabel: str = Field("", description="label of the x axis; default: name and unit of the time or the variable")
+    ylabel: str = Field("", description="label of the values; default: the column's name and unit")
+    log_x: bool = Field(False, description="logarithmic x axis; variables with the values 1, 2, 4, … always have one")
+    log_y: bool = Field(False, description="logarithmic scale of the values (in a heatmap: of the colours)")
+
+    @model_validator(mode="after")
+    def _fitting(self) -> Figure:
+        if self.measure == "time_to" and self.threshold is None:
+            raise ValueError('measure "time_to" needs a "threshold"')
+        if self.measure != "time_to" and self.threshold is not None:
+            raise ValueError('"threshold" needs measure = "time_to"')
+        if self.kind == "timeseries" and self.measure != "final":
+            raise ValueError(f'measure {self.measure!r} needs another kind, such as kind = "summary"')
+        if self.times and self.kind not in ("timeseries", "stacked"):
+            raise ValueError(f'"times" needs kind "timeseries" or "stacked", not {self.kind!r}')
+        return self

@@ -1,0 +1,134 @@
+"""Types of the keys of `sierra.toml`, with their checks, and the base class of its tables."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import PurePosixPath
+from typing import Annotated
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    NonNegativeInt,
+    PositiveInt,
+    StringConstraints,
+    WithJsonSchema,
+)
+
+from sierra.config import group_names, targets
+from sierra.store.layout import STORE
+
+NAME = r"^[A-Za-z_][A-Za-z0-9_]*$"
+Name = Annotated[str, StringConstraints(pattern=NAME)]
+"""A name that is also a column in SQL."""
+GroupName = Annotated[str, StringConstraints(pattern=group_names.GROUP_NAME)]
+"""A name of a controller or a scenario: see `sierra.config.group_names`."""
+VariableName = Annotated[str, StringConstraints(pattern=r"^[^=]+$")]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Scalar = str | int | float
+Words = str | tuple[str, ...]
+"""A list of texts, or its short form."""
+RawTable = targets.RawTable
+
+
+def as_words(value: object) -> object:
+    """Split a command that is written as one line. The rules are those of a shell, but no shell executes it."""
+    return tuple(shlex.split(value)) if isinstance(value, str) else value
+
+
+def _as_commands(value: object) -> object:
+    """Return a list of commands from one that is written as one line."""
+    return (as_words(value),) if isinstance(value, str) else value
+
+
+def valid_path(is_valid: Callable[[str], bool], expected: str) -> AfterValidator:
+    """Return a validator that refuses a path with a message that says what was expected."""
+
+    def check(path: str) -> str:
+        if not is_valid(path):
+            raise ValueError(f"{path!r} should be {expected}")
+        return path
+
+    return AfterValidator(check)
+
+
+def size(text: object) -> object:
+    """Return a size in bytes from `500 MB`, `2 GiB`, or a plain number. Raises ValueError."""
+    if not isinstance(text, str):
+        return text
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kKMGT]?i?)B?\s*", text)
+    if not match:
+        raise ValueError(f"{text!r} is not a size; use one such as 500 MB or 2 GiB")
+    number, prefix = match.groups()
+    base = 1024 if prefix.endswith("i") else 1000
+    return int(float(number) * base ** " kmgt".index(prefix[:1].lower() or " "))
+
+
+def _as_text(value: object) -> object:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return str(value) if isinstance(value, int | float) else value
+
+
+def regular_expression(text: str) -> str:
+    try:
+        re.compile(text.encode())
+    except re.error as error:
+        raise ValueError(f"{text!r} is not a regular expression: {error}") from error
+    return text
+
+
+Text = Annotated[str, BeforeValidator(_as_text, json_schema_input_type=str | int | float | bool)]
+Size = Annotated[
+    PositiveInt,
+    BeforeValidator(size),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer", "exclusiveMinimum": 0}]}),
+]
+SizeOrNone = Annotated[
+    NonNegativeInt,
+    BeforeValidator(size),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer", "minimum": 0}]}),
+]
+Line = Annotated[str, StringConstraints(pattern=r"^[^\n\r]+$")]
+Argv = Annotated[tuple[str, ...], BeforeValidator(as_words, json_schema_input_type=Words)]
+Inside = Annotated[
+    str,
+    valid_path(
+        lambda path: not path.startswith("/") and ".." not in PurePosixPath(path).parts,
+        "a path within the run's output folder, such as results.csv",
+    ),
+]
+InProject = Annotated[
+    str,
+    valid_path(
+        lambda path: (
+            bool(path)
+            and not path.startswith("/")
+            and ".." not in PurePosixPath(path).parts
+            and not {".git", STORE} & set(PurePosixPath(path).parts)
+        ),
+        "a path within the project, such as build/sim",
+    ),
+]
+Command = Annotated[tuple[str, ...], BeforeValidator(as_words, json_schema_input_type=Words), Field(min_length=1)]
+Commands = Annotated[
+    tuple[Annotated[tuple[str, ...], Field(min_length=1)], ...],
+    BeforeValidator(_as_commands, json_schema_input_type=str | tuple[tuple[str, ...], ...]),
+]
+Absolute = Annotated[
+    str,
+    valid_path(lambda path: path.startswith(("/", "~", "$")), "an absolute path, such as /scratch/me, ~/scratch or $SCRATCH"),
+]
+
+
+class Table(BaseModel):
+    """A table of `sierra.toml`: unknown keys are errors, and it is immutable."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)

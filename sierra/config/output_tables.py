@@ -1,0 +1,245 @@
+"""Tables of `sierra.toml` about what runs write: outputs, success, tolerances, equivalence."""
+
+from __future__ import annotations
+
+import fnmatch
+import re
+from collections.abc import Mapping
+from functools import cache
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, PositiveInt, StringConstraints, WithJsonSchema, model_validator
+
+from sierra.config.field_types import Finite, Inside, Name, NotNegative, Positive, Table
+
+SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
+"""Endings of output files with the format that another ending is named after."""
+FILE_FORMAT = "file"
+"""The format of outputs that are kept as files and become no table."""
+NAMED_FORMATS = ("json", "xml", "graphml", "npy", "arrow", "sqlite", "hdf5", "netcdf")
+"""Formats that are only read if they are named, because such files were kept as files before there was a reader."""
+PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
+"""A name in braces that stands for a number in the name of an output file."""
+ELEMENTS = re.compile(r"(//?(\*|[^\W\d][\w.:-]*))+")
+"""A path of elements in XML."""
+CSV_KEYS = ("skip", "comment", "header_lines", "units_row", "decimal", "na", "widths")
+KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(CSV_KEYS, ("csv",)),
+    "rows": ("json", "xml", "graphml", "sqlite", "hdf5", "netcdf"),
+    **dict.fromkeys(("flatten", "unnest"), ("json", "jsonl")),
+}
+"""Keys of `[outputs.NAME]` that are only for certain formats."""
+LATER_KEYS = tuple(KEYS_OF_FORMATS)
+"""Keys of `[outputs.NAME]` that were added after rules had been recorded."""
+Delimiter = Annotated[str, StringConstraints(pattern=r"^(.|blanks)?$|^[\t\n]$")]
+
+
+def _once(names: tuple[str, ...]) -> tuple[str, ...]:
+    if len({name.lower() for name in names}) < len(names):
+        raise ValueError("column names should be unique; SQL ignores upper and lower case")
+    return names
+
+
+class Tolerance(Table):
+    """The largest difference of a replayed number from the recorded one; one of these limits must be met."""
+
+    abs: NotNegative = Field(0.0, description="maximum absolute difference, in the column's unit")
+    rel: NotNegative = Field(0.0, description="maximum difference divided by the absolute value of the recorded number")
+    ulp: NotNegative = Field(0.0, description="maximum difference in units in the last place of a double")
+
+
+@cache
+def _numbered(file: str) -> re.Pattern[str]:
+    """Return the regular expression for the names of files in which names in braces stand for whole numbers."""
+    literals = PLACEHOLDER.split(file)[::2]
+    return re.compile("([0-9]{1,18})".join(map(re.escape, literals)))
+
+
+class Output(Table):
+    """One kind of file that runs write, and the table that it becomes."""
+
+    file: Inside = Field(
+        min_length=1,
+        description="path or glob, from the run's output folder; `{tick}` in `floor-{tick}.csv` is a number and a column",
+    )
+    format: (
+        Annotated[
+            str,
+            WithJsonSchema(
+                {
+                    "type": "string",
+                    "enum": [
+                        "csv",
+                        "parquet",
+                        "jsonl",
+                        "json",
+                        "xml",
+                        "graphml",
+                        "npy",
+                        "arrow",
+                        "sqlite",
+                        "hdf5",
+                        "netcdf",
+                        "file",
+                    ],
+                }
+            ),
+        ]
+        | None
+    ) = Field(
+        None,
+        description="format; `file` is stored but does not become a table; default: by the file's extension, "
+        "if it is csv, parquet or jsonl",
+    )
+    delimiter: Delimiter = Field(
+        "",
+        description="separator between the columns of a CSV file; `blanks`: one or more blanks or tabs; default: detected",
+    )
+    header: bool = Field(True, description="whether the first line of a CSV file contains the column names")
+    columns: Annotated[tuple[Name, ...], AfterValidator(_once)] = Field(
+        (), description="column names of a CSV file without a header"
+    )
+    skip: int = Field(0, ge=0, description="number of lines at the beginning of a CSV file that are not read")
+    comment: str = Field("", description="beginning of lines of a CSV file that are not read, such as `#`")
+    header_lines: int = Field(
+        1, ge=1, description="number of lines of a CSV file that make up the column names; their texts are joined by a dot"
+    )
+    units_row: bool = Field(False, description="whether a line with units follows the column names of a CSV file")
+    decimal: Literal[".", ","] = Field(".", description="decimal separator of a CSV file")
+    na: tuple[str, ...] = Field((), description="texts that stand for a missing value in a CSV file, such as `NA`")
+    widths: tuple[PositiveInt, ...] = Field(
+        (), description="number of characters of each column of a text file without separators (fixed width)"
+    )
+    rows: str = Field(
+        "",
+        description="part of a file that has the rows: in JSON, keys such as `results.steps`; in XML, `//NAME` or `/A/B`; "
+        "in GraphML, `nodes` or `edges`; in SQLite, a table or a SELECT statement; "
+        "in HDF5, the path of a dataset or group; in NetCDF, variables separated by commas",
+    )
+    flatten: bool | None = Field(
+        None, description="whether objects in JSON become columns such as `pose.x`; default: yes in `json`, no in `jsonl`"
+    )
+    unnest: str = Field("", description="list in each JSON object whose items become rows, such as `robots`")
+    time: str = Field("", description="column that is the time axis; default: the row number")
+    ticks_per_second: Positive | Annotated[str, Field(min_length=1)] | None = Field(
+        None,
+        description="ticks per second, if the time column counts ticks: a number, or the XPath of one in the runs' inputs; "
+        "figures over time then show seconds; needs `time`",
+    )
+    required: bool = Field(True, description="whether a run fails without this output")
+    min_rows: int = Field(0, ge=0, description="minimum number of rows; a run with fewer rows fails")
+    mismatch: Literal["strict", "ragged"] = Field(
+        "strict",
+        description="if row count or columns differ from those of sibling runs: `strict` fails the run, `ragged` keeps it "
+        "and reports n",
+    )
+    units: Mapping[str, str] = Field(default_factory=dict, description="unit of each column in figures")
+    tolerance: Mapping[str, Tolerance] = Field(
+        default_factory=dict,
+        description="maximum difference between replay and record, by column (`*`: all other columns): abs, rel or ulp",
+    )
+    ordered: bool = Field(True, description="whether a replay compares the order of rows")
+    volatile: tuple[str, ...] = Field(
+        (), description="not compared by a replay: columns of a table; for other files, regular expressions that match lines"
+    )
+
+    @model_validator(mode="after")
+    def _fitting(self) -> Output:
+        for key, known in KEYS_OF_FORMATS.items():
+            if getattr(self, key) and key not in self.unused_later_keys and self.kind not in known:
+                formats = " or ".join(f'format = "{name}"' for name in known)
+                raise ValueError(f"{key} needs {formats}, but the format is {self.kind!r}")
+        if not self.header and (self.units_row or self.header_lines > 1):
+            raise ValueError(f"{'units_row' if self.units_row else 'header_lines'} needs header = true")
+        if self.kind == "xml" and not ELEMENTS.fullmatch(self.rows):
+            raise ValueError(f'format = "xml" needs rows, a path of element names such as "//tripinfo", not {self.rows!r}')
+        if self.kind == "graphml" and self.rows not in ("nodes", "edges"):
+            raise ValueError('format = "graphml" needs rows = "nodes" or rows = "edges"')
+        if self.kind == "sqlite" and not self.rows:
+            raise ValueError('format = "sqlite" needs rows, the name of a table or a SELECT statement')
+        if self.kind in ("hdf5", "netcdf") and not self.rows.strip(" ,"):
+            what = "the path of a dataset or group" if self.kind == "hdf5" else "one or more variables, separated by commas"
+            raise ValueError(f'format = "{self.kind}" needs rows, {what}')
+        if self.ticks and any(character in self.file for character in "*?["):
+            raise ValueError(f"file: {{{self.ticks[0]}}} and the characters * ? [ exclude each other: {self.file!r}")
+        if len(set(map(str.lower, self.ticks))) < len(self.ticks):
+            raise ValueError(f"file: a name in braces occurs twice: {self.file!r}")
+        if self.ticks_per_second is not None and not self.time:
+            raise ValueError('ticks_per_second needs time = "COLUMN"')
+        if self.widths and self.delimiter:
+            raise ValueError("widths and delimiter exclude each other")
+        if self.decimal == "," == self.delimiter:
+            raise ValueError('decimal = "," needs another delimiter')
+        return self
+
+    @property
+    def unused_later_keys(self) -> frozenset[str]:
+        """Return the keys of `LATER_KEYS` that have their default; hashes of rules do not contain them, and stay the same."""
+        return frozenset(key for key in LATER_KEYS if getattr(self, key) == type(self).model_fields[key].default)
+
+    @property
+    def ticks(self) -> tuple[str, ...]:
+        """Return the names of the numbers in the names of its files, such as `tick` in `floor-{tick}.csv`."""
+        return tuple(PLACEHOLDER.findall(self.file))
+
+    def ticks_of(self, path: str) -> tuple[int, ...] | None:
+        """Return the numbers in the name of a file; None if the file does not belong to this output."""
+        found = _numbered(self.file.removeprefix("./")).fullmatch(path)
+        return None if found is None else tuple(map(int, found.groups()))
+
+    def matches(self, path: str) -> bool:
+        """Return True if a file of the output folder belongs to this output, by its name or as a glob; `*` matches slashes."""
+        if self.ticks:
+            return self.ticks_of(path) is not None
+        file = self.file.removeprefix("./")
+        return path == file or fnmatch.fnmatchcase(path, file)
+
+    @property
+    def kind(self) -> str:
+        """Return the name of its format: as declared, or from the ending of the file. There may be no reader of that name."""
+        ending = self.file.rsplit(".", 1)[-1].lower()
+        return self.format or (FILE_FORMAT if ending in NAMED_FORMATS else SAME_FORMAT.get(ending, ending))
+
+
+def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:
+    """Check that no two outputs have the same file. Raises ValueError."""
+    owners: dict[str, str] = {}
+    for name, output in outputs.items():
+        file = output.file.removeprefix("./")
+        if (first := owners.setdefault(file, name)) != name:
+            raise ValueError(f"{first!r} and {name!r} have the same file {file!r}; a file becomes one table")
+    return outputs
+
+
+class Success(Table):
+    """Conditions for a successful run, in addition to its required outputs."""
+
+    marker: Inside = Field("", description="a file in the output folder (or `stdout`, `stderr`) that must exist")
+    contains: str = Field("", description="text that the marker file must contain")
+    exit_status: tuple[int, ...] = Field((0,), min_length=1, description="exit statuses that mean success")
+
+
+class Equivalence(Table):
+    """A metric by which a replay compares nondeterministic runs, over all runs of an experiment."""
+
+    table: str = Field(description="name of the output")
+    column: str = Field(description="column of the output")
+    measure: Literal["final", "mean", "time_to"] = Field(
+        "final", description="how a run is reduced to one number, as in figures"
+    )
+    threshold: Finite | None = Field(None, description="for `time_to`, as in figures")
+    margin: Positive | None = Field(
+        None, description="maximum difference between means that are still equivalent, in the column's unit"
+    )
+    relative: Positive | None = Field(None, description="the margin as a fraction of the recorded mean (0.05: 5 %)")
+    alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
+        0.05, description="significance level: maximum probability of finding means equivalent that differ by the margin"
+    )
+
+    @model_validator(mode="after")
+    def _fitting(self) -> Equivalence:
+        if (self.margin is None) == (self.relative is None):
+            raise ValueError('give either "margin" or "relative"')
+        if (self.measure == "time_to") != (self.threshold is not None):
+            raise ValueError('measure "time_to" and "threshold" must be used together')
+        return self
