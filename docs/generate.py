@@ -109,6 +109,17 @@ def _section(
         yield "The keys are in [keys of a change](#keys-of-a-change)."
     else:
         yield _keys(schema, model, model["properties"])
+    if name == "figures":
+        yield from _keys_of_kinds(schema)
+
+
+def _keys_of_kinds(schema: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the keys that only one kind of figure has, kind by kind."""
+    for title, model in schema["$defs"].items():
+        if title.startswith("figures."):
+            yield f"### Figures of kind {title.partition('.')[2]}"
+            yield _sentence(model)
+            yield _keys(schema, model, model["properties"])
 
 
 def _model(schema: Mapping[str, Any], key: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None:

@@ -1,6 +1,6 @@
 """All that a package needs to add to SIERRA: the contracts of plug-ins, the records they get and return, and the errors.
 
-A plug-in is a class of one of six kinds. A package offers it by an entry point in its `pyproject.toml`. The name of the entry
+A plug-in is a class of one of seven kinds. A package offers it by an entry point in its `pyproject.toml`. The name of the entry
 point is the name by which users choose the plug-in:
 
     [project.entry-points."sierra.platforms"]
@@ -15,6 +15,7 @@ group of entry points      contract           chosen by                         
 `sierra.schedulers`        `Scheduler`        `[runners.…] scheduler = "NAME"`           the same table
 `sierra.engines`           `Engine`           `[container] engine = "NAME"`, `--engine`  `[engines.NAME]`
 `sierra.readers`           `OutputReader`     `[outputs.…] format`, or the ending        `[readers.NAME]`
+`sierra.figures`           `FigureKind`       `[figures.…] kind = "NAME"`                the same table
 =========================  =================  =========================================  ============================
 
 Each class has two class attributes beside what its contract says:
@@ -27,7 +28,7 @@ Each class has two class attributes beside what its contract says:
 **Identity.** A run's id is the hash of its inputs, command, environment, source and image. The options of a platform and of a
 template format are part of it as far as they change these. The options of a reader, and its package's version, are part of the
 hash of the rules by which executions are evaluated. The options of a runner, a scheduler and an engine are part of no id, so
-they must not change results.
+they must not change results. A kind of figure is part of no id either.
 
 **Errors.** Raise `ConfigError` for invalid settings, `TemplateError` for a template, `Missing` for something that does not
 exist on this machine, `UnreadableError` for an output file, with one line: what is wrong, which one, what would be right. Any
@@ -36,19 +37,23 @@ other error counts as a fault of the plug-in, and SIERRA says so in one line tha
 **Loading.** A plug-in is imported when a command uses its name. An import that fails breaks only these commands. Two packages
 that offer the same name for one kind are an error that names both; the shipped names cannot be replaced.
 
-`sierra.testing` has a conformance suite for each kind: `platforms`, `templates`, `runners` (for schedulers too), `engines` and
-`readers`. The contracts themselves are the docstrings of the classes below.
+`sierra.testing` has a conformance suite for each kind: `platforms`, `templates`, `runners` (for schedulers too), `engines`,
+`readers` and `figures`. The contracts themselves are the docstrings of the classes below.
 """
 
 from __future__ import annotations
 
 from sierra.config.cluster_table import ClusterTable
+from sierra.config.deliverable_tables import Figure
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import KINDS, VERSION, Kind, NoOptions
 from sierra.config.project_file import Project
 from sierra.config.validate import options
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images.image import Image
+from sierra.deliverables.figures.base import FigureKind
+from sierra.deliverables.figures.base import Request as FigureRequest
+from sierra.deliverables.figures.drawing import Drawing
 from sierra.errors import ConfigError, Full, Missing, PluginError, QueryError, SierraError, TemplateError, UsageError
 from sierra.ingest.base import Columns, OutputReader, UnreadableError
 from sierra.model import (
@@ -76,6 +81,7 @@ from sierra.query.ranges import values
 from sierra.runners.base import Look, Runner, Work
 from sierra.runners.local import Local
 from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, Request, Scheduler, State, Task
+from sierra.stats.needs import Needs
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.templates.arithmetic import fill
 from sierra.templates.base import ARGUMENTS, Document, Files, Rendered, Renderer, Template
@@ -97,7 +103,11 @@ __all__ = [
     "ContainerSpec",
     "Criterion",
     "Document",
+    "Drawing",
     "Engine",
+    "Figure",
+    "FigureKind",
+    "FigureRequest",
     "Files",
     "Following",
     "Full",
@@ -110,6 +120,7 @@ __all__ = [
     "Look",
     "Missing",
     "Mount",
+    "Needs",
     "NoOptions",
     "OutputFile",
     "OutputReader",

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
-from sierra.config.field_types import Finite, Table, Words
+from sierra.config.field_types import Finite, RawTable, Table, Words
+
+CHOSEN = frozenset({"times", "measure", "center"})
+"""The keys of figures that have an effect on some kinds only: each kind says which in `uses`."""
 
 
 class Figure(Table):
-    """One figure. If there are none, each numeric column of each output gets a time series and a summary."""
+    """One figure. If there are none, each numeric column of each output gets a time series and a summary.
 
-    kind: Literal["timeseries", "summary", "box", "violin", "heatmap", "stacked"] = Field(
+    A kind may have keys of its own, which are beside these.
+    """
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    kind: Annotated[str, Field(min_length=1)] = Field(
         "timeseries",
         description="`timeseries`: lines over time; `summary`, `box`, `violin`: points, boxes or violins over the first "
-        "variable; `heatmap`: a map of two variables; `stacked`: areas",
+        "variable; `heatmap`: a map of two variables; `stacked`: areas; or a plug-in",
     )
     table: str = Field("", description="name of the output; may be omitted if there is only one")
     columns: Annotated[
@@ -48,8 +56,17 @@ class Figure(Table):
             raise ValueError('measure "time_to" needs a "threshold"')
         if self.measure != "time_to" and self.threshold is not None:
             raise ValueError('"threshold" needs measure = "time_to"')
-        if self.kind == "timeseries" and self.measure != "final":
-            raise ValueError(f'measure {self.measure!r} needs another kind, such as kind = "summary"')
-        if self.times and self.kind not in ("timeseries", "stacked"):
-            raise ValueError(f'"times" needs kind "timeseries" or "stacked", not {self.kind!r}')
         return self
+
+    @model_validator(mode="after")
+    def _of_its_kind(self) -> Figure:
+        from sierra.config.figure_options import complaint_if_shipped
+
+        if wrong := complaint_if_shipped(self):
+            raise ValueError(wrong)
+        return self
+
+    @property
+    def own(self) -> RawTable:
+        """Return the keys that only this kind has, as they are written."""
+        return self.model_extra or {}

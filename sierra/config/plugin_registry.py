@@ -1,4 +1,4 @@
-"""The registry of plug-ins: classes of six kinds that are found by name, shipped with SIERRA or added by other packages.
+"""The registry of plug-ins: classes of seven kinds that are found by name, shipped with SIERRA or added by other packages.
 
 A package adds a class by an entry point of the group of its kind. The shipped classes are entry points too, but they are
 written here, so that no metadata is read for them. A plug-in is imported when its name is used, and not before. A command that
@@ -17,6 +17,7 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from sierra.config import figure_options
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import RawTable, Table
 from sierra.config.project_file import Project
@@ -209,7 +210,21 @@ READERS = Kind(
         "netcdf": "sierra.ingest.netcdf_variables:NetcdfVariables",
     },
 )
-KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS)
+_OVER_TIME, _OVER_VARIABLE = (f"sierra.deliverables.figures.kinds.{name}" for name in ("over_time", "over_variable"))
+FIGURES = Kind(
+    "figure",
+    "sierra.deliverables.figures.base:FigureKind",
+    {
+        "timeseries": f"{_OVER_TIME}:Timeseries",
+        "summary": f"{_OVER_VARIABLE}:Summary",
+        "box": f"{_OVER_VARIABLE}:Box",
+        "violin": f"{_OVER_VARIABLE}:Violin",
+        "heatmap": f"{_OVER_VARIABLE}:Heatmap",
+        "stacked": f"{_OVER_TIME}:Stacked",
+    },
+)
+"""Kinds of figures. Their options are in the table of each figure that has this `kind`."""
+KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS, FIGURES)
 
 
 def check(project: Project) -> None:
@@ -218,6 +233,7 @@ def check(project: Project) -> None:
     TEMPLATES.check(project.template_formats)
     ENGINES.check(project.engines)
     READERS.check(project.readers)
+    figure_options.check(project.figures)
 
 
 def culprit(error: BaseException) -> str | None:

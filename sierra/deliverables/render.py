@@ -15,15 +15,18 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import seconds
+from sierra.deliverables.figures.base import Request, kind_of
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
+from sierra.stats.needs import Needs
 from sierra.store.layout import ProjectPaths
 from sierra.store.samples import MIXED, Column, Frame, OutputTable, names_time
 from sierra.store.segments import disk_errors
@@ -171,7 +174,8 @@ class _Drawer:
 def fingerprint(drawing: Drawing) -> str:
     """Return the hash of everything that a figure's bytes depend on: its content, and the programs that draw it."""
     tables = {name: table for name, table in drawing.tables.items() if table is not None}
-    numbers = [repr(table.to_pydict()) for table in (*tables.values(), *([] if drawing.runs is None else [drawing.runs]))]
+    data = [*tables.values(), *([] if drawing.runs is None else [drawing.runs]), *drawing.rows.values()]
+    numbers = [repr(table.to_pydict()) for table in data]
     shown = [drawing.figure.model_dump_json(), drawing.axes, dict(drawing.cells), list(tables), numbers]
     rest = [drawing.name, drawing.note, drawing.sql, drawing.batch, drawing.time, dict(drawing.units), drawing.formats]
     return sha256(repr((shown, rest, __version__, version("matplotlib"))).encode())
@@ -200,6 +204,7 @@ class _Gallery:
     def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
         """Return the figures to draw, by name, and notes about them."""
         declared = self._config.figures
+        figure_options.check(declared)
         found, notes = (dict(declared), []) if declared else self._default()
         if name is not None:
             everything = {**self._default()[0], **declared}
@@ -238,8 +243,10 @@ class _Gallery:
         frame = Column(self._frame, output.name, column, self.time(output))
         return stats.Samples(frame, self._coverage(output), column in output.whole)
 
-    def _check(self, output: OutputTable, columns: Sequence[str]) -> None:
+    def _check(self, output: OutputTable, columns: Sequence[str], *, numeric: bool = True) -> None:
         for column in columns:
+            if not numeric and column in output.all_columns:
+                continue
             if column in output.mixed:
                 raise UsageError(f"column {column!r} of output {output.name!r} {MIXED}; see {column + TEXT!r} in sierra sql")
             if column not in output.columns:
@@ -252,11 +259,12 @@ class _Gallery:
             figure = figure.model_copy(update={"measure": "mean"})
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
-        self._check(output, columns)
         frames = {column: Column(self._frame, output.name, column, time) for column in columns}
-        computed = stats.compute(
-            figure, self._axes, frames, planned=self.planned, known=self._coverage(output), whole=output.whole
-        )
+        seen = self._coverage(output)
+        needs = kind_of(figure).needs(Request(figure, self._axes, len(seen.runs), seen.most, columns))
+        self._check(output, columns, numeric=needs.numeric)
+        computed = stats.compute(figure, frames, needs, planned=self.planned, known=seen, whole=output.whole)
+        rows = self._rows(output.name, time, needs)
         declared = self._config.outputs.get(output.name)
         units = dict(declared.units) if declared else {}
         tables, note = computed.tables, computed.note
@@ -272,12 +280,20 @@ class _Gallery:
             cells=self._cells,
             tables=tables,
             runs=computed.runs,
+            rows=rows,
             note="; ".join(filter(None, (*self.target_notes, note))),
-            sql=computed.sql,
+            sql="\n\n".join(filter(None, (computed.sql, *needs.rows.values()))),
             batch=self._frame.batch,
             time=time or "row",
             units=units,
         )
+
+    def _rows(self, table: str, time: str, needs: Needs) -> Mapping[str, pa.Table]:
+        """Return the results of a kind's own statements."""
+        if not needs.rows:
+            return {}
+        self._frame.data(table, time)
+        return {name: self._frame.sql(statement) for name, statement in needs.rows.items()}
 
     def time(self, output: OutputTable) -> str:
         """Return the name of the time column; "" if there is none.

@@ -20,7 +20,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import NAME
-from sierra.config.plugin_registry import ENGINES, KINDS, PLATFORMS, READERS, RUNNERS, SCHEDULERS, TEMPLATES, Kind
+from sierra.config.plugin_registry import ENGINES, FIGURES, KINDS, PLATFORMS, READERS, RUNNERS, SCHEDULERS, TEMPLATES, Kind
 from sierra.config.project_file import Project
 from sierra.config.targets import SHARED
 from sierra.errors import PluginError
@@ -62,6 +62,11 @@ Schema = TypedDict(
         "required": list[str],
         "patternProperties": "dict[str, Schema]",
         "additionalProperties": "Schema | bool",
+        "unevaluatedProperties": bool,
+        "const": str,
+        "allOf": "list[Schema]",
+        "if": "Schema",
+        "then": "Schema",
     },
     total=False,
 )
@@ -86,6 +91,7 @@ def json_schema(note: Note | None = None) -> Schema:
         if named:
             table["properties"] = named
     _clusters(schema, note)
+    _figures(schema, note)
     _targets(schema)
     formats = schema["$defs"]["Output"]["properties"]["format"]["anyOf"][0]["enum"]
     formats.extend(name for name in _usable(READERS, note) if name not in formats)
@@ -149,6 +155,25 @@ def _clusters(schema: Schema, note: Note | None) -> None:
     runners["additionalProperties"] = clusters[0] if len(clusters) == 1 else {"anyOf": clusters}
 
 
+def _figures(schema: Schema, note: Note | None) -> None:
+    """Add the keys of `[figures.NAME]` that belong to one kind, each under the name of its kind."""
+    figure = schema["$defs"]["Figure"]
+    figure.pop("additionalProperties")
+    figure["properties"]["kind"]["enum"] = [*FIGURES.shipped, *_usable(FIGURES, note)]
+    for kind in _with_options(FIGURES, note):
+        model = FIGURES.load(kind).Options
+        if model.model_fields:
+            chosen: Schema = {"properties": {"kind": {"const": kind}}, "required": ["kind"]}
+            figure.setdefault("allOf", []).append({"if": chosen, "then": _define(schema, _of_kind(kind), model)})
+            schema["$defs"][_of_kind(kind)].pop("additionalProperties")
+    figure["unevaluatedProperties"] = False
+
+
+def _of_kind(kind: object) -> str:
+    """Return the name of the definition of a kind's own keys."""
+    return f"figures.{kind}"
+
+
 def _targets(schema: Schema) -> None:
     """Add the table of a target: the keys of `sierra.toml` that are not shared by all targets."""
     own = {name: key for name, key in schema["properties"].items() if name not in SHARED}
@@ -192,7 +217,14 @@ class _Reference:
         self._explained: set[str] = set()
 
     def lines(self) -> Iterator[str]:
-        yield from self._table((), self._schema, [tomllib.loads(EXAMPLES.read_text())])
+        examples: Values = tomllib.loads(EXAMPLES.read_text())
+        figures = cast("Values", examples["figures"])
+        shown = {figure.get("kind") for figure in figures.values() if isinstance(figure, dict)}
+        for kind in self._schema["$defs"]["Figure"]["properties"]["kind"]["enum"]:
+            keys = self._schema["$defs"].get(_of_kind(kind), {}).get("properties", {})
+            if keys and kind not in shown:
+                figures[str(kind)] = {"kind": kind, **{name: _placeholder(self._plain(key)) for name, key in keys.items()}}
+        yield from self._table((), self._schema, [examples])
 
     def _table(self, path: tuple[str, ...], model: Schema, examples: list[Values]) -> Iterator[str]:
         """Yield the lines of a table's first example; the first table of its kind also shows the keys that no example has."""
@@ -202,7 +234,8 @@ class _Reference:
         below = [name for name in names if _has_header(path, values[name])]
         for name in names:
             if name not in below:
-                yield from self._sentence(model, name)
+                of_kind = self._schema["$defs"].get(_of_kind(values.get("kind")), model)
+                yield from self._sentence(model if name in known else of_kind, name)
                 yield f"#{name} = {_written(values[name])}"
         for name in below:
             yield ""

@@ -30,6 +30,7 @@ from sierra.config.deliverable_tables import Figure
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.stats import student_t
+from sierra.stats.needs import Needs
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
@@ -137,27 +138,29 @@ def coverage(frame: Frame) -> Coverage:
 
 def compute(
     figure: Figure,
-    axes: Sequence[Axis],
     frames: Mapping[str, Frame],
+    needs: Needs,
     *,
     planned: Mapping[int, int] | None = None,
     known: Coverage | None = None,
     whole: Container[str] = (),
 ) -> Computed:
-    """Compute the content of `figure` from the columns in `frames` (column's name → its samples).
+    """Compute what a figure `needs` from the columns in `frames` (column's name → its samples).
 
     `planned` is the number of runs that each experiment should have, to report absent runs. `known` is the coverage of the
     same output, if it was computed before. `whole` has the columns of whole numbers and truth values. Raises SierraError
     if there is nothing to show, UsageError if the figure does not fit the batch.
     """
-    _check(figure, axes, frames)
+    _check(figure, needs, frames)
     seen = known or coverage(next(iter(frames.values())))
-    statistics = needed(figure)
+    if needs.rows:
+        return Computed({}, None, "", "; ".join([needs.shows, *left_out((), seen, planned)]))
+    statistics = _ordered(needs.statistics)
     notes: dict[str, None] = {}
     tables, texts = {}, []
     for column, frame in frames.items():
         samples = Samples(frame, seen, column in whole)
-        if over_time(figure, axes, seen):
+        if needs.over == "time":
             table, text, how = samples.at_times(figure.times, statistics)
             notes |= dict.fromkeys(how)
         else:
@@ -166,10 +169,8 @@ def compute(
         texts.append(text)
     if not any(_total(table, "n") for table in tables.values()):
         raise SierraError(_nothing(figure, tables, seen))
-    runs = None
-    if figure.kind in ("box", "violin"):
-        runs = reduced(next(iter(frames.values())), figure.measure, figure.threshold)
-    shown = _note(figure, tables.values(), seen, planned)
+    runs = _values(frames, figure) if needs.runs else None
+    shown = _note(figure, needs, tables.values(), seen, planned)
     return Computed(tables, runs, "\n\n".join(dict.fromkeys(texts)), "; ".join([*shown, *notes]))
 
 
@@ -182,22 +183,6 @@ def default_figures(table: str, columns: Iterable[str], axes: Sequence[Axis], *,
         for column in columns
         for kind in kinds
     }
-
-
-def needed(figure: Figure) -> tuple[str, ...]:
-    """Return the statistics that a figure of this kind shows, each after those that its formula uses."""
-    boxes, center = ("median", "whiskers"), CENTERS[figure.center]
-    return _ordered({"box": boxes, "violin": boxes, "stacked": center[:1]}.get(figure.kind, center))
-
-
-def over_time(figure: Figure, axes: Sequence[Axis], seen: Coverage) -> bool:
-    """Return whether a figure's x axis is time.
-
-    A stacked figure's is, if runs have several rows, and there are at most nine experiments or no axes.
-    """
-    if figure.kind == "stacked":
-        return seen.most > 1 and (len(seen.runs) <= 9 or not axes)
-    return figure.kind == "timeseries"
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,23 +311,33 @@ def _code(text: str) -> str:
     return re.sub(r"--[^\n]*", "", text)
 
 
-def _check(figure: Figure, axes: Sequence[Axis], frames: Mapping[str, Frame]) -> None:
+def _check(figure: Figure, needs: Needs, frames: Mapping[str, Frame]) -> None:
     if not frames:
         raise UsageError(f"a {figure.kind} figure needs a column; name one with `column`")
-    if figure.kind == "heatmap" and len(axes) != 2:
-        raise UsageError(f"a heatmap needs two independent variables, but this batch has {len(axes)}; use a summary")
-    if figure.kind != "stacked" and len(frames) != 1:
-        raise UsageError(f"a {figure.kind} figure shows one column, not {len(frames)}: {', '.join(frames)}")
+    if needs.columns is not None and len(frames) != needs.columns:
+        wanted = "one column" if needs.columns == 1 else f"{needs.columns} columns"
+        raise UsageError(f"a {figure.kind} figure shows {wanted}, not {len(frames)}: {', '.join(frames)}")
 
 
-def _note(figure: Figure, tables: Iterable[pa.Table], seen: Coverage, planned: Mapping[int, int] | None) -> list[str]:
+def _values(frames: Mapping[str, Frame], figure: Figure) -> pa.Table:
+    """Return the finite values of runs: `experiment`, `run`, `value`, and for further columns `value_2` and so on."""
+    first, *others = (reduced(frame, figure.measure, figure.threshold) for frame in frames.values())
+    for place, table in enumerate(others, 2):
+        keys = ["experiment", "run"]
+        first = first.join(table.rename_columns([*keys, f"value_{place}"]), keys, join_type="inner")
+    return first.sort_by([("experiment", "ascending"), ("run", "ascending")]) if others else first
+
+
+def _note(
+    figure: Figure, needs: Needs, tables: Iterable[pa.Table], seen: Coverage, planned: Mapping[int, int] | None
+) -> list[str]:
     """Return notes for the reader: what is shown, n, and everything that is not in the numbers."""
     tables = list(tables)
     counts = [table.column("n").to_numpy() for table in tables]
     low, high = int(min(n.min() for n in counts)), int(max(n.max() for n in counts))
-    shown = _shown(figure, several=high > 1, rate=any(map(is_rate, tables)))
+    shown = needs.shows or _shown(figure, several=high > 1, rate=any(map(is_rate, tables)))
     runs = f"n = {low}–{high}" if low < high else f"n = {low}"
-    return [f"{shown}, {runs}", *left_out(tables, seen, planned, figure.threshold, _marked(figure, tables[0]))]
+    return [f"{shown}, {runs}", *left_out(tables, seen, planned, figure.threshold, _marked(needs, tables[0]))]
 
 
 def left_out(
@@ -386,25 +381,20 @@ def is_rate(table: pa.Table) -> bool:
 
 
 def _shown(figure: Figure, *, several: bool, rate: bool) -> str:
-    """Return a description of a figure's marks."""
+    """Return a description of a figure's center and interval."""
     center = figure.center.replace("iqm", "interquartile mean")
     spread = "quartiles" if figure.center == "median" else "Wilson's 95 % CI of a rate" if rate else "95 % CI"
-    marks = {
-        "box": "median, quartiles, whiskers to at most 1.5 IQR",
-        "violin": "median, quartiles, each dot a run",
-        **dict.fromkeys(("heatmap", "stacked"), center),
-    }
-    return marks.get(figure.kind, f"{center}, {spread if several else 'no interval'}")
+    return f"{center}, {spread if several else 'no interval'}"
 
 
-def _marked(figure: Figure, table: pa.Table) -> str:
+def _marked(needs: Needs, table: pa.Table) -> str:
     """Return how a figure marks the experiments of which some runs, or all, never reached the threshold."""
     if "never" not in table.column_names:
         return ""
     late = table.column("never").to_numpy() > 0
     reached = table.column("n").to_numpy() > 0
-    some = ["hollow: not in all runs"] if figure.kind == "summary" and (late & reached).any() else []
-    none = [f"{'hatched' if figure.kind == 'heatmap' else '△'}: in none"] if (late & ~reached).any() else []
+    some = [f"{needs.some}: not in all runs"] if needs.some and (late & reached).any() else []
+    none = [f"{needs.none}: in none"] if (late & ~reached).any() else []
     return f" ({', '.join([*some, *none])})" if some or none else ""
 
 

@@ -231,6 +231,21 @@ class Frame:
             where = f"output {table!r}, column {column!r} over {time or 'its rows'!r}"
             raise NotFound(f"{where}: {explain(error)}") from error
 
+    def data(self, table: str, time: str = "") -> None:
+        """Create the view `data` of all rows of one output, with all columns. Raises NotFound for an unknown output.
+
+        It also has the number of the experiment `"# experiment"`, of the run `"# number"`, of the row in its run `"# place"`,
+        and the time `"# t"`.
+        """
+        files = self._files.get(table)
+        if files is None:
+            raise NotFound(f"no output {table!r} in this batch; it has {', '.join(sorted(self._files)) or 'none'}")
+        if table not in self._loaded:
+            self._load(table, files)
+        t = identifier(time) if time else '"# place"'
+        self._snapshot.run("DROP VIEW IF EXISTS data")
+        self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {t}::DOUBLE AS "# t" FROM {identifier("data " + table)}')
+
     def _load(self, table: str, files: list[str]) -> None:
         source = self._relation(table, files)
         file = ", o.file" if "file" in source.types else ""

@@ -10,7 +10,8 @@ more than half the largest number of runs. Parts of intervals beyond it are cut 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,9 +39,7 @@ class Cut:
 
 
 def cut(drawing: Drawing) -> Cut | None:
-    """Return the range of the y axis, or None if everything fits."""
-    if drawing.figure.kind not in ("timeseries", "summary"):
-        return None
+    """Return the range of the y axis of centers with intervals, or None if everything fits."""
     (table,) = drawing.tables.values()
     center, low, high = (_scaled(style.column(table, name), drawing) for name in CENTERS[drawing.figure.center])
     n = style.column(table, "n")
@@ -57,11 +56,26 @@ def cut(drawing: Drawing) -> Cut | None:
     return Cut(bottom, top, int(n[beyond].max()))
 
 
-def with_notes(drawing: Drawing) -> Drawing:
-    """Return the drawing with notes in its small print on everything that its y axis cannot show."""
+def notes(drawing: Drawing) -> list[str]:
+    """Return notes on all centers and intervals that the y axis cannot show."""
     found = cut(drawing)
-    few = f"some intervals of n ≤ {found.most} are cut off" if found else ""
-    return replace(drawing, note="; ".join(filter(None, (drawing.note, _not_above_0(drawing), few))))
+    few = [f"some intervals of n ≤ {found.most} are cut off"] if found else []
+    return [*left_out_centers(drawing, ends=True), *few]
+
+
+def left_out_centers(drawing: Drawing, *, ends: bool = False) -> list[str]:
+    """Return notes on centers, and the ends of intervals, that a logarithmic scale cannot show."""
+    (table,) = drawing.tables.values()
+    values, *spread = (style.column(table, name) for name in CENTERS[drawing.figure.center][: 3 if ends else 1])
+    what = {"mean": "means", "median": "medians", "iqm": "interquartile means"}[drawing.figure.center]
+    return _not_above_0(drawing, values, spread, what)
+
+
+def left_out_runs(drawing: Drawing) -> list[str]:
+    """Return notes on the runs that a logarithmic scale cannot show."""
+    if drawing.runs is None:
+        raise TypeError(f"a {drawing.figure.kind} figure needs the values of its runs")
+    return _not_above_0(drawing, style.column(drawing.runs, "value"), [], "runs")
 
 
 def apply(plot: Axes, drawing: Drawing) -> None:
@@ -70,20 +84,12 @@ def apply(plot: Axes, drawing: Drawing) -> None:
         plot.set_ylim(found.low, found.high)
 
 
-def _not_above_0(drawing: Drawing) -> str:
-    """Return a note on the values and intervals that a logarithmic axis cannot show; "" if there are none."""
-    if not drawing.figure.log_y or drawing.figure.kind == "stacked":
-        return ""
-    (table,) = drawing.tables.values()
-    if drawing.runs is not None:
-        values, spread, what = style.column(drawing.runs, "value"), [], "runs"
-    else:
-        names = CENTERS[drawing.figure.center][: 1 if drawing.figure.kind == "heatmap" else 3]
-        values, *spread = (style.column(table, name) for name in names)
-        what = {"mean": "means", "median": "medians", "iqm": "interquartile means"}[drawing.figure.center]
+def _not_above_0(drawing: Drawing, values: style.Floats, spread: Sequence[style.Floats], what: str) -> list[str]:
+    if not drawing.figure.log_y:
+        return []
     if bad := int((values <= 0).sum()):
-        return f"log scale: {bad} of {int(np.isfinite(values).sum())} {what} not above 0 left out"
-    return "log scale: intervals that reach 0 are cut off" if any((end <= 0).any() for end in spread) else ""
+        return [f"log scale: {bad} of {int(np.isfinite(values).sum())} {what} not above 0 left out"]
+    return ["log scale: intervals that reach 0 are cut off"] if any((end <= 0).any() for end in spread) else []
 
 
 def _scaled(values: style.Floats, drawing: Drawing) -> style.Floats:

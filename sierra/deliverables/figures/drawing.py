@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -49,6 +49,9 @@ class Drawing:
     """By ordinal of the experiment: the value of each axis."""
     tables: Mapping[str, pa.Table]
     runs: pa.Table | None = None
+    """The values of runs: `experiment`, `run`, `value` of the first column, `value_2` of the second, and so on."""
+    rows: Mapping[str, pa.Table] = field(default_factory=dict)
+    """The results of the statements of `Needs.rows`, by name."""
     note: str = ""
     """Notes for the reader, in small print: n, the kind of interval, missing values."""
     sql: str = ""
@@ -65,7 +68,8 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
     """
     if drawing.name.startswith(".") or not drawing.name or Path(drawing.name).name != drawing.name:
         raise UsageError(f"{drawing.name!r} cannot be the name of a figure's files")
-    if not any(table.num_rows and table.column("n").to_numpy().any() for table in drawing.tables.values()):
+    counted = [table for table in drawing.tables.values() if table.num_rows and table.column("n").to_numpy().any()]
+    if not counted and not any(table.num_rows for table in drawing.rows.values()):
         raise SierraError("there is no value to draw")
     _check_size(drawing)
     try:
@@ -79,7 +83,7 @@ def _check_size(drawing: Drawing) -> None:
     """Raise SierraError for a number that is so large that no axis can be divided."""
     import numpy as np
 
-    tables = [*drawing.tables.values(), *([drawing.runs] if drawing.runs is not None else [])]
+    tables = [*drawing.tables.values(), *([drawing.runs] if drawing.runs is not None else []), *drawing.rows.values()]
     columns = [column.to_numpy() for table in tables for column in table.columns]
     numbers = [np.abs(column[np.isfinite(column)]) for column in columns if column.dtype.kind == "f"]
     largest = max((float(column.max(initial=0.0)) for column in numbers), default=0.0)
@@ -89,19 +93,13 @@ def _check_size(drawing: Drawing) -> None:
 
 def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
     """Return the content of the files, by format."""
-    from sierra.deliverables.figures import axis_limits, heatmap, style, summary, timeseries
+    from sierra.deliverables.figures import style
+    from sierra.deliverables.figures.base import kind_of
 
-    painters = {
-        "timeseries": timeseries.timeseries,
-        "stacked": timeseries.stacked,
-        "summary": summary.summary,
-        "box": summary.box,
-        "violin": summary.violin,
-        "heatmap": heatmap.heatmap,
-    }
-    drawing = axis_limits.with_notes(drawing)
+    kind = kind_of(drawing.figure)
+    drawing = replace(drawing, note="; ".join(filter(None, (drawing.note, *kind.notes(drawing)))))
     with style.applied():
-        figure = painters[drawing.figure.kind](drawing)
+        figure = kind.draw(drawing)
         style.settle(figure, drawing)
         return [(ending, _bytes(figure, ending, drawing)) for ending in drawing.formats]
 

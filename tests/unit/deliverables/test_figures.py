@@ -484,7 +484,9 @@ def test_marks_of_all_groups_stay_within_the_plot(first: Axis, count: int) -> No
         ({"kind": "box", "times": "linear"}, '"times" needs kind "timeseries" or "stacked", not \'box\''),
         ({"times": "cubic"}, "figures.f.times should be 'own', 'carry' or 'linear', not \"cubic\""),
         ({"kind": "box", "threshold": 1.0}, '"threshold" needs measure = "time_to"'),
-        ({"measure": "mean"}, "measure 'mean' needs another kind, such as kind = \"summary\""),
+        ({"measure": "mean"}, '"measure" needs kind "summary", "box", "violin"'),
+        ({"titel": "T"}, "figures.f: unknown key 'titel'; did you mean 'title'?"),
+        ({"kind": "boxes"}, "figures.f: unknown kind 'boxes'; did you mean 'box'?"),
         ({"kind": "box", "measure": "time_to", "threshold": float("nan")}, "should be a finite number"),
     ],
 )

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 import sierra
 from sierra.config.deliverable_tables import Figure
+from sierra.deliverables.figures.base import Request, kind_of
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.stats import aggregate as stats
@@ -53,6 +54,13 @@ class Memory:
 
 def samples(frame: stats.Frame, *, whole: bool = False) -> stats.Samples:
     return stats.Samples(frame, stats.coverage(frame), whole)
+
+
+def compute(figure: Figure, frames: dict[str, Any], **more: Any) -> stats.Computed:
+    """Compute what a figure over one variable needs."""
+    seen = stats.coverage(next(iter(frames.values())))
+    needs = kind_of(figure).needs(Request(figure, AXIS, len(seen.runs), seen.most))
+    return stats.compute(figure, frames, needs, **more)
 
 
 def over_runs(values: Iterable[float | None], *, whole: bool = False) -> dict[str, Any]:
@@ -185,7 +193,7 @@ def test_a_rate_is_a_rate_in_all_experiments_and_at_all_times() -> None:
         assert table["high"].to_pylist()[0] == pytest.approx(0.434482, abs=1e-6)
     late, _ = samples(frame, whole=True).by_experiment("time_to", ["interval"], 1.0)
     assert "Wilson" not in late["interval"].to_pylist()
-    note = stats.compute(figure(), AXIS, {"energy": frame}).note
+    note = compute(figure(), {"energy": frame}).note
     assert note.startswith("mean, Wilson's 95 % CI of a rate, n = 5")
 
 
@@ -336,7 +344,7 @@ def test_linear_interpolation_equals_that_of_numpy(points: list[tuple[int, float
 
 def test_a_figure_of_runs_with_different_times_notes_the_resampling() -> None:
     frame = Memory((0, run, t + run / 10, float(t)) for run in range(8) for t in range(20))
-    computed = stats.compute(figure(), AXIS, {"energy": frame})
+    computed = compute(figure(), {"energy": frame})
     assert "times differ: last values carried forward to 20 common times" in computed.note
     assert max(computed.tables["energy"]["n"].to_pylist()) == 8
 
@@ -374,7 +382,7 @@ SHIFTED = [(0, run, t + run / 10, float(t)) for run in range(8) for t in range(2
 
 
 def test_a_figure_interpolates_linearly_on_request_and_notes_it() -> None:
-    computed = stats.compute(figure(times="linear"), AXIS, {"energy": Memory(SHIFTED)})
+    computed = compute(figure(times="linear"), {"energy": Memory(SHIFTED)})
     assert "; interpolated linearly to 20 common times" in computed.note
     assert "-- $linear: True" in computed.sql
     grid = np.linspace(0.0, 19.7, 20).tolist()
@@ -386,7 +394,7 @@ def test_a_figure_interpolates_linearly_on_request_and_notes_it() -> None:
 
 
 def test_a_figure_uses_the_runs_own_times_on_request_and_notes_that_they_differ() -> None:
-    computed = stats.compute(figure(times="own"), AXIS, {"energy": Memory(SHIFTED)})
+    computed = compute(figure(times="own"), {"energy": Memory(SHIFTED)})
     assert computed.tables["energy"].num_rows == 160
     assert computed.note == "mean, no interval, n = 1; times differ: each run has its own times"
 
@@ -416,13 +424,13 @@ def test_unknown_times_are_refused() -> None:
 
 def test_a_run_that_ended_early_does_not_cause_resampling() -> None:
     frame = Memory((0, run, float(t), 1.0) for run in range(8) for t in range(20 if run else 5))
-    computed = stats.compute(figure(), AXIS, {"energy": frame})
+    computed = compute(figure(), {"energy": frame})
     assert computed.note == "mean, 95 % CI, n = 7–8"
 
 
 def test_the_note_reports_absent_runs_and_left_out_values() -> None:
     frame = Memory([(0, 0, 0.0, 1.0), (0, 1, 0.0, None), (0, 2, 0.0, math.inf), (0, 3, math.nan, 5.0), (1, 0, 0.0, 2.0)])
-    note = stats.compute(figure("summary"), AXIS, {"energy": frame}, planned={0: 5, 1: 4}).note
+    note = compute(figure("summary"), {"energy": frame}, planned={0: 5, 1: 4}).note
     assert note == (
         "mean, no interval, n = 1; 4 of 9 runs missing; 1 missing value left out; 1 infinite value left out;"
         " 1 row without a time left out"
@@ -437,18 +445,18 @@ def test_several_rows_of_a_run_at_one_time_are_refused() -> None:
 
 def test_a_frame_without_values_is_an_error() -> None:
     with pytest.raises(SierraError, match="no run has written any row"):
-        stats.compute(figure(), AXIS, {"energy": Memory([])})
+        compute(figure(), {"energy": Memory([])})
     with pytest.raises(SierraError, match="no finite value in energy"):
-        stats.compute(figure(), AXIS, {"energy": Memory([(0, 0, 0.0, None)])})
+        compute(figure(), {"energy": Memory([(0, 0, 0.0, None)])})
 
 
 def test_the_error_for_an_unreached_threshold_names_it_and_the_number_of_runs() -> None:
     rows = [(e, run, float(t), float(t)) for e in range(2) for run in range(6) for t in range(5)]
     asked = figure("summary", measure="time_to", threshold=5.5)
     with pytest.raises(SierraError, match=r"^energy reaches the threshold 5.5 in none of 12 runs; there is no time to draw$"):
-        stats.compute(asked, AXIS, {"energy": Memory(rows)})
+        compute(asked, {"energy": Memory(rows)})
     with pytest.raises(SierraError, match=r"in none of 13 runs, 1 without any value of it; there is"):
-        stats.compute(asked, AXIS, {"energy": Memory([*rows, (1, 6, 0.0, None)])})
+        compute(asked, {"energy": Memory([*rows, (1, 6, 0.0, None)])})
 
 
 @pytest.mark.parametrize(
@@ -457,13 +465,13 @@ def test_the_error_for_an_unreached_threshold_names_it_and_the_number_of_runs() 
 )
 def test_the_note_reports_how_often_a_threshold_was_not_reached(kind: str, mark: str) -> None:
     frame = Memory((e, run, float(t), float(t + run * e)) for e in range(2) for run in range(4) for t in range(5))
-    note = stats.compute(figure(kind, measure="time_to", threshold=6), AXIS, {"energy": frame}).note
+    note = compute(figure(kind, measure="time_to", threshold=6), {"energy": frame}).note
     assert note.endswith(f"; threshold 6 never reached in 6 of 8 runs{mark}")
 
 
 def test_a_heatmap_of_one_variable_is_refused() -> None:
     with pytest.raises(UsageError, match="two independent variables, but this batch has 1"):
-        stats.compute(figure("heatmap"), AXIS, {"energy": Memory([(0, 0, 0.0, 1.0)])})
+        compute(figure("heatmap"), {"energy": Memory([(0, 0, 0.0, 1.0)])})
 
 
 @pytest.mark.parametrize(
@@ -480,7 +488,7 @@ def test_default_figures_of_a_column_depend_on_the_axes_of_the_batch(axes: int, 
 @pytest.mark.parametrize("center", ["mean", "median", "iqm"])
 def test_each_kind_of_figure_gets_its_tables(kind: str, center: str) -> None:
     frame = Memory((e, run, float(t), float(t + run)) for e in range(2) for run in range(6) for t in range(4))
-    computed = stats.compute(figure(kind, center=center), AXIS, {"energy": frame})
+    computed = compute(figure(kind, center=center), {"energy": frame})
     assert computed.tables["energy"].num_rows == (8 if kind in ("timeseries", "stacked") else 2)
     assert (computed.runs is not None) == (kind in ("box", "violin"))
     assert "FROM samples" in computed.sql

@@ -1,0 +1,62 @@
+"""The keys of `[figures.NAME]` that depend on its kind: those of its own, and those shared ones that it uses."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Any
+
+from sierra.config.deliverable_tables import CHOSEN, Figure
+from sierra.config.validate import options
+from sierra.errors import ConfigError
+
+
+def check(figures: Mapping[str, Figure]) -> None:
+    """Check the keys of all figures. Raises ConfigError, and PluginError if a kind of another package cannot be used."""
+    for name, figure in figures.items():
+        if wrong := complaint(figure):
+            raise ConfigError(f"[figures.{name}]: {wrong}")
+
+
+def complaint(figure: Figure) -> str:
+    """Return what is wrong with the keys of a figure for its kind, in one line; empty if nothing is."""
+    from sierra.config.plugin_registry import FIGURES
+
+    kind = FIGURES.load(figure.kind)
+    shared = {field.alias or name for name, field in Figure.model_fields.items()}
+    for key in figure.own:
+        if key not in kind.Options.model_fields:
+            return f"unknown key {key!r}{_nearest(key, sorted(shared | kind.Options.model_fields.keys()), figure.kind)}"
+    for key in sorted(CHOSEN & figure.model_fields_set - kind.uses):
+        return f'"{key}" needs kind {_having(key)}, not {figure.kind!r}'
+    try:
+        options(kind.Options, figure.own, f"kind {figure.kind!r}")
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+def complaint_if_shipped(figure: Figure) -> str:
+    """Return what is wrong with a figure as far as that is known without a plug-in of another package."""
+    from sierra.config.plugin_registry import FIGURES
+
+    if figure.kind in FIGURES.shipped:
+        return complaint(figure)
+    known = FIGURES.names()
+    return "" if figure.kind in known else f"unknown kind {figure.kind!r}{_nearest(figure.kind, list(known), '')}"
+
+
+def _nearest(name: str, known: list[str], kind: str) -> str:
+    close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    return f"; {f'keys of kind {kind!r}' if kind else 'known'} are {', '.join(known)}"
+
+
+def _having(key: str) -> str:
+    """Return the shipped kinds that use a key."""
+    from sierra.config.plugin_registry import FIGURES
+
+    kinds: dict[str, Any] = {name: FIGURES.load(name) for name in FIGURES.shipped}
+    first, *others = [f'"{name}"' for name, kind in kinds.items() if key in kind.uses]
+    return " or ".join([", ".join([first, *others[:-1]]), *others[-1:]])

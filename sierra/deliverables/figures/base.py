@@ -1,0 +1,72 @@
+"""The contract of kinds of figures: what data a kind needs, and how it is drawn.
+
+A kind is a plug-in: a class under a name, as an entry point of the group `sierra.figures` or in
+`sierra/config/plugin_registry.py`. SIERRA computes what the kind needs in SQL. The kind gets a `Drawing`, which holds all data
+and labels of one figure, and returns a matplotlib figure. SIERRA then adds title, legend space and small print, and writes the
+files.
+
+A kind's module must not import matplotlib, seaborn or pandas when it is imported, because its options are read for every
+command. It imports them in `draw`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Protocol
+
+from sierra.config.deliverable_tables import Figure
+from sierra.config.field_types import Table
+from sierra.model import Axis
+from sierra.stats.needs import Needs
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A figure that is to be drawn of one batch."""
+
+    figure: Figure
+    """The keys of `[figures.NAME]` that all kinds share."""
+    axes: tuple[Axis, ...]
+    """The independent variables, in the order in which the figure uses them."""
+    experiments: int
+    rows: int
+    """The number of rows of the longest run."""
+    columns: tuple[str, ...] = ()
+
+
+class FigureKind(Protocol):
+    """One kind of figure. Objects may be used several times, and must not change.
+
+    `draw` must give the same figure for the same data: no time, no unseeded random numbers, no order of a set. It works under
+    SIERRA's settings of matplotlib (see `style`), and must not use `pyplot`. All that it leaves out must be in `notes`.
+    """
+
+    Options: ClassVar[type[Table]]
+    """The model of the keys of `[figures.NAME]` that only this kind has."""
+    uses: ClassVar[frozenset[str]]
+    """The keys of `sierra.config.deliverable_tables.CHOSEN` that have an effect; others are errors."""
+
+    def __init__(self, options: Table) -> None: ...
+
+    def needs(self, request: Request) -> Needs:
+        """Return what SQL must compute. Raises UsageError, in one line, if the batch does not suit the kind."""
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        """Return what the reader must know of this drawing, for the small print: for example values that are left out."""
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        """Draw the data. Raises UsageError, in one line, if they do not suit the kind."""
+
+
+def kind_of(figure: Figure) -> FigureKind:
+    """Return the kind of a figure, made with its options. Raises ConfigError, PluginError."""
+    from sierra.config.plugin_registry import FIGURES
+
+    made: FigureKind = FIGURES.make(figure.kind, {figure.kind: figure.own})
+    return made

@@ -1,0 +1,73 @@
+"""Kinds over time: lines with bands, and stacked areas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+from sierra.config.field_types import Table
+from sierra.config.plugin_registry import NoOptions
+from sierra.deliverables.figures.base import Request
+from sierra.stats.aggregate import CENTERS
+from sierra.stats.needs import Needs
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+MOST_PANELS = 9
+"""The largest number of experiments that stacked areas over time have a panel each for."""
+
+
+class Timeseries:
+    """Lines over time, each with its band."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = NoOptions
+    uses: ClassVar[frozenset[str]] = frozenset({"times", "center"})
+
+    def __init__(self, options: Table) -> None:
+        del options
+
+    def needs(self, request: Request) -> Needs:
+        return Needs(CENTERS[request.figure.center], over="time")
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        from sierra.deliverables.figures import axis_limits
+
+        return axis_limits.notes(drawing)
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.timeseries import timeseries
+
+        return timeseries(drawing)
+
+
+class Stacked:
+    """Stacked areas of several columns: over time in a panel for each experiment, else over the first variable."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = NoOptions
+    uses: ClassVar[frozenset[str]] = frozenset({"times", "measure", "center"})
+
+    def __init__(self, options: Table) -> None:
+        del options
+
+    def needs(self, request: Request) -> Needs:
+        timed = request.rows > 1 and (request.experiments <= MOST_PANELS or not request.axes)
+        center, _ = CENTERS[request.figure.center]
+        return Needs((center,), "time" if timed else "experiments", columns=None, shows=named(request))
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        return ()
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.timeseries import stacked
+
+        return stacked(drawing)
+
+
+def named(request: Request) -> str:
+    """Return the center of a figure in words."""
+    return request.figure.center.replace("iqm", "interquartile mean")

@@ -1,0 +1,107 @@
+"""Kinds over the independent variables: points with intervals, boxes, violins, and maps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+from sierra.config.field_types import Table
+from sierra.config.plugin_registry import NoOptions
+from sierra.deliverables.figures.base import Request
+from sierra.deliverables.figures.kinds.over_time import named
+from sierra.errors import UsageError
+from sierra.stats.aggregate import CENTERS
+from sierra.stats.needs import Needs
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+BOX = ("median", "whiskers")
+
+
+class Summary:
+    """Points with intervals over the first variable, with a series for each combination of the others."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = NoOptions
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center"})
+
+    def __init__(self, options: Table) -> None:
+        del options
+
+    def needs(self, request: Request) -> Needs:
+        return Needs(CENTERS[request.figure.center], some="hollow")
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        from sierra.deliverables.figures import axis_limits
+
+        return axis_limits.notes(drawing)
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.summary import summary
+
+        return summary(drawing)
+
+
+class Box:
+    """Boxes over the first variable: median, quartiles, whiskers, and the runs beyond them."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = NoOptions
+    uses: ClassVar[frozenset[str]] = frozenset({"measure"})
+
+    def __init__(self, options: Table) -> None:
+        del options
+
+    def needs(self, request: Request) -> Needs:
+        return Needs(BOX, runs=True, shows="median, quartiles, whiskers to at most 1.5 IQR")
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        from sierra.deliverables.figures import axis_limits
+
+        return axis_limits.left_out_runs(drawing)
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.summary import box
+
+        return box(drawing)
+
+
+class Violin(Box):
+    """Densities of the runs over the first variable, with a dot for each run."""
+
+    def needs(self, request: Request) -> Needs:
+        return Needs(BOX, runs=True, shows="median, quartiles, each dot a run")
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.summary import violin
+
+        return violin(drawing)
+
+
+class Heatmap:
+    """A map of colours over two variables."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = NoOptions
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center"})
+
+    def __init__(self, options: Table) -> None:
+        del options
+
+    def needs(self, request: Request) -> Needs:
+        if (count := len(request.axes)) != 2:
+            raise UsageError(f"a heatmap needs two independent variables, but this batch has {count}; use a summary")
+        return Needs(CENTERS[request.figure.center], shows=named(request), none="hatched")
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        from sierra.deliverables.figures import axis_limits
+
+        return axis_limits.left_out_centers(drawing)
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.heatmap import heatmap
+
+        return heatmap(drawing)

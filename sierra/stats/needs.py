@@ -1,0 +1,37 @@
+"""The data that a kind of figure needs, and the words for its marks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Over = Literal["experiments", "time"]
+
+
+@dataclass(frozen=True, slots=True)
+class Needs:
+    """What SQL computes for a figure."""
+
+    statistics: tuple[str, ...] = ()
+    """Names of statistics of each column, over the runs of each experiment; those that they use are added."""
+    over: Over = "experiments"
+    """`experiments`: each run is reduced by the figure's measure; `time`: statistics at each time."""
+    runs: bool = False
+    """True if the figure shows the values that the runs are reduced to."""
+    rows: Mapping[str, str] = field(default_factory=dict)
+    """SQL statements on the relation `data`, by name; a figure gets their results under these names.
+
+    `data` has all rows of the output: its own columns, `run`, and the number of the experiment `"# experiment"`, of the run
+    `"# number"`, of the row in its run `"# place"`, and the time `"# t"`. The order of rows must be said by ORDER BY.
+    """
+    columns: int | None = 1
+    """The number of columns that the figure shows; None for one or more."""
+    numeric: bool = True
+    """False if the columns may hold text."""
+    shows: str = ""
+    """What the marks are, for the small print; empty: the center and its interval."""
+    some: str = ""
+    """The mark of an experiment of which some runs never reached the threshold, as in `hollow`."""
+    none: str = "△"
+    """The mark of an experiment of which no run reached the threshold."""
