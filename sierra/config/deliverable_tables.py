@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from sierra.config.field_types import Finite, RawTable, Table, Words
 
-CHOSEN = frozenset({"times", "measure", "center"})
+CHOSEN = frozenset({"times", "measure", "center", "log_x", "log_y"})
 """The keys of figures that have an effect on some kinds only: each kind says which in `uses`."""
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
@@ -20,13 +20,12 @@ from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import seconds
-from sierra.deliverables.figures.base import Request, kind_of
 from sierra.deliverables.figures.drawing import Drawing, draw
+from sierra.deliverables.figures.gather import Batch, gather
 from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
-from sierra.stats.needs import Needs
 from sierra.store.layout import ProjectPaths
 from sierra.store.samples import MIXED, Column, Frame, OutputTable, names_time
 from sierra.store.segments import disk_errors
@@ -181,6 +180,33 @@ def fingerprint(drawing: Drawing) -> str:
     return sha256(repr((shown, rest, __version__, version("matplotlib"))).encode())
 
 
+@dataclass(frozen=True, slots=True)
+class _Output:
+    """One output of a batch, as a source of figures."""
+
+    frame: Frame
+    output: OutputTable
+    time: str
+
+    def check(self, columns: Sequence[str], *, numeric: bool) -> None:
+        for column in columns:
+            if numeric and column in self.output.mixed:
+                raise UsageError(
+                    f"column {column!r} of output {self.output.name!r} {MIXED}; see {column + TEXT!r} in sierra sql"
+                )
+            known = self.output.columns if numeric else self.output.all_columns
+            if column not in known:
+                what = "numeric column" if numeric else "column"
+                raise NotFound(f"output {self.output.name!r} has no {what} {column!r}; it has {', '.join(known)}")
+
+    def samples(self, column: str) -> Column:
+        return Column(self.frame, self.output.name, column, self.time)
+
+    def rows(self, statement: str) -> pa.Table:
+        self.frame.data(self.output.name, self.time)
+        return self.frame.sql(statement)
+
+
 class _Gallery:
     """The data that the figures of one batch share."""
 
@@ -239,18 +265,9 @@ class _Gallery:
         """Return the samples of the one column that a figure names."""
         output = self.output(figure)
         (column,) = figure.columns
-        self._check(output, figure.columns)
-        frame = Column(self._frame, output.name, column, self.time(output))
-        return stats.Samples(frame, self._coverage(output), column in output.whole)
-
-    def _check(self, output: OutputTable, columns: Sequence[str], *, numeric: bool = True) -> None:
-        for column in columns:
-            if not numeric and column in output.all_columns:
-                continue
-            if column in output.mixed:
-                raise UsageError(f"column {column!r} of output {output.name!r} {MIXED}; see {column + TEXT!r} in sierra sql")
-            if column not in output.columns:
-                raise NotFound(f"output {output.name!r} has no numeric column {column!r}; it has {', '.join(output.columns)}")
+        source = _Output(self._frame, output, self.time(output))
+        source.check(figure.columns, numeric=True)
+        return stats.Samples(source.samples(column), self._coverage(output), column in output.whole)
 
     def drawing(self, name: str, figure: Figure) -> Drawing:
         """Return the computed content of a figure."""
@@ -259,41 +276,18 @@ class _Gallery:
             figure = figure.model_copy(update={"measure": "mean"})
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
-        frames = {column: Column(self._frame, output.name, column, time) for column in columns}
-        seen = self._coverage(output)
-        needs = kind_of(figure).needs(Request(figure, self._axes, len(seen.runs), seen.most, columns))
-        self._check(output, columns, numeric=needs.numeric)
-        computed = stats.compute(figure, frames, needs, planned=self.planned, known=seen, whole=output.whole)
-        rows = self._rows(output.name, time, needs)
+        batch = Batch(self._axes, self._cells, self.planned, self._frame.batch)
+        made = gather(name, figure, columns, batch, _Output(self._frame, output, time), self._coverage(output), output.whole)
         declared = self._config.outputs.get(output.name)
         units = dict(declared.units) if declared else {}
-        tables, note = computed.tables, computed.note
+        tables, note = made.tables, made.note
         if declared and declared.ticks_per_second is not None and all("t" in table.column_names for table in tables.values()):
             per_second = seconds.rates(declared.ticks_per_second, self._config, self._store, self._frame)
             tables = {column: seconds.in_seconds(table, per_second) for column, table in tables.items()}
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
-        return Drawing(
-            name=name,
-            figure=figure if figure.columns == columns else figure.model_copy(update={"columns": columns}),
-            axes=self._axes,
-            cells=self._cells,
-            tables=tables,
-            runs=computed.runs,
-            rows=rows,
-            note="; ".join(filter(None, (*self.target_notes, note))),
-            sql="\n\n".join(filter(None, (computed.sql, *needs.rows.values()))),
-            batch=self._frame.batch,
-            time=time or "row",
-            units=units,
-        )
-
-    def _rows(self, table: str, time: str, needs: Needs) -> Mapping[str, pa.Table]:
-        """Return the results of a kind's own statements."""
-        if not needs.rows:
-            return {}
-        self._frame.data(table, time)
-        return {name: self._frame.sql(statement) for name, statement in needs.rows.items()}
+        note = "; ".join(filter(None, (*self.target_notes, note)))
+        return replace(made, tables=tables, note=note, time=time or "row", units=units)
 
     def time(self, output: OutputTable) -> str:
         """Return the name of the time column; "" if there is none.

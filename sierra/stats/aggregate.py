@@ -153,8 +153,6 @@ def compute(
     """
     _check(figure, needs, frames)
     seen = known or coverage(next(iter(frames.values())))
-    if needs.rows:
-        return Computed({}, None, "", "; ".join([needs.shows, *left_out((), seen, planned)]))
     statistics = _ordered(needs.statistics)
     notes: dict[str, None] = {}
     tables, texts = {}, []

@@ -39,8 +39,10 @@ class Cut:
 
 
 def cut(drawing: Drawing) -> Cut | None:
-    """Return the range of the y axis of centers with intervals, or None if everything fits."""
+    """Return the range of the y axis of centers with intervals, or None if everything fits or there are none."""
     (table,) = drawing.tables.values()
+    if CENTERS[drawing.figure.center][0] not in table.column_names:
+        return None
     center, low, high = (_scaled(style.column(table, name), drawing) for name in CENTERS[drawing.figure.center])
     n = style.column(table, "n")
     few = 2 * n <= n.max(initial=0)

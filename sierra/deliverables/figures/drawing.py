@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from sierra.config.deliverable_tables import Figure
+from sierra.deliverables.figures.base import kind_of
 from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Axis, Value
 from sierra.util.fs import write_whole
@@ -68,10 +69,7 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
     """
     if drawing.name.startswith(".") or not drawing.name or Path(drawing.name).name != drawing.name:
         raise UsageError(f"{drawing.name!r} cannot be the name of a figure's files")
-    counted = [table for table in drawing.tables.values() if table.num_rows and table.column("n").to_numpy().any()]
-    if not counted and not any(table.num_rows for table in drawing.rows.values()):
-        raise SierraError("there is no value to draw")
-    _check_size(drawing)
+    check(drawing)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         return tuple(write_whole(folder / f"{drawing.name}.{ending}", data) for ending, data in rendered(drawing))
@@ -79,8 +77,15 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
         raise Missing(f"{folder}: cannot write figure {drawing.name}: {error.strerror}") from error
 
 
+def check(drawing: Drawing) -> None:
+    """Raise SierraError if there is nothing to draw, or a number is so large that no axis can be divided."""
+    counted = [table for table in drawing.tables.values() if table.num_rows and table.column("n").to_numpy().any()]
+    if not counted and not any(table.num_rows for table in drawing.rows.values()):
+        raise SierraError("there is no value to draw")
+    _check_size(drawing)
+
+
 def _check_size(drawing: Drawing) -> None:
-    """Raise SierraError for a number that is so large that no axis can be divided."""
     import numpy as np
 
     tables = [*drawing.tables.values(), *([drawing.runs] if drawing.runs is not None else []), *drawing.rows.values()]
@@ -94,14 +99,26 @@ def _check_size(drawing: Drawing) -> None:
 def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
     """Return the content of the files, by format."""
     from sierra.deliverables.figures import style
-    from sierra.deliverables.figures.base import kind_of
 
-    kind = kind_of(drawing.figure)
-    drawing = replace(drawing, note="; ".join(filter(None, (drawing.note, *kind.notes(drawing)))))
+    drawing = noted(drawing)
     with style.applied():
-        figure = kind.draw(drawing)
-        style.settle(figure, drawing)
+        figure = painted(drawing)
         return [(ending, _bytes(figure, ending, drawing)) for ending in drawing.formats]
+
+
+def noted(drawing: Drawing) -> Drawing:
+    """Return the drawing with what its kind adds to the small print."""
+    notes = kind_of(drawing.figure).notes(drawing)
+    return replace(drawing, note="; ".join(filter(None, (drawing.note, *notes))))
+
+
+def painted(drawing: Drawing) -> matplotlib.figure.Figure:
+    """Return the complete figure. To be called under `style.applied`."""
+    from sierra.deliverables.figures import style
+
+    figure = kind_of(drawing.figure).draw(drawing)
+    style.settle(figure, drawing)
+    return figure
 
 
 def _bytes(figure: matplotlib.figure.Figure, ending: Format, drawing: Drawing) -> bytes:

@@ -25,7 +25,7 @@ class Timeseries:
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"times", "center"})
+    uses: ClassVar[frozenset[str]] = frozenset({"times", "center", "log_x", "log_y"})
 
     def __init__(self, options: Table) -> None:
         del options
@@ -49,7 +49,7 @@ class Stacked:
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"times", "measure", "center"})
+    uses: ClassVar[frozenset[str]] = frozenset({"times", "measure", "center", "log_x"})
 
     def __init__(self, options: Table) -> None:
         del options

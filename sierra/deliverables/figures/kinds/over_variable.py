@@ -26,7 +26,7 @@ class Summary:
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center"})
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "log_x", "log_y"})
 
     def __init__(self, options: Table) -> None:
         del options
@@ -50,7 +50,7 @@ class Box:
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"measure"})
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "log_y"})
 
     def __init__(self, options: Table) -> None:
         del options
@@ -86,7 +86,7 @@ class Heatmap:
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center"})
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "log_y"})
 
     def __init__(self, options: Table) -> None:
         del options
