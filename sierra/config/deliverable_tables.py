@@ -2,14 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
-from sierra.config.field_types import Finite, RawTable, Table, Words
+from sierra.config.field_types import Finite, Positive, RawTable, Table, Words
 
-CHOSEN = frozenset({"times", "measure", "center", "log_x", "log_y"})
+CHOSEN = frozenset(
+    {"times", "measure", "center", "band", "x", "series", "facet", "log_x", "log_y", "xlim", "ylim", "palette", "labels"}
+)
 """The keys of figures that have an effect on some kinds only: each kind says which in `uses`."""
+
+Size = Literal[
+    "ieee-column", "ieee-page", "acm-column", "acm-page", "lncs", "elsevier-column", "elsevier-page", "neurips", "slide"
+]
+Palette = Literal["okabe-ito", "petroff", "viridis", "cividis", "grey"]
+
+
+def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
+    if not limits[0] < limits[1]:
+        raise ValueError(f"[{limits[0]:g}, {limits[1]:g}] should be the lower and the upper limit")
+    return limits
+
+
+LimitsOfAxis = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
 
 
 class Figure(Table):
@@ -44,11 +61,34 @@ class Figure(Table):
     center: Literal["mean", "median", "iqm"] = Field(
         "mean", description="mean with its 95 % interval, median with quartiles, or interquartile mean with its 95 % interval"
     )
+    band: Literal["ci", "sd", "iqr", "range"] | None = Field(
+        None,
+        description="the interval around the center: `ci`: its 95 % interval; `sd`: one standard deviation; `iqr`: quartiles; "
+        "`range`: the smallest and the largest value; default: `ci`, or `iqr` around a median",
+    )
+    where: str = Field(
+        "", description="rows that count, as an SQL condition on columns of the output and on variables; default: all rows"
+    )
+    x: str = Field("", description="variable of the x axis; default: the first")
+    series: str = Field("", description="variable with a line, colour or mark for each value; default: the next one")
+    facet: str = Field("", description="variable with a panel of its own for each value")
     title: str = Field("", description="title above the figure")
     xlabel: str = Field("", description="label of the x axis; default: name and unit of the time or the variable")
     ylabel: str = Field("", description="label of the values; default: the column's name and unit")
     log_x: bool = Field(False, description="logarithmic x axis; variables with the values 1, 2, 4, … always have one")
     log_y: bool = Field(False, description="logarithmic scale of the values (in a heatmap: of the colours)")
+    xlim: LimitsOfAxis | None = Field(None, description="limits of the x axis; what is beyond them is cut off")
+    ylim: LimitsOfAxis | None = Field(None, description="limits of the values; what is beyond them is cut off")
+    size: Size | tuple[Positive, Positive] = Field(
+        "ieee-column",
+        description="width of the figure, by the name of a template of papers, or width and height in inches; `slide` is "
+        "5 × 2.8 inches, to be enlarged; default: a column of 3.5 inches, or a page for many panels",
+    )
+    palette: Palette | Annotated[tuple[str, ...], Field(min_length=1)] = Field(
+        "okabe-ito", description="colours of categories: the name of a palette, or a list of colours such as `#0072B2`"
+    )
+    labels: Mapping[str, str] = Field(default_factory=dict, description="names of categories in the figure, by their value")
+    footnote: str = Field("", description="text below the small print")
 
     @model_validator(mode="after")
     def _fitting(self) -> Figure:
@@ -56,6 +96,8 @@ class Figure(Table):
             raise ValueError('measure "time_to" needs a "threshold"')
         if self.measure != "time_to" and self.threshold is not None:
             raise ValueError('"threshold" needs measure = "time_to"')
+        if self.band in ("ci", "sd") and self.center == "median":
+            raise ValueError(f'"band" of a median can be "iqr" or "range", not "{self.band}"')
         return self
 
     @model_validator(mode="after")

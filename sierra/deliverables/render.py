@@ -187,6 +187,7 @@ class _Output:
     frame: Frame
     output: OutputTable
     time: str
+    where: str = ""
 
     def check(self, columns: Sequence[str], *, numeric: bool) -> None:
         for column in columns:
@@ -200,10 +201,17 @@ class _Output:
                 raise NotFound(f"output {self.output.name!r} has no {what} {column!r}; it has {', '.join(known)}")
 
     def samples(self, column: str) -> Column:
-        return Column(self.frame, self.output.name, column, self.time)
+        return Column(self.frame, self.output.name, column, self.time, self.where)
+
+    def coverage(self, column: str) -> stats.Coverage:
+        """Return the amount of data that fulfils `where`. Raises SierraError if there is none."""
+        (row,) = self.rows("SELECT count(*) AS count FROM data").to_pylist()
+        if not row["count"]:
+            raise SierraError(f"no row of output {self.output.name!r} fulfils where = {self.where!r}")
+        return stats.coverage(self.samples(column))
 
     def rows(self, statement: str) -> pa.Table:
-        self.frame.data(self.output.name, self.time)
+        self.frame.data(self.output.name, self.time, self.where)
         return self.frame.sql(statement)
 
 
@@ -276,8 +284,13 @@ class _Gallery:
             figure = figure.model_copy(update={"measure": "mean"})
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
+        source = _Output(self._frame, output, time, figure.where)
         batch = Batch(self._axes, self._cells, self.planned, self._frame.batch)
-        made = gather(name, figure, columns, batch, _Output(self._frame, output, time), self._coverage(output), output.whole)
+        seen = self._coverage(output)
+        if figure.where:
+            seen = source.coverage(columns[0])
+            batch = batch.of_experiments(seen.runs)
+        made = gather(name, figure, columns, batch, source, seen, output.whole)
         declared = self._config.outputs.get(output.name)
         units = dict(declared.units) if declared else {}
         tables, note = made.tables, made.note

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from sierra.errors import NotFound, SqlError
+from sierra.errors import NotFound, SqlError, UsageError
 from sierra.model import Axis, Value
 from sierra.store.duckdb_messages import explain
 from sierra.store.schema import RECORDED
@@ -203,8 +203,11 @@ class Frame:
         )
         return {column for column, grows in zip(columns, rows[0], strict=True) if grows}
 
-    def samples(self, table: str, column: str, time: str = "") -> None:
-        """Create the view `samples` of one column of one output. Raises NotFound for an unknown output or column."""
+    def samples(self, table: str, column: str, time: str = "", where: str = "") -> None:
+        """Create the view `samples` of one column of one output. Raises NotFound for an unknown output or column.
+
+        `where` is a condition on the columns of the output and on variables; rows without it do not count.
+        """
         files = self._files.get(table)
         if files is None:
             raise NotFound(f"no output {table!r} in this batch; it has {', '.join(sorted(self._files)) or 'none'}")
@@ -225,13 +228,13 @@ class Frame:
         try:
             self._snapshot.run(
                 f'CREATE TEMP VIEW samples AS SELECT "# experiment" AS experiment, run, "# number" AS number, '
-                f"{t} AS t, {identifier(column)}::DOUBLE AS value FROM {identifier('data ' + table)}"
+                f"{t} AS t, {identifier(column)}::DOUBLE AS value FROM {self._rows(table, where)}"
             )
         except Exception as error:
             where = f"output {table!r}, column {column!r} over {time or 'its rows'!r}"
             raise NotFound(f"{where}: {explain(error)}") from error
 
-    def data(self, table: str, time: str = "") -> None:
+    def data(self, table: str, time: str = "", where: str = "") -> None:
         """Create the view `data` of all rows of one output, with all columns. Raises NotFound for an unknown output.
 
         It also has the number of the experiment `"# experiment"`, of the run `"# number"`, of the row in its run `"# place"`,
@@ -244,7 +247,29 @@ class Frame:
             self._load(table, files)
         t = identifier(time) if time else '"# place"'
         self._snapshot.run("DROP VIEW IF EXISTS data")
-        self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {t}::DOUBLE AS "# t" FROM {identifier("data " + table)}')
+        self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {t}::DOUBLE AS "# t" FROM {self._rows(table, where)}')
+
+    def _rows(self, table: str, where: str) -> str:
+        """Return the relation of the rows of an output that fulfil a condition. Raises UsageError for an invalid one."""
+        data = identifier("data " + table)
+        if not where:
+            return data
+        if "# variables" not in self._loaded:
+            fixed = ", ".join(identifier(column.name) for column in RECORDED["experiments"].columns)
+            self._snapshot.run(
+                f'CREATE TEMP TABLE "# variables" AS SELECT ordinal AS "# ordinal", * EXCLUDE ({fixed}) FROM experiments '
+                "WHERE batch = $b",
+                {"b": self.batch},
+            )
+            self._loaded.add("# variables")
+        rows = f'(SELECT d.* FROM {data} d JOIN "# variables" v ON v."# ordinal" = d."# experiment" WHERE (\n{where}\n))'
+        try:
+            if ";" in where:
+                raise SqlError("a condition has no ;")
+            self._snapshot.run(f"EXPLAIN SELECT * FROM {rows}")
+        except SqlError as error:
+            raise UsageError(f"where = {where!r}: {error}") from error
+        return rows
 
     def _load(self, table: str, files: list[str]) -> None:
         source = self._relation(table, files)
@@ -289,9 +314,10 @@ class Column:
     table: str
     column: str
     time: str
+    where: str = ""
 
     def sql(self, text: str, /, **parameters: object) -> pa.Table:
-        self.frame.samples(self.table, self.column, self.time)
+        self.frame.samples(self.table, self.column, self.time, self.where)
         return self.frame.sql(text, **parameters)
 
 

@@ -97,7 +97,7 @@ class Trial:
             drawing = make()
             enough(drawing)
             drawing = noted(drawing)
-            with style.applied():
+            with style.applied(drawing.figure):
                 painted(drawing)
             return drawing, drawing.note
         except SierraError as error:
@@ -237,7 +237,7 @@ def keeps_text_within_the_figure(trial: Trial) -> None:
     names = Axis("terrain", tuple(LONG.format(k) for k in range(3)))
     axes = (names, *trial.axes[1:]) if trial.axes else ()
     drawing = trial.drawing(axes=axes, title="A title " * 12)
-    with style.applied():
+    with style.applied(drawing.figure):
         figure = painted(drawing)
         figure.canvas.draw()
         outer = figure.bbox.padded(2)

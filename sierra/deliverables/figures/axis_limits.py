@@ -17,13 +17,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from sierra.deliverables.figures import style
+from sierra.deliverables.figures import bands, style
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
 
-CENTERS = {"mean": ("mean", "low", "high"), "median": ("median", "q1", "q3"), "iqm": ("iqm", "iqm_low", "iqm_high")}
-"""The columns of its table that a figure draws: the center, and the ends of the interval."""
 WIDER = 1.5
 """The factor by which the range of all intervals must be wider before any is cut off."""
 MARGIN = 0.05
@@ -41,9 +39,9 @@ class Cut:
 def cut(drawing: Drawing) -> Cut | None:
     """Return the range of the y axis of centers with intervals, or None if everything fits or there are none."""
     (table,) = drawing.tables.values()
-    if CENTERS[drawing.figure.center][0] not in table.column_names:
+    if bands.columns(drawing.figure)[0] not in table.column_names:
         return None
-    center, low, high = (_scaled(style.column(table, name), drawing) for name in CENTERS[drawing.figure.center])
+    center, low, high = (_scaled(style.column(table, name), drawing) for name in bands.columns(drawing.figure))
     n = style.column(table, "n")
     few = 2 * n <= n.max(initial=0)
     outer = _span(center, low, high)
@@ -68,7 +66,7 @@ def notes(drawing: Drawing) -> list[str]:
 def left_out_centers(drawing: Drawing, *, ends: bool = False) -> list[str]:
     """Return notes on centers, and the ends of intervals, that a logarithmic scale cannot show."""
     (table,) = drawing.tables.values()
-    values, *spread = (style.column(table, name) for name in CENTERS[drawing.figure.center][: 3 if ends else 1])
+    values, *spread = (style.column(table, name) for name in bands.columns(drawing.figure)[: 3 if ends else 1])
     what = {"mean": "means", "median": "medians", "iqm": "interquartile means"}[drawing.figure.center]
     return _not_above_0(drawing, values, spread, what)
 

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
     from sierra.deliverables.figures.drawing import Drawing
 
+PLOT = frozenset({"log_x", "log_y", "xlim", "ylim", "palette", "labels"})
+"""The keys of kinds that have an x axis, a y axis and categories."""
+
 
 @dataclass(frozen=True, slots=True)
 class Request:

@@ -101,7 +101,7 @@ def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
     from sierra.deliverables.figures import style
 
     drawing = noted(drawing)
-    with style.applied():
+    with style.applied(drawing.figure):
         figure = painted(drawing)
         return [(ending, _bytes(figure, ending, drawing)) for ending in drawing.formats]
 

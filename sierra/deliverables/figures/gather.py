@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 from sierra.config.deliverable_tables import Figure
+from sierra.deliverables.figures import bands
 from sierra.deliverables.figures.base import Request, kind_of
 from sierra.deliverables.figures.drawing import Drawing
+from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.stats.needs import Needs
+from sierra.store.samples import like
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -41,6 +44,16 @@ class Batch:
     """The number of runs that each experiment should have."""
     id: str = ""
 
+    def of_experiments(self, ordinals: Container[int]) -> Batch:
+        """Return the batch without the other experiments, and without the values of variables that only they have."""
+        cells = {ordinal: cell for ordinal, cell in self.cells.items() if ordinal in ordinals}
+        axes = (
+            replace(axis, values=tuple(v for v in axis.values if any(cell[axis.name] == v for cell in cells.values())))
+            for axis in self.axes
+        )
+        planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in ordinals}
+        return Batch(tuple(axes), cells, planned, self.id)
+
 
 def gather(
     name: str,
@@ -55,24 +68,58 @@ def gather(
 
     `seen` is the coverage of the output, `whole` has its columns of whole numbers.
     """
+    batch = labelled(arranged(batch, figure), figure.labels)
     needs = kind_of(figure).needs(Request(figure, batch.axes, len(seen.runs), seen.most, columns))
     source.check(columns, numeric=needs.numeric)
     computed = stats.Computed({}, None, "", "")
     if needs.statistics or needs.runs:
         frames = {column: source.samples(column) for column in columns}
         computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, whole=whole)
+    only = figure.where and f"rows where {' '.join(figure.where.split())}"
     return Drawing(
         name=name,
         figure=figure if figure.columns == columns else figure.model_copy(update={"columns": columns}),
         axes=batch.axes,
         cells=batch.cells,
-        tables=computed.tables,
+        tables={column: bands.with_ends(table, figure) for column, table in computed.tables.items()},
         runs=computed.runs,
         rows={key: source.rows(statement) for key, statement in needs.rows.items()},
-        note=computed.note or _note(needs, seen, batch.planned),
-        sql="\n\n".join(filter(None, (computed.sql, *needs.rows.values()))),
+        note=f"{computed.note or _note(needs, seen, batch.planned)}{only and f'; only {only}'}",
+        sql="\n\n".join(filter(None, (only and f"-- {only}", computed.sql, *needs.rows.values()))),
         batch=batch.id,
     )
+
+
+def arranged(batch: Batch, figure: Figure) -> Batch:
+    """Return the batch with its variables in the order in which the figure uses them: `x`, `series`, others, `facet`."""
+    named = {axis.name: axis for axis in batch.axes}
+    for key, name in (("x", figure.x), ("series", figure.series), ("facet", figure.facet)):
+        if name and name not in named:
+            raise UsageError(f"{key}: this batch has no variable {name!r}; {like(name, list(named))}")
+    chosen = [name for name in (figure.x, figure.series, figure.facet) if name]
+    if len(set(chosen)) < len(chosen):
+        raise UsageError("x, series and facet are different variables; name each once")
+    first = [named.pop(figure.x)] if figure.x else []
+    second = [named.pop(figure.series)] if figure.series else []
+    last = [named.pop(figure.facet)] if figure.facet else []
+    rest = list(named.values())
+    if second and not first and "x" in kind_of(figure).uses:
+        first, rest = rest[:1], rest[1:]
+    return replace(batch, axes=(*first, *second, *rest, *last))
+
+
+def labelled(batch: Batch, labels: Mapping[str, str]) -> Batch:
+    """Return the batch with other names of categories."""
+    axes = tuple(replace(axis, values=tuple(_label(value, labels) for value in axis.values)) for axis in batch.axes)
+    cells = {k: {name: _label(value, labels) for name, value in cell.items()} for k, cell in batch.cells.items()}
+    for old, new in zip(batch.axes, axes, strict=True):
+        if len(set(new.values)) < len(old.values):
+            raise UsageError(f"labels: two values of {old.name} would have the same name")
+    return replace(batch, axes=axes, cells=cells) if labels else batch
+
+
+def _label(value: Value, labels: Mapping[str, str]) -> Value:
+    return labels.get(str(value), value)
 
 
 def _note(needs: Needs, seen: stats.Coverage, planned: Mapping[int, int]) -> str:

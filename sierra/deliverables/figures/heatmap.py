@@ -11,8 +11,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from sierra.deliverables.figures import style
-from sierra.deliverables.figures.axis_limits import CENTERS
+from sierra.deliverables.figures import bands, style
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
@@ -26,7 +25,7 @@ def heatmap(drawing: Drawing) -> Figure:
     (table,) = drawing.tables.values()
     across, up = drawing.axes
     cells = np.full((len(up.values), len(across.values)), np.nan)
-    center = style.drawable(style.column(table, CENTERS[drawing.figure.center][0]), drawing)
+    center = style.drawable(style.column(table, bands.columns(drawing.figure)[0]), drawing)
     for ordinal, value in zip(table.column("experiment").to_pylist(), center, strict=True):
         at = drawing.cells[ordinal]
         cells[up.values.index(at[up.name]), across.values.index(at[across.name])] = value

@@ -10,6 +10,8 @@ import textwrap
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict
@@ -21,7 +23,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize
+from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize, is_color_like
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -31,6 +33,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, LogLocator, NullLocator
 from matplotlib.typing import ColorType, LineStyleType, RcKeyType
 
+from sierra.config.deliverable_tables import Figure as FigureTable
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
 
@@ -40,6 +43,40 @@ if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
 
 Floats = npt.NDArray[np.float64]
+
+WIDTHS = {
+    "ieee-column": 3.5,
+    "ieee-page": 7.16,
+    "acm-column": 3.33,
+    "acm-page": 7.0,
+    "lncs": 4.8,
+    "elsevier-column": 3.54,
+    "elsevier-page": 7.48,
+    "neurips": 5.5,
+    "slide": 5.0,
+}
+"""The widths of columns and pages in inches, as templates of papers have them."""
+SLIDE = (5.0, 2.8)
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """The choices of one figure about size and colours."""
+
+    width: float | None = None
+    """In inches; None: a column, or a page for many panels."""
+    height: float | None = None
+    """The complete height in inches; None: as much as the content needs."""
+    colours: tuple[ColorType, ...] = ()
+    """The colours of categories; empty: the palette of Okabe and Ito."""
+
+
+_page: ContextVar[Page | None] = ContextVar("_page", default=None)
+
+
+def chosen() -> Page:
+    """Return the choices for the figure that is being drawn."""
+    return _page.get() or Page()
 
 
 class Look(TypedDict, total=False):
@@ -73,8 +110,49 @@ SETTINGS = Path(__file__).with_name("sierra.mplstyle")
 
 
 @contextmanager
-def applied() -> Iterator[None]:
-    """Apply matplotlib's defaults and these settings, whatever the user's settings are; restore them afterwards."""
+def applied(figure: FigureTable | None = None) -> Iterator[None]:
+    """Apply matplotlib's defaults and these settings, whatever the user's settings are; restore them afterwards.
+
+    `figure`: the table whose size and palette are used.
+    """
+    before = _page.set(page(figure) if figure else None)
+    try:
+        with _settings():
+            yield
+    finally:
+        _page.reset(before)
+
+
+def page(figure: FigureTable) -> Page:
+    """Return the choices of a figure. Raises UsageError for a colour that does not exist."""
+    width, height = None, None
+    if isinstance(figure.size, tuple):
+        width, height = figure.size
+    elif figure.size == "slide":
+        width, height = SLIDE
+    elif "size" in figure.model_fields_set:
+        width = WIDTHS[figure.size]
+    return Page(width, height, _palette(figure.palette))
+
+
+def _palette(given: str | tuple[str, ...]) -> tuple[ColorType, ...]:
+    match given:
+        case "okabe-ito":
+            return ()
+        case "petroff":
+            return tuple(mpl.color_sequences["petroff8"])
+        case "grey":
+            return tuple(str(level) for level in (0.0, 0.45, 0.65, 0.25, 0.8, 0.55, 0.35, 0.72))
+        case str():
+            return tuple(map(tuple, mpl.colormaps[given](np.linspace(0, 0.85, FEW))))
+        case _:
+            if wrong := [colour for colour in given if not is_color_like(colour)]:
+                raise UsageError(f"palette: {wrong[0]!r} is not a colour; use a name or #RRGGBB")
+            return given
+
+
+@contextmanager
+def _settings() -> Iterator[None]:
     with mpl.rc_context(), warnings.catch_warnings():
         mpl.rcParams.update(_defaults())
         # A character that the font lacks is drawn as a box; the figure is still drawn.
@@ -83,8 +161,9 @@ def applied() -> Iterator[None]:
 
 
 def blank(width: float = COLUMN, height: float = HEIGHT) -> Figure:
-    """Return an empty figure; its size is in inches."""
-    figure = Figure(figsize=(width, height))
+    """Return an empty figure; its size is in inches, unless the figure's keys choose another one."""
+    of_page = chosen()
+    figure = Figure(figsize=(of_page.width or width, of_page.height or height))
     FigureCanvasAgg(figure)
     return figure
 
@@ -94,7 +173,8 @@ def panels(count: int) -> tuple[Figure, list[Axes]]:
     if count == 1:
         figure = blank()
         return figure, [figure.add_subplot()]
-    columns = 2 if count in (2, 4) else min(6, max(3, int(np.ceil(np.sqrt(count)))))
+    wide = chosen().width or PAGE
+    columns = 2 if count in (2, 4) else min(6, max(3, int(np.ceil(np.sqrt(count)))), max(2, int(wide / 1.15)))
     rows = -(-count // columns)
     figure = blank(COLUMN if columns == 2 else PAGE, 1.0 + rows * (1.3 if columns == 2 else 1.5))
     every: list[Axes] = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
@@ -153,11 +233,14 @@ def settle(figure: Figure, drawing: Drawing) -> None:
     if drawing.figure.title:
         above.insert(0, figure.text(0.02, 1, wrapped(drawing.figure.title, width, 8.5), va="top", fontsize=8.5))
     below: list[Text] = []
-    if drawing.note:
-        below = [figure.text(0.99, 0, wrapped(drawing.note, width, 6), va="bottom", ha="right", fontsize=6, color=FAINT)]
+    if small := "\n".join(wrapped(text, width, 6) for text in (drawing.note, drawing.figure.footnote) if text):
+        below = [figure.text(0.99, 0, small, va="bottom", ha="right", fontsize=6, color=FAINT)]
+    _limit(figure, drawing)
     room = {item: item.get_window_extent().height / figure.dpi + GAP for item in [*above, *below]}
     height = figure.get_figheight() + sum(room[item] for item in above) + GAP
-    figure.set_figheight(height)
+    if chosen().height is None:
+        figure.set_figheight(height)
+    height = figure.get_figheight()
     top = 1 - GAP / 2 / height
     for item in above:
         _hang(figure, item, top)
@@ -168,6 +251,16 @@ def settle(figure: Figure, drawing: Drawing) -> None:
     # An engine that belongs to the figure would compute the layout again, and draw twice, for each format.
     rect = (0, bottom, 1, top - bottom)
     ConstrainedLayoutEngine(w_pad=0.03, h_pad=0.03, hspace=0.02, wspace=0.02, rect=rect).execute(figure)
+
+
+def _limit(figure: Figure, drawing: Drawing) -> None:
+    """Apply the limits that the figure declares to all panels."""
+    plots = [plot for plot in figure.axes if plot.get_subplotspec() is not None and plot.get_label() != "<colorbar>"]
+    for plot in plots:
+        if drawing.figure.xlim:
+            plot.set_xlim(*drawing.figure.xlim)
+        if drawing.figure.ylim:
+            plot.set_ylim(*drawing.figure.ylim)
 
 
 def _hang(figure: Figure, item: Legend | Text, top: float) -> None:
@@ -237,27 +330,35 @@ def wrapped(text: str, width: float, size: float) -> str:
 
 def colours(axis: Axis) -> list[ColorType]:
     """Return a colour for each value: along a scale for numbers, which have an order; clearly different ones for names."""
-    count = len(axis.values)
-    if count <= FEW and not axis.numeric:
-        return list(NAMED[:count])
+    count, known = len(axis.values), named_colours()
+    if count <= len(known) and (not axis.numeric or chosen().colours):
+        return list(known[:count])
     if count == 1:
-        return [NAMED[0]]
+        return [known[0]]
     if count > FEW and axis.numeric:
         norm = _norm(axis)
         return list(sequential()([norm(value) for value in axis.values if not isinstance(value, str)]))
     return list(sequential()([k / (count - 1) for k in range(count)]))
 
 
+def named_colours() -> tuple[ColorType, ...]:
+    """Return the colours of categories."""
+    return chosen().colours or NAMED
+
+
 def looks(axis: Axis) -> list[Look]:
     """Return the look of a line for each value; if each has an entry in the legend, no two have the same colour and style."""
     count = len(axis.values)
     if count == 1:
-        return [{"color": NAMED[0]}]
+        return [{"color": named_colours()[0]}]
     if count > (FEW if axis.numeric else NAMES):
         return [{"color": colour} for colour in colours(axis)]
-    several = NAMED if count > FEW else colours(axis)
+    several = list(named_colours()) if count > FEW else colours(axis)
     styles = [(k + k // FEW) % FEW for k in range(count)]
-    return [{"color": several[k % FEW], "linestyle": DASHES[style], "marker": MARKERS[style]} for k, style in enumerate(styles)]
+    return [
+        {"color": several[k % len(several)], "linestyle": DASHES[style], "marker": MARKERS[style]}
+        for k, style in enumerate(styles)
+    ]
 
 
 def sequential() -> LinearSegmentedColormap:

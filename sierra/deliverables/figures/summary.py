@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,15 +15,13 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 from matplotlib.typing import ColorType
 
-from sierra.deliverables.figures import axis_limits, style
-from sierra.deliverables.figures.axis_limits import CENTERS
+from sierra.deliverables.figures import axis_limits, bands, facets, style
+from sierra.deliverables.figures.facets import Panel, Panels
 from sierra.deliverables.figures.style import Floats, Look
-from sierra.deliverables.figures.timeseries import first_axis, others, rest_of, value_of, with_n
-from sierra.model import Axis, Value
+from sierra.deliverables.figures.timeseries import value_of, with_n
+from sierra.model import Axis
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
     from sierra.deliverables.figures.drawing import Drawing
 
 GOLDEN = 0.6180339887498949
@@ -40,30 +39,39 @@ DENSE = 5
 
 def summary(drawing: Drawing) -> Figure:
     """Draw a measure over the first axis, with intervals, and a line for each combination of the others."""
+    within = facets.panels(drawing)
+    looks = [Look(marker="o") | look for look in style.looks(within.groups)]
+    shifts = _shifts(within.first, len(within.groups.values))
     (table,) = drawing.tables.values()
-    figure = style.blank()
-    plot = figure.add_subplot()
-    first, groups = first_axis(drawing), _groups(drawing)
-    names = CENTERS[drawing.figure.center]
+    center = style.drawable(style.column(table, bands.columns(drawing.figure)[0]), drawing)
+    aside = max(map(abs, shifts)) + CAP
+    margin = max(0.04, aside / (WIDTH - 2 * aside))
+    for panel in within.panels:
+        _points(panel, within, looks, shifts)
+        style.scale_values(panel.plot, within.first, log=drawing.figure.log_x, margin=margin)
+    _frame(drawing, within, looks, float(np.nanmin(center)), float(np.nanmax(center)))
+    return within.figure
+
+
+def _points(panel: Panel, within: Panels, looks: Sequence[Look], shifts: Sequence[float]) -> None:
+    """Draw the points and intervals of one panel, group by group."""
+    drawing, first = panel.drawing, within.first
+    (table,) = drawing.tables.values()
+    names = bands.columns(drawing.figure)
     center = style.drawable(style.column(table, names[0]), drawing)
     low, high = (style.column(table, name) for name in names[1:])
     ordinals = table.column("experiment").to_pylist()
-    looks = [Look(marker="o") | look for look in style.looks(groups)]
-    shifts = _shifts(first, len(groups.values))
+    groups = np.array([within.group(drawing, ordinal) for ordinal in ordinals], dtype=int)
     for place, look in enumerate(looks):
-        rows = [k for k, o in enumerate(ordinals) if others(drawing).index(rest_of(drawing, o)) == place]
-        x = _places(drawing, first, [ordinals[k] for k in rows], place, len(groups.values))
+        rows = np.flatnonzero(groups == place)
+        x = _places(drawing, first, [ordinals[k] for k in rows], place, len(looks))
         censored = style.column(table, "never")[rows] > 0
-        artists = _interval(plot, x, center[rows], low[rows], high[rows], look, joined=first.numeric)
+        artists = _interval(panel.plot, x, center[rows], low[rows], high[rows], look, joined=first.numeric)
         hollow = look | Look(linestyle="none")
-        artists += plot.plot(x[censored], center[rows][censored], **hollow, markerfacecolor="white", zorder=3)
-        artists += _never(plot, x[censored & (style.column(table, "n")[rows] == 0)], look["color"])
+        artists += panel.plot.plot(x[censored], center[rows][censored], **hollow, markerfacecolor="white", zorder=3)
+        artists += _never(panel.plot, x[censored & (style.column(table, "n")[rows] == 0)], look["color"])
         if first.numeric:
             _shift(artists, shifts[place])
-    aside = max(map(abs, shifts)) + CAP
-    style.scale_values(plot, first, log=drawing.figure.log_x, margin=max(0.04, aside / (WIDTH - 2 * aside)))
-    _frame(figure, plot, drawing, first, groups, looks, table, float(np.nanmin(center)), float(np.nanmax(center)))
-    return figure
 
 
 def box(drawing: Drawing) -> Figure:
@@ -77,27 +85,31 @@ def violin(drawing: Drawing) -> Figure:
 
 
 def _side_by_side(drawing: Drawing, paint: Callable[..., None]) -> Figure:
-    (table,) = drawing.tables.values()
-    figure = style.blank()
-    plot = figure.add_subplot()
-    first, groups = first_axis(drawing), _groups(drawing)
-    count = len(groups.values)
-    colours = style.colours(groups) if count > 1 else [style.NAMED[0]]
-    style.side_by_side(plot, first)
-    runs = _runs(drawing)
-    for row in table.to_pylist():
-        place = others(drawing).index(rest_of(drawing, row["experiment"]))
-        x = first.values.index(value_of(drawing, row["experiment"])) + _dodge(place, count)
-        if not row["n"]:
-            _never(plot, [x] if row["never"] else [], colours[place])
-            continue
-        shown = style.drawable(runs[row["experiment"]], drawing)
-        paint(plot, x, 0.7 / count, row, shown[np.isfinite(shown)], colours[place])
+    within = facets.panels(drawing)
+    count = len(within.groups.values)
+    colours = style.colours(within.groups) if count > 1 else [style.named_colours()[0]]
+    for panel in within.panels:
+        _marks(panel, within, colours, paint)
+        style.side_by_side(panel.plot, within.first)
+        panel.plot.set_xlim(-0.6, len(within.first.values) - 0.4)
+    values = np.concatenate(list(_runs(drawing).values()))
     looks = [Look(color=colour, linewidth=4) for colour in colours]
-    values = np.concatenate(list(runs.values()))
-    plot.set_xlim(-0.6, len(first.values) - 0.4)
-    _frame(figure, plot, drawing, first, groups, looks, table, float(values.min()), float(values.max()))
-    return figure
+    _frame(drawing, within, looks, float(values.min()), float(values.max()))
+    return within.figure
+
+
+def _marks(panel: Panel, within: Panels, colours: Sequence[ColorType], paint: Callable[..., None]) -> None:
+    """Draw a box, a violin or the like for each experiment of a panel."""
+    (table,) = panel.drawing.tables.values()
+    count, runs = len(within.groups.values), _runs(panel.drawing)
+    for row in table.to_pylist():
+        place = within.group(panel.drawing, row["experiment"])
+        x = within.place(panel.drawing, row["experiment"]) + _dodge(place, count)
+        if not row["n"]:
+            _never(panel.plot, [x] if row["never"] else [], colours[place])
+            continue
+        shown = style.drawable(runs[row["experiment"]], panel.drawing)
+        paint(panel.plot, x, 0.7 / count, row, shown[np.isfinite(shown)], colours[place])
 
 
 def _box(plot: Axes, x: float, width: float, row: Mapping[str, float], runs: Floats, colour: ColorType) -> None:
@@ -181,15 +193,6 @@ def _dodge(place: int, count: int) -> float:
     return (place - (count - 1) / 2) * 0.8 / count
 
 
-def _groups(drawing: Drawing) -> Axis:
-    """Return the axes after the first as one axis, whose values differ by colour."""
-    if len(drawing.axes) == 2:
-        return drawing.axes[1]
-    label = ", ".join(style.axis_label(axis) for axis in drawing.axes[1:])
-    names: list[Value] = [", ".join(style.named(value, 12) for value in values) for values in others(drawing)]
-    return Axis(label, tuple(names), label=label)
-
-
 def _runs(drawing: Drawing) -> dict[int, Floats]:
     if drawing.runs is None:
         raise TypeError(f"a {drawing.figure.kind} figure needs the values of its runs")
@@ -198,23 +201,17 @@ def _runs(drawing: Drawing) -> dict[int, Floats]:
     return {int(ordinal): values[ordinals == ordinal] for ordinal in np.unique(ordinals)}
 
 
-def _frame(
-    figure: Figure,
-    plot: Axes,
-    drawing: Drawing,
-    first: Axis,
-    groups: Axis,
-    looks: list[Look],
-    table: pa.Table,
-    lowest: float,
-    highest: float,
-) -> None:
-    style.scale_y(plot, drawing, lowest, highest)
-    axis_limits.apply(plot, drawing)
-    style.outer_labels([plot], drawing.figure.xlabel or style.axis_label(first), style.value_label(drawing))
-    counts = [0] * len(groups.values)
+def _frame(drawing: Drawing, within: Panels, looks: list[Look], lowest: float, highest: float) -> None:
+    """Scale and label the axes of all panels, and add the legend."""
+    (table,) = drawing.tables.values()
+    for panel in within.panels:
+        style.scale_y(panel.plot, drawing, lowest, highest)
+        axis_limits.apply(panel.plot, drawing)
+    style.outer_labels(within.plots, drawing.figure.xlabel or style.axis_label(within.first), style.value_label(drawing))
+    counts = [0] * len(within.groups.values)
+    whole = replace(drawing, axes=within.panels[0].drawing.axes)
     for ordinal, n in zip(table.column("experiment").to_pylist(), table.column("n").to_pylist(), strict=True):
-        place = others(drawing).index(rest_of(drawing, ordinal))
+        place = within.group(whole, ordinal)
         counts[place] = max(counts[place], n)
-    entries = with_n([style.named(value) for value in groups.values], counts)
-    style.legend(figure, [plot], groups, entries, looks)
+    entries = with_n([style.named(value) for value in within.groups.values], counts)
+    style.legend(within.figure, within.plots, within.groups, entries, looks)

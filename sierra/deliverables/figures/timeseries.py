@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 
-from sierra.deliverables.figures import axis_limits, style
-from sierra.deliverables.figures.axis_limits import CENTERS
+from sierra.deliverables.figures import axis_limits, bands, style
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
@@ -46,7 +45,7 @@ def timeseries(drawing: Drawing) -> Figure:
         _line(plot, drawing, table.slice(rows.start, rows.stop - rows.start), look[value])
         place = first.values.index(value)
         highest[place] = max(highest[place], int(np.max(table.column("n").to_numpy()[rows])))
-    center = style.column(table, CENTERS[drawing.figure.center][0])
+    center = style.column(table, bands.columns(drawing.figure)[0])
     for plot, values in zip(plots, rest, strict=True):
         style.scale_y(plot, drawing, float(np.nanmin(center)), float(np.nanmax(center)))
         axis_limits.apply(plot, drawing)
@@ -60,7 +59,7 @@ def timeseries(drawing: Drawing) -> Figure:
 
 def stacked(drawing: Drawing) -> Figure:
     """Draw the columns on top of each other: over time in a panel for each experiment, or over the first axis."""
-    center = CENTERS[drawing.figure.center][0]
+    center = bands.columns(drawing.figure)[0]
     if any(np.nanmin(style.column(table, center)) < 0 for table in drawing.tables.values()):
         raise UsageError("stacked areas need values of at least 0; draw lines instead")
     units = {name: drawing.units.get(name, "") for name in drawing.tables}
@@ -124,7 +123,7 @@ def _line(plot: Axes, drawing: Drawing, table: pa.Table, look: Look) -> None:
     colour = look["color"]
     shown = _shown(table.num_rows)
     t = style.column(table, "t")[shown]
-    center, low, high = (style.column(table, name)[shown] for name in CENTERS[drawing.figure.center])
+    center, low, high = (style.column(table, name)[shown] for name in bands.columns(drawing.figure))
     center = style.drawable(center, drawing)
     known = np.isfinite(center)
     padded = np.concatenate(([False], known, [False]))

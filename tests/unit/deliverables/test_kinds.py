@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from PIL import Image
 
 from tests import plugins, projects
+
+SVG = "{http://www.w3.org/2000/svg}"
+COVERAGE = ('table = "swarm"', 'column = "coverage"')
 
 DOTS = """
 from typing import ClassVar
@@ -43,19 +48,77 @@ class Dots:
 """
 
 
-@pytest.fixture
-def dots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A project, where a package with the kind `dots` is installed, and a batch."""
-    place = plugins.write(tmp_path / "site", "dotted", {"sierra.figures dots": "Dots"}, DOTS)
-    monkeypatch.syspath_prepend(str(place))
-    folder = projects.make(tmp_path / "project")
-    assert projects.quick(folder, "run", "population_size=1,2", "--runs", "2", "--no-figures").returncode == 0
+SIMULATOR = """\
+import math, sys
+
+arena = open(sys.argv[1]).read()
+count = int(arena.split('<swarm count="')[1].split('"')[0])
+seed = int(arena.split('<random seed="')[1].split('"')[0])
+noise = float(arena.split("<noise>")[1].split("<")[0])
+with open("swarm.csv", "w") as swarm, open("poses.csv", "w") as poses, open("guesses.csv", "w") as guesses:
+    print("tick,coverage,energy", file=swarm)
+    print("tick,robot,x,y", file=poses)
+    print("truth,predicted,score", file=guesses)
+    for tick in range(6):
+        print(tick, count * tick + noise * (seed % 100), 5 + tick + seed % 7, sep=",", file=swarm)
+        for robot in range(count):
+            angle = tick / 3 + robot + seed % 5
+            print(tick, robot, 3 * math.cos(angle), 2 * math.sin(angle), sep=",", file=poses)
+        truth = (seed + tick) % 2
+        score = truth * 0.4 + (seed * (tick + 3)) % 61 / 100
+        print("ab"[truth], "ab"[score > 0.5], score, sep=",", file=guesses)
+"""
+"""A simulator that writes a series, poses of robots, and guesses of a classifier."""
+
+
+@pytest.fixture(scope="module")
+def batch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with one batch of two variables; tests declare figures of it."""
+    folder = projects.make(tmp_path_factory.mktemp("kinds") / "project", simulator=SIMULATOR)
+    done = projects.quick(folder, "run", "population_size=1,2,4", "noise=0.1,0.5", "--runs", "3", "--no-figures")
+    assert done.returncode == 0, done.stderr
     return folder
 
 
+@pytest.fixture
+def dots(batch: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The project, where a package with the kind `dots` is installed."""
+    place = plugins.write(tmp_path / "site", "dotted", {"sierra.figures dots": "Dots"}, DOTS)
+    monkeypatch.syspath_prepend(str(place))
+    return batch
+
+
 def declare(folder: Path, *lines: str) -> None:
-    with (folder / "sierra.toml").open("a") as file:
-        file.writelines(f"{line}\n" for line in ("", "[figures.f]", *lines))
+    """Write the project's file with one figure `f`."""
+    (folder / "sierra.toml").write_text("\n".join([projects.CONFIG, "[figures.f]", *lines, ""]))
+
+
+@cache
+def batch_of(folder: Path) -> str:
+    """Return the id of the only batch of a project."""
+    return projects.quick(folder, "sql", "SELECT batch FROM batches").stdout.split()[-1]
+
+
+def draw(folder: Path, *lines: str) -> Path:
+    """Draw one figure; return the path of the PNG."""
+    declare(folder, *lines)
+    done = projects.quick(folder, "figures", batch_of(folder), "f")
+    assert done.returncode == 0, done.stderr
+    return folder / done.stdout.splitlines()[0]
+
+
+def refusal(folder: Path, *lines: str) -> str:
+    """Return the one line that says why a figure cannot be drawn."""
+    declare(folder, *lines)
+    done = projects.quick(folder, "figures", batch_of(folder), "f")
+    assert done.returncode in (1, 2), done.stdout
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+def words(png: Path) -> list[str]:
+    """Return the texts of a figure."""
+    return ["".join(item.itertext()) for item in ElementTree.parse(png.with_suffix(".svg")).iter(f"{SVG}text")]  # noqa: S314
 
 
 def said(png: Path) -> str:
@@ -66,11 +129,7 @@ def said(png: Path) -> str:
 
 
 def test_a_kind_of_another_package_draws_rows_that_it_queried(dots: Path) -> None:
-    declare(dots, 'kind = "dots"', "most = 3")
-    done = projects.quick(dots, "figures")
-    assert done.returncode == 0, done.stderr
-    (png,) = dots.glob("figures/*/f.png")
-    assert said(png) == "each dot a row; 3 rows"
+    assert said(draw(dots, 'table = "swarm"', 'kind = "dots"', "most = 3")) == "each dot a row, n = 3; 3 rows"
 
 
 @pytest.mark.parametrize(
@@ -84,13 +143,86 @@ def test_a_kind_of_another_package_draws_rows_that_it_queried(dots: Path) -> Non
 def test_wrong_keys_of_an_added_kind_are_refused_before_anything_executes(
     dots: Path, lines: tuple[str, ...], complaint: str
 ) -> None:
-    declare(dots, 'kind = "dots"', *lines)
-    for words in (("run", "population_size=4"), ("figures",)):
-        done = projects.quick(dots, *words)
+    declare(dots, 'table = "swarm"', 'kind = "dots"', *lines)
+    for command in (("run", "population_size=4"), ("figures",)):
+        done = projects.quick(dots, *command)
         assert (done.returncode, complaint in done.stderr) == (2, True), done.stderr
         assert "Traceback" not in done.stderr
 
 
+@pytest.mark.integration
 def test_doctor_and_schema_list_the_keys_of_an_added_kind(dots: Path) -> None:
     assert "figure dots" in projects.quick(dots, "doctor").stdout
     assert "#most = 5" in projects.quick(dots, "schema", "--toml").stdout
+
+
+@pytest.mark.parametrize(
+    ("lines", "shown"),
+    [
+        (('band = "sd"',), "mean, ± one standard deviation, n = 3"),
+        (('band = "range"', 'center = "median"'), "median, smallest to largest value, n = 3"),
+        (('band = "iqr"',), "mean, quartiles, n = 3"),
+        (('band = "ci"',), "mean, 95 % CI, n = 3"),
+    ],
+)
+def test_the_small_print_names_the_band(batch: Path, lines: tuple[str, ...], shown: str) -> None:
+    assert said(draw(batch, *COVERAGE, 'kind = "summary"', *lines)) == shown
+
+
+def test_a_band_that_does_not_belong_to_the_center_is_refused(batch: Path) -> None:
+    assert 'band" of a median can be "iqr" or "range", not "sd"' in refusal(
+        batch, *COVERAGE, 'center = "median"', 'band = "sd"'
+    )
+
+
+@pytest.mark.integration
+def test_variables_are_chosen_for_the_x_axis_for_series_and_for_panels(batch: Path) -> None:
+    by_noise = words(draw(batch, *COVERAGE, 'kind = "summary"', 'x = "noise"'))
+    assert "noise" in by_noise
+    assert "population size" in by_noise, "the legend's title"
+    panels = words(draw(batch, *COVERAGE, 'kind = "box"', 'facet = "noise"'))
+    assert {"noise = 0.1", "noise = 0.5", "population size"} <= set(panels)
+    assert "did you mean 'noise'" in refusal(batch, *COVERAGE, 'kind = "box"', 'x = "nois"')
+    assert "name each once" in refusal(batch, *COVERAGE, 'kind = "box"', 'x = "noise"', 'facet = "noise"')
+
+
+def test_where_chooses_rows_by_columns_and_variables(batch: Path) -> None:
+    shown = words(draw(batch, *COVERAGE, 'kind = "box"', 'where = "population_size > 1 AND tick < 3"'))
+    assert {"2", "4"} <= set(shown)
+    assert "1" not in shown
+    png = draw(batch, *COVERAGE, 'kind = "box"', 'where = "population_size > 1"')
+    with Image.open(png) as image:
+        assert "-- rows where population_size > 1" in image.info["sierra:sql"]
+    assert said(png).endswith("; only rows where population_size > 1")
+
+
+@pytest.mark.parametrize(
+    ("where", "complaint"),
+    [
+        ("speed > 1", "where = 'speed > 1': "),
+        ("tick > 100", "no row of output 'swarm' fulfils where = 'tick > 100'"),
+        ("true; DROP TABLE x", "a condition has no ;"),
+        ("coverage IN (SELECT content FROM read_text('/etc/hostname'))", "where = "),
+    ],
+)
+def test_a_condition_that_cannot_be_used_is_one_line(batch: Path, where: str, complaint: str) -> None:
+    assert complaint in refusal(batch, *COVERAGE, 'kind = "box"', f'where = "{where}"')
+
+
+@pytest.mark.integration
+def test_sizes_are_those_of_templates_of_papers(batch: Path) -> None:
+    for size, inches in (('"acm-column"', 3.33), ('"ieee-page"', 7.16), ("[4.0, 3.0]", 4.0)):
+        with Image.open(draw(batch, *COVERAGE, 'kind = "summary"', f"size = {size}")) as image:
+            assert image.width == pytest.approx(inches * 300, abs=1)
+    with Image.open(draw(batch, *COVERAGE, "size = [4.0, 3.0]", 'title = "T"')) as image:
+        assert image.height == 900
+
+
+def test_palette_labels_limits_and_footnote_are_used(batch: Path) -> None:
+    keys = ('palette = ["#112233", "#445566"]', "labels = { '0.1' = 'calm', '0.5' = 'windy' }", 'footnote = "after Smith"')
+    png = draw(batch, *COVERAGE, 'kind = "summary"', *keys, "ylim = [0, 123]")
+    assert {"calm", "windy", "after Smith", "100"} <= set(words(png))
+    assert "#445566" in png.with_suffix(".svg").read_text()
+    assert "palette: 'blu' is not a colour" in refusal(batch, *COVERAGE, 'palette = ["blu"]')
+    assert "[2, 1] should be the lower and the upper limit" in refusal(batch, *COVERAGE, "ylim = [2, 1]")
+    assert "two values of noise would have the same name" in refusal(batch, *COVERAGE, "labels = { '0.1' = 'a', '0.5' = 'a' }")

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.deliverables.figures.base import Request
+from sierra.deliverables.figures import bands
+from sierra.deliverables.figures.base import PLOT, Request
 from sierra.stats.aggregate import CENTERS
 from sierra.stats.needs import Needs
 
@@ -25,13 +26,13 @@ class Timeseries:
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"times", "center", "log_x", "log_y"})
+    uses: ClassVar[frozenset[str]] = frozenset({"times", "center", "band", "series", "facet"}) | PLOT
 
     def __init__(self, options: Table) -> None:
         del options
 
     def needs(self, request: Request) -> Needs:
-        return Needs(CENTERS[request.figure.center], over="time")
+        return Needs(bands.statistics(request.figure), over="time", shows=bands.words(request.figure))
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
         from sierra.deliverables.figures import axis_limits
@@ -49,7 +50,7 @@ class Stacked:
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"times", "measure", "center", "log_x"})
+    uses: ClassVar[frozenset[str]] = frozenset({"times", "measure", "center", "x"}) | PLOT - {"log_y"}
 
     def __init__(self, options: Table) -> None:
         del options
@@ -57,7 +58,8 @@ class Stacked:
     def needs(self, request: Request) -> Needs:
         timed = request.rows > 1 and (request.experiments <= MOST_PANELS or not request.axes)
         center, _ = CENTERS[request.figure.center]
-        return Needs((center,), "time" if timed else "experiments", columns=None, shows=named(request))
+        shows = bands.NAMES[request.figure.center]
+        return Needs((center,), "time" if timed else "experiments", columns=None, shows=shows)
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
         return ()
@@ -66,8 +68,3 @@ class Stacked:
         from sierra.deliverables.figures.timeseries import stacked
 
         return stacked(drawing)
-
-
-def named(request: Request) -> str:
-    """Return the center of a figure in words."""
-    return request.figure.center.replace("iqm", "interquartile mean")

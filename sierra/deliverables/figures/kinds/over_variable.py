@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.deliverables.figures.base import Request
-from sierra.deliverables.figures.kinds.over_time import named
+from sierra.deliverables.figures import bands
+from sierra.deliverables.figures.base import PLOT, Request
 from sierra.errors import UsageError
-from sierra.stats.aggregate import CENTERS
 from sierra.stats.needs import Needs
 
 if TYPE_CHECKING:
@@ -26,13 +25,13 @@ class Summary:
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "log_x", "log_y"})
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "x", "series", "facet"}) | PLOT
 
     def __init__(self, options: Table) -> None:
         del options
 
     def needs(self, request: Request) -> Needs:
-        return Needs(CENTERS[request.figure.center], some="hollow")
+        return Needs(bands.statistics(request.figure), some="hollow", shows=bands.words(request.figure))
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
         from sierra.deliverables.figures import axis_limits
@@ -50,7 +49,7 @@ class Box:
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "log_y"})
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "x", "series", "facet"}) | PLOT - {"log_x", "xlim"}
 
     def __init__(self, options: Table) -> None:
         del options
@@ -86,7 +85,7 @@ class Heatmap:
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "log_y"})
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "x", "series", "log_y", "labels"})
 
     def __init__(self, options: Table) -> None:
         del options
@@ -94,7 +93,7 @@ class Heatmap:
     def needs(self, request: Request) -> Needs:
         if (count := len(request.axes)) != 2:
             raise UsageError(f"a heatmap needs two independent variables, but this batch has {count}; use a summary")
-        return Needs(CENTERS[request.figure.center], shows=named(request), none="hatched")
+        return Needs(bands.statistics(request.figure)[:1], shows=bands.NAMES[request.figure.center], none="hatched")
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
         from sierra.deliverables.figures import axis_limits
