@@ -210,17 +210,24 @@ READERS = Kind(
         "netcdf": "sierra.ingest.netcdf_variables:NetcdfVariables",
     },
 )
-_OVER_TIME, _OVER_VARIABLE = (f"sierra.deliverables.figures.kinds.{name}" for name in ("over_time", "over_variable"))
+_KINDS = "sierra.deliverables.figures.kinds"
 FIGURES = Kind(
     "figure",
     "sierra.deliverables.figures.base:FigureKind",
     {
-        "timeseries": f"{_OVER_TIME}:Timeseries",
-        "summary": f"{_OVER_VARIABLE}:Summary",
-        "box": f"{_OVER_VARIABLE}:Box",
-        "violin": f"{_OVER_VARIABLE}:Violin",
-        "heatmap": f"{_OVER_VARIABLE}:Heatmap",
-        "stacked": f"{_OVER_TIME}:Stacked",
+        "timeseries": f"{_KINDS}.over_time:Timeseries",
+        "summary": f"{_KINDS}.over_variable:Summary",
+        "box": f"{_KINDS}.over_variable:Box",
+        "violin": f"{_KINDS}.over_variable:Violin",
+        "strip": f"{_KINDS}.over_variable:Strip",
+        "bar": f"{_KINDS}.over_variable:Bar",
+        "heatmap": f"{_KINDS}.over_variable:Heatmap",
+        "stacked": f"{_KINDS}.over_time:Stacked",
+        "ecdf": f"{_KINDS}.distributions:Ecdf",
+        "histogram": f"{_KINDS}.distributions:Histogram",
+        "ridge": f"{_KINDS}.distributions:Ridge",
+        "scatter": f"{_KINDS}.pairs:Scatter",
+        "pareto": f"{_KINDS}.pairs:Pareto",
     },
 )
 """Kinds of figures. Their options are in the table of each figure that has this `kind`."""

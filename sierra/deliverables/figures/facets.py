@@ -42,6 +42,7 @@ class Panels:
     groups: Axis
     """The other variables as one: a colour for each combination of their values."""
     combinations: tuple[tuple[Value, ...], ...]
+    grouped: tuple[Axis, ...]
 
     @property
     def plots(self) -> list[Axes]:
@@ -49,23 +50,24 @@ class Panels:
 
     def group(self, drawing: Drawing, ordinal: int) -> int:
         """Return the place of an experiment's combination of values among all."""
-        return self.combinations.index(tuple(drawing.cells[ordinal][axis.name] for axis in drawing.axes[1:]))
+        return self.combinations.index(_values(drawing, self.grouped, ordinal))
 
     def place(self, drawing: Drawing, ordinal: int) -> int:
         """Return the place of an experiment's value on the first axis."""
         return self.first.values.index(drawing.cells[ordinal][self.first.name]) if drawing.axes else 0
 
 
-def panels(drawing: Drawing) -> Panels:
-    """Return the panels: one for each value of `facet`, or one."""
+def panels(drawing: Drawing, *, over_first: bool = True) -> Panels:
+    """Return the panels: one for each value of `facet`, or one. If not `over_first`, colours also show the first variable."""
     kept = tuple(axis for axis in drawing.axes if axis.name != drawing.figure.facet)
-    first = kept[0] if kept else Axis("", ("",))
-    rest = list(dict.fromkeys(_values(drawing, kept[1:], ordinal) for ordinal in sorted(drawing.cells))) or [()]
+    first = kept[0] if kept and over_first else Axis("", ("",))
+    grouped = kept[1:] if over_first else kept
+    rest = list(dict.fromkeys(_values(drawing, grouped, ordinal) for ordinal in sorted(drawing.cells))) or [()]
     whole = replace(drawing, axes=kept)
     facet = next((axis for axis in drawing.axes if axis.name == drawing.figure.facet), None)
     if facet is None:
         figure, (plot,) = style.panels(1)
-        return Panels(figure, (Panel(plot, whole),), first, _joined(kept[1:], rest), tuple(rest))
+        return Panels(figure, (Panel(plot, whole),), first, _joined(grouped, rest), tuple(rest), grouped)
     if len(facet.values) > MOST:
         raise UsageError(f"{facet.name} needs {len(facet.values)} panels, but at most {MOST} are possible; use `where`")
     figure, plots = style.panels(len(facet.values))
@@ -74,7 +76,7 @@ def panels(drawing: Drawing) -> Panels:
         within = [ordinal for ordinal, cell in drawing.cells.items() if cell[facet.name] == value]
         made.append(Panel(plot, _only(whole, within)))
         style.title(plot, style.point(drawing, [facet], within[0]))
-    return Panels(figure, tuple(made), first, _joined(kept[1:], rest), tuple(rest))
+    return Panels(figure, tuple(made), first, _joined(grouped, rest), tuple(rest), grouped)
 
 
 def _values(drawing: Drawing, axes: tuple[Axis, ...], ordinal: int) -> tuple[Value, ...]:

@@ -33,6 +33,8 @@ CAP = 4
 """The largest extent in points of a mark, or of an interval's end, to each side."""
 WIDTH = 0.7 * 72 * style.COLUMN
 """The approximate width of a plot in points."""
+HATCHES = ("", "///", "\\\\\\", "...", "xxx", "---", "+++", "ooo")
+"""The patterns of bars side by side, so that they differ in grey too."""
 DENSE = 5
 """The smallest number of runs for which a density is drawn."""
 
@@ -84,10 +86,58 @@ def violin(drawing: Drawing) -> Figure:
     return _side_by_side(drawing, _violin)
 
 
+def strip(drawing: Drawing) -> Figure:
+    """Draw a dot for each run, and a line at the median, for each experiment."""
+    return _side_by_side(drawing, _strip)
+
+
+def bar(drawing: Drawing) -> Figure:
+    """Draw a bar up to the center with its interval for each experiment, side by side for the groups."""
+    within = facets.panels(drawing)
+    (table,) = drawing.tables.values()
+    center = style.drawable(style.column(table, bands.columns(drawing.figure)[0]), drawing)
+    looks: list[Look] = [{"color": colour, "linewidth": 4} for colour in _colours(within)]
+    for panel in within.panels:
+        _bars(panel, within, looks)
+        style.side_by_side(panel.plot, within.first)
+        panel.plot.set_xlim(-0.6, len(within.first.values) - 0.4)
+        panel.plot.axhline(0, color="#333333", linewidth=0.6)
+    _frame(drawing, within, looks, float(np.nanmin(center)), float(np.nanmax(center)))
+    return within.figure
+
+
+def _bars(panel: Panel, within: Panels, looks: Sequence[Look]) -> None:
+    (table,) = panel.drawing.tables.values()
+    center, low, high = (style.column(table, name) for name in bands.columns(panel.drawing.figure))
+    count = len(looks)
+    for k, ordinal in enumerate(table.column("experiment").to_pylist()):
+        place = within.group(panel.drawing, ordinal)
+        x = within.place(panel.drawing, ordinal) + _dodge(place, count)
+        if not np.isfinite(center[k]):
+            continue
+        hatch = HATCHES[place % len(HATCHES)] if count > 1 else ""
+        colour = looks[place]["color"]
+        panel.plot.bar(x, center[k], 0.8 / count, color=to_rgba(colour, 0.55), edgecolor=colour, hatch=hatch, linewidth=0.6)
+        if np.isfinite(low[k]) and np.isfinite(high[k]):
+            reach = [[center[k] - low[k]], [high[k] - center[k]]]
+            panel.plot.errorbar(x, center[k], reach, fmt="none", ecolor="#333333", elinewidth=0.8, capsize=min(2, 8 / count))
+
+
+def _strip(plot: Axes, x: float, width: float, row: Mapping[str, float], runs: Floats, colour: ColorType) -> None:
+    offsets = ((np.arange(len(runs)) + 1) * GOLDEN % 1 - 0.5) * 0.7 * width
+    size = 2.4 if len(runs) <= 50 else 1.2
+    plot.plot(x + offsets, runs, "o", color=colour, markersize=size, markeredgewidth=0, alpha=0.7)
+    plot.plot([x - width / 2, x + width / 2], [row["median"]] * 2, color=colour, linewidth=1.4, solid_capstyle="butt")
+
+
+def _colours(within: Panels) -> list[ColorType]:
+    """Return a colour for each group."""
+    return style.colours(within.groups) if len(within.groups.values) > 1 else [style.named_colours()[0]]
+
+
 def _side_by_side(drawing: Drawing, paint: Callable[..., None]) -> Figure:
     within = facets.panels(drawing)
-    count = len(within.groups.values)
-    colours = style.colours(within.groups) if count > 1 else [style.named_colours()[0]]
+    colours = _colours(within)
     for panel in within.panels:
         _marks(panel, within, colours, paint)
         style.side_by_side(panel.plot, within.first)

@@ -22,6 +22,13 @@ KINDS: dict[str, tuple[RawTable, conformance.Values, tuple[Axis, ...]]] = {
     "violin": ({}, conformance.numbers, ONE),
     "heatmap": ({}, conformance.numbers, TWO),
     "stacked": ({"column": ("energy", "distance")}, conformance.numbers, ONE),
+    "strip": ({}, conformance.numbers, TWO),
+    "bar": ({}, conformance.numbers, TWO),
+    "ecdf": ({}, conformance.numbers, TWO),
+    "histogram": ({"bins": 12}, conformance.numbers, ONE),
+    "ridge": ({}, conformance.numbers, TWO),
+    "scatter": ({"column": ("energy", "distance"), "fit": "linear"}, conformance.numbers, TWO),
+    "pareto": ({"column": ("energy", "distance"), "better": ("high", "low")}, conformance.numbers, TWO),
 }
 
 

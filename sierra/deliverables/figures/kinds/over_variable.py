@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
     from sierra.deliverables.figures.drawing import Drawing
 
+NO_LOG_X = frozenset({"log_x", "xlim"})
+"""The keys that have no effect where values of variables are side by side."""
+SIDE_BY_SIDE = PLOT - NO_LOG_X - {"log_y"}
 BOX = ("median", "whiskers")
 
 
@@ -49,7 +52,7 @@ class Box:
 
     contract = 1
     Options: ClassVar[type[Table]] = NoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "x", "series", "facet"}) | PLOT - {"log_x", "xlim"}
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "x", "series", "facet"}) | PLOT - NO_LOG_X
 
     def __init__(self, options: Table) -> None:
         del options
@@ -78,6 +81,40 @@ class Violin(Box):
         from sierra.deliverables.figures.summary import violin
 
         return violin(drawing)
+
+
+class Strip(Box):
+    """A dot for each run over the first variable, and a line at the median."""
+
+    def needs(self, request: Request) -> Needs:
+        return Needs(("median",), runs=True, shows="each dot a run, line: median")
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.summary import strip
+
+        return strip(drawing)
+
+
+class Bar:
+    """Bars over the first variable, with intervals; side by side for the values of the others."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = NoOptions
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "x", "series", "facet"}) | SIDE_BY_SIDE
+
+    def __init__(self, options: Table) -> None:
+        del options
+
+    def needs(self, request: Request) -> Needs:
+        return Needs(bands.statistics(request.figure), shows=bands.words(request.figure))
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        return ()
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.summary import bar
+
+        return bar(drawing)
 
 
 class Heatmap:

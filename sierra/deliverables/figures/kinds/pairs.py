@@ -1,0 +1,87 @@
+"""Kinds that show two columns against each other: runs with fitted lines, and experiments with the Pareto front."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from sierra.config.field_types import Table
+from sierra.deliverables.figures import bands
+from sierra.deliverables.figures.base import PLOT, Request
+from sierra.stats.needs import Needs
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+Better = Literal["high", "low"]
+
+
+class ScatterOptions(Table):
+    """Figures of kind `scatter`."""
+
+    fit: Literal["none", "linear", "quadratic", "cubic", "log", "exp", "power"] = Field(
+        "none",
+        description="curve through the runs of each series by least squares; `log`: y over log x; `exp`, `power`: a line "
+        "through log y over x, or over log x",
+    )
+
+
+class Scatter:
+    """Each run as a mark at its values of two columns, with fitted curves and their 95 % intervals."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = ScatterOptions
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet"}) | PLOT
+
+    def __init__(self, options: ScatterOptions) -> None:
+        self._fit = options.fit
+
+    def needs(self, request: Request) -> Needs:
+        shows = "each mark a run" + (f", {self._fit} fit with the 95 % interval of its mean" if self._fit != "none" else "")
+        return Needs(("median",), runs=True, columns=2, shows=shows)
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        from sierra.deliverables.figures import pairs
+
+        return pairs.notes(drawing, self._fit)
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.pairs import scatter
+
+        return scatter(drawing, self._fit)
+
+
+class ParetoOptions(Table):
+    """Figures of kind `pareto`."""
+
+    better: Annotated[tuple[Better, ...], Field(min_length=2, max_length=2)] = Field(
+        ("high", "high"), description="whether `high` or `low` values are better, for each of the two columns"
+    )
+
+
+class Pareto:
+    """Each experiment at its centers of two columns, with intervals, and the front that no other experiment dominates."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = ParetoOptions
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "series", "facet"}) | PLOT - {"log_x", "log_y"}
+
+    def __init__(self, options: ParetoOptions) -> None:
+        first, second = options.better
+        self._better: tuple[Better, Better] = (first, second)
+
+    def needs(self, request: Request) -> Needs:
+        return Needs(bands.statistics(request.figure), columns=2, shows=bands.words(request.figure))
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        first, second = drawing.tables
+        return [f"line: front of the experiments, where {self._better[0]} {first} and {self._better[1]} {second} are better"]
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.pairs import pareto
+
+        return pareto(drawing, self._better)

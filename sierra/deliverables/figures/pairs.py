@@ -1,0 +1,169 @@
+"""Figures of two columns: runs with fitted curves, and experiments with their Pareto front.
+
+A fit is a polynomial by least squares, after taking logarithms where its name says so. The interval of its mean at x is
+ŷ ∓ t · s · √(v(x)), where t has n − p degrees of freedom, s² is the residual variance and v(x) = b(x)ᵀ (BᵀB)⁻¹ b(x) for the
+basis b of the polynomial (Seber and Lee 2003, section 5.2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from sierra.deliverables.figures import bands, facets, style
+from sierra.deliverables.figures.facets import Panel, Panels
+from sierra.deliverables.figures.style import Floats, Look
+from sierra.errors import UsageError
+from sierra.stats import student_t
+
+if TYPE_CHECKING:
+    from sierra.deliverables.figures.drawing import Drawing
+
+DEGREES = {"linear": 1, "quadratic": 2, "cubic": 3, "log": 1, "exp": 1, "power": 1}
+LOG_X, LOG_Y = ("log", "power"), ("exp", "power")
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A fitted curve at some places, with the interval of its mean; NaN if there is none."""
+
+    x: Floats
+    y: Floats
+    low: Floats
+    high: Floats
+    r2: float
+
+
+def fitted(x: Floats, y: Floats, kind: str) -> Fit | None:
+    """Return the curve through points; None if there are too few different places."""
+    u, v = (np.log(x) if kind in LOG_X else x), (np.log(y) if kind in LOG_Y else y)
+    degree = DEGREES[kind]
+    if len(np.unique(u)) <= degree:
+        return None
+    middle, scale = float(u.mean()), float(np.ptp(u)) or 1.0
+    basis = np.vander((u - middle) / scale, degree + 1)
+    weights, *_ = np.linalg.lstsq(basis, v)
+    at = np.linspace(u.min(), u.max(), 100)
+    places = np.vander((at - middle) / scale, degree + 1)
+    center = places @ weights
+    rest, freedom = v - basis @ weights, len(u) - degree - 1
+    total = float(((v - v.mean()) ** 2).sum())
+    r2 = 1 - float((rest**2).sum()) / total if total else float("nan")
+    half = np.full(len(at), np.nan)
+    if freedom > 0:
+        t = student_t.quantiles(0.975, freedom)[-1]
+        spread = np.einsum("ij,jk,ik->i", places, np.linalg.inv(basis.T @ basis), places)
+        half = t * np.sqrt(float((rest**2).sum()) / freedom * spread)
+    back = np.exp if kind in LOG_Y else np.asarray
+    return Fit(np.exp(at) if kind in LOG_X else at, back(center), back(center - half), back(center + half), r2)
+
+
+def scatter(drawing: Drawing, fit: str) -> Figure:
+    """Draw each run as a mark, and a curve for each series."""
+    within = facets.panels(drawing, over_first=False)
+    looks = style.looks(within.groups)
+    if not any(_series(panel, within, drawing, fit) for panel in within.panels):
+        raise UsageError("logarithms need values above 0, but no run has them in both columns")
+    for panel in within.panels:
+        for place, (x, y) in _series(panel, within, drawing, fit).items():
+            look = looks[place]
+            mark, size = look.get("marker", "o"), 3.0 if len(x) <= 200 else 1.5
+            panel.plot.plot(x, y, mark, color=look["color"], alpha=0.7, markeredgewidth=0, markersize=size)
+            if fit != "none" and (curve := fitted(x, y, fit)):
+                panel.plot.plot(curve.x, curve.y, color=look["color"], linestyle=look.get("linestyle", "-"))
+                panel.plot.fill_between(curve.x, curve.low, curve.high, facecolor=look["color"], alpha=0.15, linewidth=0)
+        if drawing.figure.log_x:
+            panel.plot.set_xscale("log")
+        if drawing.figure.log_y:
+            panel.plot.set_yscale("log")
+    _frame(drawing, within, looks)
+    return within.figure
+
+
+def pareto(drawing: Drawing, better: tuple[str, str]) -> Figure:
+    """Draw each experiment with its intervals, and the front as steps."""
+    within = facets.panels(drawing, over_first=False)
+    looks: list[Look] = [Look(marker="o") | look for look in style.looks(within.groups)]
+    names = bands.columns(drawing.figure)
+    for panel in within.panels:
+        first, second = panel.drawing.tables.values()
+        ordinals = first.column("experiment").to_pylist()
+        (x, *x_ends), (y, *y_ends) = ([style.column(table, name) for name in names] for table in (first, second))
+        for k, ordinal in enumerate(ordinals):
+            look = looks[within.group(panel.drawing, ordinal)]
+            colour = look["color"]
+            panel.plot.plot([x_ends[0][k], x_ends[1][k]], [y[k], y[k]], color=colour, linewidth=0.7)
+            panel.plot.plot([x[k], x[k]], [y_ends[0][k], y_ends[1][k]], color=colour, linewidth=0.7)
+            panel.plot.plot(x[k], y[k], **look | Look(linestyle="none"))
+        front = _front(x, y, better)
+        # between two experiments of the front, only what is worse than both is reached for sure
+        where: Literal["pre", "post"] = "pre" if better[0] == "high" else "post"
+        panel.plot.step(x[front], y[front], where=where, color="#333333", linewidth=0.8, zorder=1)
+    _frame(drawing, within, looks)
+    return within.figure
+
+
+def _front(x: Floats, y: Floats, better: tuple[str, str]) -> list[int]:
+    """Return the places of the experiments that no other one dominates, by ascending x."""
+    signs = [1 if one == "high" else -1 for one in better]
+    points = np.column_stack((x * signs[0], y * signs[1]))
+    known = [k for k in range(len(points)) if np.isfinite(points[k]).all()]
+    best = [k for k in known if not any((points[o] >= points[k]).all() and (points[o] > points[k]).any() for o in known)]
+    return sorted(best, key=lambda k: (x[k], y[k]))
+
+
+def notes(drawing: Drawing, fit: str) -> list[str]:
+    """Return notes on the runs that are left out, and how well the curves fit."""
+    within_log = _left_out(drawing, fit)
+    if fit == "none":
+        return within_log
+    few = [f"no curve for {counted} series with too few different values"] if (counted := _without(drawing, fit)) else []
+    return [*within_log, *few]
+
+
+def _left_out(drawing: Drawing, fit: str) -> list[str]:
+    """Return a note on runs without both values, and on those that a logarithm cannot show."""
+    if drawing.runs is None:
+        raise TypeError("a scatter figure needs the values of its runs")
+    x, y = style.column(drawing.runs, "value"), style.column(drawing.runs, "value_2")
+    bad = int((~_usable(drawing, x, y, fit)).sum())
+    most = max(int(table.column("n").to_numpy().sum()) for table in drawing.tables.values())
+    single = [f"{most - len(x)} runs without both values left out"] if most > len(x) else []
+    return [*single, *([f"log scale: {bad} of {len(x)} runs not above 0 left out"] if bad else [])]
+
+
+def _without(drawing: Drawing, fit: str) -> int:
+    within = facets.panels(drawing, over_first=False)
+    series = [points for panel in within.panels for points in _series(panel, within, drawing, fit).values()]
+    return sum(fitted(x, y, fit) is None for x, y in series)
+
+
+def _usable(drawing: Drawing, x: Floats, y: Floats, fit: str) -> np.typing.NDArray[np.bool_]:
+    above_x = (x > 0) | (not (drawing.figure.log_x or fit in LOG_X))
+    above_y = (y > 0) | (not (drawing.figure.log_y or fit in LOG_Y))
+    found: np.typing.NDArray[np.bool_] = above_x & above_y
+    return found
+
+
+def _series(panel: Panel, within: Panels, drawing: Drawing, fit: str) -> dict[int, tuple[Floats, Floats]]:
+    """Return the values of the runs of each series that can be drawn."""
+    runs = panel.drawing.runs
+    if runs is None:
+        raise TypeError("a scatter figure needs the values of its runs")
+    x, y = style.column(runs, "value"), style.column(runs, "value_2")
+    good = _usable(drawing, x, y, fit)
+    places = np.array([within.group(panel.drawing, ordinal) for ordinal in runs.column("experiment").to_pylist()], dtype=int)
+    return {int(place): (x[good & (places == place)], y[good & (places == place)]) for place in np.unique(places[good])}
+
+
+def _frame(drawing: Drawing, within: Panels, looks: list[Look]) -> None:
+    first, second = drawing.tables
+    measure = drawing.figure.measure
+    names = [style.label(f"{measure} {column}", drawing.units.get(column, "")) for column in (first, second)]
+    style.outer_labels(within.plots, drawing.figure.xlabel or names[0], drawing.figure.ylabel or names[1])
+    entries = [style.named(value) for value in within.groups.values]
+    marks = [look | Look(linestyle="none") if "marker" in look else look for look in looks]
+    style.legend(within.figure, within.plots, within.groups, entries, marks)

@@ -1,0 +1,120 @@
+"""Distributions and pairs of columns are drawn with the right numbers, which are compared with NumPy, SciPy and known cases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from sierra.deliverables.figures import distributions, pairs, style
+from sierra.deliverables.figures.drawing import Drawing, noted, painted
+from sierra.errors import UsageError
+from sierra.model import Axis
+from sierra.testing.figures import Row, Trial
+
+SIZE = (Axis("size", (1, 2)),)
+PAIR = {"column": ("energy", "distance")}
+
+
+def plot(drawing: Drawing) -> Any:
+    """Return the first panel of a figure."""
+    with style.applied(drawing.figure):
+        return painted(drawing).axes[0]
+
+
+def final(kind: str, *values: float, **keys: object) -> Drawing:
+    """Return a drawing of one experiment whose runs end with these values."""
+
+    def row(experiment: int, run: int, row: int) -> Row:
+        return {"energy": values[run]}
+
+    return Trial(kind, keys, row, ()).drawing(runs=lambda experiment: len(values))
+
+
+def test_the_steps_of_an_ecdf_are_the_parts_of_the_runs() -> None:
+    drawn = plot(final("ecdf", 4.0, 1.0, 2.0, 2.0, interval=False))
+    line = drawn.lines[0]
+    expected = scipy.stats.ecdf([4.0, 1.0, 2.0, 2.0]).cdf
+    steps = dict(zip(line.get_xdata(), line.get_ydata(), strict=True))
+    assert {x: steps[x] for x in (1.0, 2.0, 4.0)} == dict(zip(expected.quantiles, expected.probabilities, strict=True))
+    assert not drawn.collections
+
+
+def test_the_band_of_an_ecdf_has_the_half_width_of_massart() -> None:
+    band = plot(final("ecdf", *range(40))).collections[0].get_paths()[0].vertices
+    at_20 = [y for x, y in band if x == 20.0]
+    assert max(at_20) - 21 / 40 == pytest.approx(np.sqrt(np.log(40) / 80))
+
+
+def test_histograms_of_all_experiments_have_the_same_bins_and_count_every_run() -> None:
+    drawing = Trial("histogram", {"bins": 7}).drawing(runs=lambda experiment: 9)
+    outlines = plot(drawing).patches[::2]
+    (one, edges, _), (other, same, _) = (outline.get_data() for outline in outlines)
+    assert list(edges) == list(same)
+    assert (len(one), sum(one), sum(other)) == (7, 9, 9)
+    assert "7 bins" in noted(drawing).note
+
+
+def test_a_ridge_is_a_density() -> None:
+    found = distributions._density(np.array([1.0, 2.0, 2.5, 4.0, 7.0, 7.5]))
+    assert found is not None
+    x, y = found
+    assert np.trapezoid(y, x) == pytest.approx(1, abs=0.03)
+    assert y == pytest.approx(scipy.stats.gaussian_kde([1.0, 2.0, 2.5, 4.0, 7.0, 7.5])(x))
+
+
+def test_ridges_of_few_runs_are_said_to_be_without_a_density() -> None:
+    assert "1 without a density: fewer than 5 runs, or all equal" in noted(final("ridge", 1.0, 2.0)).note
+
+
+def test_a_linear_fit_and_its_interval_are_those_of_scipy() -> None:
+    x, y = np.array([1.0, 2.0, 3.0, 4.0, 6.0]), np.array([2.1, 3.9, 6.2, 8.1, 11.0])
+    fit = pairs.fitted(x, y, "linear")
+    assert fit is not None
+    known = scipy.stats.linregress(x, y)
+    assert fit.y == pytest.approx(known.intercept + known.slope * fit.x)
+    assert fit.r2 == pytest.approx(known.rvalue**2)
+    s = np.sqrt(((y - known.intercept - known.slope * x) ** 2).sum() / 3)
+    half = scipy.stats.t.ppf(0.975, 3) * s * np.sqrt(1 / 5 + (fit.x - x.mean()) ** 2 / ((x - x.mean()) ** 2).sum())
+    assert fit.high - fit.y == pytest.approx(half)
+
+
+@pytest.mark.parametrize(
+    ("kind", "curve"),
+    [
+        ("quadratic", lambda x: 3 * x**2 - x + 1),
+        ("cubic", lambda x: x**3 - 2 * x),
+        ("log", lambda x: 2 * np.log(x) + 1),
+        ("exp", lambda x: 2 * np.exp(0.5 * x)),
+        ("power", lambda x: 3 * x**1.5),
+    ],
+)
+def test_a_fit_finds_the_curve_that_the_points_are_on(kind: str, curve: Any) -> None:
+    x = np.array([1.0, 2.0, 3.0, 5.0, 8.0])
+    fit = pairs.fitted(x, curve(x), kind)
+    assert fit is not None
+    assert fit.y == pytest.approx(curve(fit.x))
+    assert fit.r2 == pytest.approx(1)
+
+
+def test_runs_that_a_logarithm_cannot_show_are_left_out_and_counted() -> None:
+    def around_0(experiment: int, run: int, row: int) -> Row:
+        return {"energy": run - 1.0, "distance": float(run * run) + 1}
+
+    drawing = Trial("scatter", {**PAIR, "fit": "power"}, around_0, SIZE).drawing()
+    assert "log scale: 4 of 12 runs not above 0 left out" in noted(drawing).note
+    nothing = replace(drawing, runs=drawing.runs and drawing.runs.slice(0, 1))
+    with pytest.raises(UsageError, match="logarithms need values above 0"):
+        plot(nothing)
+
+
+@pytest.mark.parametrize(
+    ("better", "front"),
+    [(("high", "high"), [3]), (("low", "high"), [0, 1, 3]), (("high", "low"), [2, 3]), (("low", "low"), [0, 2])],
+)
+def test_the_front_has_the_experiments_that_no_other_one_dominates(better: tuple[str, str], front: list[int]) -> None:
+    x, y = np.array([1.0, 2.0, 3.0, 4.0]), np.array([2.0, 3.0, 1.0, 4.0])
+    assert sorted(pairs._front(x, y, better)) == front
