@@ -33,6 +33,7 @@ from sierra.maintenance.findings import Affected, Finding, Kind, of
 from sierra.model import RunSpec, Value
 from sierra.provenance import source
 from sierra.provenance.dependency_model import fingerprint
+from sierra.store.deliverable_records import deliverable_id
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.layout import StorePaths
@@ -40,6 +41,7 @@ from sierra.store.parquet_row_counts import rows_by_file
 from sierra.store.row_types import TABLES as TABLE_NAMES
 from sierra.store.row_types import (
     BuildProductRow,
+    DeliverableRow,
     EnvironmentRow,
     IngestRulesRow,
     IsolationRow,
@@ -242,6 +244,13 @@ def _isolations(records: Records) -> Iterator[Finding]:
     yield from _own(records, IsolationRow, lambda row: digest("isolation", _fields(row, IsolationRow._fields[1:])))
 
 
+def _deliverables(records: Records) -> Iterator[Finding]:
+    """Check the ids of deliverables, and that their batches are recorded."""
+    yield from _own(records, DeliverableRow, deliverable_id)
+    for (batch,) in records.each("SELECT DISTINCT batch FROM deliverables ANTI JOIN batches USING (batch)"):
+        yield Finding(Kind.LOST, "deliverables", f"deliverables belong to batch {short(str(batch))}, which is not recorded")
+
+
 def _fields(row: NamedTuple, names: Iterable[str]) -> dict[str, JsonView]:
     return {name: getattr(row, name) for name in names}
 
@@ -263,6 +272,7 @@ USING = {
     "programs": "SELECT DISTINCT batch FROM executions WHERE programs = $id",
     "source": "SELECT DISTINCT batch FROM sessions WHERE source = $id",
     "build": "SELECT DISTINCT batch FROM sessions WHERE build = $id",
+    "deliverable": "SELECT DISTINCT batch FROM deliverables WHERE deliverable = $id",
 }
 
 
@@ -598,6 +608,7 @@ CHECKS: Sequence[Check] = (
     _sources,
     _readings,
     _judgements,
+    _deliverables,
     _isolations,
     _builds,
     _programs,

@@ -279,7 +279,7 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
         **{table: {"execution": executions} for table in OF_EXECUTIONS},
         "judgements": {"judgement": executions},
         "reused_executions": {"execution": executions, "session": _column(snapshot, GONE_SESSIONS)},
-        **{table: {"batch": batches} for table in ("batches", "experiments", "batch_runs", "sessions")},
+        **{table: {"batch": batches} for table in ("batches", "experiments", "batch_runs", "sessions", "deliverables")},
         "replays": {"replay": replays},
         "equivalences": {"replay": replays},
         "verdicts": {"replay": replays, "recorded": executions, "execution": executions},

@@ -544,6 +544,24 @@ class ImageRow(NamedTuple):
     size: Annotated[int, "total size of its files", "bytes"]
 
 
+class DeliverableRow(NamedTuple):
+    """Deliverables: figures and tables that were made from the store, with a row each time that one has changed."""
+
+    deliverable: Annotated[str, "hash of all columns below except made and lamport"]
+    batch: Annotated[str, "the batch that it was made for"]
+    batches: Annotated[list[str], "the batches whose data it shows"]
+    kind: Annotated[str, "figure or table"]
+    name: Annotated[str, "its name"]
+    definition: Annotated[str, "what it shows and how, with labels, units and notes, as JSON"]
+    sql: Annotated[str, "the SQL that computed its data"]
+    data: Annotated[str, "hash of the data that it shows"]
+    files: Annotated[list[str], "its files, relative to the project"]
+    sha256s: Annotated[list[str], "SHA-256 of each of these files"]
+    made_by: Annotated[list[str], "SIERRA and the libraries that made it, as name==version"]
+    made: Annotated[datetime, "when it was made"]
+    lamport: Annotated[int, "position in the logical order, as in sessions"]
+
+
 class ObjectRow(NamedTuple):
     """Recorded files by the hash of their content, in parts of at most 8 MiB; files that became tables are included unless
     [store] raw is false.
@@ -587,6 +605,7 @@ ROWS: dict[str, type[NamedTuple]] = {
     "reused_executions": ReusedExecutionRow,
     "unused_changes": UnusedChangeRow,
     "images": ImageRow,
+    "deliverables": DeliverableRow,
     "objects": ObjectRow,
 }
 """The class of each recorded table's rows."""

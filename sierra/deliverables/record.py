@@ -1,0 +1,141 @@
+"""Record deliverables: what each file shows, the hash of the data behind it, and the hash of the file.
+
+A deliverable is recorded when it is made, unless its last record says the same. So the store knows which of its data a file
+shows, and `checked` can tell whether the file still follows from the store.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from sierra.errors import Missing, SierraError
+from sierra.execution.sessions import Session
+from sierra.store import deliverable_records
+from sierra.store.lamport_clock import stamp
+from sierra.store.row_types import DeliverableRow
+from sierra.store.store import Store
+from sierra.util.hashing import sha256_file
+from sierra.util.json_types import JsonView
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """The content of a deliverable: everything that its files depend on."""
+
+    kind: str
+    name: str
+    batches: tuple[str, ...]
+    definition: Mapping[str, JsonView]
+    """What it shows and how: also labels, units, notes and formats."""
+    sql: str
+    data: str
+    """The hash of the data."""
+    made_by: tuple[str, ...]
+    """SIERRA and the libraries that make it, as name==version."""
+
+
+class Recorder:
+    """The records of a batch's deliverables. New ones are written to the store when it is closed."""
+
+    def __init__(self, store: Store, root: Path, batch: str) -> None:
+        self._store, self._root, self._batch = store, root, batch
+        self._latest = {(row.kind, row.name): row for row in deliverable_records.latest(store, batch)}
+        self._new: list[DeliverableRow] = []
+
+    def made(self, content: Content) -> tuple[Path, ...] | None:
+        """Return the files of a deliverable if they have been made from the same content and have not changed; else None."""
+        last = self._latest.get((content.kind, content.name))
+        if last is None or self._row(content, last.files, last.sha256s).deliverable != last.deliverable:
+            return None
+        return tuple(self._root / file for file in last.files) if _hashes(self._root, last) == last.sha256s else None
+
+    def add(self, content: Content, files: tuple[Path, ...]) -> None:
+        """Record that these files were made, unless the last record says the same."""
+        names = [file.relative_to(self._root).as_posix() for file in files]
+        row = self._row(content, names, [sha256_file(file) for file in files])
+        last = self._latest.get((content.kind, content.name))
+        if last is None or last.deliverable != row.deliverable:
+            self._latest[content.kind, content.name] = row
+            self._new.append(row)
+
+    def close(self) -> None:
+        """Write the new records. Raises Missing if the store cannot be written."""
+        if not self._new:
+            return
+        session = Session(self._store.paths, logged=False)
+        try:
+            session.take_number()
+            writer = self._store.writer(session.paths.segment, self._batch)
+            position = stamp(session.number, session.id)
+            writer.records(row._replace(lamport=position) for row in self._new)
+            self._store.publish(writer)
+        finally:
+            session.close()
+        self._new.clear()
+
+    def _row(self, content: Content, files: list[str], sha256s: list[str]) -> DeliverableRow:
+        row = DeliverableRow(
+            deliverable="",
+            batch=self._batch,
+            batches=list(content.batches),
+            kind=content.kind,
+            name=content.name,
+            definition=json.dumps(content.definition, ensure_ascii=False, sort_keys=True),
+            sql=content.sql,
+            data=content.data,
+            files=files,
+            sha256s=sha256s,
+            made_by=list(content.made_by),
+            made=datetime.now(UTC),
+            lamport=0,
+        )
+        return row._replace(deliverable=deliverable_records.deliverable_id(row))
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """Whether a recorded deliverable still follows from the store."""
+
+    kind: str
+    name: str
+    files: tuple[str, ...]
+    problem: str | None
+    """Why it does not, in one line; None if it does."""
+
+
+def checked(store: Store, root: Path, batch: str, again: Callable[[DeliverableRow], Content]) -> Iterator[Checked]:
+    """Yield each recorded deliverable of a batch with its state; `again` computes its content from the store as it is now."""
+    for row in deliverable_records.latest(store, batch):
+        yield Checked(row.kind, row.name, tuple(row.files), _problem(row, root, again))
+
+
+def _problem(row: DeliverableRow, root: Path, again: Callable[[DeliverableRow], Content]) -> str | None:
+    for file, recorded, found in zip(row.files, row.sha256s, _hashes(root, row), strict=True):
+        if found is None:
+            return f"{file} is missing"
+        if found != recorded:
+            return f"{file} is not the file that SIERRA made (SHA-256 {found[:10]} instead of {recorded[:10]})"
+    try:
+        now = again(row)
+    except Missing:
+        raise
+    except SierraError as error:
+        return f"it can no longer be made: {error}"
+    if now.data != row.data:
+        return "the store has other data now; draw it again with: sierra figures"
+    return None
+
+
+def _hashes(root: Path, row: DeliverableRow) -> list[str | None]:
+    """Return the SHA-256 of each file of a deliverable; None for a file that cannot be read."""
+    found: list[str | None] = []
+    for file in row.files:
+        found.append(None)
+        with contextlib.suppress(OSError):
+            found[-1] = sha256_file(root / file)
+    return found

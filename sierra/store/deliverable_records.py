@@ -1,0 +1,24 @@
+"""The recorded deliverables of a batch, and their ids."""
+
+from __future__ import annotations
+
+from sierra.store.row_types import DeliverableRow
+from sierra.store.store import Store
+from sierra.util.hashing import digest
+
+IDENTIFYING = tuple(name for name in DeliverableRow._fields if name not in ("deliverable", "made", "lamport"))
+"""The columns that the id is made from."""
+LATEST = """
+FROM deliverables WHERE batch = $b
+QUALIFY row_number() OVER (PARTITION BY kind, name ORDER BY lamport DESC, made DESC) = 1 ORDER BY kind, name
+"""
+
+
+def deliverable_id(row: DeliverableRow) -> str:
+    """Return the id that follows from a deliverable's columns."""
+    return digest("deliverable", {name: getattr(row, name) for name in IDENTIFYING})
+
+
+def latest(store: Store, batch: str) -> list[DeliverableRow]:
+    """Return the last record of each deliverable of a batch."""
+    return store.select(DeliverableRow, f"SELECT * {LATEST}", b=batch)
