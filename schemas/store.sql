@@ -432,6 +432,23 @@ CREATE TABLE images (
     "size" BIGINT  -- total size of its files [bytes]
 );
 
+-- Deliverables: figures and tables that were made from the store, with a row each time that one has changed.
+CREATE TABLE deliverables (
+    "deliverable" VARCHAR,  -- hash of all columns below except made and lamport
+    "batch" VARCHAR,  -- the batch that it was made for
+    "batches" VARCHAR[],  -- the batches whose data it shows
+    "kind" VARCHAR,  -- figure or table
+    "name" VARCHAR,  -- its name
+    "definition" VARCHAR,  -- what it shows and how, with labels, units and notes, as JSON
+    "sql" VARCHAR,  -- the SQL that computed its data
+    "data" VARCHAR,  -- hash of the data that it shows
+    "files" VARCHAR[],  -- its files, relative to the project
+    "sha256s" VARCHAR[],  -- SHA-256 of each of these files
+    "made_by" VARCHAR[],  -- SIERRA and the libraries that made it, as name==version
+    "made" TIMESTAMP WITH TIME ZONE,  -- when it was made
+    "lamport" BIGINT  -- position in the logical order, as in sessions
+);
+
 -- Recorded files by the hash of their content, in parts of at most 8 MiB; files that became tables are included unless [store] raw is false.
 CREATE TABLE objects (
     "sha256" VARCHAR,  -- SHA-256 of the whole file

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sierra.containers.images.image import Image
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
+    from sierra.deliverables.record import Checked, ShownDeliverable
     from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.list_batches import ListedBatch
     from sierra.execution.observer import Observer
@@ -451,6 +452,18 @@ class Project:
             case _:
                 return shown
 
+    def deliverable(self, file: str | os.PathLike[str]) -> ShownDeliverable:
+        """Return the record of a figure's file: what it shows, from which data, and whether it still follows from the store.
+
+        The file is found by its content, so that it may have another name or be in another folder. Raises NotFound.
+
+        >>> project.deliverable(project.figures(summary.batch)[0]).problem is None
+        True
+        """
+        from sierra.deliverables import render
+
+        return render.find(self._loaded, self.store, Path(file))
+
     def _session(self, prefix: str) -> ShownSession | None:
         """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""
         from sierra.execution.show_record import ShownSession
@@ -778,6 +791,18 @@ class Project:
         >>> drawn, notes = project.draw(summary.batch)
         """
         return self._deliver(self.batch(prefix), name)
+
+    def check_figures(self, prefix: str | None = None) -> list[Checked]:
+        """Return whether each figure that was drawn of a batch still follows from the store. Default: the batch requested last.
+
+        A figure's `problem` is None if its files are those that were drawn and the store gives the same data; else the reason.
+
+        >>> {checked.problem for checked in project.check_figures(summary.batch)}
+        {None}
+        """
+        from sierra.deliverables import render
+
+        return render.check(self._loaded, self.store, self.batch(prefix))
 
     def statistics(
         self,

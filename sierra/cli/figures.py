@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import TargetOfBatch
-from sierra.cli.output import note, print_json
+from sierra.cli.output import note, print_json, readable
+from sierra.errors import UsageError
+
+if TYPE_CHECKING:
+    from sierra.deliverables.record import Checked
 
 
 def figures(
@@ -21,11 +27,15 @@ def figures(
         str | None, typer.Argument(metavar="NAME", autocompletion=complete.figures, help="One figure (default: all).")
     ] = None,
     target: TargetOfBatch = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Draw nothing; check that drawn figures still follow from the store.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list of files instead of text.")] = False,
 ) -> None:
     """Draw the figures of a batch again.
 
-    Figures are drawn from recorded results; nothing is executed.
+    Figures are drawn from recorded results; nothing is executed. With --check, nothing is drawn: exit status 1 means that a
+    file was changed or removed since it was drawn, or that the store has other data now.
 
     \b
     Examples:
@@ -33,10 +43,16 @@ def figures(
       sierra figures 3f9a1c
       sierra figures --target robots
       sierra figures 3f9a1c swarm_coverage_summary
+      sierra figures 3f9a1c --check
     """
     from sierra.cli.open_project import project
 
     opened = project()
+    if check:
+        if name is not None:
+            raise UsageError("--check checks all figures of a batch; leave out the figure's name")
+        _check(opened.check_figures(opened.batch(prefix, target=target)), as_json=as_json)
+        return
     paths, notes = opened.draw(opened.batch(prefix, target=target), name)
     for text in notes:
         note(text)
@@ -45,6 +61,19 @@ def figures(
     else:
         for path in paths:
             print(from_here(path))
+
+
+def _check(found: Sequence[Checked], *, as_json: bool) -> None:
+    """Print the state of each figure; end with exit status 1 if one does not follow from the store."""
+    if as_json:
+        print_json([asdict(one) for one in found])
+    else:
+        for one in found:
+            print(f"{one.name}: {readable(one.problem or 'follows from the store')}")
+        if not found:
+            note("no figure of this batch has been drawn; draw them with: sierra figures")
+    if any(one.problem for one in found):
+        raise typer.Exit(1)
 
 
 def from_here(path: str | os.PathLike[str]) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,6 +15,7 @@ from sierra.cli.output import cell, fields, fitting, members, print_json, readab
 from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
+    from sierra.deliverables.record import ShownDeliverable
     from sierra.execution.show_record import Failed, ShownBatch, ShownBuild, ShownExecution, ShownIsolation
     from sierra.provenance.commits_between import Known
 
@@ -31,25 +34,32 @@ def show(
     prefix: Annotated[
         str,
         typer.Argument(
-            metavar="HASH", autocompletion=complete.anything, help="Id, as `sierra ls` prints it; a prefix is enough."
+            metavar="HASH|FILE",
+            autocompletion=complete.anything,
+            help="Id, as `sierra ls` prints it; a prefix is enough. Or a figure's file.",
         ),
     ],
     long: Long = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show a batch, experiment, run, execution or session.
+    """Show a batch, experiment, run, execution or session, or what a figure's file shows.
 
-    For a batch and a session, this includes the path of the log file, which lists the events while runs executed.
+    For a batch and a session, this includes the path of the log file, which lists the events while runs executed. For a file
+    that SIERRA made, it includes the SQL and whether the store would still give the same data.
 
     \b
     Examples:
       sierra show 3f9a1c
       sierra show 3f9a1c --long
+      sierra show figures/3f9a1c0b12/swarm_coverage_summary.pdf
     """
     from sierra.cli.open_project import project
     from sierra.execution.around import described, recorded
     from sierra.execution.show_record import ShownBatch, ShownExecution, ShownRun
 
+    if (os.sep in prefix or "." in prefix) and Path(prefix).exists():
+        _print_deliverable(project().deliverable(prefix), long=long, as_json=as_json)
+        return
     shown = project().show(prefix)
     record = shown.as_dict()
     if as_json:
@@ -73,6 +83,19 @@ def show(
             _print_record(record, long=long)
     if isinstance(shown, ShownRun | ShownExecution):
         print(f"\nsierra files {str(record[shown.kind])[:10]} PATH prints a recorded file; --to FOLDER writes all files")
+
+
+def _print_deliverable(shown: ShownDeliverable, *, long: bool, as_json: bool) -> None:
+    """Print what a file shows, and whether it still follows from the store."""
+    record = shown.as_dict()
+    if as_json:
+        print_json(record)
+        return
+    for name in ("sql", "problem"):
+        record.pop(name)
+    _print_record(record, long=long)
+    print(f"\nsql:\n{readable(shown.row.sql)}\n")
+    print(f"state: {readable(shown.problem or 'follows from the store')}")
 
 
 def _without_parts(record: Mapping[str, object]) -> dict[str, object]:

@@ -8,19 +8,23 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import ClassVar
 
-from sierra.errors import Missing, SierraError
+from sierra.errors import Missing, NotFound, SierraError
 from sierra.execution.sessions import Session
 from sierra.store import deliverable_records
 from sierra.store.lamport_clock import stamp
 from sierra.store.row_types import DeliverableRow
+from sierra.store.segments import disk_errors
 from sierra.store.store import Store
-from sierra.util.hashing import sha256_file
+from sierra.util.hashing import sha256, sha256_file, short
 from sierra.util.json_types import JsonView
+from sierra.version import __version__
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +101,16 @@ class Recorder:
         return row._replace(deliverable=deliverable_records.deliverable_id(row))
 
 
+ORIGIN = re.compile(rb"sierra (\S{1,40}) batch ([0-9a-f]{64}) data ([0-9a-f]{64})")
+"""The line of `origin_of` in a file."""
+FIND = "SELECT * FROM deliverables WHERE list_contains(sha256s, $sha256) ORDER BY lamport DESC, made DESC LIMIT 1"
+
+
+def origin_of(batch: str, data: str) -> str:
+    """Return the line that every file of a deliverable contains, whatever its format; `data` is the hash of its data."""
+    return f"sierra {__version__} batch {batch} data {data}"
+
+
 @dataclass(frozen=True, slots=True)
 class Checked:
     """Whether a recorded deliverable still follows from the store."""
@@ -112,6 +126,37 @@ def checked(store: Store, root: Path, batch: str, again: Callable[[DeliverableRo
     """Yield each recorded deliverable of a batch with its state; `again` computes its content from the store as it is now."""
     for row in deliverable_records.latest(store, batch):
         yield Checked(row.kind, row.name, tuple(row.files), _problem(row, root, again))
+
+
+@dataclass(frozen=True, slots=True)
+class ShownDeliverable:
+    """The record of a file that SIERRA made, and whether the file still follows from the store."""
+
+    kind: ClassVar[str] = "deliverable"
+    row: DeliverableRow
+    problem: str | None
+
+    def as_dict(self) -> dict[str, object]:
+        row = {**self.row._asdict(), "definition": json.loads(self.row.definition)}
+        row["deliverable_kind"] = row.pop("kind")
+        return {"kind": self.kind, **row, "problem": self.problem}
+
+
+def find(store: Store, root: Path, file: Path, again: Callable[[DeliverableRow], Content]) -> ShownDeliverable:
+    """Return the record of a file, which is found by its content. Raises NotFound, or SierraError if it was changed."""
+    with disk_errors(file):
+        data = file.read_bytes()
+    rows = store.select(DeliverableRow, FIND, sha256=sha256(data))
+    if rows:
+        return ShownDeliverable(rows[0], _problem(rows[0], root, again))
+    said = ORIGIN.search(data)
+    if said is None:
+        raise NotFound(f"{file} was not made by SIERRA, or was changed: it names no batch")
+    version, batch, _ = (part.decode() for part in said.groups())
+    raise SierraError(
+        f"{file} says that SIERRA {version} made it from batch {short(batch)}, but no such file is recorded in this store: "
+        "the file was changed, or it belongs to another store"
+    )
 
 
 def _problem(row: DeliverableRow, root: Path, again: Callable[[DeliverableRow], Content]) -> str | None:

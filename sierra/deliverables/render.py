@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,22 +19,23 @@ from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import seconds
+from sierra.deliverables import record, seconds
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.figures.gather import Batch, gather
+from sierra.deliverables.record import Checked, Content, Recorder, ShownDeliverable, checked
 from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store.layout import ProjectPaths
+from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import MIXED, Column, Frame, OutputTable, names_time
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.fs import write_whole
-from sierra.util.hashing import sha256, short
-from sierra.version import __version__
+from sierra.util.hashing import short
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -58,7 +59,7 @@ def figures(
     with Frame(store, batch) as frame:
         gallery = _Gallery(project, store, frame)
         wanted, notes = gallery.wanted(name)
-        drawer = _Drawer(ProjectPaths(project.root).drawn(short(batch)), again=again)
+        drawer = _Drawer(store, project.root, batch, again=again)
         drawn: list[Path] = []
         for figure_name, figure in wanted.items():
             try:
@@ -69,9 +70,26 @@ def figures(
                 if name is not None:
                     raise
                 notes.append(f"figure {figure_name}: {error}")
-        drawer.note()
         notes += gallery.time_notes.values()
+    notes += drawer.close()
     return drawn, notes
+
+
+def check(project: LoadedProject, store: Store, batch: str) -> list[Checked]:
+    """Return whether each recorded deliverable of a batch still follows from the store, in the order of their names."""
+    return list(checked(store, project.root, batch, partial(_again, project, store)))
+
+
+def find(project: LoadedProject, store: Store, file: Path) -> ShownDeliverable:
+    """Return the record of a file that SIERRA made. Raises NotFound."""
+    return record.find(store, project.root, file, partial(_again, project, store))
+
+
+def _again(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+    """Return the content of a recorded deliverable by its definition and the data that the store has now."""
+    with Frame(store, row.batch) as frame:
+        figure = Figure.model_validate(json.loads(row.definition)["figure"])
+        return _Gallery(project, store, frame).drawing(row.name, figure).content()
 
 
 def statistics(
@@ -140,44 +158,33 @@ def _with_axes(table: pa.Table, frame: Frame) -> pa.Table:
 
 
 class _Drawer:
-    """The writer of figures' files. Without `again`, it skips figures whose files exist and whose content is unchanged."""
+    """The writer of figures' files, which records them. Without `again`, it skips figures that it would only write again."""
 
-    def __init__(self, memory: Path, *, again: bool) -> None:
-        self._memory = memory
+    def __init__(self, store: Store, root: Path, batch: str, *, again: bool) -> None:
+        self._recorder = Recorder(store, root, batch)
+        self._mark = ProjectPaths(root).drawn(short(batch))
         self._again = again
-        try:
-            self._drawn: dict[str, str] = dict(json.loads(memory.read_bytes()))
-        except (OSError, ValueError, TypeError, RecursionError):
-            self._drawn = {}
-        self._before = dict(self._drawn)
 
     def draw(self, drawing: Drawing) -> tuple[Path, ...]:
         """Return the figure's files, drawn now or before."""
-        files = tuple(self._memory.parent / f"{drawing.name}.{ending}" for ending in drawing.formats)
-        now = fingerprint(drawing)
-        if not self._memory.exists():
-            with disk_errors(self._memory.parent):
-                self._memory.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(self._memory, b"{}")
-        if self._again or self._drawn.get(drawing.name) != now or not all(file.is_file() for file in files):
-            files = draw(drawing, self._memory.parent)
-            self._drawn[drawing.name] = now
+        content = drawing.content()
+        files = None if self._again else self._recorder.made(content)
+        if files is None:
+            if not self._mark.exists():
+                with disk_errors(self._mark.parent):
+                    self._mark.parent.mkdir(parents=True, exist_ok=True)
+                    write_whole(self._mark, b"Figures drawn by SIERRA: see the table deliverables.\n")
+            files = draw(drawing, self._mark.parent)
+            self._recorder.add(content, files)
         return files
 
-    def note(self) -> None:
-        """Save the fingerprints of the figures that were drawn."""
-        if self._drawn != self._before:
-            write_whole(self._memory, json.dumps(self._drawn, indent=0, sort_keys=True).encode())
-
-
-def fingerprint(drawing: Drawing) -> str:
-    """Return the hash of everything that a figure's bytes depend on: its content, and the programs that draw it."""
-    tables = {name: table for name, table in drawing.tables.items() if table is not None}
-    data = [*tables.values(), *([] if drawing.runs is None else [drawing.runs]), *drawing.rows.values()]
-    numbers = [repr(table.to_pydict()) for table in data]
-    shown = [drawing.figure.model_dump_json(), drawing.axes, dict(drawing.cells), list(tables), numbers]
-    rest = [drawing.name, drawing.note, drawing.sql, drawing.batch, drawing.time, dict(drawing.units), drawing.formats]
-    return sha256(repr((shown, rest, __version__, version("matplotlib"))).encode())
+    def close(self) -> list[str]:
+        """Record what was drawn. Return a note if that is not possible."""
+        try:
+            self._recorder.close()
+        except Missing as error:
+            return [f"the figures are drawn, but not recorded: {error}"]
+        return []
 
 
 @dataclass(frozen=True, slots=True)

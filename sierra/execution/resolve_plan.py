@@ -424,7 +424,7 @@ def context(plan: Plan, session: str = "", number: int | None = None) -> Context
 
 def _drawn(root: Path) -> list[str]:
     """Return the folders that figures were drawn to; other files in `figures` belong to the project."""
-    return [f"{FIGURES}/{memory.parent.name}" for memory in ProjectPaths(root).figures.glob(f"*/{DRAWN}")]
+    return [f"{FIGURES}/{mark.parent.name}" for mark in ProjectPaths(root).figures.glob(f"*/{DRAWN}*")]
 
 
 def _inside(template: str) -> list[str]:

@@ -6,7 +6,7 @@ $XDG_CACHE_HOME/sierra/             caches that can be rebuilt: digests.json, ve
 $XDG_STATE_HOME/sierra/             crash reports; the history of the SQL prompt
 PROJECT/sierra.toml
 PROJECT/sierra.lock                 the images that image names stand for; committed with the project
-PROJECT/figures/<batch>/            figures, and in .drawn.json the data that they were drawn from
+PROJECT/figures/<batch>/            figures, and the mark .drawn; what they show is recorded in the table deliverables
 PROJECT/.sierra/files               hashes of the project's files outside git; rebuilt if it is missing
 PROJECT/.sierra/format              the version of the store's format
 PROJECT/.sierra/id                  the store's id; see sierra.store.ownership_marks
@@ -48,7 +48,8 @@ PYPROJECT = "pyproject.toml"
 STORE = ".sierra"
 WORK = "work"
 FIGURES = "figures"
-DRAWN = ".drawn.json"
+DRAWN = ".drawn"
+"""The mark of a folder that SIERRA draws figures to, so that it does not count as source."""
 
 RUN_STDOUT = "stdout"
 RUN_STDERR = "stderr"
@@ -86,7 +87,7 @@ class ProjectPaths:
     figures = _Below(FIGURES)
 
     def drawn(self, batch: str) -> Path:
-        """Return the file that lists the data of a batch's figures: their names, each with a hash."""
+        """Return the mark in the folder of a batch's figures."""
         return inside(self.figures, batch) / DRAWN
 
 

@@ -1,11 +1,11 @@
 """Figures for a two-column paper, drawn from aggregates: the same data give the same bytes.
 
 A `Drawing` is the complete content of a figure; `draw` writes it as PNG, PDF and SVG. No file holds a date, and each holds the
-batch's id and the SQL that computed its numbers:
+SQL that computed its numbers, and `sierra VERSION batch ID data HASH` (see `sierra.deliverables.record`):
 
-    PNG     text chunks `sierra:batch`, `sierra:sql`
-    PDF     Keywords (the batch), Subject (the SQL)
-    SVG     dc:identifier (the batch), dc:source (the SQL)
+    PNG     text chunks `sierra`, `sierra:sql`
+    PDF     Keywords, Subject (the SQL)
+    SVG     dc:identifier, dc:source (the SQL)
 
 The first `draw` loads matplotlib. Figures use its object interface and ignore the user's settings of it.
 """
@@ -15,14 +15,20 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from sierra.config.deliverable_tables import Figure
 from sierra.deliverables.figures.base import kind_of
+from sierra.deliverables.record import Content, origin_of
 from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Axis, Value
+from sierra.store.data_hash import data_hash
 from sierra.util.fs import write_whole
+from sierra.util.hashing import digest
+from sierra.util.json_types import JsonView
+from sierra.version import __version__
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -60,6 +66,28 @@ class Drawing:
     time: str = "time"
     units: Mapping[str, str] = field(default_factory=dict)
     formats: tuple[Format, ...] = ("png", "pdf", "svg")
+
+    @property
+    def data(self) -> str:
+        """Return the hash of all values that the figure shows."""
+        runs = {} if self.runs is None else {"": self.runs}
+        kinds = {"tables": self.tables, "runs": runs, "rows": self.rows}
+        hashes = {kind: {name: data_hash(table) for name, table in named.items()} for kind, named in kinds.items()}
+        cells = {str(ordinal): [[name, repr(value)] for name, value in at.items()] for ordinal, at in self.cells.items()}
+        return digest("figure data", {**hashes, "cells": cells})
+
+    def content(self) -> Content:
+        """Return everything that the figure's files depend on."""
+        definition: dict[str, JsonView] = {
+            "figure": self.figure.model_dump(mode="json", exclude_unset=True, by_alias=True),
+            "axes": [{"name": axis.name, "label": axis.label, "unit": axis.unit, "values": axis.values} for axis in self.axes],
+            "units": self.units,
+            "time": self.time,
+            "note": self.note,
+            "formats": self.formats,
+        }
+        made_by = (f"sierra-experiments=={__version__}", f"matplotlib=={version('matplotlib')}")
+        return Content("figure", self.name, (self.batch,), definition, self.sql, self.data, made_by)
 
 
 def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
@@ -129,14 +157,15 @@ def _bytes(figure: matplotlib.figure.Figure, ending: Format, drawing: Drawing) -
 
 def _metadata(ending: Format, drawing: Drawing) -> dict[str, str | None]:
     title = _plain(drawing.figure.title or drawing.name)
-    sql, batch, note = _plain(drawing.sql), _plain(drawing.batch), _plain(drawing.note)
+    sql, note = _plain(drawing.sql), _plain(drawing.note)
+    origin = origin_of(drawing.batch, drawing.data)
     match ending:
         case "png":
-            return {"Title": title, "Description": note, "sierra:batch": batch, "sierra:sql": sql}
+            return {"Title": title, "Description": note, "sierra": origin, "sierra:sql": sql}
         case "pdf":
-            return {"Title": title, "Subject": sql, "Keywords": f"sierra batch {batch}", "CreationDate": None}
+            return {"Title": title, "Subject": sql, "Keywords": origin, "CreationDate": None}
         case "svg":
-            return {"Title": title, "Description": note, "Identifier": batch, "Source": sql, "Date": None}
+            return {"Title": title, "Description": note, "Identifier": origin, "Source": sql, "Date": None}
 
 
 def _plain(text: str) -> str:

@@ -131,7 +131,7 @@ def test_corrupt_session_files_do_not_crash_status_or_gc(recorded: Path, tmp_pat
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize("name", ["sierra.toml", "sierra.lock", "pyproject.toml", "arena.xml", "figures/{batch}/.drawn.json"])
+@pytest.mark.parametrize("name", ["sierra.toml", "sierra.lock", "pyproject.toml", "arena.xml", "figures/{batch}/.drawn"])
 def test_corrupt_project_files_do_not_crash_commands(recorded: Path, tmp_path: Path, name: str) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     file = root / name.format(batch=sierra.open(root).batches[-1].batch[:10])

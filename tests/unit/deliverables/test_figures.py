@@ -26,6 +26,7 @@ from sierra.config import project_file
 from sierra.config.deliverable_tables import Figure
 from sierra.deliverables.figures import drawing as figures
 from sierra.deliverables.figures.drawing import Drawing
+from sierra.deliverables.record import origin_of
 from sierra.errors import ConfigError, Missing, SierraError, UsageError
 from sierra.model import Axis
 
@@ -172,14 +173,14 @@ def test_png_contains_its_batch_sql_and_note(tmp_path: Path) -> None:
     with Image.open(png) as image:
         image.load()
         held: Mapping[str, str] = image.text  # type: ignore[attr-defined]
-    assert held["sierra:batch"] == BATCH
+    assert held["sierra"] == origin_of(BATCH, drawing().data)
     assert held["sierra:sql"] == SQL
     assert held["Description"] == drawing().note
 
 
 def test_pdf_contains_its_batch_and_sql_but_no_date_and_embeds_its_fonts() -> None:
     pdf = dict(figures.rendered(drawing()))["pdf"]
-    assert f"/Keywords (sierra batch {BATCH})".encode() in pdf
+    assert f"/Keywords ({origin_of(BATCH, drawing().data)})".encode() in pdf
     assert SQL.encode("utf-16-be") in _unescaped(pdf)
     assert b"Date" not in pdf
     assert b"/Subtype /Type0" in pdf or b"/Subtype /TrueType" in pdf
@@ -190,7 +191,7 @@ def test_pdf_contains_its_batch_and_sql_but_no_date_and_embeds_its_fonts() -> No
 def test_svg_contains_its_batch_and_sql_but_no_date() -> None:
     data = svg(drawing())
     root = ElementTree.fromstring(data)  # noqa: S314 - what we have just written ourselves
-    assert [element.text for element in root.iter(f"{DC}identifier")] == [BATCH]
+    assert [element.text for element in root.iter(f"{DC}identifier")] == [origin_of(BATCH, drawing().data)]
     assert ["".join(element.itertext()) for element in root.iter(f"{DC}source")] == [SQL]
     assert not list(root.iter(f"{DC}date"))
 

@@ -1,0 +1,156 @@
+"""Records of figures: what was drawn from which data, and whether it still follows from the store."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+import sierra
+from tests import projects, stores
+
+
+@pytest.fixture(scope="module")
+def drawn_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = projects.make(tmp_path_factory.mktemp("drawn") / "project")
+    sierra.open(root).run("population_size=1,2", runs=2)
+    return root
+
+
+@pytest.fixture
+def drawn(drawn_once: Path, tmp_path: Path) -> Path:
+    """A project with one batch of two experiments, and its figures."""
+    return stores.copy(drawn_once, tmp_path / "project")
+
+
+def rows(root: Path) -> list[tuple[str, str, str]]:
+    found = sierra.open(root).sql("SELECT name, data, deliverable FROM deliverables ORDER BY ALL")
+    return [tuple(row) for row in zip(*(found.column(name).to_pylist() for name in found.column_names), strict=True)]
+
+
+def a_figure(root: Path, ending: str = "svg") -> Path:
+    return min(root.glob(f"figures/*/*.{ending}"))
+
+
+def check(root: Path, *words: str) -> tuple[int, str]:
+    done = projects.quick(root, "figures", "--check", *words)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_each_figure_is_recorded_once_however_often_it_is_drawn(drawn: Path) -> None:
+    before = rows(drawn)
+    names = {path.stem for path in drawn.glob("figures/*/*.svg")}
+    assert {name for name, _, _ in before} == names
+    assert len(before) == len(names)
+    project = sierra.open(drawn)
+    project.figures()
+    project.run("population_size=1,2", runs=2)
+    assert rows(drawn) == before
+
+
+def test_a_run_without_new_data_leaves_figures_and_draws_those_that_were_changed_again(drawn: Path) -> None:
+    left, changed = sorted(drawn.glob("figures/*/*.svg"))
+    edited, removed = changed.with_suffix(".pdf"), changed.with_suffix(".png")
+    content = {path: path.read_bytes() for path in (left, edited, removed)}
+    number = left.stat().st_ino
+    edited.write_bytes(b"other")
+    removed.unlink()
+    sierra.open(drawn).run("population_size=1,2", runs=2)
+    assert {path: path.read_bytes() for path in content} == content
+    assert left.stat().st_ino == number
+
+
+def test_check_is_successful_while_files_and_data_are_unchanged(drawn: Path) -> None:
+    code, said = check(drawn)
+    assert code == 0
+    assert said.count("follows from the store") == len(rows(drawn)) > 0
+
+
+@pytest.mark.parametrize("change", ["edited", "removed"])
+def test_check_names_a_file_that_is_not_the_one_that_was_drawn(drawn: Path, change: str) -> None:
+    file = a_figure(drawn)
+    if change == "edited":
+        file.write_bytes(file.read_bytes().replace(b"1", b"2", 1))
+    else:
+        file.unlink()
+    code, said = check(drawn)
+    assert code == 1
+    (line,) = [line for line in said.splitlines() if "follows from the store" not in line]
+    assert f"figures/{file.parent.name}/{file.name}" in line
+    assert ("is missing" if change == "removed" else "is not the file that SIERRA made") in line
+
+
+def test_check_says_that_the_store_has_other_data_after_an_execution_was_removed(drawn: Path) -> None:
+    (execution,) = sierra.open(drawn).sql("SELECT min(execution) AS e FROM executions").column("e").to_pylist()
+    assert projects.quick(drawn, "rm", execution, "--yes").returncode == 0
+    code, said = check(drawn, "--json")
+    assert code == 1
+    assert all("other data" in one["problem"] for one in json.loads(said))
+
+
+def test_check_of_a_batch_without_figures_says_how_to_draw_them(drawn: Path) -> None:
+    sierra.open(drawn).run("population_size=1", runs=1, figures=False)
+    code, said = check(drawn)
+    assert code == 0
+    assert "sierra figures" in said
+
+
+def test_check_takes_no_name(drawn: Path) -> None:
+    (name, _, _), *_ = rows(drawn)
+    batch = sierra.open(drawn).batches[-1].batch
+    code, said = check(drawn, batch[:10], name)
+    assert code == 2
+    assert "--check" in said
+
+
+@pytest.mark.parametrize("ending", ["svg", "png", "pdf"])
+def test_show_tells_what_a_file_shows_wherever_it_is(drawn: Path, tmp_path: Path, ending: str) -> None:
+    file = a_figure(drawn, ending)
+    moved = shutil.copy(file, tmp_path / f"fig1.{ending}")
+    done = projects.quick(drawn, "show", str(moved), "--json")
+    assert done.returncode == 0, done.stderr
+    shown = json.loads(done.stdout)
+    assert shown["name"] == file.stem
+    assert shown["problem"] is None
+    assert shown["batch"] == sierra.open(drawn).batches[-1].batch
+    assert "SELECT" in shown["sql"]
+    assert shown["data"].encode() in Path(moved).read_bytes()
+
+
+def test_show_of_a_changed_file_names_its_batch(drawn: Path, tmp_path: Path) -> None:
+    changed = tmp_path / "changed.svg"
+    changed.write_bytes(a_figure(drawn).read_bytes() + b"\n")
+    done = projects.quick(drawn, "show", str(changed))
+    assert done.returncode == 1
+    assert sierra.open(drawn).batches[-1].batch[:10] in done.stderr
+    assert "the file was changed" in done.stderr
+
+
+def test_show_of_another_file_says_that_sierra_did_not_make_it(drawn: Path) -> None:
+    done = projects.quick(drawn, "show", str(drawn / "sierra.toml"))
+    assert done.returncode == 2
+    assert "was not made by SIERRA" in done.stderr
+
+
+def test_removing_a_batch_removes_the_records_of_its_figures(drawn: Path) -> None:
+    batch = sierra.open(drawn).batches[-1].batch
+    assert projects.quick(drawn, "rm", batch, "--yes").returncode == 0
+    assert rows(drawn) == []
+    assert projects.quick(drawn, "fsck").returncode == 0
+
+
+def test_figures_are_drawn_although_the_store_cannot_be_written(drawn: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from sierra.deliverables import record
+    from sierra.errors import Missing
+
+    def full(*_: object, **__: object) -> None:
+        raise Missing("cannot write to the store: No space left on device")
+
+    config = drawn / "sierra.toml"
+    config.write_text(config.read_text() + '[figures.new]\ncolumn = "coverage"\n')
+    monkeypatch.setattr(record, "Session", full)
+    _, notes = sierra.open(drawn).draw()
+    assert any("not recorded" in note and "No space left" in note for note in notes)
+    assert list(drawn.glob("figures/*/new.svg"))
