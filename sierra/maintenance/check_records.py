@@ -49,7 +49,7 @@ from sierra.store.row_types import (
     SourceRow,
     SpecRow,
 )
-from sierra.store.schema import RECORDED
+from sierra.store.schema import RECORDED, TIME, sql_types
 from sierra.store.sql_result import RawRow
 from sierra.store.store import Snapshot
 from sierra.store.views import records as records_of
@@ -101,8 +101,12 @@ class Records:
         return f"(SELECT {columns}, '' AS filename WHERE false)"
 
     def rows(self, kind: type[R]) -> Iterator[tuple[R, str]]:
-        """Yield the distinct records of a table, each with one file that has it. Any value may be NULL in a damaged store."""
-        listed = ", ".join(f'"{column}"' for column in kind._fields)
+        """Yield the distinct records of a table, each with one file that has it; times are texts.
+
+        Any value may be NULL in a damaged store.
+        """
+        types = sql_types(TABLE_NAMES[kind])
+        listed = ", ".join(f'"{column}"::VARCHAR' if types[column] == TIME else f'"{column}"' for column in kind._fields)
         for *row, path in self.each(f"SELECT {listed}, min(filename) FROM {self.raw(TABLE_NAMES[kind])} GROUP BY ALL"):
             yield kind._make(row), path
 

@@ -6,9 +6,13 @@ import json
 import shutil
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import sierra
+from sierra.store.segments import manifest
+from sierra.util.hashing import sha256
 from tests import projects, stores
 
 
@@ -154,3 +158,17 @@ def test_figures_are_drawn_although_the_store_cannot_be_written(drawn: Path, mon
     _, notes = sierra.open(drawn).draw()
     assert any("not recorded" in note and "No space left" in note for note in notes)
     assert list(drawn.glob("figures/*/new.svg"))
+
+
+def test_fsck_finds_a_record_that_was_changed(drawn: Path) -> None:
+    assert projects.quick(drawn, "fsck").returncode == 0
+    (path,) = drawn.glob(".sierra/segments/*/deliverables.parquet")
+    found = pq.read_table(path)
+    rows = [{**row, "data": "0" * 64} for row in found.to_pylist()]
+    pq.write_table(pa.Table.from_pylist(rows, schema=found.schema), path)
+    text = manifest(sorted(file for file in path.parent.iterdir() if file.name != "MANIFEST"))
+    (path.parent / "MANIFEST").write_bytes(text)
+    path.parent.rename(path.parent.with_name(path.parent.name[:13] + sha256(text)[:16]))
+    done = projects.quick(drawn, "fsck")
+    assert done.returncode == 1
+    assert "does not have the id that follows from its columns" in done.stdout
