@@ -28,7 +28,9 @@ def init(
     example: Annotated[
         str | None,
         typer.Option(
-            "--example", metavar="NAME", help="Copy a bundled example to FOLDER: swarm, sumo, mujoco, jsbsim, mesa, ngspice."
+            "--example",
+            metavar="NAME",
+            help="Copy a bundled example to FOLDER: swarm, sumo, mujoco, jsbsim, mesa, ngspice, ns3.",
         ),
     ] = None,
     from_sierra1: Annotated[

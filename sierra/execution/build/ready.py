@@ -37,7 +37,7 @@ from sierra.util.text import few
 from sierra.worker import worker
 
 SHOWN = 3
-IGNORE = "add such files to .gitignore, or leave them out of [source] paths"
+IGNORE = "name the code in [source] paths, or, in a git repository, add such files to .gitignore"
 
 
 def ready(plan: Plan, store: Store, observer: Observer) -> Plan:

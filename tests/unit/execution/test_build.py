@@ -255,7 +255,7 @@ def test_a_product_in_the_source_is_an_error_with_a_remedy(tmp_path: Path) -> No
     assert "its product build/sim is part of the source" in failing(root)
     done = projects.quick(root, *QUERY)
     assert done.returncode == 2
-    assert "build/sim would be part of the source, which products must not change; add such files to .gitignore" in done.stderr
+    assert "build/sim would be part of the source, which products must not change; name the code in [source]" in done.stderr
 
 
 def test_outside_git_paths_of_the_source_must_leave_products_out(tmp_path: Path) -> None:
