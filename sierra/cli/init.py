@@ -30,7 +30,7 @@ def init(
         typer.Option(
             "--example",
             metavar="NAME",
-            help="Copy a bundled example to FOLDER: swarm, sumo, mujoco, jsbsim, mesa, ngspice, ns3.",
+            help="Copy a bundled example to FOLDER: swarm, sumo, mujoco, jsbsim, mesa, ngspice, ns3, netlogo, webots.",
         ),
     ] = None,
     from_sierra1: Annotated[

@@ -101,7 +101,9 @@ def copy_example(name: str, target: Path) -> list[str]:
         raise UsageError(f"{target} is not empty; use a new folder")
     target.mkdir(parents=True, exist_ok=True)
     with resources.as_file(examples / name) as example:
-        files = sorted(file for file in example.iterdir() if file.is_file())
+        found = [file.relative_to(example) for file in example.rglob("*") if file.is_file()]
+        files = sorted(file for file in found if "__pycache__" not in file.parts)
         for file in files:
-            shutil.copyfile(file, target / file.name)
-    return [file.name for file in files]
+            (target / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(example / file, target / file)
+    return [str(file) for file in files]
