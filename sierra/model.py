@@ -18,6 +18,8 @@ from typing import Any
 
 Value = int | float | str
 """A value of an independent variable: a number, or the name of a group of changes."""
+FOLDER = "sierraFolder7d1c0e4b"
+"""The beginning of the marks that stand for folders in generated inputs. No template may contain it."""
 
 
 # ---------------------------------------------------------------- the query

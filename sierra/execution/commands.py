@@ -28,10 +28,10 @@ from sierra.design import run_values
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError, QueryError
 from sierra.execution.build.products import matches
-from sierra.model import Client, Job, Limits, Run, RunSpec, Service
+from sierra.model import FOLDER, Client, Job, Limits, Run, RunSpec, Service
 from sierra.platforms.base import Platform
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
-from sierra.templates.base import ARGUMENTS, FOLDER, FOLDERS, Files
+from sierra.templates.base import ARGUMENTS, FOLDERS, Files
 from sierra.util.hashing import digest_plain
 from sierra.worker import worker
 

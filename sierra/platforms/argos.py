@@ -34,7 +34,7 @@ from sierra.model import (
     Value,
     VariableDensity,
 )
-from sierra.platforms import argos_physics
+from sierra.platforms import argos_physics, argos_scripts
 from sierra.platforms.base import Reader
 from sierra.query import ranges
 
@@ -183,6 +183,7 @@ class Argos:
         if project.command and not any("{input}" in word for word in project.command):
             raise ConfigError('platform "argos" needs {input} in its command, as in: command = "argos3 -n -c {input}"')
         self._command = project.command or COMMAND
+        self._beside = project.files
         self._arena = _size(self._options.arena) if self._options.arena else None
         if self._arena and not all((self._arena.x, self._arena.y, self._arena.z != 0)):
             raise ConfigError(f"{TABLE}: arena: {self._options.arena!r} is empty; use a size such as 10x10")
@@ -201,6 +202,7 @@ class Argos:
             *self._visualization(template),
             *self._without_devices(template),
             *self._physics(template),
+            *argos_scripts.changes(template),
             *resized,
         )
 
@@ -238,6 +240,7 @@ class Argos:
         _check_threads(document)
         self._check_arena(document, template)
         self._check_engines(document)
+        argos_scripts.check(document, self._beside)
         if left := document.find(f"//@*[contains(., '{PLACEHOLDER}')]"):
             raise TemplateError(f"{left[0]!r} contains {PLACEHOLDER} among other text, or was added later; use {{controller}}")
 

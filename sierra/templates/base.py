@@ -14,7 +14,7 @@ from typing import ClassVar, Protocol
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import TEMPLATES, Tables
 from sierra.errors import Missing, TemplateError
-from sierra.model import Change, Value
+from sierra.model import FOLDER, Change, Value
 from sierra.util.text import one_line
 
 Files = tuple[tuple[str, bytes], ...]
@@ -27,8 +27,6 @@ which are the same for all runs of a template. If no name is empty, the first fi
 """
 ARGUMENTS = "arguments.json"
 """The name of a file with arguments: a list of texts, as JSON. In a command, they take the place of the word `{arguments}`."""
-FOLDER = "sierraFolder7d1c0e4b"
-"""The beginning of the marks in FOLDERS. No template may contain it."""
 FOLDERS: Mapping[str, str] = {"project": FOLDER + "Project", "output": FOLDER + "Output"}
 """The names that stand for a folder in values of changes, and the mark of each in generated files.
 
