@@ -905,9 +905,11 @@ class Project:
 
     def _described(self, summary: Summary) -> Summary:
         """Return the summary with a description of the outputs, if its sessions are the first with such tables or files."""
+        if summary.interrupted or not summary.sessions:
+            return summary
         from sierra.execution import outputs_taken
 
-        if summary.interrupted or not any(outputs_taken.is_new(self.store, session) for session in summary.sessions):
+        if not any(outputs_taken.is_new(self.store, session) for session in summary.sessions):
             return summary
         return replace(summary, outputs=self._taken(summary.batch))
 

@@ -219,7 +219,7 @@ def _import_all() -> None:
     import typer.main
 
     import sierra.cli
-    from sierra.cli import main, open_project
+    from sierra.cli import app, open_project
     from sierra.errors import SierraError
 
     with contextlib.suppress(SierraError):
@@ -231,7 +231,7 @@ def _import_all() -> None:
         importlib.import_module(name)
 
     typer.main.get_command = functools.cache(typer.main.get_command)
-    typer.main.get_command(main.app)
+    list(typer.main.get_command(app.app).commands.values())
     assert len([*Path("/proc/self/task").iterdir()]) == 1, "a library has started a thread; forking would lose it"
     assert "pandas" not in sys.modules, "commands do not import pandas"
     gc.collect()

@@ -1,47 +1,62 @@
-"""All commands, by name. Heavy libraries are imported only when a command runs."""
+"""All commands, by name. A command's module is imported when the command is used, heavy libraries when it runs."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from sierra.cli import (
-    attach,
-    cancel,
-    diff,
-    doctor,
-    figures,
-    files,
-    fsck,
-    gc,
-    image,
-    init,
-    inputs,
-    lazy_parameters,
-    ls,
-    outputs,
-    replay,
-    rm,
-    run,
-    schema,
-    show,
-    source,
-    sql,
-    stats,
-    status,
-    try_run,
-    why,
-)
+from sierra.cli import lazy_parameters
+from sierra.cli.lazy_commands import Commands
+
+if TYPE_CHECKING:
+    from typer._click.core import Command
 
 EXIT_CODES = (
     "Exit codes: 0 success; 1 a run failed, results differ, or the store is damaged; "
     "2 usage error; 3 something required is missing; 130 interrupted."
 )
 
+COMMANDS = {
+    "init": "sierra.cli.init:init",
+    "try": "sierra.cli.try_run:try_",
+    "run": "sierra.cli.run:run",
+    "inputs": "sierra.cli.inputs:inputs",
+    "status": "sierra.cli.status:status",
+    "attach": "sierra.cli.attach:attach",
+    "cancel": "sierra.cli.cancel:cancel",
+    "replay": "sierra.cli.replay:replay",
+    "diff": "sierra.cli.diff:diff",
+    "why": "sierra.cli.why:why",
+    "ls": "sierra.cli.ls:ls",
+    "show": "sierra.cli.show:show",
+    "files": "sierra.cli.files:files",
+    "outputs": "sierra.cli.outputs:outputs",
+    "sql": "sierra.cli.sql:sql",
+    "stats": "sierra.cli.stats:stats",
+    "figures": "sierra.cli.figures:figures",
+    "fsck": "sierra.cli.fsck:fsck",
+    "gc": "sierra.cli.gc:gc",
+    "rm": "sierra.cli.rm:rm",
+    "doctor": "sierra.cli.doctor:doctor",
+    "schema": "sierra.cli.schema:schema",
+    "image": "sierra.cli.image:app",
+    "source": "sierra.cli.source:app",
+}
+"""The functions and groups of all commands, in the order of `sierra --help`."""
+
+
+class All(lazy_parameters.Group):
+    """The group of all commands."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = cast("dict[str, Command]", Commands(COMMANDS))  # typer only reads it
+
+
 app = typer.Typer(
     name="sierra",
-    cls=lazy_parameters.Group,
+    cls=All,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -93,33 +108,3 @@ def _options(
       sierra run population_size.Log8
       sierra sql "SHOW TABLES"
     """
-
-
-for command in (
-    init.init,
-    try_run.try_,
-    run.run,
-    inputs.inputs,
-    status.status,
-    attach.attach,
-    cancel.cancel,
-    replay.replay,
-    diff.diff,
-    why.why,
-    ls.ls,
-    show.show,
-    files.files,
-    outputs.outputs,
-    sql.sql,
-    stats.stats,
-    figures.figures,
-    fsck.fsck,
-    gc.gc,
-    rm.rm,
-    doctor.doctor,
-    schema.schema,
-):
-    app.command(command.__name__.rstrip("_"), cls=lazy_parameters.Command)(command)
-
-for group in (image.app, source.app):
-    app.add_typer(group)

@@ -9,12 +9,16 @@ import sys
 from pathlib import Path
 from typing import NoReturn, Protocol, runtime_checkable
 
-from sierra.cli.app import app
 from sierra.cli.output import guarded
 from sierra.errors import SierraError
 from sierra.util import signals
 
 INTERRUPTED = 130
+YOUNG = 200_000
+"""The number of new objects after which Python looks for unreachable ones.
+
+By default, it looks dozens of times while modules load, and finds nothing. Short commands make fewer objects.
+"""
 
 
 def program() -> NoReturn:
@@ -36,7 +40,7 @@ def program() -> NoReturn:
 
 def main() -> NoReturn:
     """Execute a command, and raise SystemExit with a code of `sierra.errors`; users never see a traceback."""
-    gc.set_threshold(50_000, 20, 20)  # by default, Python collects dozens of times while modules load, and frees nothing
+    gc.set_threshold(YOUNG, 20, 20)
     signals.handle()
     with guarded():
         code = _ended()
@@ -47,6 +51,8 @@ def main() -> NoReturn:
 
 def _ended() -> object:
     """Execute the command; return the exit code."""
+    from sierra.cli.app import app  # only now, because `main` has set how Python looks for unreachable objects
+
     code: object
     try:
         code = app(standalone_mode=False, prog_name="sierra")

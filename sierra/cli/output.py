@@ -7,6 +7,7 @@ the one place that escapes the characters that control a terminal. JSON has its 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import math
 import re
@@ -20,17 +21,22 @@ from datetime import datetime
 from decimal import Decimal
 from typing import Any, TextIO
 
-STEERING = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
-"""Characters that are escaped.
 
-They are control characters except tab and line feed, characters that change the text's direction or are invisible, and bytes
-that are not UTF-8.
-"""
+@functools.cache
+def _steering() -> re.Pattern[str]:
+    """Return the pattern of characters that are escaped. To compile it takes longer than to print most texts.
+
+    They are control characters except tab and line feed, characters that change the text's direction or are invisible, and
+    bytes that are not UTF-8.
+    """
+    return re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
 
 
 def safe(text: str) -> str:
     """Return a text in which escapes replace characters that control a terminal or are invisible."""
-    return STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    if all(line.isprintable() for line in text.split("\n")):
+        return text
+    return _steering().sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 class Safe:

@@ -131,4 +131,4 @@ Absolute = Annotated[
 class Table(BaseModel):
     """A table of `sierra.toml`: unknown keys are errors, and it is immutable."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)

@@ -132,7 +132,7 @@ class Project(Table):
     runs: PositiveInt = Field(10, description="runs per experiment")
     controller: str | None = Field(None, description="default controller, if none is requested")
     scenario: str | None = Field(None, description="default scenario, if none is requested")
-    seed: Annotated[Seed, BeforeValidator(set_to, json_schema_input_type=str | Seed)] = Seed()
+    seed: Annotated[Seed, BeforeValidator(set_to, json_schema_input_type=str | Seed)] = Seed.model_construct()
     variables: Mapping[Name, Annotated[Variable, BeforeValidator(set_to, json_schema_input_type=str | Variable)]] = Field(
         default_factory=dict, description="independent variables that queries vary, by name"
     )
@@ -157,18 +157,18 @@ class Project(Table):
         default_factory=dict,
         description="files that runs write, by the table's name; default: each .csv, .parquet and .jsonl of the output folder",
     )
-    success: Success = Success()
-    limits: LimitsTable = LimitsTable()
-    environment: Environment = Environment()
+    success: Success = Success.model_construct()
+    limits: LimitsTable = LimitsTable.model_construct()
+    environment: Environment = Environment.model_construct()
     container: Container | None = Field(None, description="the image in which runs execute; default: no container")
-    source: Source = Source()
+    source: Source = Source.model_construct()
     build: BuildTable | None = Field(None, description="the build of products from the source; default: nothing is built")
-    store: StoreTable = StoreTable()
-    determinism: Determinism = Determinism()
+    store: StoreTable = StoreTable.model_construct()
+    determinism: Determinism = Determinism.model_construct()
     equivalence: Mapping[Name, Equivalence] = Field(
         default_factory=dict, description="metrics that must be equivalent in a replay of nondeterministic runs, by name"
     )
-    programs: ProgramsTable = ProgramsTable()
+    programs: ProgramsTable = ProgramsTable.model_construct()
     observe: Literal["none", "first", "all"] = Field(
         "first",
         description="the runs of which SIERRA records all files that they execute, read, look for and write: `first` is the "

@@ -13,12 +13,12 @@ from sierra.errors import TemplateError
 from sierra.templates import xpath_time_limit
 from sierra.templates.data_path import below_root
 from sierra.templates.notation import Address, Edit, Kind, Node, Notation, decoded
+from sierra.templates.xml_characters import replaced
 from sierra.util.text import one_line
 
 Element: TypeAlias = etree._Element
 _NAME = re.compile("[A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff][A-Za-z_\xc0-\xd6\xd8-\xf6\xf8-\xff0-9.-]*")
 """A key that is a name in XPath; libxml2 has an old definition of letters outside of Latin-1."""
-_ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class Scan:
@@ -143,4 +143,4 @@ def step(node: Node) -> str:
 
 def legal(text: str) -> str:
     """Return a text as the view shows it: characters that XML does not have are replaced."""
-    return _ILLEGAL.sub("\ufffd", text)
+    return replaced(text)

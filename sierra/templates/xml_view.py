@@ -15,6 +15,7 @@ from sierra.errors import TemplateError
 from sierra.model import Add, Change, Remove, Rename, Set
 from sierra.templates import xpath_time_limit
 from sierra.templates.nearest_path import nearest
+from sierra.templates.xml_characters import illegal
 from sierra.templates.xml_markup import Source
 from sierra.util.text import one_line
 
@@ -25,8 +26,6 @@ Node: TypeAlias = Element | Text
 DEFAULT = "_"
 """The prefix that paths give to the document's default namespace."""
 XML = "http://www.w3.org/XML/1998/namespace"
-_ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML 1.0 does not allow (production 2)."""
 
 
 def parser(encoding: str | None = None) -> etree.XMLParser:
@@ -153,8 +152,8 @@ class View:
 
     def legal(self, text: str, change: Change) -> str:
         """Return a text. Raises TemplateError for characters that XML does not allow."""
-        if wrong := _ILLEGAL.search(text):
-            raise self.error(change, f"cannot contain the character U+{ord(wrong[0]):04X}", ": XML does not allow it")
+        if wrong := illegal(text):
+            raise self.error(change, f"cannot contain the character U+{ord(wrong):04X}", ": XML does not allow it")
         return text
 
     def select(self, path: str, who: str = "") -> list[Node]:
