@@ -169,7 +169,8 @@ def recording(folder: Path) -> None:
         path = folder / f"{number}.csv"
         rows = (f"{t},{numbers.random()},{numbers.random()},{numbers.randint(0, 9)},{numbers.random()}\n" for t in range(1000))
         path.write_text("clock,a,b,c,d\n" + "".join(rows))
-        files.append(Written(str(path), f"r{number}", f"e{number}", path.name, "clock,a,b,c,d", 1001, True, 1))
+        counts = {"lines": 1001, "ended": True, "bytes": path.stat().st_size, "quotes": 0, "blank": 0, "alike": True}
+        files.append(Written(str(path), f"r{number}", f"e{number}", path.name, "clock,a,b,c,d", **counts))  # as a worker counts
     paths = [file.path for file in files]
 
     def ours() -> None:
