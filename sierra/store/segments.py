@@ -29,6 +29,7 @@ import errno
 import itertools
 import os
 import shutil
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +51,11 @@ REPLACES = "REPLACES"
 AFTER = "AFTER"
 MARK_BYTES = 16 << 20
 """The limit on the bytes that are read from REPLACES."""
+SETTLED_NS = 2_000_000_000
+"""The age of the last change of a folder after which a further change certainly gives it another time."""
+
+_known: dict[str, tuple[int, Segment]] = {}
+"""Segments without REPLACES and AFTER that were read, and the time of their folders' last change, by path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,16 +103,28 @@ def on_disk(folder: Path) -> Iterator[Segment]:
         return
     for name in names:
         with contextlib.suppress(FileNotFoundError):  # another process removed it meanwhile
-            yield _segment(folder / name)
+            yield _segment(f"{folder}/{name}", name)
 
 
-def _segment(folder: Path) -> Segment:
+def _segment(folder: str, name: str) -> Segment:
+    """Return a segment as it is now. A command looks at all segments many times, and reads each folder once."""
+    changed = os.stat(folder).st_mtime_ns  # noqa: PTH116 - for speed
+    known = _known.get(folder)
+    if known is not None and known[0] == changed:
+        return known[1]
+    segment = _read(folder, name)
+    if segment.after is None and not segment.replaces and time.time_ns() - changed > SETTLED_NS:
+        _known[folder] = changed, segment
+    return segment
+
+
+def _read(folder: str, name: str) -> Segment:
     with os.scandir(folder) as entries:
         paths = {entry.name: entry.path for entry in entries}
-    files = {name.removesuffix(SUFFIX): path for name, path in paths.items() if name.endswith(SUFFIX)}
+    files = {file.removesuffix(SUFFIX): path for file, path in paths.items() if file.endswith(SUFFIX)}
     replaces = frozenset(_lines(paths[REPLACES])) if REPLACES in paths else frozenset()
     after = next(iter(_lines(paths[AFTER])), "") if AFTER in paths else None
-    return Segment(folder.name.partition("-")[0], files, folder.name, replaces, after)
+    return Segment(name.partition("-")[0], files, name, replaces, after)
 
 
 def _lines(path: str) -> list[str]:

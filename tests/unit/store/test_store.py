@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import subprocess
 import threading
 import time
@@ -78,6 +79,17 @@ def test_a_segment_is_not_visible_before_it_is_published(tmp_path: Path) -> None
     assert store.rows("SELECT * FROM findings") == []
     assert store.publish(writer)
     assert [row["execution"] for row in store.rows("SELECT * FROM findings")] == ["e"]
+
+
+def test_a_file_that_is_removed_from_an_old_segment_is_missed(project: Project) -> None:
+    run(project, "n=1")
+    for segment in (project.paths.store / "segments").iterdir():
+        os.utime(segment, (1, 1))
+    before = [set(segment.files) for segment in project.store.segments()]
+    assert before == [set(segment.files) for segment in project.store.segments()]
+    next(project.paths.store.glob("segments/*/executions.parquet")).unlink()
+    after = [set(segment.files) for segment in project.store.segments()]
+    assert [one - other for one, other in zip(before, after, strict=True) if one != other] == [{"executions"}]
 
 
 def test_publishing_the_same_segment_twice_adds_it_once(tmp_path: Path) -> None:
