@@ -113,10 +113,8 @@ class _Unread(NamedTuple):
     most: int
 
 
-MINE = """
-WITH mine AS (SELECT DISTINCT judgement FROM effective WHERE batch = $batch),
-own AS (SELECT a.* FROM all_artifacts a JOIN mine m ON a.execution = m.judgement)
-"""
+MINE = "CREATE OR REPLACE TEMP TABLE mine AS SELECT DISTINCT judgement FROM effective WHERE batch = $batch"
+OWN_FILES = "CREATE OR REPLACE TEMP TABLE own AS SELECT a.* FROM all_artifacts a JOIN mine m ON a.execution = m.judgement"
 COUNT = "SELECT count(*) FROM mine"
 LAYOUTS = "SELECT output, table_layout, min(path) AS path FROM own WHERE kind = 'table' GROUP BY ALL ORDER BY ALL"
 ROWS = """
@@ -147,16 +145,18 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutpu
     """Return how the outputs of a batch's effective executions were read; `outputs` are the declared ones."""
     with store.snapshot(batch) as snapshot:
         snapshot.views.make(("effective", "all_artifacts"))
-        [runs] = snapshot.values(int, MINE + COUNT, batch=batch)
+        snapshot.run(MINE, {"batch": batch})
+        snapshot.run(OWN_FILES)
+        [runs] = snapshot.values(int, COUNT)
         layouts: dict[str, list[_Layout]] = {}
-        for row in snapshot.select(_Layout, MINE + LAYOUTS, batch=batch):
+        for row in snapshot.select(_Layout, LAYOUTS):
             layouts.setdefault(row.output, []).append(row)
-        sizes = {row.output: row for row in snapshot.select(_Rows, MINE + ROWS, batch=batch)}
+        sizes = {row.output: row for row in snapshot.select(_Rows, ROWS)}
         tables = tuple(
             _table(snapshot, found, sizes[name], outputs.get(name), (outputs.get(name) or _undeclared(found)).kind)
             for name, found in sorted(layouts.items())
         )
-        rows = snapshot.select(_Unread, MINE + UNREAD, batch=batch)
+        rows = snapshot.select(_Unread, UNREAD)
     names = {table.name.lower() for table in tables}
     return TakenOutputs(batch, runs, tables, tuple(_unread(row, outputs, names) for row in rows))
 

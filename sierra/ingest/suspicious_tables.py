@@ -21,6 +21,7 @@ from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import Columns, TableLayout
 from sierra.store.type_inference import AS_TEXT
 from sierra.store.union_files import TEXT
+from sierra.store.views import tables_of
 from sierra.util.hashing import short as digits
 from sierra.util.text import counted
 
@@ -57,19 +58,22 @@ class TableWarnings:
 
         This queries the store, so call it once, after everything is recorded and `find_odd` has checked it.
         """
-        empty = list(self._empty())
-        if not self._shapes:
-            return empty
-        rows = self._store.select(_Form, GOOD + FORMS, **parameters(self._context))
+        with self._store.snapshot() as snapshot:
+            snapshot.views.make(tables_of(EXECUTED))
+            snapshot.run(f"CREATE OR REPLACE TEMP TABLE executed AS {EXECUTED} FROM good", parameters(self._context))
+            empty = list(self._empty(snapshot.values(str, EMPTY)))
+            if not self._shapes:
+                return empty
+            rows = snapshot.select(_Form, GOOD + FORMS, **parameters(self._context))
+            sizes = snapshot.select(TableSize, SIZES)
         forms = [_Table(row.output, TableLayout.load(row.table_layout).columns, row.executions) for row in rows]
-        return [*empty, *self._alone(forms), *self._renamed(forms), *self._of_kinds(forms), *self._events()]
+        return [*empty, *self._alone(forms), *self._renamed(forms), *self._of_kinds(forms), *self._events(sizes)]
 
-    def _events(self) -> Iterator[str]:
+    def _events(self, rows: Sequence[TableSize]) -> Iterator[str]:
         """Yield a proposal for each strict table whose row counts differ so much that it is probably a table of events.
 
         Also yield doubts about runs that have far fewer rows than the others.
         """
-        rows = self._store.select(TableSize, EXECUTED + SIZES, **parameters(self._context))
         rows = [row for row in rows if row.output in self._shapes]
         sizes: dict[str, dict[int, list[int]]] = {}
         for row in rows:
@@ -88,9 +92,9 @@ class TableWarnings:
         if len(doubtful) > NOTED_DOUBTS:
             yield f"{counted(len(doubtful) - NOTED_DOUBTS, 'more run')} have less than half of the rows of the others"
 
-    def _empty(self) -> Iterator[str]:
-        """Yield a warning for each table that has no row in any run."""
-        for name in self._store.values(str, EXECUTED + EMPTY, **parameters(self._context)):
+    def _empty(self, names: Iterable[str]) -> Iterator[str]:
+        """Yield a warning for each of these tables, which have no row in any run."""
+        for name in names:
             declared = self._context.outputs.get(name)
             path = f", rows = {json.dumps(declared.rows, ensure_ascii=False)}" if declared and declared.rows else ""
             cure = f"min_rows = 1 in [outputs.{name}] makes such runs fail"
@@ -225,10 +229,10 @@ def as_files(kept: Mapping[str, Mapping[str, None]]) -> Iterator[str]:
 
 EXECUTED = GOOD.replace("e.status = 'ok'", "e.status IN ('ok', 'mismatch')")
 """The executions of a batch, including those that differ from their siblings."""
-SIZES = """,
-sizes AS (
+SIZES = """
+WITH sizes AS (
     SELECT g.ordinal, a.output, g.run, min(a.path) AS path, sum(a.rows)::BIGINT AS rows
-    FROM good g JOIN all_artifacts a ON a.execution = g.execution AND a.kind = 'table' GROUP BY ALL
+    FROM executed g JOIN all_artifacts a ON a.execution = g.execution AND a.kind = 'table' GROUP BY ALL
 )
 SELECT * FROM sizes SEMI JOIN (
     SELECT output FROM (SELECT output, ordinal FROM sizes GROUP BY ALL HAVING min(rows) < max(rows))
@@ -236,7 +240,7 @@ SELECT * FROM sizes SEMI JOIN (
 """
 """The number of rows of each run, for outputs in which it differs within an experiment."""
 EMPTY = """
-SELECT a.output FROM good g JOIN all_artifacts a ON a.execution = g.execution AND a.kind = 'table'
+SELECT a.output FROM executed g JOIN all_artifacts a ON a.execution = g.execution AND a.kind = 'table'
 GROUP BY a.output HAVING max(a.rows) = 0 ORDER BY a.output
 """
 FORMS = """
