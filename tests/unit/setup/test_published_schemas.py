@@ -16,6 +16,7 @@ from pydantic import BaseModel
 
 import sierra
 from sierra.config import field_types, project_file, validate
+from sierra.config.plugin_registry import FIGURES
 from sierra.platforms.argos import ArgosOptions
 from sierra.setup import published_schemas
 from tests import projects
@@ -32,6 +33,8 @@ def own(model: type[BaseModel]) -> list[type[BaseModel]]:
 
 
 MODELS = {model.__name__: model for model in own(field_types.Table)}
+OF_KINDS = {key for name in FIGURES.shipped for key in FIGURES.load(name).Options.model_fields}
+"""The keys of `[figures.NAME]` that only one kind of figure has."""
 
 
 def schema(*options: str) -> str:
@@ -52,7 +55,8 @@ def uncommented(text: str) -> dict[str, Any]:
 
 
 def keys(model: type[BaseModel]) -> set[str]:
-    return {field.alias or name for name, field in model.model_fields.items()}
+    found = {field.alias or name for name, field in model.model_fields.items()}
+    return found | OF_KINDS if model is MODELS["Figure"] else found
 
 
 def seen(table: dict[str, Any]) -> dict[str, set[str]]:
