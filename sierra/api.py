@@ -125,7 +125,7 @@ class Project:
     @property
     def store(self) -> Store:
         """The project's store. Raises Missing if nothing has been run yet."""
-        return Store(self.paths.store)
+        return Store(self.paths.store, lambda: self._loaded.rules())
 
     def stored(self) -> Store | None:
         """Return the project's store; None if there is none yet."""

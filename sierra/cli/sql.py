@@ -95,7 +95,7 @@ def _ask(store: Store, text: str, within: str | None, format: Format) -> Printab
 
     convert = Printable.of_table if format is Format.parquet else Printable.of_rows
     with store.snapshot(within) as snapshot, ThreadPoolExecutor(1) as asking:
-        answer = asking.submit(snapshot.ask, text, {}, convert)
+        answer = asking.submit(snapshot.ask, text, {}, convert, theirs=True)
         try:
             return answer.result()
         except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""Tables of `sierra.toml` about deliverables: figures."""
+"""Tables of `sierra.toml` about deliverables: derived tables, the limits on their SQL, figures."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
-from sierra.config.field_types import Finite, Positive, RawTable, Table, Words
+from sierra.config.field_types import Finite, InProject, Positive, RawTable, Table, Words
+from sierra.config.field_types import Size as SizeInBytes
 
 CHOSEN = frozenset(
     {"times", "measure", "center", "band", "x", "series", "facet", "log_x", "log_y", "xlim", "ylim", "palette", "labels"}
@@ -27,6 +28,31 @@ def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
 
 
 LimitsOfAxis = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
+
+
+class DerivedTable(Table):
+    """One table that SQL makes from outputs, the store's tables and other derived tables. It is used like an output."""
+
+    sql: str = Field("", description="one SELECT statement (DuckDB's dialect); give either `sql` or `file`")
+    file: InProject | None = Field(None, description="file of the project that contains the statement; it is no source of runs")
+    time: str = Field("", description="column that is the time axis; default: the first column, if it is named like a time")
+    units: Mapping[str, str] = Field(default_factory=dict, description="unit of each column in figures")
+    description: str = Field("", description="what the table contains, for readers")
+
+    @model_validator(mode="after")
+    def _fitting(self) -> DerivedTable:
+        if bool(self.sql.strip()) == (self.file is not None):
+            raise ValueError('give either "sql" or "file"')
+        return self
+
+
+class SqlLimits(Table):
+    """Limits on each statement of `[tables.NAME]`."""
+
+    wall: Positive = Field(300.0, description="time limit, in seconds")
+    memory: SizeInBytes = Field(
+        4_000_000_000, description="memory limit, in bytes or as in `2 GiB`; a statement may write as much again to the disk"
+    )
 
 
 class Figure(Table):

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, model_validator
 
@@ -20,7 +20,7 @@ from sierra.config import forbidden_directives as directives
 from sierra.config import group_names, targets
 from sierra.config.change_tables import NO_CHANGE, OWN_PLACEHOLDERS, ChangeTable, Group, Seed, Variable, set_to
 from sierra.config.cluster_table import ClusterTable, check_directives
-from sierra.config.deliverable_tables import Figure
+from sierra.config.deliverable_tables import DerivedTable, Figure, SqlLimits
 from sierra.config.execution_tables import (
     BuildTable,
     Container,
@@ -38,6 +38,9 @@ from sierra.config.output_tables import Equivalence, Output, Success, file_once
 from sierra.config.validate import options
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.store.layout import CONFIG, PYPROJECT
+
+if TYPE_CHECKING:
+    from sierra.store.derived_tables import Definition, Rules
 
 
 def _not_options(table: object) -> object:
@@ -183,6 +186,8 @@ class Project(Table):
         "0: only the first run that executes is observed",
     )
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="named queries")
+    tables: Mapping[Name, DerivedTable] = Field(default_factory=dict, description="derived tables, by name")
+    sql: SqlLimits = SqlLimits()
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     platforms: Mapping[str, RawTable] = Field(default_factory=dict, description="options of platforms, by name")
     runners: Mapping[str, RawTable] = Field(
@@ -208,6 +213,22 @@ class Project(Table):
         paths = [os.path.normpath(path) for path in self.templates.values()]
         if twice := [name for name, path in zip(self.templates, paths, strict=True) if paths.count(path) > 1]:
             raise ValueError(f"templates: {twice[0]} and {twice[1]} are the same file; changes to it need one name")
+        return self
+
+    @model_validator(mode="after")
+    def _free_table_names(self) -> Project:
+        if not self.tables:
+            return self
+        from sierra.store.derived_tables import is_free
+
+        outputs = {name.lower() for name in self.outputs}
+        seen: set[str] = set()
+        for name in self.tables:
+            if name.lower() in outputs | seen:
+                raise ValueError(f"tables.{name}: {'an output' if name.lower() in outputs else 'another table'} has this name")
+            if not is_free(name):
+                raise ValueError(f"tables.{name}: SIERRA's own table has this name; use another name")
+            seen.add(name.lower())
         return self
 
     @model_validator(mode="after")
@@ -290,6 +311,25 @@ class LoadedProject:
         if name is None or name == self.config.target:
             return self
         return replace(self, config=(self.declared or self.config).for_target(name))
+
+    def rules(self) -> Rules:
+        """Return the derived tables with their statements, and the limits on these."""
+        from sierra.store.derived_tables import Limits, Rules
+
+        tables = {name.lower(): self._definition(name, table) for name, table in self.config.tables.items()}
+        return Rules(tables, Limits(self.config.sql.wall, self.config.sql.memory))
+
+    def _definition(self, name: str, table: DerivedTable) -> Definition:
+        from sierra.store.derived_tables import Definition
+
+        origin = f"[tables.{name}]"
+        if table.file is None:
+            return Definition(name, table.sql, origin)
+        try:
+            return Definition(name, (self.root / table.file).read_text("utf-8"), f"{origin} file {table.file}")
+        except (OSError, UnicodeDecodeError) as error:
+            why = (error.strerror or str(error)) if isinstance(error, OSError) else "it is not UTF-8 text"
+            return Definition(name, "", origin, f"cannot read {table.file}: {why}")
 
     def check_written(self) -> None:
         """Raise Missing if there is no `sierra.toml`, so that nothing can be executed."""

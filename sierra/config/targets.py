@@ -26,7 +26,8 @@ PER_TARGET: Mapping[str, tuple[str, ...]] = {
 """By table with changes for each target, the keys of it that make changes."""
 SHARED = (
     *("target", "targets", *PER_TARGET),
-    *("runs", "controller", "scenario", "per_run", "queries", "figures", "equivalence", "determinism", "store"),
+    *("runs", "controller", "scenario", "per_run", "queries", "equivalence", "determinism", "store"),
+    *("tables", "sql", "figures"),
 )
 """Keys that no target has: those that ask a question are the same for all targets."""
 TEMPLATES = ("template", "templates", "template_format")

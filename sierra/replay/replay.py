@@ -44,13 +44,13 @@ from sierra.store.layout import SessionPaths
 from sierra.store.recorded_files import ChosenExecution, take, where
 from sierra.store.row_mapper import of_fields
 from sierra.store.row_types import EnvironmentRow, ReplayRow
-from sierra.store.samples import like
 from sierra.store.sql_names import column_names
 from sierra.store.store import Found, Store
 from sierra.store.table_layout import TableLayout
 from sierra.templates.base import Files
 from sierra.util.hashing import short
 from sierra.util.lazy_logger import Log
+from sierra.util.text import like
 from sierra.version import __version__
 
 log = Log(__name__)

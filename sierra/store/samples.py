@@ -6,7 +6,6 @@ missing.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from sierra.store.sql_result import INTEGER, NUMBER
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
 from sierra.store.views import files_with, recording
+from sierra.util.text import like
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -323,12 +323,6 @@ class Column:
 
 def _mixed(relation: Relation) -> tuple[str, ...]:
     return tuple(name for name in relation.texts if name not in relation.rounded)
-
-
-def like(name: str, known: Sequence[str]) -> str:
-    """Return a hint: the known name that is closest to `name`, or a list of the known names."""
-    close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
-    return f"did you mean {close[0]!r}?" if close else f"it has {', '.join(known[:10])}{', …' if len(known) > 10 else ''}"
 
 
 def names_time(column: str) -> bool:

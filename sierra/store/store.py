@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from sierra.errors import Damaged, Missing, NotFound, SqlError
 from sierra.store.connections import Connection, Rows
+from sierra.store.derived_tables import DerivedTables, Rules
 from sierra.store.duckdb_file_io import check_folder, plain, read_parquet
 from sierra.store.duckdb_messages import explain
 from sierra.store.layout import StorePaths
@@ -25,6 +26,7 @@ from sierra.store.row_mapper import R, V, typed, values
 from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, listed
 from sierra.store.sql_names import identifier, unnested
 from sierra.store.sql_result import Answer, RawRow, SqlValue
+from sierra.store.statement import check_describes
 from sierra.store.views import Views, outputs, tables_of
 from sierra.util.fs import write_whole
 
@@ -63,10 +65,14 @@ class Found(NamedTuple):
 class Store:
     """A store. It is cheap to create and holds no open files; any number of instances may be used at the same time."""
 
-    def __init__(self, root: Path) -> None:
-        """Open the store in the folder `root`. Raises Missing if there is none, Damaged if its format is not readable."""
+    def __init__(self, root: Path, rules: Callable[[], Rules] = Rules) -> None:
+        """Open the store in the folder `root`. Raises Missing if there is none, Damaged if its format is not readable.
+
+        `rules` returns the project's derived tables; it is called only for statements that may use one.
+        """
         check_folder(root)
         self.paths = StorePaths(root)
+        self.rules = rules
         self._beneath: Path | None = None
         """The folder of another store's segments, which are read too."""
         try:
@@ -130,6 +136,7 @@ class Store:
         try:
             with made as root:
                 other = Store.create(Path(root, "store"))
+                other.rules = self.rules
                 other._beneath = self.paths.segments
                 yield other
         finally:
@@ -148,7 +155,7 @@ class Store:
         """Open a connection whose statements all see the same state of the store, or of one batch in it."""
         shared = Shared(self.paths.reading)
         try:
-            return Snapshot(self.paths.root, self._listed(), within, shared, beneath=self._beneath)
+            return Snapshot(self.paths.root, self._listed(), within, shared, beneath=self._beneath, rules=self.rules)
         except BaseException:
             shared.close()
             raise
@@ -243,16 +250,18 @@ class Snapshot:
         shared: Shared | None = None,
         *,
         beneath: Path | None = None,
+        rules: Callable[[], Rules] = Rules,
     ) -> None:
         """`shared`: the lock that protects these segments from removal until the snapshot is closed.
 
-        `beneath`: the folder of segments that belong to another store.
+        `beneath`: the folder of segments that belong to another store. `rules` returns the derived tables.
         """
         self._shared = shared
         self._opened = Connection(StorePaths(root).segments, *([beneath] if beneath else []))
         self._reading: Rows | None = None
         self.segments = segments
         self.views = Views(lambda: self.connection, segments, within)
+        self.derived = DerivedTables(lambda: self.connection, self.views, rules, outputs(segments))
         self._root = root
 
     @property
@@ -281,7 +290,7 @@ class Snapshot:
             made = answer.arrow()
             return made.replace_schema_metadata({NOTE: answer.notes}) if answer.notes else made
 
-        return self.ask(text, parameters, table)
+        return self.ask(text, parameters, table, theirs=True)
 
     def select(self, kind: type[R], text: str, **parameters: object) -> list[R]:
         """Return the rows of one statement that only reads as instances of a row class. Raises SqlError."""
@@ -295,14 +304,20 @@ class Snapshot:
         """Return the result of one statement that only reads, as rows by column. Raises SqlError."""
         return self.ask(text, parameters, lambda found: [dict(zip(found.columns, row, strict=True)) for row in found.rows()])
 
-    def ask(self, text: str, parameters: Mapping[str, object], convert: Callable[[Answer], Converted]) -> Converted:
-        """Return the converted result of one statement that only reads. Raises SqlError."""
+    def ask(
+        self, text: str, parameters: Mapping[str, object], convert: Callable[[Answer], Converted], *, theirs: bool = False
+    ) -> Converted:
+        """Return the converted result of one statement that only reads. Raises SqlError.
+
+        `theirs`: the statement is not SIERRA's own; it may use derived tables, and functions that act are refused.
+        """
         import duckdb
 
         with self._errors():
-            self._only_reads(text)
+            read = self._only_reads(text)
             tables = tables_of(text)
             self.views.make(tables)
+            notes = self._derive(read, tables) if theirs else []
             try:
                 answer = self._answer(text, parameters)
             except duckdb.CatalogException:  # a table name that `tables_of` does not recognize: main.runs
@@ -311,7 +326,7 @@ class Snapshot:
             if answer is None:
                 raise SqlError("the statement returns no rows; use SELECT, DESCRIBE, SUMMARIZE or SHOW TABLES")
             # a list of all tables does not need notes on columns
-            return convert(Answer(answer, "" if tables is None else "; ".join(self.views.notes)))
+            return convert(Answer(answer, "; ".join(notes if tables is None else self.views.notes)))
 
     @contextlib.contextmanager
     def _errors(self) -> Iterator[None]:
@@ -328,14 +343,24 @@ class Snapshot:
     def _answer(self, text: str, parameters: Mapping[str, object]) -> duckdb.DuckDBPyRelation | None:
         return self.connection.sql(text, params=parameters) if parameters else self.connection.sql(text)
 
-    def _only_reads(self, text: str) -> None:
+    def _derive(self, text: str, tables: set[str] | None) -> list[str]:
+        """Make the derived tables that a statement uses; if it may list tables, return notes on those that cannot be made."""
+        check_describes(self.connection, text)
+        for name in self.derived.used_by(text):
+            self.derived.make(name)
+        return self.derived.list() if tables is None else []
+
+    def _only_reads(self, text: str) -> str:
+        """Return the statement without EXPLAIN, after checking that it only reads. Raises SqlError."""
         import duckdb
 
-        statements = self.connection.extract_statements(re.sub(r"(?is)^\s*explain\s+(analyze\s+)?", "", text))
+        text = re.sub(r"(?is)^\s*explain\s+(analyze\s+)?", "", text)
+        statements = self.connection.extract_statements(text)
         if len(statements) != 1:
             raise SqlError(f"use one statement at a time; this is {len(statements)}")
         if statements[0].type != duckdb.StatementType.SELECT:
             raise SqlError(f"the store is read-only here; {statements[0].type.name} statements are not allowed")
+        return text
 
     def each(self, statement: str, parameters: Mapping[str, object]) -> Iterator[RawRow]:
         """Yield the rows of one of SIERRA's own statements, with a few thousand rows in memory at a time."""

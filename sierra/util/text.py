@@ -56,3 +56,12 @@ def spans(numbers: Iterable[int]) -> list[tuple[int, int]]:
 def ranges(numbers: Iterable[int], between: str = ",") -> str:
     """Return ascending numbers in short form: `0-5,7`."""
     return between.join(f"{first}-{last}" if last > first else f"{first}" for first, last in spans(numbers))
+
+
+def like(name: str, known: Sequence[str], others: str = "it has") -> str:
+    """Return a hint: the known name that is closest to `name`, or a list of the known names after the words `others`."""
+    import difflib
+
+    close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
+    shown = f"{others} {', '.join(known[:10])}{', …' if len(known) > 10 else ''}"
+    return f"did you mean {close[0]!r}?" if close else shown

@@ -95,7 +95,19 @@ def test_a_controller_has_other_changes_for_a_target() -> None:
     assert [change.set for change in project.for_target("robots").controllers["avoid"].changes] == ["/controller"]
 
 
-ASKING = ("runs", "controller", "scenario", "per_run", "queries", "figures", "equivalence", "determinism", "store")
+ASKING = (
+    "runs",
+    "controller",
+    "scenario",
+    "per_run",
+    "queries",
+    "figures",
+    "equivalence",
+    "determinism",
+    "store",
+    "tables",
+    "sql",
+)
 OWN_TARGETS = ("target", "targets", "variables", "controllers", "scenarios", "seed")
 
 

@@ -71,6 +71,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "programs": "ProgramsTable",
         "store": "StoreTable",
         "build": "BuildTable",
+        "sql": "SqlLimits",
     }.items():
         found[model] = set(table[name])
     found["Source"] = set(table["source"])
@@ -82,6 +83,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "outputs": "Output",
         "equivalence": "Equivalence",
         "queries": "QueryTable",
+        "tables": "DerivedTable",
         "figures": "Figure",
         "runners": "ClusterTable",
         "services": "ServiceTable",

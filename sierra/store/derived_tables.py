@@ -1,0 +1,279 @@
+"""Derived tables: each is made by one SQL statement from outputs, the store's tables and other derived tables.
+
+A derived table gives the same rows, in the same order, each time that it is made from the same rows: its statement runs in one
+thread, joins keep the order of the rows that they read, and rows of a statement without ORDER BY are sorted by all columns.
+Functions of the time, of chance and of the connection are refused, as well as everything that is no table (see
+`sierra.store.statement`). A time limit and a memory limit end statements that would never end.
+
+Each table is made once for each snapshot, as a temporary table.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from sierra.errors import SierraError, SqlError
+from sierra.store import statement
+from sierra.store.duckdb_messages import explain
+from sierra.store.schema import TABLE_NAMES
+from sierra.store.sql_names import identifier
+from sierra.store.views import Views, tables_of
+from sierra.util.text import like
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
+
+OWN_NAMES = frozenset(("samples", "wanted", "membership", "these"))
+"""Names of temporary tables that statistics use."""
+SETTINGS = ("threads", "disabled_optimizers", "memory_limit", "max_temp_directory_size", "TimeZone")
+SHARE_OF_MEMORY = 0.8
+"""The largest part of the machine's memory that a statement may use, whatever the limit is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The limits on one statement: its time in seconds, and its memory in bytes; it may write as much again to the disk."""
+
+    wall: float = 300.0
+    memory: int = 4_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """A derived table: its name, its statement, and what messages call it."""
+
+    name: str
+    sql: str
+    origin: str
+    problem: str = ""
+    """Why there is no statement: for example, its file does not exist."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """The derived tables of a project, by name in lower case, and the limits on their statements."""
+
+    tables: Mapping[str, Definition] = field(default_factory=dict)
+    limits: Limits = Limits()
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """A derived table that was made."""
+
+    columns: Mapping[str, str]
+    """The type of each column, in order."""
+    rows: int
+    ordered: bool
+    """True if its statement orders the rows."""
+
+
+class DerivedTables:
+    """The derived tables of one snapshot."""
+
+    def __init__(
+        self,
+        connection: Callable[[], DuckDBPyConnection],
+        views: Views,
+        rules: Callable[[], Rules],
+        outputs: Iterable[str],
+    ) -> None:
+        """`rules` is called only if a statement names a table that is not in the store."""
+        self._connection = connection
+        self._views = views
+        self._rules = rules
+        self._outputs = {name.lower(): name for name in outputs}
+        self._known: dict[str, Definition] | None = None
+        self._made: dict[str, Made | SierraError] = {}
+        self._making: list[Definition] = []
+        self._listed: list[str] = []
+
+    @property
+    def definitions(self) -> dict[str, Definition]:
+        """The definitions by name in lower case."""
+        if self._known is None:
+            self._known = dict(self._rules().tables)
+        return self._known
+
+    def add(self, definition: Definition) -> None:
+        """Add a table for this snapshot only: that of one figure, for example."""
+        self.definitions[definition.name.lower()] = definition
+
+    def used_by(self, text: str) -> list[str]:
+        """Return the derived tables that a statement names, in lower case; none if it cannot be parsed."""
+        names = tables_of(text)
+        if names is not None and names <= TABLE_NAMES | self._outputs.keys():
+            return []
+        try:
+            found = statement.used(self._connection(), text)
+        except SqlError:
+            return []
+        return [name for name in found.tables if name in self.definitions]
+
+    def list(self) -> list[str]:
+        """Make views of all tables that are not made yet, so that they are listed; return notes on those that cannot be."""
+        notes = []
+        for name in self.definitions:
+            if name in self._made or name in self._listed:
+                continue
+            try:
+                self._list(name, self.definitions[name])
+            except SierraError as error:
+                notes.append(str(error))
+        return notes
+
+    def make(self, name: str) -> Made:
+        """Make a table and those that it needs. Raises SierraError; the error names the table that cannot be made."""
+        name = name.lower()
+        if name not in self._made:
+            try:
+                self._made[name] = self._make(self.definitions[name])
+            except SierraError as error:
+                self._made[name] = error
+        found = self._made[name]
+        if isinstance(found, SierraError):
+            raise found
+        return found
+
+    def _make(self, definition: Definition) -> Made:
+        ordered = self._prepare(definition, self.make)
+        if definition.name.lower() in self._listed:
+            self._connection().execute(f"DROP VIEW temp.{identifier(definition.name)}")
+            self._listed.remove(definition.name.lower())
+        text = definition.sql.strip().rstrip(";")
+        rows = text if ordered else f"SELECT * FROM (\n{text}\n) ORDER BY ALL"
+        table = identifier(definition.name)
+        with limited(self._connection(), self._rules().limits, definition.origin) as connection:
+            connection.execute(f"CREATE TEMP TABLE {table} AS {rows}")
+        described = self._connection().execute(f"DESCRIBE {table}").fetchall()
+        count = self._connection().execute(f"SELECT count(*) FROM {table}").fetchall()[0][0]
+        return Made({row[0]: row[1] for row in described}, count, ordered)
+
+    def _list(self, name: str, definition: Definition) -> None:
+        if name in self._listed:
+            return
+        self._prepare(definition, lambda other: self._list(other, self.definitions[other]))
+        with _explained(definition.origin):
+            text = definition.sql.strip().rstrip(";")
+            self._connection().execute(f"CREATE TEMP VIEW {identifier(definition.name)} AS {text}")
+        self._listed.append(name)
+
+    def _prepare(self, definition: Definition, make: Callable[[str], object]) -> bool:
+        """Check a definition and make what it needs; return whether its statement orders the rows. Raises SierraError."""
+        if definition in self._making:
+            names = [one.name for one in (*self._making[self._making.index(definition) :], definition)]
+            raise SqlError(f"{definition.origin}: {' → '.join(names)}: a table cannot be made from itself")
+        self._making.append(definition)
+        try:
+            found = self._checked(definition)
+            for other in found.tables:
+                if other in self.definitions:
+                    make(other)
+            self._views.make(found.tables)
+        finally:
+            self._making.pop()
+        return found.ordered
+
+    def _checked(self, definition: Definition) -> statement.Used:
+        """Return what a table's statement uses, after checking that it may. Raises SqlError."""
+        if problem := definition.problem or self._taken(definition):
+            raise SqlError(f"{definition.origin}: {problem}")
+        try:
+            found = statement.used(self._connection(), definition.sql)
+            statement.check_repeatable(self._connection(), found)
+        except SqlError as error:
+            raise SqlError(f"{definition.origin}: {error}") from error
+        if found.schemas:
+            raise SqlError(f"{definition.origin}: write {found.schemas[0]!r} without a schema")
+        known = [*self._outputs, *self.definitions, *TABLE_NAMES]
+        for name, spelled in found.tables.items():
+            if name not in known:
+                names = [*self._outputs.values(), *(one.name for one in self.definitions.values()), *sorted(TABLE_NAMES)]
+                raise SqlError(f"{definition.origin}: there is no table {spelled!r}; {like(spelled, names, 'tables are')}")
+        return found
+
+    def _taken(self, definition: Definition) -> str:
+        """Return a complaint if the name of a table has another meaning."""
+        name = definition.name.lower()
+        if name in self._outputs:
+            return f"runs have written an output {self._outputs[name]!r}; use another name for the derived table"
+        return "" if is_free(name) else f"SIERRA's own table {name!r} has this name; use another name"
+
+
+def is_free(name: str) -> bool:
+    """Check that a derived table may have this name: no table of the store has it; case is ignored."""
+    return name.lower() not in TABLE_NAMES | OWN_NAMES
+
+
+@contextlib.contextmanager
+def limited(connection: DuckDBPyConnection, limits: Limits, origin: str) -> Iterator[DuckDBPyConnection]:
+    """Yield the connection for one statement with limits, in one thread, which keeps the order of rows. Raises SierraError.
+
+    Messages call the statement `origin`.
+    """
+    memory = min(limits.memory, int(SHARE_OF_MEMORY * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")))
+    values = ("1", "'join_order,build_side_probe_side'", f"'{memory}B'", f"'{memory}B'", "'UTC'")
+    try:
+        for name, value in zip(SETTINGS, values, strict=True):
+            connection.execute(f"SET {name} = {value}")
+        with _explained(origin, limits), _Timer(connection, limits.wall, origin):
+            yield connection
+    finally:
+        for name in SETTINGS:
+            connection.execute(f"RESET {name}")
+
+
+class _Timer:
+    """A context manager that interrupts a connection's statement after some time, and then raises an error that says so."""
+
+    def __init__(self, connection: DuckDBPyConnection, wall: float, origin: str) -> None:
+        self._connection = connection
+        self._wall = wall
+        self._origin = origin
+        self._lock = threading.Lock()
+        self._ended = self._late = False
+        self._timer = threading.Timer(wall, self._interrupt)
+        self._timer.daemon = True
+
+    def __enter__(self) -> None:
+        self._timer.start()
+
+    def __exit__(self, *_: object) -> None:
+        import duckdb
+
+        with self._lock:
+            self._ended = True
+        self._timer.cancel()
+        if self._late and isinstance(_[1], duckdb.InterruptException):
+            raise SierraError(
+                f"{self._origin}: the statement did not end within {self._wall:g} s; correct it, or raise wall in [sql]"
+            ) from _[1]
+
+    def _interrupt(self) -> None:
+        with self._lock:
+            if not self._ended:
+                self._late = True
+                self._connection.interrupt()
+
+
+@contextlib.contextmanager
+def _explained(origin: str, limits: Limits | None = None) -> Iterator[None]:
+    """Raise DuckDB's errors as errors of one line about `origin`."""
+    import duckdb
+
+    try:
+        yield
+    except duckdb.OutOfMemoryException as error:
+        most = f"{limits.memory / 1e9:g} GB" if limits else "the limit"
+        raise SierraError(
+            f"{origin}: the statement needs more memory than {most}; correct it, or raise memory in [sql]"
+        ) from error
+    except duckdb.InterruptException:
+        raise
+    except duckdb.Error as error:
+        raise SqlError(f"{origin}: {explain(error)}") from error
