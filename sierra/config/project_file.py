@@ -249,6 +249,10 @@ class Project(Table):
                 raise ValueError(f"{other} and {name} both set the environment variable {variable}; use one of them")
         return self
 
+    def declared(self, table: str) -> Output | DerivedTable | None:
+        """Return the declaration of an output or of a derived table; None if there is none."""
+        return self.outputs.get(table) or self.tables.get(table)
+
     def for_target(self, name: str) -> Project:
         """Return the project with one target merged over its other keys, and without targets. Raises UsageError."""
         if name not in self.targets:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import isfinite
@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING
 from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
-from sierra.config.project_file import LoadedProject
-from sierra.deliverables import record, seconds
+from sierra.config.output_tables import Output
+from sierra.config.project_file import LoadedProject, Project
+from sierra.deliverables import no_number, record, seconds
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.figures.gather import Batch, gather
 from sierra.deliverables.record import Checked, Content, Recorder, ShownDeliverable, checked
@@ -29,7 +30,7 @@ from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import MIXED, Column, Frame, OutputTable, names_time
+from sierra.store.samples import MIXED, Column, Frame, NoRuns, OutputTable, names_time
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
@@ -57,7 +58,7 @@ def figures(
     figure has that name, SierraError if that figure cannot be drawn.
     """
     with Frame(store, batch) as frame:
-        gallery = _Gallery(project, store, frame)
+        gallery = _Gallery(project, store, frame, _tables(project.config, name))
         wanted, notes = gallery.wanted(name)
         drawer = _Drawer(store, project.root, batch, again=again)
         drawn: list[Path] = []
@@ -110,7 +111,7 @@ def statistics(
     """
     _check_reduction("final" if measure == AUTO else measure, threshold, times)
     with Frame(store, batch) as frame:
-        gallery = _Gallery(project, store, frame)
+        gallery = _Gallery(project, store, frame, {output})
         figure = Figure(table=output, column=(column,))
         samples = gallery.column(figure)
         if measure == AUTO:
@@ -129,6 +130,12 @@ def statistics(
         ]
         metadata = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
         return _with_axes(table, frame).replace_schema_metadata(metadata)
+
+
+def _tables(config: Project, name: str | None) -> Container[str] | None:
+    """Return the tables that figures are drawn from: all figures, or the one called `name`; None if it may be any table."""
+    figures = [one for called, one in config.figures.items() if name in (None, called)]
+    return {figure.table for figure in figures} if figures and all(figure.table for figure in figures) else None
 
 
 def _check_reduction(measure: str | None, threshold: float | None, times: str | None) -> None:
@@ -225,14 +232,15 @@ class _Output:
 class _Gallery:
     """The data that the figures of one batch share."""
 
-    def __init__(self, project: LoadedProject, store: Store, frame: Frame) -> None:
+    def __init__(self, project: LoadedProject, store: Store, frame: Frame, only: Container[str] | None = None) -> None:
+        """`only`: the outputs and derived tables that are needed; default: all."""
         target = targets.recorded(store, frame.batch) if project.targets else None
         self.target_notes = [f"target {target}"] if target else []
         """The target that the batch was requested for; its declarations are used."""
         self._config = targets.of_batch(project, store, frame.batch).config
         self._store = store
         self._frame = frame
-        self._outputs = {output.name: output for output in frame.outputs()}
+        self._outputs = {output.name: output for output in frame.outputs(only)}
         self._shown: dict[str, Mapping[Value, Value]] = {}
         self._axes = tuple(map(self._labelled, frame.axes()))
         self._cells = {ordinal: self._with_labels(values) for ordinal, values in frame.cells().items()}
@@ -261,11 +269,18 @@ class _Gallery:
     def _default(self) -> tuple[dict[str, Figure], list[str]]:
         """Return the default figures that fit each output; and notes on outputs and columns without one, and why."""
         found: dict[str, Figure] = {}
-        notes = [] if self._outputs else ["no run wrote a table, so there is no figure; see: sierra sql 'FROM artifacts'"]
+        problems = self._frame.problems
+        notes = [f"no figure of table {name!r}: {error}" for name, error in problems.items() if not isinstance(error, NoRuns)]
+        notes += (
+            []
+            if self._outputs or problems
+            else ["no run wrote a table, so there is no figure; see: sierra sql 'FROM artifacts'"]
+        )
         for output in self._outputs.values():
             time = self.time(output)
             columns = [column for column in output.columns if column != time]
             notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
+            notes += no_number.notes(self._frame, output)
             try:
                 self._coverage(output)
             except SierraError as error:
@@ -298,10 +313,14 @@ class _Gallery:
             seen = source.coverage(columns[0])
             batch = batch.of_experiments(seen.runs)
         made = gather(name, figure, columns, batch, source, seen, output.whole)
-        declared = self._config.outputs.get(output.name)
+        declared = self._config.declared(output.name)
         units = dict(declared.units) if declared else {}
         tables, note = made.tables, made.note
-        if declared and declared.ticks_per_second is not None and all("t" in table.column_names for table in tables.values()):
+        if (
+            isinstance(declared, Output)
+            and declared.ticks_per_second is not None
+            and all("t" in table.column_names for table in tables.values())
+        ):
             per_second = seconds.rates(declared.ticks_per_second, self._config, self._store, self._frame)
             tables = {column: seconds.in_seconds(table, per_second) for column, table in tables.items()}
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
@@ -319,7 +338,7 @@ class _Gallery:
         return self._times[output.name]
 
     def _time(self, output: OutputTable) -> str:
-        declared = self._config.outputs.get(output.name)
+        declared = self._config.declared(output.name)
         if declared and declared.time:
             return declared.time
         first = output.all_columns[0] if output.all_columns else ""
@@ -357,8 +376,14 @@ class _Gallery:
 
     def takes_mean(self, output: OutputTable) -> bool:
         """Return whether runs count by the mean of an output's rows, and note it: it has no time, but a row for each event."""
-        if output.fewest == output.rows or self.time(output):
+        if (output.fewest == output.rows and not output.unordered) or output.rows < 2 or self.time(output):
             return False
+        if output.unordered:
+            self.time_notes[output.name] = (
+                f"the mean of each run's rows of table {output.name!r} is taken: it has no time column, and its SQL does not "
+                f"order the rows (set time in [tables.{output.name}], or add ORDER BY to its SQL)"
+            )
+            return True
         self.time_notes[output.name] = (
             f"output {output.name!r} has no time column, and its runs have {output.fewest} to {output.rows} rows: the mean "
             f"of each run's rows is taken, not the last row (set time in [outputs.{output.name}] if rows follow each other "
@@ -369,10 +394,14 @@ class _Gallery:
     def output(self, figure: Figure) -> OutputTable:
         """Return the output that a figure names, or the only one with its columns. Raises NotFound."""
         if figure.table:
+            if figure.table in self._frame.problems:
+                raise self._frame.problems[figure.table]
             if figure.table not in self._outputs:
-                raise NotFound(f"this batch has no output {figure.table!r}; its outputs: {', '.join(self._outputs) or 'none'}")
+                names = ", ".join(self._frame.names) or "none"
+                raise NotFound(f"this batch has no output {figure.table!r}; its outputs: {names}")
             return self._outputs[figure.table]
         having = [o for o in self._outputs.values() if all(column in o.columns for column in figure.columns)]
+        having = [o for o in having if o.name not in self._config.tables] or having
         if self._outputs and not having:
             raise NotFound(
                 f"no output has {' and '.join(map(repr, figure.columns))} as numeric columns (sierra sql 'SHOW TABLES')"

@@ -9,13 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+from sierra.config.deliverable_tables import DerivedTable
 from sierra.config.output_tables import Equivalence, Output
-from sierra.errors import NotFound, SierraError, UsageError
+from sierra.errors import Damaged, Missing, NotFound, SierraError, UsageError
 from sierra.stats import aggregate as stats
 from sierra.stats import equivalence
 from sierra.store.samples import Column, Frame
 from sierra.store.store import Store
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Values = dict[str, dict[tuple[int, str], float]]
 """By metric: the value of each run, by (experiment's place, run id)."""
@@ -40,21 +45,36 @@ class Metric:
 
 
 def values(
-    store: Store, batch: str, executions: Mapping[str, str], metrics: Mapping[str, Equivalence], outputs: Mapping[str, Output]
+    store: Store,
+    batch: str,
+    executions: Mapping[str, str],
+    metrics: Mapping[str, Equivalence],
+    declared: Mapping[str, Output | DerivedTable],
 ) -> Values:
-    """Return the value of the given execution of each run, by metric.
+    """Return the value of the given execution of each run, by metric. `declared`: outputs and derived tables.
 
-    Raises NotFound for an output or a column that does not exist, or if runs have several values at one time.
+    Raises NotFound for a table or a column that does not exist, for a derived table that cannot be made, or if runs have
+    several values at one time.
     """
     found: Values = {}
     with Frame(store, batch, executions) as frame:
         for name, metric in metrics.items():
-            declared = outputs.get(metric.table)
-            column = Column(frame, metric.table, metric.column, declared.time if declared else "")
-            _check_single(column)
-            rows = stats.reduced(column, metric.measure, metric.threshold).to_pylist()
+            table = declared.get(metric.table)
+            column = Column(frame, metric.table, metric.column, table.time if table else "")
+            rows = _reduced(column, metric).to_pylist()
             found[name] = {(row["experiment"], row["run"]): row["value"] for row in rows}
     return found
+
+
+def _reduced(column: Column, metric: Equivalence) -> pa.Table:
+    """Return the values of the runs. Raises NotFound."""
+    try:
+        _check_single(column)
+        return stats.reduced(column, metric.measure, metric.threshold)
+    except (NotFound, Missing, Damaged):
+        raise
+    except SierraError as error:
+        raise NotFound(str(error)) from error
 
 
 def _check_single(column: Column) -> None:

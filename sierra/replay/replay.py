@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra import runners
+from sierra.config.deliverable_tables import DerivedTable
 from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Engine
@@ -354,8 +355,9 @@ def _metrics(
         record.notes.append("equivalence is tested only for whole experiments: replay without --runs")
         return None
     executions = {one.run: str(one.judgement) for one in record.runs}
+    tables: dict[str, Output | DerivedTable] = {**project.config.tables, **declared}
     try:
-        return equivalence.values(store, record.of.batch, executions, project.config.equivalence, declared)
+        return equivalence.values(store, record.of.batch, executions, project.config.equivalence, tables)
     except NotFound as error:
         record.notes.append(f"[equivalence]: {error}; no experiment is tested for equivalence")
         return None
@@ -439,8 +441,9 @@ def _experiments(
     now: equivalence.Values = {}
     if stochastic:
         executions = {run.taken.run: str(run.execution) for runs in stochastic.values() for run in runs}
+        tables: dict[str, Output | DerivedTable] = {**project.config.tables, **declared}
         try:
-            now = equivalence.values(store, record.of.batch, executions, project.config.equivalence, declared)
+            now = equivalence.values(store, record.of.batch, executions, project.config.equivalence, tables)
         except NotFound as error:
             record.notes.append(f"[equivalence]: {error}; the replay has no values to compare")
             now = {name: {} for name in project.config.equivalence}

@@ -1,22 +1,23 @@
-"""The data of one batch for statistics: its runs, and its output columns as samples over time.
+"""The data of one batch for statistics: its runs, and the columns of its outputs and derived tables as samples over time.
 
 Only one execution of a run is effective: see the table `effective`. A run without an effective execution is reported as
-missing.
+missing. The rows of a derived table belong to the runs that its column `run` names.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from sierra.errors import NotFound, SqlError, UsageError
+from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
 from sierra.model import Axis, Value
+from sierra.store.derived_tables import Definition, Made
 from sierra.store.duckdb_messages import explain
 from sierra.store.schema import RECORDED
 from sierra.store.segments import is_first_part
-from sierra.store.sql_names import identifier
+from sierra.store.sql_names import identifier, quote
 from sierra.store.sql_result import INTEGER, NUMBER
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
@@ -32,11 +33,20 @@ TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "secon
 """Names of a first column that make it the time axis, if the project declares no time column."""
 WHOLE, NUMERIC = rf"BOOLEAN|{INTEGER}", rf"BOOLEAN|{NUMBER}"
 """DuckDB's types of the columns that statistics use, as regular expressions; flags are 0 and 1."""
+NO_VALUES = ("run", "number", "row", "seed", "execution", "file", "batch", "experiment", "ordinal")
+"""Columns of derived tables that say where a row belongs, and are no values; the axes are others."""
+
+
+class NoRuns(UsageError):
+    """A derived table whose rows do not belong to runs, which SQL can use but statistics cannot."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutputTable:
-    """An output of a batch: its numeric columns, and the number of rows of its longest run. Flags are numeric: 0 and 1."""
+    """An output of a batch, or a derived table: its numeric columns, and the number of rows of its longest run.
+
+    Flags are numeric: 0 and 1.
+    """
 
     name: str
     columns: tuple[str, ...]
@@ -50,6 +60,10 @@ class OutputTable:
     """The numeric columns that hold only whole numbers or flags."""
     fewest: int = 0
     """The number of rows of its shortest run."""
+    others: Mapping[str, str] = field(default_factory=dict)
+    """The columns that are no numbers, with their types in SQL, without those of `mixed` and the texts beside them."""
+    unordered: bool = False
+    """True if the order of a run's rows has no meaning, because the statement of a derived table does not order them."""
 
 
 class Frame:
@@ -61,9 +75,15 @@ class Frame:
         self._snapshot: Snapshot = store.snapshot(batch)
         self._loaded: set[str] = set()
         self._relations: dict[str, Relation] = {}
-        self._snapshot.views.make(("batch_runs", "all_judgements", "experiments", "batches", "effective"))
+        self.problems: dict[str, SierraError] = {}
+        """Why derived tables cannot be used for statistics, by name; known after `outputs`."""
+        self._snapshot.views.make(("batch_runs", "all_judgements", "experiments", "batches"))
         self._members(these)
         self._files = self._output_files()
+        """The files of each output, by name; a derived table has none."""
+        taken = {name.lower() for name in self._files}
+        tables = self._snapshot.derived.definitions
+        self._files |= {one.name: [] for name, one in tables.items() if name not in taken}
 
     def __enter__(self) -> Frame:
         return self
@@ -76,7 +96,9 @@ class Frame:
         taken = "(SELECT ordinal, run, judgement FROM effective WHERE batch = $b)"
         if these is not None:
             self._snapshot.add_table("these", run=these, judgement=these.values())
+            self._snapshot.views.define("effective", THESE.format(batch=quote(self.batch)))
             taken = "(SELECT ordinal, run, judgement FROM wanted JOIN these USING (run))"
+        self._snapshot.views.make(("effective",))
         run(
             "CREATE TEMP TABLE wanted AS SELECT DISTINCT ordinal, number, run FROM batch_runs WHERE batch = $b",
             {"b": self.batch},
@@ -145,10 +167,30 @@ class Frame:
         )
         return tuple((ordinal, digest) for ordinal, *digests in rows for digest in dict.fromkeys(digests))
 
-    def outputs(self) -> tuple[OutputTable, ...]:
-        """Return the tables that the batch's runs wrote."""
-        found = []
+    @property
+    def written(self) -> list[str]:
+        """The names of the outputs that runs wrote, without derived tables."""
+        return sorted(name for name, files in self._files.items() if files)
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all outputs and derived tables."""
+        return sorted(self._files)
+
+    def derive(self, definition: Definition) -> None:
+        """Add a derived table to this frame only: that of one figure, for example."""
+        self._snapshot.derived.add(definition)
+        self._files[definition.name] = []
+
+    def outputs(self, only: Container[str] | None = None) -> tuple[OutputTable, ...]:
+        """Return the tables that the batch's runs wrote, and the derived tables; `only` those with these names."""
+        found: list[OutputTable] = []
         for name, files in sorted(self._files.items()):
+            if only is not None and name not in only:
+                continue
+            if not files:
+                found += self._derived_output(name)
+                continue
             source = self._relation(name, files)
             columns = [(name, kind) for name, kind in source.types.items() if name not in ("run", "execution", "file")]
             many = "count(DISTINCT file)" if "file" in source.types else "1"
@@ -162,11 +204,61 @@ class Frame:
             numeric, whole = (
                 tuple(c for c, kind in columns if re.fullmatch(kinds, kind) and c not in mixed) for kinds in (NUMERIC, WHOLE)
             )
-            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, whole, fewest))
+            others = {c: kind for c, kind in columns if c not in (*numeric, *source.texts, *source.texts.values())}
+            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, whole, fewest, others))
         return tuple(found)
 
+    def _derived_output(self, name: str) -> Iterator[OutputTable]:
+        """Yield a derived table, if it can be used for statistics; else remember why not."""
+        try:
+            made = self._derived(name)
+        except (Damaged, Missing):
+            raise
+        except SierraError as error:
+            self.problems[name] = error
+            return
+        hidden = {*NO_VALUES, *(axis.lower() for axis in self._axis_names())}
+        columns = {column: kind for column, kind in made.columns.items() if column.lower() not in hidden}
+        numeric, whole = (tuple(c for c, kind in columns.items() if re.fullmatch(kinds, kind)) for kinds in (NUMERIC, WHOLE))
+        sizes = f"SELECT count(*) AS rows FROM {identifier(name)} GROUP BY run"
+        [(rows, fewest)] = self._snapshot.run(f"SELECT max(rows), min(rows) FROM ({sizes})")
+        yield OutputTable(
+            name,
+            numeric,
+            tuple(columns),
+            rows,
+            files=1,
+            mixed=(),
+            whole=whole,
+            fewest=fewest,
+            others={column: kind for column, kind in columns.items() if column not in numeric},
+            unordered=not made.ordered,
+        )
+
+    def _derived(self, name: str) -> Made:
+        """Return a derived table after checking that its rows belong to runs of the batch. Raises SierraError."""
+        made = self._snapshot.derived.make(name)
+        origin = self._snapshot.derived.definitions[name.lower()].origin
+        if "run" not in map(str.lower, made.columns):
+            raise NoRuns(
+                f"{origin}: it has no column 'run', so there are no statistics over runs; add run to its SELECT (and GROUP BY)"
+            )
+        if not made.rows:
+            raise SierraError(f"{origin}: its statement returns no rows for batch {self.batch[:10]}")
+        others = f"SELECT run FROM {identifier(name)} WHERE run IS NULL OR run::VARCHAR NOT IN (SELECT run FROM wanted) LIMIT 1"
+        for (run,) in self._snapshot.run(others):
+            which = "without a run" if run is None else f"of {str(run)[:20]!r}, which is no run of batch {self.batch[:10]}"
+            raise UsageError(f"{origin}: it has a row {which}; its column 'run' must be that of the runs")
+        return made
+
+    def _axis_names(self) -> list[str]:
+        [(names,)] = self._snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch})
+        return list(names)
+
     def _relation(self, table: str, files: Sequence[str]) -> Relation:
-        """Return all rows of an output, effective or not."""
+        """Return all rows of an output, effective or not, or those of a derived table."""
+        if table not in self._relations and not files:
+            self._relations[table] = Relation(identifier(table), self._derived(table).columns)
         if table not in self._relations:
             self._relations[table] = relation(self._snapshot.run, files, f"execution IN ({MEMBERS})", rows=True)
         return self._relations[table]
@@ -273,6 +365,10 @@ class Frame:
 
     def _load(self, table: str, files: list[str]) -> None:
         source = self._relation(table, files)
+        if not files:
+            self._snapshot.run(LOAD.format(data=identifier("data " + table), table=identifier(table)))
+            self._loaded.add(table)
+            return
         file = ", o.file" if "file" in source.types else ""
         self._snapshot.run(
             f'CREATE TEMP TABLE {identifier("data " + table)} AS SELECT m.experiment AS "# experiment", '
@@ -283,6 +379,17 @@ class Frame:
         )
         self._loaded.add(table)
 
+    def most_frequent(self, table: str, column: str) -> str | None:
+        """Return the most frequent text in a column of an output, of several the first; None if there is none."""
+        if table not in self._loaded:
+            self._load(table, self._files[table])
+        name = identifier(column)
+        rows = self._snapshot.run(
+            f"SELECT {name} FROM {identifier('data ' + table)} WHERE {name} IS NOT NULL GROUP BY ALL "
+            "ORDER BY count(*) DESC, 1 LIMIT 1"
+        )
+        return next((str(value) for (value,) in rows), None)
+
     def sql(self, text: str, **parameters: object) -> pa.Table:
         """Return the result of a statement on `samples`. Raises SqlError."""
         import duckdb
@@ -292,6 +399,18 @@ class Frame:
         except duckdb.Error as error:
             raise SqlError(explain(error)) from error
 
+
+THESE = """
+SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, e.ended AS submitted, e.lamport
+FROM batch_runs m JOIN these t ON t.run = m.run JOIN all_judgements e ON e.judgement = t.judgement WHERE m.batch = {batch}
+"""
+"""The table `effective`, if statistics use given executions instead."""
+
+LOAD = """
+CREATE TEMP TABLE {data} AS SELECT w.ordinal::INTEGER AS "# experiment", w.number::INTEGER AS "# number",
+    row_number() OVER (PARTITION BY w.run, w.ordinal ORDER BY d.rowid) - 1 AS "# place", d.* REPLACE (w.run AS run)
+FROM {table} d JOIN wanted w ON d.run = w.run
+"""
 
 ALIKE = """
 SELECT 1 FROM (SELECT count(DISTINCT run) AS runs FROM {data}) WHERE runs > 1 AND NOT EXISTS (

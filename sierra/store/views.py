@@ -100,6 +100,12 @@ class Views:
             if wanted is None or name.lower() in wanted:
                 self._make(name)
 
+    def define(self, name: str, body: str) -> None:
+        """Create the view of a table from another query than usual. No view that needs this table may exist yet."""
+        self._made.add(name)
+        self._execute(f"CREATE VIEW {identifier(name)} AS {body}")
+        self.made.append(identifier(name))
+
     def axes(self) -> list[str]:
         """Return the axes that are columns: of all batches, as in `experiments`; or of one batch, in its order."""
         if self._within is not None:

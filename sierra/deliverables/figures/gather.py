@@ -14,7 +14,7 @@ from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.stats.needs import Needs
-from sierra.store.samples import like
+from sierra.util.text import like
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -251,7 +251,7 @@ def _columns(store: Store, project: LoadedProject, before: Side, after: Side) ->
     found = []
     for side in (before, after):
         with Frame(store, side.batch.batch) as frame:
-            found.append({table.name: table.columns for table in frame.outputs()})
+            found.append({table.name: table.columns for table in frame.outputs(frame.written)})
     times = {name: output.time for name, output in project.config.outputs.items()}
     return {
         name: [one for one in columns if one in found[1][name] and not _is_time(one, times.get(name))]

@@ -1,0 +1,55 @@
+"""Notes on columns that no figure can show, because they are no numbers, with a derived table that makes a number of one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from sierra.store.samples import Frame, OutputTable
+from sierra.store.sql_names import identifier, quote
+from sierra.util.text import few
+
+SHOWN = 5
+"""The largest number of columns that a note names."""
+RESERVED = "SELECT 1 FROM duckdb_keywords() WHERE keyword_name = lower($name) AND keyword_category = 'reserved'"
+
+
+def notes(frame: Frame, output: OutputTable) -> Sequence[str]:
+    """Return a note on the columns of an output that are no numbers; none if there is no such column."""
+    if not output.others:
+        return []
+    called = few([repr(column) for column in output.others], SHOWN)
+    which = f"no figure of {called} of output {output.name!r}: no {'number' if len(output.others) == 1 else 'numbers'}"
+    if (example := _example(frame, output.name, output.others)) is None:
+        return [which]
+    column, expression, name = example
+    table = _name(frame, output.name)
+    sql = f"SELECT run, {expression} AS {name} FROM {table} GROUP BY run"  # noqa: S608 - the user may write it
+    key = re.sub(r"\W", "_", f"{output.name}_{column}")
+    return [f"{which}; a derived table has one, for example: [tables.{key}] sql = {_toml(sql)}"]
+
+
+def _example(frame: Frame, table: str, others: Mapping[str, str]) -> tuple[str, str, str] | None:
+    """Return a column, an SQL expression that makes a number of it for each run, and a name of this number."""
+    for column, kind in others.items():
+        name = _name(frame, column)
+        if kind == "VARCHAR" and (value := frame.most_frequent(table, column)) is not None and len(value) < 40:
+            return column, f"avg(({name} = {quote(value)})::INT)", "rate"
+        if kind.endswith("[]"):
+            return column, f"avg(len({name}))", "length"
+        if kind.startswith(("DATE", "TIMESTAMP")):
+            return column, f"max(epoch({name}))", "seconds"
+        if field := re.match(r'STRUCT\(("(?:[^"]|"")*"|\w+) (?:DOUBLE|FLOAT|U?\w*INT\w*|DECIMAL|BOOLEAN)', kind):
+            return column, f"avg({name}.{field[1]})", "mean"
+    return None
+
+
+def _name(frame: Frame, name: str) -> str:
+    """Return a name as SQL, without quotes if it needs none."""
+    plain = re.fullmatch(r"[A-Za-z_]\w*", name) and not frame.sql(RESERVED, name=name).num_rows
+    return name if plain else identifier(name)
+
+
+def _toml(text: str) -> str:
+    """Return a text as a TOML string."""
+    return f'"{text}"' if not re.search(r'["\\\n]', text) else f"'''{text}'''"

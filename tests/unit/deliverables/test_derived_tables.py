@@ -1,0 +1,159 @@
+"""Statistics and figures of derived tables: as of outputs, and what cannot be computed is one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import sierra
+from tests import projects, stores
+
+ENDS = "SELECT run, max(coverage) AS most, max(coverage) > 5 AS good FROM swarm GROUP BY run"
+TABLES = {
+    "ends": ENDS,
+    "halves": "SELECT run, population_size, tick, coverage / 2 AS half FROM swarm",
+    "late": "SELECT run, coverage FROM swarm WHERE tick > 1",
+    "lost": "SELECT tick, avg(coverage) AS m FROM swarm GROUP BY tick",
+    "foreign": "SELECT upper(run) AS run, coverage FROM swarm",
+    "nobody": "SELECT NULL AS run, 1 AS v FROM swarm",
+    "empty": "SELECT run, coverage FROM swarm WHERE tick > 99",
+    "twice": "SELECT run, tick, coverage FROM swarm, range(2)",
+    "wrong": "SELECT run, covrage FROM swarm",
+}
+
+
+@pytest.fixture(scope="module")
+def root(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = stores.copy(recorded, tmp_path_factory.mktemp("derived") / "project")
+    tables = "".join(f"[tables.{name}]\nsql = '''{sql}'''\n" for name, sql in TABLES.items())
+    (root / "sierra.toml").write_text(projects.CONFIG + tables)
+    return root
+
+
+def test_statistics_of_a_derived_table_are_those_of_its_values(root: Path) -> None:
+    project = sierra.open(root)
+    batch = project.batches[0].batch
+    ours = project.statistics(batch, "ends", "most")
+    theirs = project.statistics(batch, "swarm", "coverage")
+    for name in ("experiment", "population_size", "n", "mean", "sd", "low", "high", "median"):
+        assert ours.column(name).to_pylist() == theirs.column(name).to_pylist()
+    times = project.statistics(batch, "halves", "half", measure=None)
+    assert times.column("t").to_pylist() == [0, 1, 2, 3, 4] * 2
+    halved = [2 * mean for mean in times.column("mean").to_pylist()]
+    assert halved == pytest.approx(project.statistics(batch, "swarm", "coverage", measure=None).column("mean").to_pylist())
+
+
+def test_a_flag_is_a_rate_with_the_interval_of_a_rate(root: Path) -> None:
+    project = sierra.open(root)
+    rates = project.statistics(project.batches[0].batch, "ends", "good")
+    assert set(rates.column("interval").to_pylist()) == {"Wilson"}
+    assert all(
+        0 <= low <= mean <= high <= 1
+        for low, mean, high in zip(*(rates.column(c).to_pylist() for c in ("low", "mean", "high")), strict=True)
+    )
+
+
+def test_unordered_rows_without_a_time_count_by_their_mean(root: Path) -> None:
+    project = sierra.open(root)
+    batch = project.batches[0].batch
+    found = project.statistics(batch, "late", "coverage")
+    mean = project.sql("SELECT avg(coverage) AS m FROM swarm WHERE tick > 1 AND population_size = 1", within=batch).column("m")
+    assert found.column("mean").to_pylist()[0] == pytest.approx(mean.to_pylist()[0])
+    assert b"its SQL does not order the rows" in found.schema.metadata[b"sierra:note"]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "expected"),
+    [
+        (("lost", "m"), 2, "[tables.lost]: it has no column 'run', so there are no statistics over runs"),
+        (("foreign", "coverage"), 2, "which is no run of batch"),
+        (("nobody", "v"), 2, "[tables.nobody]: it has a row without a run"),
+        (("empty", "coverage"), 1, "[tables.empty]: its statement returns no rows for batch"),
+        (("wrong", "covrage"), 2, 'Candidate bindings: "coverage"'),
+        (("twice", "coverage"), 2, "more than one row at the same time"),
+        (("halves", "population_size"), 2, "no numeric column 'population_size'; it has tick, half"),
+        (("ends", "mist"), 2, "no numeric column 'mist'"),
+        (("end", "most"), 2, "this batch has no output 'end'; its outputs: empty, ends"),
+    ],
+)
+def test_what_statistics_cannot_use_is_one_line(root: Path, words: tuple[str, ...], code: int, expected: str) -> None:
+    done = projects.quick(root, "stats", *words, "-b", sierra.open(root).batches[0].batch)
+    assert (done.returncode, done.stderr.count("\n"), done.stdout) == (code, 1, ""), done.stderr
+    assert expected in done.stderr
+
+
+@pytest.mark.integration
+def test_other_figures_are_drawn_if_a_table_cannot_be_made(recorded: Path, tmp_path: Path) -> None:
+    root = stores.copy(recorded, tmp_path / "project")
+    (root / "sierra.toml").write_text(
+        projects.CONFIG
+        + f"[tables.ends]\nsql = '{ENDS}'\nunits = {{ most = 'm' }}\n[tables.wrong]\nsql = 'FROM swrm'\n"
+        + "[figures.good]\nkind = 'summary'\ntable = 'ends'\ncolumn = 'most'\n[figures.bad]\ntable = 'wrong'\ncolumn = 'x'\n"
+    )
+    batch = sierra.open(root).batches[0].batch
+    done = projects.quick(root, "figures", batch)
+    assert "good.svg" in done.stdout
+    assert "figure bad: [tables.wrong]: there is no table 'swrm'; did you mean 'swarm'?" in done.stderr
+    [svg] = root.glob("figures/*/good.svg")
+    before = svg.read_bytes()
+    asked = projects.quick(root, "figures", batch, "bad")
+    assert (asked.returncode, asked.stderr.count("\n")) == (2, 1)
+    projects.quick(root, "figures", batch)
+    assert svg.read_bytes() == before
+
+
+@pytest.mark.integration
+def test_a_rate_over_all_runs_counts_the_failed_ones(tmp_path: Path) -> None:
+    failing = projects.SIMULATOR + "if seed % 2:\n    sys.exit(1)\n"
+    sql = "SELECT run, status = 'ok' AS success FROM runs"
+    root = projects.make(tmp_path / "p", projects.CONFIG + f'[tables.outcome]\nsql = "{sql}"\n', simulator=failing)
+    done = projects.quick(root, "run", "population_size=1", "--runs", "8", "--no-figures")
+    good = sierra.open(root).sql("SELECT count(*) AS n FROM runs WHERE status = 'ok'").to_pylist()[0]["n"]
+    assert (done.returncode, 0 < good < 8) == (1, True)
+    [row] = sierra.open(root).statistics(None, "outcome", "success").to_pylist()
+    assert (row["n"], row["mean"], row["interval"]) == (8, good / 8, "Wilson")
+
+
+NOTED = """\
+import json, sys
+with open("robots.jsonl", "w") as file:
+    for tick in range(3):
+        pose = {"x": 1.5 * tick, "y": 0.0}
+        print(json.dumps({"tick": tick, "v": tick, "end": "done", "pose": pose, "near": [1] * tick}), file=file)
+"""
+
+
+@pytest.mark.integration
+def test_columns_without_a_figure_are_named_with_what_to_write(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "p", simulator=NOTED)
+    batch = projects.run(root, "population_size=1")[0]["batch"]
+    done = projects.quick(root, "figures", batch, "--json")
+    [note] = [one for one in done.stderr.splitlines() if "no figure of" in one]
+    assert "'end', 'pose', 'near' of output 'robots'" in note
+    line = note.partition("for example: ")[2]
+    name, _, sql = line.partition(" sql = ")
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + f"{name}\nsql = {sql}\n")
+    [row] = sierra.open(root).statistics(batch, name.strip("[]").removeprefix("tables."), "rate").to_pylist()
+    assert (row["n"], row["mean"]) == (2, 1.0)
+
+
+STOCHASTIC = projects.SIMULATOR.replace("count * tick", "__import__('random').SystemRandom().gauss(0, 0.01) + count * tick")
+
+
+@pytest.mark.integration
+def test_a_replay_compares_derived_tables_made_from_the_new_executions(tmp_path: Path) -> None:
+    config = (
+        projects.CONFIG
+        + '[outputs.swarm]\nfile = "swarm.csv"\ntime = "tick"\n[tables.ends]\nsql = """'
+        + "SELECT run, max(coverage) AS most FROM swarm GROUP BY run"
+        + '"""\n[equivalence.most]\ntable = "ends"\ncolumn = "most"\nmargin = 0.5\n'
+    )
+    root = projects.make(tmp_path / "p", config, simulator=STOCHASTIC)
+    batch = sierra.open(root).run("population_size=1", runs=8, figures=False).batch
+    done = projects.quick(root, "replay", batch, "--json")
+    said = json.loads(done.stdout)
+    [metric] = said["experiments"][0]["metrics"]
+    assert (done.returncode, said["verdict"], metric["n"]) == (0, "equivalent", 8)
+    assert 0 < abs(metric["difference"]) < 0.1
