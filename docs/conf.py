@@ -25,6 +25,7 @@ CONTENTS = {
         "how-to/targets",
         "how-to/outputs",
         "how-to/sql",
+        "how-to/derived-tables",
         "how-to/figures",
         "how-to/compare",
         "how-to/replay",

@@ -33,7 +33,11 @@ class Times(StrEnum):
 def stats(
     output: Annotated[
         str,
-        typer.Argument(metavar="OUTPUT", autocompletion=complete.tables, help="The output, as listed by SHOW TABLES in SQL."),
+        typer.Argument(
+            metavar="OUTPUT",
+            autocompletion=complete.tables,
+            help="The output or derived table, as listed by SHOW TABLES in SQL.",
+        ),
     ],
     column: Annotated[str, typer.Argument(metavar="COLUMN", autocompletion=complete.columns, help="A column of the output.")],
     batch: Annotated[
@@ -75,6 +79,7 @@ def stats(
     Examples:
       sierra stats swarm coverage
       sierra stats swarm coverage -b 774d --format markdown
+      sierra stats distances distance         # of a table that [tables.distances] in sierra.toml makes by SQL
       sierra stats swarm coverage --measure time_to --threshold 0.5
       sierra stats swarm coverage --times own --format csv -o coverage.csv
     """

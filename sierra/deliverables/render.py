@@ -20,7 +20,7 @@ from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
 from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject, Project
-from sierra.deliverables import no_number, record, seconds
+from sierra.deliverables import record, seconds, suggest_tables
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.figures.gather import Batch, gather
 from sierra.deliverables.record import Checked, Content, Recorder, ShownDeliverable, checked
@@ -280,11 +280,13 @@ class _Gallery:
             time = self.time(output)
             columns = [column for column in output.columns if column != time]
             notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
-            notes += no_number.notes(self._frame, output)
+            notes += suggest_tables.notes(self._frame, output)
             try:
                 self._coverage(output)
             except SierraError as error:
-                notes.append(f"no figure of output {output.name!r}: {error}")
+                doubled = type(error) is UsageError
+                hint = suggest_tables.of_means(self._frame, output, self.time(output)) if doubled else ""
+                notes.append(f"no figure of output {output.name!r}: {error}{hint}")
                 continue
             series = output.rows > 1 and not self.takes_mean(output)
             proposed = stats.default_figures(output.name, columns, self._axes, series=series)

@@ -1,4 +1,4 @@
-"""Notes on columns that no figure can show, because they are no numbers, with a derived table that makes a number of one."""
+"""Derived tables that a note proposes, for data of which there is no default figure."""
 
 from __future__ import annotations
 
@@ -27,6 +27,16 @@ def notes(frame: Frame, output: OutputTable) -> Sequence[str]:
     sql = f"SELECT run, {expression} AS {name} FROM {table} GROUP BY run"  # noqa: S608 - the user may write it
     key = re.sub(r"\W", "_", f"{output.name}_{column}")
     return [f"{which}; a derived table has one, for example: [tables.{key}] sql = {_toml(sql)}"]
+
+
+def of_means(frame: Frame, output: OutputTable, time: str) -> str:
+    """Return a proposal for an output with several rows per run and time: their mean; empty if there is no such column."""
+    column = next((one for one in output.columns if one != time), None)
+    if not time or column is None:
+        return ""
+    table, name, at = (_name(frame, one) for one in (output.name, column, time))
+    sql = f"SELECT run, {at}, avg({name}) AS {name} FROM {table} GROUP BY run, {at}"  # noqa: S608 - the user may write it
+    return f"; or make one row of them, for example: [tables.{output.name}_mean] sql = {_toml(sql)}"
 
 
 def _example(frame: Frame, table: str, others: Mapping[str, str]) -> tuple[str, str, str] | None:
