@@ -7,10 +7,11 @@ The SHA-256 covers, in this order,
     the number of rows                       8 bytes, little-endian, as all numbers below
     for each column, its rows in sorted order: a byte for each row (1: it has a value), then the values
 
-Numbers, times and flags are 8 bytes each: whole numbers as such, floats by their bits (so that 0 and −0 differ), where all NaN
-have the same bits. Values of other types are texts: the number of bytes, then UTF-8 text; lists and structs are JSON in
-which floats are the hexadecimal digits of their bits. A missing value is 0. Rows are sorted by these bytes, so that their order
-does not depend on the order in which a query returns them.
+Numbers, times and flags are 8 bytes each: whole numbers as such, times in their unit, floats by their bits (so that 0 and −0
+differ), where all NaN have the same bits. The width of a number does not count. Values of other types are texts: the number of
+bytes, then UTF-8 text; lists and structs are JSON in which floats are the hexadecimal digits of their bits. A missing value is
+0, or the empty text. Rows are sorted by these values, so that their order does not depend on the order in which a query returns
+them.
 """
 
 from __future__ import annotations
@@ -68,7 +69,9 @@ class _Column:
             self.type, self.keys = "float", _bits(values)
         elif types.is_boolean(kind) or (types.is_integer(kind) and not types.is_uint64(kind)):
             self.type = "boolean" if types.is_boolean(kind) else "integer"
-            self.keys = values.cast(pa.int64()).fill_null(0).to_numpy(zero_copy_only=False)
+            self.keys = _whole(values)
+        elif types.is_temporal(kind) and not types.is_interval(kind):
+            self.type, self.keys = str(kind), _whole(values.cast(pa.int32() if kind.bit_width == 32 else pa.int64()))
         else:
             self.type = "text" if _is_text(kind) else str(kind)
             self.texts, self.keys = _ranked(["" if one is None else _text(one) for one in values.to_pylist()])
@@ -83,6 +86,14 @@ class _Column:
             text = self.texts[place]
             digest.update(struct.pack("<q", len(text)))
             digest.update(text)
+
+
+def _whole(values: pa.Array) -> Keys:
+    """Return whole numbers, times or flags as numbers of 64 bits; those of missing values are 0."""
+    import pyarrow as pa
+
+    keys: Keys = values.cast(pa.int64()).fill_null(0).to_numpy(zero_copy_only=False)
+    return keys
 
 
 def _bits(values: pa.Array) -> Keys:
