@@ -68,7 +68,8 @@ class Figure(Table):
         description="`timeseries`: lines over time; `summary`, `box`, `violin`: points, boxes or violins over the first "
         "variable; `heatmap`: a map of two variables; `stacked`: areas; or a plug-in",
     )
-    table: str = Field("", description="name of the output; may be omitted if there is only one")
+    table: str = Field("", description="name of the output or derived table; may be omitted if there is only one output")
+    sql: str = Field("", description="a SELECT statement whose rows are drawn instead of a `table`, as in `[tables.NAME]`")
     columns: Annotated[
         tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
     ] = Field((), alias="column", description="column (for `stacked`: columns)")
@@ -118,6 +119,8 @@ class Figure(Table):
 
     @model_validator(mode="after")
     def _fitting(self) -> Figure:
+        if self.table and self.sql:
+            raise ValueError('give either "table" or "sql"')
         if self.measure == "time_to" and self.threshold is None:
             raise ValueError('measure "time_to" needs a "threshold"')
         if self.measure != "time_to" and self.threshold is not None:

@@ -19,7 +19,7 @@ from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
 from sierra.config.output_tables import Output
-from sierra.config.project_file import LoadedProject, Project
+from sierra.config.project_file import LoadedProject
 from sierra.deliverables import record, seconds, suggest_tables
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.figures.gather import Batch, gather
@@ -28,6 +28,7 @@ from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
+from sierra.store.derived_tables import Definition
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import MIXED, Column, Frame, NoRuns, OutputTable, names_time
@@ -36,7 +37,7 @@ from sierra.store.sql_names import column_names
 from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.fs import write_whole
-from sierra.util.hashing import short
+from sierra.util.hashing import sha256, short
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -58,7 +59,7 @@ def figures(
     figure has that name, SierraError if that figure cannot be drawn.
     """
     with Frame(store, batch) as frame:
-        gallery = _Gallery(project, store, frame, _tables(project.config, name))
+        gallery = _Gallery(project, store, frame, name=name)
         wanted, notes = gallery.wanted(name)
         drawer = _Drawer(store, project.root, batch, again=again)
         drawn: list[Path] = []
@@ -90,7 +91,8 @@ def _again(project: LoadedProject, store: Store, row: DeliverableRow) -> Content
     """Return the content of a recorded deliverable by its definition and the data that the store has now."""
     with Frame(store, row.batch) as frame:
         figure = Figure.model_validate(json.loads(row.definition)["figure"])
-        return _Gallery(project, store, frame).drawing(row.name, figure).content()
+        only = {figure.table} if figure.table or figure.sql else None
+        return _Gallery(project, store, frame, only=only).drawing(row.name, figure).content()
 
 
 def statistics(
@@ -111,7 +113,7 @@ def statistics(
     """
     _check_reduction("final" if measure == AUTO else measure, threshold, times)
     with Frame(store, batch) as frame:
-        gallery = _Gallery(project, store, frame, {output})
+        gallery = _Gallery(project, store, frame, only={output})
         figure = Figure(table=output, column=(column,))
         samples = gallery.column(figure)
         if measure == AUTO:
@@ -128,14 +130,16 @@ def statistics(
             *stats.left_out([table], samples.coverage, gallery.planned, threshold),
             *notes,
         ]
+        text = "\n\n".join(filter(None, (frame.statements(output), text)))
         metadata = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
         return _with_axes(table, frame).replace_schema_metadata(metadata)
 
 
-def _tables(config: Project, name: str | None) -> Container[str] | None:
+def _tables(figures: Mapping[str, Figure], name: str | None) -> Container[str] | None:
     """Return the tables that figures are drawn from: all figures, or the one called `name`; None if it may be any table."""
-    figures = [one for called, one in config.figures.items() if name in (None, called)]
-    return {figure.table for figure in figures} if figures and all(figure.table for figure in figures) else None
+    wanted = [figure for called, figure in figures.items() if name in (None, called)]
+    known = wanted and all(figure.table or figure.sql for figure in wanted)
+    return {figure.table for figure in wanted} if known else None
 
 
 def _check_reduction(measure: str | None, threshold: float | None, times: str | None) -> None:
@@ -232,15 +236,23 @@ class _Output:
 class _Gallery:
     """The data that the figures of one batch share."""
 
-    def __init__(self, project: LoadedProject, store: Store, frame: Frame, only: Container[str] | None = None) -> None:
-        """`only`: the outputs and derived tables that are needed; default: all."""
+    def __init__(
+        self,
+        project: LoadedProject,
+        store: Store,
+        frame: Frame,
+        *,
+        name: str | None = None,
+        only: Container[str] | None = None,
+    ) -> None:
+        """`name`: the only figure that is wanted. `only`: the outputs and derived tables that are needed; default: all."""
         target = targets.recorded(store, frame.batch) if project.targets else None
         self.target_notes = [f"target {target}"] if target else []
         """The target that the batch was requested for; its declarations are used."""
         self._config = targets.of_batch(project, store, frame.batch).config
         self._store = store
         self._frame = frame
-        self._outputs = {output.name: output for output in frame.outputs(only)}
+        self._outputs = {output.name: output for output in frame.outputs(only or _tables(self._config.figures, name))}
         self._shown: dict[str, Mapping[Value, Value]] = {}
         self._axes = tuple(map(self._labelled, frame.axes()))
         self._cells = {ordinal: self._with_labels(values) for ordinal, values in frame.cells().items()}
@@ -293,6 +305,14 @@ class _Gallery:
             found |= {_file_name(name, found): figure for name, figure in proposed.items()}
         return found, notes
 
+    def _from_sql(self, statement: str) -> str:
+        """Return the name of the derived table that the own statement of a figure makes."""
+        table = f"sql {short(sha256(statement.encode()))}"
+        if table not in self._frame.names:
+            self._frame.derive(Definition(table, statement, "sql"))
+            self._outputs |= {output.name: output for output in self._frame.outputs({table})}
+        return table
+
     def column(self, figure: Figure) -> stats.Samples:
         """Return the samples of the one column that a figure names."""
         output = self.output(figure)
@@ -328,7 +348,8 @@ class _Gallery:
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
         note = "; ".join(filter(None, (*self.target_notes, note)))
-        return replace(made, tables=tables, note=note, time=time or "row", units=units)
+        sql = "\n\n".join(filter(None, (self._frame.statements(output.name), made.sql)))
+        return replace(made, tables=tables, note=note, sql=sql, time=time or "row", units=units)
 
     def time(self, output: OutputTable) -> str:
         """Return the name of the time column; "" if there is none.
@@ -395,15 +416,14 @@ class _Gallery:
 
     def output(self, figure: Figure) -> OutputTable:
         """Return the output that a figure names, or the only one with its columns. Raises NotFound."""
-        if figure.table:
-            if figure.table in self._frame.problems:
-                raise self._frame.problems[figure.table]
-            if figure.table not in self._outputs:
-                names = ", ".join(self._frame.names) or "none"
-                raise NotFound(f"this batch has no output {figure.table!r}; its outputs: {names}")
-            return self._outputs[figure.table]
+        if name := self._from_sql(figure.sql) if figure.sql else figure.table:
+            if name in self._frame.problems:
+                raise self._frame.problems[name]
+            if name not in self._outputs:
+                raise NotFound(f"this batch has no output {name!r}; its outputs: {', '.join(self._frame.names) or 'none'}")
+            return self._outputs[name]
         having = [o for o in self._outputs.values() if all(column in o.columns for column in figure.columns)]
-        having = [o for o in having if o.name not in self._config.tables] or having
+        having = [o for o in having if o.name in self._frame.written] or having
         if self._outputs and not having:
             raise NotFound(
                 f"no output has {' and '.join(map(repr, figure.columns))} as numeric columns (sierra sql 'SHOW TABLES')"

@@ -104,6 +104,15 @@ class DerivedTables:
         """Add a table for this snapshot only: that of one figure, for example."""
         self.definitions[definition.name.lower()] = definition
 
+    def statements(self, name: str) -> str:
+        """Return the statement of a table after those of the tables that it needs, as SQL with comments; "" if it is none."""
+        if name.lower() not in self.definitions:
+            return ""
+        definition = self.definitions[name.lower()]
+        needed = statement.used(self._connection(), definition.sql).tables
+        texts = [text for other in needed if (text := self.statements(other))]
+        return "\n\n".join([*texts, f"-- {definition.origin}\n{definition.sql.strip()}"])
+
     def used_by(self, text: str) -> list[str]:
         """Return the derived tables that a statement names, in lower case; none if it cannot be parsed."""
         names = tables_of(text)

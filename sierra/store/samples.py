@@ -19,6 +19,7 @@ from sierra.store.schema import RECORDED
 from sierra.store.segments import is_first_part
 from sierra.store.sql_names import identifier, quote
 from sierra.store.sql_result import INTEGER, NUMBER
+from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
 from sierra.store.views import files_with, recording
@@ -181,6 +182,14 @@ class Frame:
         """Add a derived table to this frame only: that of one figure, for example."""
         self._snapshot.derived.add(definition)
         self._files[definition.name] = []
+
+    def check_condition(self, text: str) -> None:
+        """Check that an SQL condition on columns uses no table, and has the same result each time. Raises SqlError."""
+        check_condition(self._snapshot.connection, text)
+
+    def statements(self, table: str) -> str:
+        """Return the SQL of a derived table and of those that it needs; "" for an output."""
+        return self._snapshot.derived.statements(table) if not self._files.get(table) else ""
 
     def outputs(self, only: Container[str] | None = None) -> tuple[OutputTable, ...]:
         """Return the tables that the batch's runs wrote, and the derived tables; `only` those with these names."""

@@ -81,6 +81,26 @@ def check_repeatable(connection: DuckDBPyConnection, found: Used) -> None:
         raise SqlError(f"{function} gives another value each time; use columns of the store's tables instead")
 
 
+def check_condition(connection: DuckDBPyConnection, text: str) -> None:
+    """Check that a condition on columns uses no table, and has the same result each time. Raises SqlError."""
+    whole = f"SELECT 1 WHERE (\n{text}\n)"
+    answer = _json(connection, "json_serialize_sql", whole)
+    if answer.get("error") or not _is_condition(answer):
+        raise SqlError(f"{text!r} is no SQL condition: {answer.get('error_message', 'there is more than a condition')}")
+    found = used(connection, whole)
+    if named := [*found.tables.values(), *found.schemas]:
+        raise SqlError(f"{text!r}: a condition uses columns only, not the table {named[0]!r}; use a derived table")
+    check_repeatable(connection, found)
+
+
+def _is_condition(answer: Mapping[str, Json]) -> bool:
+    """Return whether a parsed statement has nothing but a condition: a text with brackets could add parts of its own."""
+    match answer.get("statements"):
+        case [{"node": {"type": "SELECT_NODE", "modifiers": [], **rest}}]:
+            return not any(rest.get(part) for part in ("group_expressions", "having", "qualify", "sample"))
+    return False
+
+
 def _json(connection: DuckDBPyConnection, function: str, text: str) -> Mapping[str, Json]:
     options = ", optimize := false" if function == "json_serialize_plan" else ""
     rows = connection.execute(f"SELECT {function}($text{options})", {"text": text}).fetchall()

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 import sierra
+from sierra.errors import SqlError
+from sierra.store.samples import Frame
 from tests import projects, stores
 
 ENDS = "SELECT run, max(coverage) AS most, max(coverage) > 5 AS good FROM swarm GROUP BY run"
@@ -102,6 +104,31 @@ def test_other_figures_are_drawn_if_a_table_cannot_be_made(recorded: Path, tmp_p
     assert (asked.returncode, asked.stderr.count("\n")) == (2, 1)
     projects.quick(root, "figures", batch)
     assert svg.read_bytes() == before
+
+
+@pytest.mark.integration
+def test_a_figure_can_have_its_own_statement_and_its_files_contain_all_sql(recorded: Path, tmp_path: Path) -> None:
+    root = stores.copy(recorded, tmp_path / "project")
+    figure = "[figures.{}]\nkind = 'summary'\ncolumn = 'm'\nsql = '{}'\n"
+    own = figure.format("own", "SELECT run, 2 * most AS m FROM ends") + figure.format(
+        "wrong", "SELECT run, now() AS m FROM ends"
+    )
+    (root / "sierra.toml").write_text(projects.CONFIG + f"[tables.ends]\nsql = '{ENDS}'\n" + own)
+    done = projects.quick(root, "figures", sierra.open(root).batches[0].batch)
+    assert "figure wrong: sql: now() gives another value each time" in done.stderr
+    [svg] = root.glob("figures/*/own.svg")
+    text = svg.read_text()
+    assert text.index(f"[tables.ends]\n{ENDS.split(' >')[0]}") < text.index(
+        "-- sql\nSELECT run, 2 * most AS m FROM ends"
+    )
+
+
+def test_a_condition_uses_columns_only(root: Path) -> None:
+    with Frame(sierra.open(root).store, sierra.open(root).batches[0].batch) as frame:
+        frame.check_condition("tick > 1 AND NOT (coverage BETWEEN 1 AND 2) -- late")
+        for text in ("tick > ", "true) UNION SELECT (1", "run IN (FROM runs)", "random() < 1", "EXISTS (FROM read_csv('x'))"):
+            with pytest.raises(SqlError):
+                frame.check_condition(text)
 
 
 @pytest.mark.integration
