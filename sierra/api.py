@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from sierra.query.query_request import QueryRequest
     from sierra.replay.verdicts import Replay, Tolerances
     from sierra.runners.cluster.resource_estimate import Estimate
+    from sierra.store.derived_tables import Rules
     from sierra.store.export_recorded_files import Listing, Outcome
     from sierra.store.public_result import Result
     from sierra.store.row_types import SourceRow
@@ -125,7 +126,14 @@ class Project:
     @property
     def store(self) -> Store:
         """The project's store. Raises Missing if nothing has been run yet."""
-        return Store(self.paths.store, lambda: self._loaded.rules())
+        return Store(self.paths.store, self._rules)
+
+    def _rules(self) -> Rules:
+        """Return the derived tables. A project without any is not validated for this: that takes longer than a query."""
+        from sierra.store.derived_tables import Rules
+
+        declared = (find_project.settings(self._found.file) or {}) if self._found.written else {}
+        return self._loaded.rules() if "tables" in declared else Rules()
 
     def stored(self) -> Store | None:
         """Return the project's store; None if there is none yet."""

@@ -111,7 +111,7 @@ def columns(context: typer.Context, incomplete: str) -> list[str]:
 
 
 def tables(incomplete: str) -> list[str]:
-    """Return the names of tables that runs have written."""
+    """Return the names of tables that runs have written, and of derived tables."""
     from sierra.store.segments import OUTPUT, SUFFIX
 
     found: set[str] = set()
@@ -119,7 +119,7 @@ def tables(incomplete: str) -> list[str]:
         names = (path.name for segment in _segments() for path in (_folder() / segment).iterdir())
         files = (name.removesuffix(SUFFIX) for name in names if name.startswith(OUTPUT) and name.endswith(SUFFIX))
         found = {name.removeprefix(OUTPUT).partition("~")[0] for name in files}
-    return _beginning(found, incomplete)
+    return _beginning({*found, *_named("tables", "")}, incomplete)
 
 
 def _from_store(statement: str, **parameters: str) -> list[str]:

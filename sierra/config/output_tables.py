@@ -222,8 +222,8 @@ class Success(Table):
 class Equivalence(Table):
     """A metric by which a replay compares nondeterministic runs, over all runs of an experiment."""
 
-    table: str = Field(description="name of the output")
-    column: str = Field(description="column of the output")
+    table: str = Field(description="name of the output or derived table")
+    column: str = Field(description="column of the table")
     measure: Literal["final", "mean", "time_to"] = Field(
         "final", description="how a run is reduced to one number, as in figures"
     )

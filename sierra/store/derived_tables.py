@@ -83,7 +83,7 @@ class DerivedTables:
         rules: Callable[[], Rules],
         outputs: Iterable[str],
     ) -> None:
-        """`rules` is called only if a statement names a table that is not in the store."""
+        """`rules` is called only if a statement names a table that is not SIERRA's own."""
         self._connection = connection
         self._views = views
         self._rules = rules
@@ -116,13 +116,13 @@ class DerivedTables:
     def used_by(self, text: str) -> list[str]:
         """Return the derived tables that a statement names, in lower case; none if it cannot be parsed."""
         names = tables_of(text)
-        if names is not None and names <= TABLE_NAMES | self._outputs.keys():
+        if names is not None and names <= TABLE_NAMES:
             return []
         try:
             found = statement.used(self._connection(), text)
         except SqlError:
             return []
-        return [name for name in found.tables if name in self.definitions]
+        return [name for name in found.tables if name not in TABLE_NAMES and name in self.definitions]
 
     def list(self) -> list[str]:
         """Make views of all tables that are not made yet, so that they are listed; return notes on those that cannot be."""

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import sierra
+from sierra.cli import complete
 from sierra.errors import SierraError
 from tests import projects, stores
 
@@ -20,7 +21,7 @@ TABLES = {
 }
 WRONG = {
     "SELEC 1": 'syntax error at or near "SELEC" (line 1, column 1)',
-    "SELECT run,\n  tick FROM swarm WHERE tick =": "(line 2, column 27)",
+    "SELECT run,\n  tick FROM swarm WHERE ) 1": "(line 2, column 25)",
     "SELECT 1; SELECT 2": "use one statement",
     "COPY swarm TO 'x.csv'": "COPY statements are not allowed; use SELECT",
     "INSERT INTO swarm VALUES (1)": "INSERT statements are not allowed",
@@ -175,7 +176,7 @@ def test_a_statement_in_a_file_is_read_and_is_no_source_of_runs(root: Path) -> N
         ("[tables.x]\nsql = 'SELECT 1'\n[tables.X]\nsql = 'SELECT 1'\n", "tables.X: another table has this name"),
         ("[tables.x]\nfile = '../x.sql'\n", "within the project"),
         ("[tables.x]\n", 'give either "sql" or "file"'),
-        ("[sql]\nwall = 0\n", "sql.wall"),
+        ("[tables.x]\nsql = 'SELECT 1'\n[sql]\nwall = 0\n", "sql.wall"),
     ],
 )
 def test_wrong_declarations_are_one_line(root: Path, rest: str, expected: str) -> None:
@@ -187,8 +188,12 @@ def test_wrong_declarations_are_one_line(root: Path, rest: str, expected: str) -
 
 def test_a_name_that_an_output_has_is_refused(root: Path) -> None:
     opened(root, {"Notes": "SELECT 1 AS one", "x": "FROM swarm"})
-    done = projects.quick(root, "sql", "SHOW TABLES")
-    assert "[tables.Notes]: runs have written an output 'notes'; use another name" in done.stderr
+    expected = "[tables.Notes]: runs have written an output 'notes'; use another name"
+    listed, asked = (projects.quick(root, "sql", text) for text in ("SHOW TABLES", "FROM notes"))
+    assert (listed.returncode, asked.returncode) == (0, 2)
+    assert expected in listed.stderr
+    assert expected in asked.stderr
+    assert projects.quick(root, "sql", "FROM swarm").returncode == 0
 
 
 def test_sql_of_users_cannot_call_functions_that_act(root: Path) -> None:
@@ -196,3 +201,9 @@ def test_sql_of_users_cannot_call_functions_that_act(root: Path) -> None:
         done = projects.quick(root, "sql", f"FROM {function}('SELECT 1')")
         assert (done.returncode, done.stderr.count("\n")) == (2, 1)
         assert f"{function}() is not allowed" in done.stderr
+
+
+def test_names_of_derived_tables_are_completed(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened(root, {"ends": TABLES["ends"]})
+    monkeypatch.chdir(root)
+    assert complete.tables("") == ["ends", "notes", "swarm"]
