@@ -47,11 +47,13 @@ class DerivedTable(Table):
 
 
 class SqlLimits(Table):
-    """Limits on each statement of `[tables.NAME]`."""
+    """Limits on the statements of `[tables.NAME]` and of figures."""
 
-    wall: Positive = Field(300.0, description="time limit, in seconds")
+    wall: Positive = Field(300.0, description="time limit of each statement, in seconds")
     memory: SizeInBytes = Field(
-        4_000_000_000, description="memory limit, in bytes or as in `2 GiB`; a statement may write as much again to the disk"
+        4_000_000_000,
+        description="memory limit of all derived tables of a command, in bytes or as in `2 GiB`; four times as much may be "
+        "written to the disk",
     )
 
 

@@ -31,13 +31,15 @@ if TYPE_CHECKING:
 OWN_NAMES = frozenset(("samples", "wanted", "membership", "these"))
 """Names of temporary tables that statistics use."""
 SETTINGS = ("threads", "disabled_optimizers", "memory_limit", "max_temp_directory_size", "TimeZone")
+ON_DISK = 4
+"""How many times the limit on memory may be written to the disk. Tables that were made before count too."""
 SHARE_OF_MEMORY = 0.8
 """The largest part of the machine's memory that a statement may use, whatever the limit is."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The limits on one statement: its time in seconds, and its memory in bytes; it may write as much again to the disk."""
+    """The limits on the time of one statement, in seconds, and on the memory of all tables of a snapshot, in bytes."""
 
     wall: float = 300.0
     memory: int = 4_000_000_000
@@ -226,7 +228,7 @@ def limited(connection: DuckDBPyConnection, limits: Limits, origin: str) -> Iter
     Messages call the statement `origin`.
     """
     memory = min(limits.memory, int(SHARE_OF_MEMORY * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")))
-    values = ("1", "'join_order,build_side_probe_side'", f"'{memory}B'", f"'{memory}B'", "'UTC'")
+    values = ("1", "'join_order,build_side_probe_side'", f"'{memory}B'", f"'{ON_DISK * memory}B'", "'UTC'")
     try:
         for name, value in zip(SETTINGS, values, strict=True):
             connection.execute(f"SET {name} = {value}")
@@ -280,7 +282,8 @@ def _explained(origin: str, limits: Limits | None = None) -> Iterator[None]:
     except duckdb.OutOfMemoryException as error:
         most = f"{limits.memory / 1e9:g} GB" if limits else "the limit"
         raise SierraError(
-            f"{origin}: the statement needs more memory than {most}; correct it, or raise memory in [sql]"
+            f"{origin}: out of memory: the derived tables of a command have {most}; "
+            "correct the statement, or raise memory in [sql]"
         ) from error
     except duckdb.InterruptException:
         raise
