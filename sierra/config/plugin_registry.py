@@ -228,6 +228,9 @@ FIGURES = Kind(
         "ridge": f"{_KINDS}.distributions:Ridge",
         "scatter": f"{_KINDS}.pairs:Scatter",
         "pareto": f"{_KINDS}.pairs:Pareto",
+        "trajectories": f"{_KINDS}.arena:Trajectories",
+        "density": f"{_KINDS}.arena:Density",
+        "matrix": f"{_KINDS}.arena:Matrix",
     },
 )
 """Kinds of figures. Their options are in the table of each figure that has this `kind`."""

@@ -226,7 +226,7 @@ class _Output:
         (row,) = self.rows("SELECT count(*) AS count FROM data").to_pylist()
         if not row["count"]:
             raise SierraError(f"no row of output {self.output.name!r} fulfils where = {self.where!r}")
-        return stats.coverage(self.samples(column))
+        return stats.coverage(self.samples(column), several=True)
 
     def rows(self, statement: str) -> pa.Table:
         self.frame.data(self.output.name, self.time, self.where)
@@ -330,7 +330,7 @@ class _Gallery:
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
         source = _Output(self._frame, output, time, figure.where)
         batch = Batch(self._axes, self._cells, self.planned, self._frame.batch)
-        seen = self._coverage(output)
+        seen = self._coverage(output, several=True)
         if figure.where:
             seen = source.coverage(columns[0])
             batch = batch.of_experiments(seen.runs)
@@ -381,14 +381,17 @@ class _Gallery:
         )
         return found
 
-    def _coverage(self, output: OutputTable) -> stats.Coverage:
+    def _coverage(self, output: OutputTable, *, several: bool = False) -> stats.Coverage:
+        """Return the amount of data. Raises UsageError for several rows at the same time of a run, unless `several`."""
         if output.name not in self._seen:
             if not output.columns:
                 raise NotFound("it has no numeric column")
             time = self.time(output)
             column = next((c for c in output.columns if c != time), output.columns[0])
+            self._seen[output.name] = stats.coverage(Column(self._frame, output.name, column, time), several=True)
+        if not several:
             try:
-                self._seen[output.name] = stats.coverage(Column(self._frame, output.name, column, time))
+                stats.check_times(self._seen[output.name])
             except UsageError as error:
                 if output.files < 2:
                     raise

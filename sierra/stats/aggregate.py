@@ -98,6 +98,8 @@ class Coverage:
     last: float
     untimed: int
     """The number of rows whose time is not a finite number; they are left out."""
+    doubled: int = 0
+    """The number of runs with more than one row at the same time, for which statistics over runs are not defined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,25 +117,36 @@ class Computed:
     note: str
 
 
-def coverage(frame: Frame) -> Coverage:
-    """Return the amount of data. Raises SierraError if there is none, UsageError for several rows at the same time of a run."""
+def coverage(frame: Frame, *, several: bool = False) -> Coverage:
+    """Return the amount of data. Raises SierraError if there is none.
+
+    Raises UsageError for several rows at the same time of a run, unless `several`.
+    """
     rows = frame.sql(_file("coverage")).to_pylist()
     if not rows or all(row["first"] is None for row in rows):
         raise SierraError("no run has written any row of this output yet; there is nothing to compute")
-    if doubled := sum(row["doubled"] for row in rows):
-        raise UsageError(
-            f"{counted(doubled, 'run')} with more than one row at the same time; statistics over runs need one value"
-            " per run and time: name the right column as `time`, or let the run write its own mean"
-        )
     timed = [row for row in rows if row["first"] is not None]
-    return Coverage(
+    found = Coverage(
         runs={row["experiment"]: row["runs"] for row in rows},
         rows=sum(row["rows"] for row in rows),
         most=max(row["most"] for row in rows),
         first=min(row["first"] for row in timed),
         last=max(row["last"] for row in timed),
         untimed=sum(row["untimed"] for row in rows),
+        doubled=sum(row["doubled"] for row in rows),
     )
+    if not several:
+        check_times(found)
+    return found
+
+
+def check_times(seen: Coverage) -> None:
+    """Raise UsageError for several rows at the same time of a run."""
+    if seen.doubled:
+        raise UsageError(
+            f"{counted(seen.doubled, 'run')} with more than one row at the same time; statistics over runs need one value"
+            " per run and time: name the right column as `time`, or let the run write its own mean"
+        )
 
 
 def compute(

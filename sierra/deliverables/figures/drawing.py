@@ -108,7 +108,9 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
 def check(drawing: Drawing) -> None:
     """Raise SierraError if there is nothing to draw, or a number is so large that no axis can be divided."""
     counted = [table for table in drawing.tables.values() if table.num_rows and table.column("n").to_numpy().any()]
-    if not counted and not any(table.num_rows for table in drawing.rows.values()):
+    if drawing.rows and not next(iter(drawing.rows.values())).num_rows:
+        raise SierraError("there is no value to draw: no row is what the keys of the figure ask for")
+    if not counted and not drawing.rows:
         raise SierraError("there is no value to draw")
     _check_size(drawing)
 

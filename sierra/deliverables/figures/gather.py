@@ -66,13 +66,15 @@ def gather(
 ) -> Drawing:
     """Return the drawing of a figure, without units. Raises SierraError if there is nothing to draw.
 
-    `seen` is the coverage of the output, `whole` has its columns of whole numbers.
+    `seen` is the coverage of the output, which may have several rows at the same time. `whole` has the columns
+    of whole numbers.
     """
     batch = labelled(arranged(batch, figure), figure.labels)
     needs = kind_of(figure).needs(Request(figure, batch.axes, len(seen.runs), seen.most, columns))
     source.check(columns, numeric=needs.numeric)
     computed = stats.Computed({}, None, "", "")
     if needs.statistics or needs.runs:
+        stats.check_times(seen)
         frames = {column: source.samples(column) for column in columns}
         computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, whole=whole)
     only = figure.where and f"rows where {' '.join(figure.where.split())}"

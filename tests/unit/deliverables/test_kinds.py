@@ -226,3 +226,22 @@ def test_palette_labels_limits_and_footnote_are_used(batch: Path) -> None:
     assert "palette: 'blu' is not a colour" in refusal(batch, *COVERAGE, 'palette = ["blu"]')
     assert "[2, 1] should be the lower and the upper limit" in refusal(batch, *COVERAGE, "ylim = [2, 1]")
     assert "two values of noise would have the same name" in refusal(batch, *COVERAGE, "labels = { '0.1' = 'a', '0.5' = 'a' }")
+
+
+POSES = ('table = "poses"', 'column = ["x", "y"]')
+
+
+def test_paths_of_robots_are_drawn_although_times_have_several_rows(batch: Path) -> None:
+    where = 'where = "population_size = 4 AND noise = 0.1"'
+    png = draw(batch, *POSES, 'kind = "trajectories"', 'robot = "robot"', "run = 1", where)
+    assert said(png).startswith("paths in run 1, ○ start, □ end, n = 3; only rows where")
+    assert {"x", "y", "0", "1", "2", "3"} <= set(words(png)), "the legend has each robot"
+    assert "no row is what the keys of the figure ask for" in refusal(batch, *POSES, 'kind = "trajectories"', "run = 7")
+    assert "two columns, x and y" in refusal(batch, 'table = "poses"', 'column = "x"', 'kind = "trajectories"')
+    assert "more than one row at the same time" in refusal(batch, 'table = "poses"', 'column = "x"', 'kind = "box"')
+
+
+def test_a_density_counts_the_rows_beyond_its_limits(batch: Path) -> None:
+    png = draw(batch, *POSES, 'kind = "density"', "bins = 10", "xlim = [0, 3]", "ylim = [-2, 2]", 'where = "noise = 0.1"')
+    assert "; 0.4 wide cells; " in said(png)
+    assert " rows beyond the limits left out" in said(png)

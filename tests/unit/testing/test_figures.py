@@ -15,6 +15,12 @@ from tests import plugins
 
 ONE = (Axis("size", (1, 2)),)
 TWO = (*ONE, Axis("scenario", ("low", "high")))
+
+
+def matrices(experiment: int, run: int, row: int) -> conformance.Row:
+    return {"row": float(row // 4), "place": float(row % 4), "heat": conformance.numbers(experiment, run, row)["energy"]}
+
+
 KINDS: dict[str, tuple[RawTable, conformance.Values, tuple[Axis, ...]]] = {
     "timeseries": ({}, conformance.numbers, ONE),
     "summary": ({}, conformance.numbers, TWO),
@@ -28,6 +34,9 @@ KINDS: dict[str, tuple[RawTable, conformance.Values, tuple[Axis, ...]]] = {
     "histogram": ({"bins": 12}, conformance.numbers, ONE),
     "ridge": ({}, conformance.numbers, TWO),
     "scatter": ({"column": ("energy", "distance"), "fit": "linear"}, conformance.numbers, TWO),
+    "trajectories": ({"column": ("energy", "distance")}, conformance.numbers, ONE),
+    "density": ({"column": ("energy", "distance")}, conformance.numbers, TWO),
+    "matrix": ({"column": ("row", "place", "heat")}, matrices, TWO),
     "pareto": ({"column": ("energy", "distance"), "better": ("high", "low")}, conformance.numbers, TWO),
 }
 

@@ -1,0 +1,188 @@
+"""Figures in space: paths, densities of presence, and matrices; a panel for each experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+
+from sierra.deliverables.figures import style
+from sierra.errors import SierraError, UsageError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+PANELS = 36
+PATHS = 8
+"""The largest number of robots that are told apart by colour and have an entry in the legend."""
+
+
+def trajectories(drawing: Drawing) -> Figure:
+    """Draw the path of each robot."""
+    table = drawing.rows["paths"]
+    names = list(dict.fromkeys(table.column("robot").to_pylist()))
+    known = style.named_colours()
+    figure, plots = _panels(drawing, table)
+    for plot, rows in zip(plots, _by_experiment(table).values(), strict=True):
+        robots = np.array(rows.column("robot").to_pylist())
+        x, y = style.column(rows, "x"), style.column(rows, "y")
+        for robot in dict.fromkeys(robots.tolist()):
+            place, mine = names.index(robot), robots == robot
+            colour = known[place % len(known)]
+            plot.plot(x[mine], y[mine], color=colour, linewidth=0.7, alpha=0.85)
+            seen = np.flatnonzero(mine & np.isfinite(x) & np.isfinite(y))
+            for at, mark in zip(seen[[0, -1]] if len(seen) else (), "os", strict=False):
+                plot.plot(x[at], y[at], mark, color=colour, markersize=3, markerfacecolor="white", markeredgewidth=0.8)
+        plot.set_aspect("equal")
+    _label(drawing, plots)
+    if 1 < len(names) <= min(PATHS, len(known)):
+        from matplotlib.lines import Line2D
+
+        style.place_legend(figure, [Line2D([], [], color=known[k]) for k in range(len(names))], list(map(style.named, names)))
+    return figure
+
+
+def density(drawing: Drawing) -> Figure:
+    """Draw the part of the rows in each cell, with the same colours for all experiments."""
+    table = drawing.rows["cells"]
+    first = table.slice(0, 1).to_pylist()[0]
+    cell = first["cell"]
+    wide, high = (max(1, int(np.ceil((first[f"{k}1"] - first[f"{k}0"]) / cell))) for k in "xy")
+    maps = {}
+    for ordinal, rows in _by_experiment(table).items():
+        counts = np.zeros((high, wide))
+        counts[rows.column("j").to_numpy(), rows.column("i").to_numpy()] = rows.column("count").to_numpy()
+        maps[ordinal] = np.where(counts > 0, counts / counts.sum() * 100, np.nan)
+    edges = first["x0"] + np.arange(wide + 1.0) * cell, first["y0"] + np.arange(high + 1.0) * cell
+    return _maps(drawing, table, maps, edges, "rows in a cell [%]", aspect=1.0)
+
+
+def matrix(drawing: Drawing, aspect: float) -> Figure:
+    """Draw the cells of a matrix, with row 0 above."""
+    table = drawing.rows["cells"]
+    rows, places = (np.unique(style.column(table, name)) for name in ("i", "j"))
+    maps = {}
+    for ordinal, part in _by_experiment(table).items():
+        values = np.full((len(rows), len(places)), np.nan)
+        at = np.searchsorted(rows, style.column(part, "i")), np.searchsorted(places, style.column(part, "j"))
+        values[at] = style.drawable(style.column(part, "value"), drawing)
+        maps[ordinal] = values
+    edges = np.arange(len(places) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5
+    column = drawing.figure.columns[2]
+    named = style.label(column, drawing.units.get(column, ""))
+    figure = _maps(drawing, table, maps, edges, drawing.figure.ylabel or named, aspect=aspect)
+    for plot in figure.axes[: len(maps)]:
+        plot.set_ylim(len(rows) - 0.5, -0.5)
+        _ticks(plot, places, rows)
+    return figure
+
+
+def notes_on_paths(drawing: Drawing, run: int) -> list[str]:
+    """Return notes on points that are not drawn."""
+    table = drawing.rows["paths"]
+    every = int(table.column("every")[0].as_py())
+    bad = int((~(np.isfinite(style.column(table, "x")) & np.isfinite(style.column(table, "y")))).sum())
+    if bad == table.num_rows:
+        raise SierraError("there is no value to draw")
+    lost = len(drawing.cells) - len(np.unique(table.column("experiment").to_numpy()))
+    return [
+        *([f"each {every}th point and the last"] if every > 1 else []),
+        *([f"{bad} of {table.num_rows} points without a place left out"] if bad else []),
+        *([f"{lost} of {len(drawing.cells)} experiments have no run {run}"] if lost else []),
+    ]
+
+
+def notes_on_cells(drawing: Drawing) -> list[str]:
+    """Return notes on rows that are not in a cell."""
+    (counts,) = drawing.rows["counts"].to_pylist()
+    inside = int(drawing.rows["cells"].column("count").to_numpy().sum())
+    return [
+        f"{drawing.rows['cells'].column('cell')[0].as_py():.3g} wide cells",
+        *(["log scale: cells without a row are white"] if drawing.figure.log_y else []),
+        *([f"{counts['rows'] - counts['finite']} rows without a place left out"] if counts["finite"] < counts["rows"] else []),
+        *([f"{counts['finite'] - inside} rows beyond the limits left out"] if inside < counts["finite"] else []),
+    ]
+
+
+def notes_on_matrix(drawing: Drawing) -> list[str]:
+    """Return notes on values that are not in the matrix."""
+    table = drawing.rows["cells"]
+    (counts,) = drawing.rows["counts"].to_pylist()
+    values = style.column(table, "value")
+    low = int((values <= 0).sum()) if drawing.figure.log_y else 0
+    bad = counts["rows"] - counts["finite"]
+    return [
+        *([f"{bad} missing or infinite values left out"] if bad else []),
+        *([f"log scale: {low} of {len(values)} cells not above 0 left out"] if low else []),
+    ]
+
+
+def _maps(
+    drawing: Drawing,
+    table: pa.Table,
+    maps: dict[int, style.Floats],
+    edges: Sequence[npt.ArrayLike],
+    label: str,
+    aspect: float,
+) -> Figure:
+    figure, plots = _panels(drawing, table)
+    every = np.concatenate([one.ravel() for one in maps.values()])
+    every = every[np.isfinite(every)]
+    if not len(every):
+        raise UsageError("log_y needs values above 0, but there are none")
+    low, high = float(every.min()), float(every.max())
+    if not low < high:
+        low, high = low - abs(low) * 0.1 - 1e-12, high + abs(high) * 0.1 + 1e-12
+    norm = (LogNorm if drawing.figure.log_y else Normalize)(low, high)
+    for plot, values in zip(plots, maps.values(), strict=True):
+        shown = np.ma.masked_invalid(values)
+        mesh = plot.pcolormesh(*edges, shown, norm=norm, cmap=colormaps["viridis"], linewidth=0, rasterized=True)
+        plot.set_aspect(aspect)
+        plot.grid(visible=False)
+    bar = figure.colorbar(mesh, ax=plots, pad=0.02, aspect=24, fraction=0.06, use_gridspec=False)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(labelsize=6, length=2)
+    if drawing.figure.log_y:
+        style.log_ticks(bar.ax, low, high)
+    bar.set_label(style.shortened(label, 40))
+    _label(drawing, plots)
+    return figure
+
+
+def _ticks(plot: Axes, places: style.Floats, rows: style.Floats) -> None:
+    for set_ticks, values, most in ((plot.set_xticks, places, 8), (plot.set_yticks, rows, 8)):
+        shown = style.thinned(len(values), most)
+        set_ticks(shown, [style.number(float(values[k])) for k in shown])
+
+
+def _panels(drawing: Drawing, table: pa.Table) -> tuple[Figure, list[Axes]]:
+    """Return a panel for each experiment that has rows, with its values as title."""
+    ordinals = list(_by_experiment(table))
+    if len(ordinals) > PANELS:
+        raise UsageError(f"the figure needs {len(ordinals)} panels, but at most {PANELS} are possible; use where")
+    figure, plots = style.panels(len(ordinals))
+    for plot, ordinal in zip(plots, ordinals, strict=True):
+        style.title(plot, style.point(drawing, drawing.axes, ordinal))
+    return figure, plots
+
+
+def _label(drawing: Drawing, plots: list[Axes]) -> None:
+    first, second, *_ = drawing.figure.columns
+    names = [style.label(name, drawing.units.get(name, "")) for name in (first, second)]
+    if drawing.figure.kind == "matrix":
+        style.outer_labels(plots, drawing.figure.xlabel or names[1], names[0])
+        return
+    style.outer_labels(plots, drawing.figure.xlabel or names[0], drawing.figure.ylabel or names[1])
+
+
+def _by_experiment(table: pa.Table) -> dict[int, pa.Table]:
+    ordinals = table.column("experiment").to_numpy()
+    return {int(ordinal): table.filter(ordinals == ordinal) for ordinal in np.unique(ordinals)}

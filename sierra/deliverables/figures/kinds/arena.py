@@ -1,0 +1,173 @@
+"""Kinds that show rows in space: paths of robots, how often they were where, and the cells of a matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+from pydantic import Field, NonNegativeInt
+
+from sierra.config.field_types import Finite, Positive, Table
+from sierra.deliverables.figures.base import Request
+from sierra.errors import UsageError
+from sierra.stats.needs import Needs
+from sierra.store.sql_names import identifier
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+MOST = 100_000
+"""The largest number of points that are drawn; of more, every k-th of each path."""
+SPACE = frozenset({"xlim", "ylim", "labels"})
+
+
+class TrajectoriesOptions(Table):
+    """Figures of kind `trajectories`."""
+
+    robot: str = Field("", description="column that tells the robots apart; default: one robot for each run")
+    run: NonNegativeInt = Field(0, description="number of the run that is shown, the same for all experiments")
+
+
+class Trajectories:
+    """The paths over two columns, x and y, of one run of each experiment: circles at the starts, squares at the ends."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = TrajectoriesOptions
+    uses: ClassVar[frozenset[str]] = SPACE | {"palette"}
+
+    def __init__(self, options: TrajectoriesOptions) -> None:
+        self._options = options
+
+    def needs(self, request: Request) -> Needs:
+        x, y = (f"{identifier(name)}::DOUBLE" for name in _two(request))
+        robot = f"{identifier(self._options.robot)}::VARCHAR" if self._options.robot else "''"
+        statement = f"""\
+WITH points AS (
+  SELECT "# experiment" AS experiment, {robot} AS robot, "# t" AS t, "# place" AS place, {x} AS x, {y} AS y
+  FROM data WHERE "# number" = {self._options.run}
+), numbered AS (
+  SELECT *, row_number() OVER (PARTITION BY experiment, robot ORDER BY t, place) - 1 AS step,
+    count(*) OVER (PARTITION BY experiment, robot) AS steps, 1 + (count(*) OVER () - 1) // {MOST} AS every
+  FROM points
+)
+SELECT experiment, robot, t, x, y, every FROM numbered WHERE step % every = 0 OR step = steps - 1
+ORDER BY experiment, robot, t, place"""
+        return Needs(rows={"paths": statement}, columns=2, shows=f"paths in run {self._options.run}, ○ start, □ end")
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        from sierra.deliverables.figures import arena
+
+        return arena.notes_on_paths(drawing, self._options.run)
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.arena import trajectories
+
+        return trajectories(drawing)
+
+
+class DensityOptions(Table):
+    """Figures of kind `density`."""
+
+    bins: int = Field(40, ge=2, le=500, description="number of cells along the longer side; cells are squares")
+
+
+class Density:
+    """The part of all rows of an experiment in each cell of two columns, x and y."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = DensityOptions
+    uses: ClassVar[frozenset[str]] = SPACE | {"log_y"}
+
+    def __init__(self, options: DensityOptions) -> None:
+        self._bins = options.bins
+
+    def needs(self, request: Request) -> Needs:
+        x, y = (f"{identifier(name)}::DOUBLE" for name in _two(request))
+        ends = [_ends("x", request.figure.xlim), _ends("y", request.figure.ylim)]
+        statement = f"""\
+WITH points AS (SELECT "# experiment" AS experiment, {x} AS x, {y} AS y FROM data),
+finite AS (SELECT * FROM points WHERE isfinite(x) AND isfinite(y)),
+ends AS (SELECT {", ".join(ends)} FROM finite),
+sized AS (SELECT *, coalesce(nullif(greatest(x1 - x0, y1 - y0), 0), 1.0) / {self._bins} AS cell FROM ends)
+SELECT experiment, least(floor((x - x0) / cell), ceil((x1 - x0) / cell) - 1)::INTEGER AS i,
+  least(floor((y - y0) / cell), ceil((y1 - y0) / cell) - 1)::INTEGER AS j, count(*) AS count,
+  any_value(x0) AS x0, any_value(y0) AS y0, any_value(x1) AS x1, any_value(y1) AS y1, any_value(cell) AS cell
+FROM finite, sized WHERE x BETWEEN x0 AND x1 AND y BETWEEN y0 AND y1 GROUP BY ALL ORDER BY ALL"""
+        counts = f"SELECT count(*) AS rows, count(*) FILTER (isfinite({x}) AND isfinite({y})) AS finite FROM data"
+        return Needs(rows={"cells": statement, "counts": counts}, columns=2, shows="part of all rows in each cell")
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        from sierra.deliverables.figures import arena
+
+        return arena.notes_on_cells(drawing)
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.arena import density
+
+        return density(drawing)
+
+
+class MatrixOptions(Table):
+    """Figures of kind `matrix`."""
+
+    at: Finite | None = Field(None, description="time of the matrix; default: the mean over all times of the run")
+    run: NonNegativeInt | None = Field(None, description="number of the run that is shown; default: the mean of all runs")
+    aspect: Positive = Field(1.0, description="height of a cell as a multiple of its width")
+
+
+class Matrix:
+    """A matrix that runs write as rows of three columns (row, column, value), as colours."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = MatrixOptions
+    uses: ClassVar[frozenset[str]] = frozenset({"log_y", "labels"})
+
+    def __init__(self, options: MatrixOptions) -> None:
+        self._options = options
+
+    def needs(self, request: Request) -> Needs:
+        if len(request.columns) != 3:
+            raise UsageError("a matrix needs three columns: of the number of the row, of the column, and of the value")
+        row, place, value = (f"{identifier(name)}::DOUBLE" for name in request.columns)
+        chosen = ["true"]
+        if self._options.run is not None:
+            chosen.append(f'"# number" = {self._options.run}')
+        if self._options.at is not None:
+            chosen.append(f'"# t" = {self._options.at!r}')
+        statement = f"""\
+WITH cells AS (
+  SELECT "# experiment" AS experiment, run, {row} AS i, {place} AS j, list_avg(list_sort(list({value}))) AS value
+  FROM data WHERE isfinite({value}) AND {" AND ".join(chosen)} GROUP BY ALL
+)
+SELECT experiment, i, j, list_avg(list_sort(list(value))) AS value, count(*) AS n FROM cells GROUP BY ALL ORDER BY ALL"""
+        bad = f"SELECT count(*) AS rows, count(*) FILTER (isfinite({value})) AS finite FROM data WHERE {' AND '.join(chosen)}"
+        what = "mean of the runs" if self._options.run is None else f"run {self._options.run}"
+        when = "mean over time" if self._options.at is None else f"at {self._options.at:g}"
+        return Needs(rows={"cells": statement, "counts": bad}, columns=3, shows=f"{what}, {when}")
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        from sierra.deliverables.figures import arena
+
+        return arena.notes_on_matrix(drawing)
+
+    def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
+        from sierra.deliverables.figures.arena import matrix
+
+        return matrix(drawing, self._options.aspect)
+
+
+def _ends(name: str, limits: tuple[float, float] | None) -> str:
+    """Return the SQL of the two ends of an axis: the given limits, or those of the data."""
+    low, high = limits or (None, None)
+    first = f"min({name})" if low is None else f"any_value({low!r}::DOUBLE)"
+    last = f"max({name})" if high is None else f"any_value({high!r}::DOUBLE)"
+    return f"{first} AS {name}0, {last} AS {name}1"
+
+
+def _two(request: Request) -> tuple[str, str]:
+    if len(request.columns) != 2:
+        raise UsageError(f"a {request.figure.kind} figure needs two columns, x and y, not {len(request.columns)}")
+    x, y = request.columns
+    return x, y
