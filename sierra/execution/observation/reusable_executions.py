@@ -110,7 +110,8 @@ def find(plan: Plan, snapshot: Snapshot, runs: Collection[str]) -> dict[str, Reu
     if not snapshot.holds("observations"):
         return {}
     snapshot.views.make(TABLES)
-    sought = [run for run in {run.id: run for run in plan.batch.runs}.values() if run.id in runs]
+    wanted = set(runs)
+    sought = [run for run in {run.id: run for run in plan.batch.runs}.values() if run.id in wanted]
     digests = [[digest for _, digest in run.inputs] for run in sought]
     snapshot.add_table(
         "sought",
