@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from sierra.cli.output import note, print_json
-from sierra.util.text import one_line
+from sierra.util.text import few, one_line
 
 if TYPE_CHECKING:
     from sierra.config.project_file import Project
@@ -45,12 +46,25 @@ def init(
         typer.Option("--format", metavar="NAME", help="Format of that file, if its ending does not say it: text, ini."),
     ] = None,
     command: Annotated[
-        str | None, typer.Option("--command", metavar="TEXT", help="Command that starts it: 'python3 sim.py {input}'.")
+        str | None,
+        typer.Option(
+            "--command",
+            metavar="TEXT",
+            help="Command that starts it: 'python3 sim.py {input}', or './sim --robots 4 --seed 1'.",
+        ),
     ] = None,
     variables: Annotated[
-        list[str] | None, typer.Option("--variable", metavar="NAME=XPATH", help="An independent variable. May be repeated.")
+        list[str] | None,
+        typer.Option(
+            "--variable",
+            metavar="NAME=XPATH",
+            help="An independent variable, or NAME=ARGUMENT of the command. May be repeated.",
+        ),
     ] = None,
-    seed: Annotated[str | None, typer.Option("--seed", metavar="XPATH", help="XPath of the random seed; - for none.")] = None,
+    seed: Annotated[
+        str | None,
+        typer.Option("--seed", metavar="XPATH", help="XPath of the random seed, or an argument of the command; - for none."),
+    ] = None,
     source: Annotated[
         list[str] | None,
         typer.Option("--source", metavar="PATH", help="Code that results depend on (default: all). May be repeated."),
@@ -62,9 +76,9 @@ def init(
     """Write a sierra.toml, or copy a bundled example.
 
     Settings are detected from the files in the folder; on a terminal, sierra asks for the others. The simulator's input file
-    may be XML, JSON, YAML, TOML, INI, or a text with placeholders such as {{speed}}. If you give the command, one run is
-    tried before anything is written, as sierra try does; if it fails, nothing is written. An existing sierra.toml is never
-    overwritten.
+    may be XML, JSON, YAML, TOML, INI, or a text with placeholders such as {{speed}}. A program that reads only arguments needs
+    no file: give the command with all arguments. One run is tried before anything is written, as sierra try does; if it fails,
+    nothing is written. An existing sierra.toml is never overwritten.
 
     \b
     Examples:
@@ -74,6 +88,7 @@ def init(
       sierra init -y --template arena.xml --command "./sim {input}" \\
                   --variable "population_size=//swarm/@count"
       sierra init -y --template params.yaml --command "python3 model.py {input}"
+      sierra init -y --command "./sim --robots 4 --speed 0.5 --seed 1"
     """
     from sierra.setup.init import wizard
 
@@ -94,21 +109,24 @@ def init(
 
 
 def _tried(folder: Path, guess: Guess, *, ask: bool, quiet: bool) -> Trial | str | None:
-    """Execute one run, if the user has given the command; print what it did unless `quiet`.
+    """Execute one run, unless the command is doubtful; print what it did unless `quiet`.
 
     Returns the trial, or why there is none. Raises SierraError if the run failed, unless the user wants the file nevertheless
-    (`ask`); typer.Exit if it was interrupted.
+    (`ask`), or if nobody has given the command and it cannot be tried; typer.Exit if it was interrupted.
     """
     from sierra.cli.try_run import Printer, print_trial
     from sierra.errors import SierraError
     from sierra.model import Status
     from sierra.setup.init import wizard
+    from sierra.store.layout import RUN_STDERR
 
-    if guess.given and not quiet:
+    if guess.can_be_tried and not quiet:
         print(f"trying one run: {one_line(guess.command)} (--no-try does not)")
     printer = Printer(to_stderr=True)
     found = wizard.try_run(folder, guess, printer.show if not quiet else lambda log, content: None)
     printer.end()
+    if isinstance(found, str) and not guess.given and not guess.unset:
+        raise SierraError(f"no sierra.toml was written: {found} (--no-try writes it)")
     if found is None or isinstance(found, str):
         return found
     if not quiet:
@@ -120,8 +138,11 @@ def _tried(folder: Path, guess: Guess, *, ask: bool, quiet: bool) -> Trial | str
     if found.status is not Status.OK and ask and typer.confirm("the run failed; write sierra.toml nevertheless?"):
         return found
     if found.status is not Status.OK:
-        kept = f"; {found.folder} has its files" if found.folder else ""
-        raise SierraError(f"no sierra.toml was written, because a run failed: {found.reason} (--no-try writes it){kept}")
+        kept = f"; its standard error is {os.path.relpath(found.folder / RUN_STDERR)}" if found.folder else ""
+        tried = "" if guess.given else f" of {one_line(guess.command)!r}"
+        raise SierraError(
+            f"no sierra.toml was written, because a run{tried} failed: {found.reason}{kept} (--no-try writes it nevertheless)"
+        )
     return found
 
 
@@ -186,7 +207,10 @@ def _say(folder: Path, path: Path, guess: Guess, trial: Trial | None, *, as_json
     print(f"wrote {path}")
     started = guess.command or f"platform {guess.platform}"
     seed = f"; seed {one_line(guess.seed)}" if guess.seed else ""
-    print(f"  template {one_line(guess.template)}; {one_line(started)}{seed}")
+    inputs = f"template {one_line(few(guess.template_paths, 4))}" if guess.template_paths else "no template"
+    print(f"  {inputs}; {one_line(started)}{seed}")
+    if guess.files:
+        print(f"  beside the inputs: {one_line(few(guess.files, 4))}")
     for name, place in guess.variables.items():
         print(f"  {name} = {one_line(place)}")
     for text in guess.notes:
@@ -194,13 +218,16 @@ def _say(folder: Path, path: Path, guess: Guess, trial: Trial | None, *, as_json
     if command:
         print(f"next: {command}    (this only shows the runs; without -n they execute)")
     else:
-        print(f'next: add a variable to {path}, under [variables]: name = "XPATH"')
+        example = '"XPATH"' if guess.template_paths else '{ argument = "--name {value}" }'
+        print(f"next: add a variable to {path}, under [variables]: name = {example}")
 
 
 def _answer(path: Path, guess: Guess) -> dict[str, object]:
     return {
         "written": str(path),
         "template": guess.template,
+        **({"templates": dict(guess.templates)} if guess.templates else {}),
+        **({"files": list(guess.files)} if guess.files else {}),
         "platform": guess.platform,
         "command": guess.command,
         "seed": guess.seed,

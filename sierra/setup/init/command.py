@@ -11,45 +11,59 @@ import os
 import re
 import shlex
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 from sierra import platforms
 from sierra.config import project_file
+from sierra.design.run_values import Declared
 from sierra.errors import UsageError
 from sierra.execution import commands
 from sierra.platforms.base import Platform
-from sierra.setup.init import folder
+from sierra.setup.init import arguments, folder
 from sierra.setup.init.answers import Ask, Question, settled
 
 EXAMPLE = "python3 sim.py {input}"
+EXAMPLE_WITHOUT = "python3 sim.py --robots 4 --seed 1"
 TO_BUILD = ("Makefile", "makefile", "CMakeLists.txt", "Cargo.toml", "meson.build")
 SHELL = re.compile(r"[0-9]?[<>]|&&|\|\|?$|;$|&$")
 
 
-def platform(template: str, command: str | None) -> tuple[str, Platform]:
+def platform(template: str | None, command: str | None) -> tuple[str, Platform]:
     """Return the platform's name and the platform; `command` is None if the platform has its own."""
-    name = "argos" if template.endswith(".argos") else "command"
-    table = {"template": template, "platform": name} | ({"command": command} if command is not None else {})
+    name = "argos" if template and template.endswith(".argos") else "command"
+    table = {"platform": name} | ({"template": template} if template else {}) | ({"command": command} if command else {})
     return name, platforms.find(name, project_file.parse(table, "sierra init"))
 
 
-def choose(root: Path, template: str, given: str | None, ask: Ask | None) -> str | None:
+def needs_no_template(root: Path, given: str | None) -> bool:
+    """Check if a given command reads no template: nothing stands for a generated file, and it has arguments with values."""
+    words = _split(given or "")
+    if not words or any("{input" in word or "{run}" in word for word in words):
+        return False
+    return bool(arguments.find(words)) or not folder.templates(root)
+
+
+def choose(root: Path, template: str | None, given: str | None, ask: Ask | None) -> str | None:
     """Return the command, if the platform needs one. Raises UsageError if it can never work, Missing if none is found."""
-    if template.endswith(".argos") and given is None:
+    if template and template.endswith(".argos") and given is None:
         return None
     found = folder.simulators(root)
-    lines = {name: _joined([*words, "{input}"]) for name, words in found.items()}
+    lines = {name: joined([*words, "{input}"] if template else words) for name, words in found.items()}
     likely = [line for name, line in lines.items() if folder.is_started(root / name)] or list(lines.values())
     unbuilt = "; build it first, or" if any((root / name).exists() for name in TO_BUILD) else ";"
     what = f"several files could be the simulator: {', '.join(found)};" if found else f"no program found{unbuilt}"
     question = Question(
         "command: starts the simulator, without a shell\n"
-        "({input} is the generated file; other placeholders: {output}, {seed}, {project}, {python})",
+        + (
+            "({input} is the generated file; other placeholders: {output}, {seed}, {project}, {python})"
+            if template
+            else "(with all arguments; placeholders: {output}, {seed}, {project}, {python})"
+        ),
         tuple(lines.values()),
         likely[0] if len(likely) == 1 else None,
-        f"{root}: {what} give the command that starts it with --command '{EXAMPLE}'",
+        f"{root}: {what} give the command that starts it with --command '{EXAMPLE if template else EXAMPLE_WITHOUT}'",
     )
     return settled(given, question, ask, partial(_check, root, template))
 
@@ -62,10 +76,10 @@ def module_path(command: str | None, root: Path) -> str | None:
     return next((place for place, path in places.items() if any((path / part).exists() for part in parts)), None)
 
 
-def doubts(platform: Platform, root: Path) -> Iterator[str]:
+def doubts(platform: Platform, root: Path, template: str | None) -> Iterator[str]:
     """Yield warnings about a command that is allowed but probably wrong."""
     root = root.resolve()
-    argv = commands.command(platform, root)
+    argv = commands.command(platform, root, declared=_any(platform.command()))
     program = commands.fill(argv, root)[0]
     if Path(program).is_file() and not os.access(program, os.X_OK):
         yield f"{program} is not executable; add its interpreter to the command (python3 ...), or use chmod +x"
@@ -76,23 +90,34 @@ def doubts(platform: Platform, root: Path) -> Iterator[str]:
             yield f"no shell starts the command, so the program gets {word!r} as an argument; use sh -c '...' for a shell"
         if (root / word).is_dir() and not word.startswith(("/", ".")):
             yield f"{word!r} is a folder here, but each run starts in its own folder; to use this one, write {{project}}/{word}"
-    if not any("{input}" in word or "{run}" in word for word in argv):
+    if template and not any("{input}" in word or "{run}" in word for word in argv):
         yield "the command does not contain {input}, the generated file; unless the program finds it, all experiments are equal"
 
 
-def _check(root: Path, template: str, text: str) -> str:
-    try:
-        words = shlex.split(text)
-    except ValueError as error:
-        raise UsageError(f"command {text!r}: {error}") from error
+def _any(words: Sequence[str]) -> Declared:
+    """Return the variables that the words of a command use, as if queries had them."""
+    return Declared(names=arguments.placeholders(words))
+
+
+def _check(root: Path, template: str | None, text: str) -> str:
+    words = _split(text)
     if not words:
-        raise UsageError(f"the command is empty; use one such as: {EXAMPLE}")
+        raise UsageError(f"the command is empty; use one such as: {EXAMPLE if template else EXAMPLE_WITHOUT}")
     for word in words:
         if Path(word).suffix in folder.INTERPRETERS and "{" not in word and not (root / word).exists():
             raise UsageError(f"command: there is no {word} in {root}; use a path relative to that folder")
-    command = _joined(_placed(word, root.resolve()) for word in words)
-    commands.command(platform(template, command)[1], root)
+    command = joined(_placed(word, root.resolve()) for word in arguments.with_outputs(words, root))
+    found = platform(template, command)[1]
+    commands.command(found, root, declared=Declared() if template else _any(found.command()))
     return command
+
+
+def _split(text: str) -> list[str]:
+    """Return the words of a line. Raises UsageError for an open quotation."""
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise UsageError(f"command {text!r}: {error}") from error
 
 
 def _placed(word: str, root: Path) -> str:
@@ -106,6 +131,6 @@ def _placed(word: str, root: Path) -> str:
     return word if inside.startswith("..") else f"{option}{equals}{{project}}/{inside}"
 
 
-def _joined(words: Iterable[str]) -> str:
+def joined(words: Iterable[str]) -> str:
     """Return a line that splits into these words, quoted only if necessary."""
     return " ".join(word if re.fullmatch(r"[\w@%+=:,./{}-]+", word) else shlex.quote(word) for word in words)

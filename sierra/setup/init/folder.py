@@ -8,14 +8,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from sierra import templates
 from sierra.config import find_project
 from sierra.errors import Missing, TemplateError, UsageError
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.suggest_exclusions import is_hardly_code
-from sierra.setup.init.answers import Ask, Question, settled
+from sierra.setup.init.answers import NONE, Ask, Question, settled
 from sierra.store.layout import CONFIG, PYPROJECT
-from sierra.templates.base import Template
+from sierra.templates.base import Template, read
 
 TEMPLATES = (".xml", ".argos", ".world", ".sdf", ".launch")
 DATA = (".json", ".yaml", ".yml", ".toml", ".ini", ".properties")
@@ -63,20 +62,27 @@ def doubts(root: Path) -> Iterator[str]:
         yield f"this folder was in the project of {above[0]}; from now on it is a separate project"
 
 
-def template(root: Path, given: str | None, format: str | None, ask: Ask | None) -> tuple[str, Template]:
-    """Return the template's path relative to the folder, and its content, read as `format` or by its ending.
+def template(root: Path, given: str | None, format: str | None, ask: Ask | None) -> tuple[str, Template] | None:
+    """Return the template's path relative to the folder, and its content, read as `format` or by its ending; None for none.
 
     Raises Missing, TemplateError, ConfigError.
     """
-    below = [name for name in listed(root) if not is_hardly_code(name, is_folder=True)]
-    found = next((some for some in _possible(root, below) if some), [])
+    found = templates(root)
     named = [name for name in found if Path(name).stem == "template"]
     default = found[0] if len(found) == 1 else named[0] if len(named) == 1 else None
     endings = ", ".join((*TEMPLATES, *DATA))
     what = f"several files could be the template ({', '.join(found)})" if found else f"no {endings} file found"
-    missing = f"{root}: {what}; give the template with --template FILE"
-    question = Question("template: the file from which the inputs of all runs are generated", tuple(found), default, missing)
+    without = "" if found else ", or the arguments of a program that reads none, as in --command './sim --robots 4 --seed 1'"
+    missing = f"{root}: {what}; give the template with --template FILE{without}"
+    text = f"template: the file from which the inputs of all runs are generated ({NONE} if the program reads only arguments)"
+    question = Question(text, tuple(found), default if found else NONE if ask else None, missing)
     return settled(given, question, ask, partial(_check_template, root, format))
+
+
+def templates(root: Path) -> list[str]:
+    """Return the files that may be the template, as paths relative to the folder."""
+    below = [name for name in listed(root) if not is_hardly_code(name, is_folder=True)]
+    return next((some for some in _possible(root, below) if some), [])
 
 
 def _possible(root: Path, below: Sequence[str]) -> Iterator[list[str]]:
@@ -114,11 +120,13 @@ def _files(root: Path, places: Iterable[str], endings: str | tuple[str, ...] = "
     return [str(file.relative_to(root)) for file in named if file.is_file() and not OTHERS.fullmatch(file.name)]
 
 
-def _check_template(root: Path, format: str | None, text: str) -> tuple[str, Template]:
+def _check_template(root: Path, format: str | None, text: str) -> tuple[str, Template] | None:
     """Read the template at `text`: a path relative to the folder, or to the working directory, as a shell completes it."""
+    if text == NONE:
+        return None
     path = root / text if (root / text).exists() or not Path(text).is_file() else Path(text)
     try:
-        return os.path.relpath(path, root), templates.read(path, format=format)
+        return os.path.relpath(path, root), read(path, format=format)
     except TemplateError as error:  # there is no sierra.toml yet that could have the key
         raise TemplateError(str(error).replace("set template_format to one of", "use --format with one of")) from error
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -24,16 +24,16 @@ ALL = "."
 """The answer that the whole folder is source."""
 
 
-def found(root: Path, template: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names, without the template, of files that may be code, and those of files that probably are not."""
-    names = [name for name in folder.listed(root) if name not in (template, CONFIG)]
+def found(root: Path, templates: Collection[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names, without the templates, of files that may be code, and those of files that probably are not."""
+    names = [name for name in folder.listed(root) if name not in (*templates, CONFIG)]
     left_out = tuple(name for name in names if is_hardly_code(name, is_folder=(root / name).is_dir()))
     return tuple(name for name in names if name not in left_out), left_out
 
 
-def choose(root: Path, template: str, given: Sequence[str], ask: Ask | None) -> tuple[str, ...]:
+def choose(root: Path, templates: Collection[str], given: Sequence[str], ask: Ask | None) -> tuple[str, ...]:
     """Return the paths of the source; none means the whole folder. Raises UsageError for a path that is not in it."""
-    proposed, left_out = found(root, template)
+    proposed, left_out = found(root, templates)
     if not given and not (proposed and any((root / name).is_dir() for name in left_out)):
         return ()
     question = Question(

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal
 from functools import partial
+from typing import TypeVar
 
 from sierra.design.factorial_design import GROUPED
 from sierra.errors import QueryError, SierraError, UsageError
@@ -19,6 +20,8 @@ from sierra.query import grammar
 from sierra.setup.init.answers import NONE, SHOWN, Ask, Question, settled
 from sierra.templates.base import Template
 
+T = TypeVar("T")
+
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 NUMBER = re.compile(r"[+-]?\d+(\.\d+)?")
 CROWDS = frozenset(
@@ -26,10 +29,10 @@ CROWDS = frozenset(
 )
 COUNTS = frozenset(["quantity", "count", "number", "num", "n", "amount"])
 BESIDE = frozenset(["size", "of", "total", "model"])
-SEEDS = frozenset(["rng", "random_state", "randomstate"])
+SEEDS = frozenset(["rng", "rngrun", "random_state", "randomstate", "random-state"])
 """Names of seeds without the word."""
 GENERIC = frozenset(["value", "val", "default", "data"])
-SELDOM = frozenset(["id", "name", "version", "port", "threads"])
+SELDOM = frozenset(["id", "name", "version", "port", "threads", "jobs", "workers", "verbosity"])
 POPULATION = "population_size"
 FEW = 16
 """The largest value that doubling from 1 reaches soon enough."""
@@ -117,40 +120,37 @@ def _words(name: str) -> list[str]:
     return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)]
 
 
-def choose_seed(template: Template, found: Sequence[str], given: str | None, ask: Ask | None) -> str | None:
-    """Return the path that gets each run's seed; None if there is none. Raises TemplateError."""
-    question = Question(
-        f"seed: XPath of the attribute or element that gets each run's seed ({NONE} for none)",
-        tuple(found),
-        found[0] if found else "",
-    )
-    return settled(given, question, ask, partial(_check_seed, template))
+def choose_seed(found: Sequence[str], given: str | None, ask: Ask | None, check: Callable[[str], T], place: str) -> T:
+    """Return the place that gets each run's seed, as `check` returns it. `place` says what a place is, for the question."""
+    question = Question(f"seed: {place} that gets each run's seed ({NONE} for none)", tuple(found), found[0] if found else "")
+    return settled(given, question, ask, check)
 
 
 def choose(
-    template: Template,
-    per_run: Sequence[Change],
     named: Mapping[str, str],
     likely: Mapping[str, str],
     given: Sequence[str],
     ask: Ask | None,
+    check: Callable[[Mapping[str, str], str], tuple[str, str]],
+    form: str = "NAME=XPATH",
 ) -> dict[str, str]:
-    """Return the variables by name: the given ones; otherwise the likely ones, changed by the user's answers.
+    """Return the places of variables by name: the given ones; otherwise the likely ones, changed by the user's answers.
 
-    `named` are suggestions. `per_run` is what each run sets after all variables. Raises UsageError, TemplateError.
+    `named` are suggestions. `check` returns the name and the place in an answer of this `form`, beside the variables so far, or
+    raises an error.
     """
     chosen = {} if given else dict(likely)
     for text in given:
-        chosen |= [_check(template, per_run, chosen, text)]
+        chosen |= [check(chosen, text)]
     while ask is not None and not given:
-        so_far = ", ".join(f"{name}={path}" for name, path in chosen.items()) or "none"
-        others = [f"{name}={path}" for name, path in named.items() if path not in chosen.values()]
+        so_far = ", ".join(f"{name}={place}" for name, place in chosen.items()) or "none"
+        others = [f"{name}={place}" for name, place in named.items() if place not in chosen.values()]
         question = Question(
-            f"variables so far: {so_far}\nadd one as NAME=XPATH ({NONE}NAME removes one, Enter finishes)",
+            f"variables so far: {so_far}\nadd one as {form} ({NONE}NAME removes one, Enter finishes)",
             tuple(others[:SHOWN]),
             "",
         )
-        more = ask(question, partial(_one_more, template, per_run, chosen))
+        more = ask(question, partial(_one_more, check, chosen))
         if more is None:
             break
         chosen = more
@@ -166,15 +166,16 @@ def doubts(seed: str | None, seeds: Sequence[str], *, elsewhere: bool) -> Iterat
         yield f"these seeds keep the template's value in all runs: {', '.join(others)}"
 
 
-def _check_seed(template: Template, text: str) -> str | None:
+def check_seed(template: Template, text: str) -> str | None:
+    """Return the path that gets each run's seed; None if there is none. Raises TemplateError."""
     if text in ("", NONE):
         return None
     template.changed((Set(text, "0", why="seed"),), {})
     return text
 
 
-def _check(template: Template, per_run: Sequence[Change], known: Iterable[str], text: str) -> tuple[str, str]:
-    """Return name and path from NAME=XPATH. Raises UsageError."""
+def check(template: Template, per_run: Sequence[Change], known: Iterable[str], text: str) -> tuple[str, str]:
+    """Return name and path from NAME=XPATH. `per_run` is what each run sets later. Raises UsageError, TemplateError."""
     name, equals, path = (part.strip() for part in text.partition("="))
     if not equals or not name or not path or name[0] in "/@":
         raise UsageError(f'{text!r}: give a variable as NAME=XPATH, as in "population_size=//swarm/@count"')
@@ -188,8 +189,10 @@ def _check(template: Template, per_run: Sequence[Change], known: Iterable[str], 
     return name, path
 
 
-def _one_more(template: Template, per_run: Sequence[Change], chosen: dict[str, str], text: str) -> dict[str, str] | None:
-    """Return the variables after one answer; None if it is empty. If a path is named twice, the last name stays."""
+def _one_more(
+    check: Callable[[Mapping[str, str], str], tuple[str, str]], chosen: dict[str, str], text: str
+) -> dict[str, str] | None:
+    """Return the variables after one answer; None if it is empty. If a place is named twice, the last name stays."""
     if not text:
         return None
     if text.startswith(NONE):
@@ -197,8 +200,8 @@ def _one_more(template: Template, per_run: Sequence[Change], chosen: dict[str, s
         if name not in chosen:
             raise UsageError(f"there is no variable {name!r}; variables so far: {', '.join(chosen) or 'none'}")
         return {other: path for other, path in chosen.items() if other != name}
-    name, path = _check(template, per_run, chosen, text)
-    return {other: place for other, place in chosen.items() if place != path} | {name: path}
+    name, new = check(chosen, text)
+    return {other: place for other, place in chosen.items() if place != new} | {name: new}
 
 
 def first_query(platform: Platform, template: Template, variables: Mapping[str, str]) -> str | None:
@@ -209,10 +212,11 @@ def first_query(platform: Platform, template: Template, variables: Mapping[str, 
             return grammar.text(criterion)
     if unset(template):  # each placeholder needs a value
         return " ".join(f"{name}=1,2" for name in variables) or None
-    return next((_criterion(name, template.find(path)[0].strip()) for name, path in variables.items()), None)
+    return next((around(name, template.find(path)[0].strip()) for name, path in variables.items()), None)
 
 
-def _criterion(name: str, value: str) -> str:
+def around(name: str, value: str) -> str:
+    """Return a criterion with values around the one that a variable has now."""
     if not re.fullmatch(r"[+-]?\d{1,6}(\.\d{1,6})?", value, re.ASCII):
         return _word(name, value)
     number = Decimal(value)

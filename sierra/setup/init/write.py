@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.config import project_file
+from sierra.config.change_tables import VALUE
 from sierra.errors import UsageError
 from sierra.setup.init import folder
 from sierra.setup.init.answers import SHOWN
@@ -35,7 +36,8 @@ quoted = partial(dumps, ensure_ascii=False)
 class Guess:
     """The content of a first `sierra.toml`, and of its comments."""
 
-    template: str
+    template: str | None
+    """The only template; None if there are several, or none."""
     format: str | None
     """The format of the template; None if its ending says it."""
     platform: str
@@ -43,16 +45,35 @@ class Guess:
     module_path: str | None
     seed: str | None
     variables: Mapping[str, str]
+    """The variables by name: a path in a template, words of the command with `{value}`, or `{name}` if the command has it."""
     other_variables: Mapping[str, str]
+    """Suggestions for further variables."""
+    tried: tuple[str, ...]
+    """The criteria of the run that is tried."""
     source: tuple[str, ...]
     next: str | None
     """The suggested first query."""
     unset: tuple[str, ...]
-    """The paths of placeholders that have no value unless a query gives one."""
+    """The placeholders that have no value unless a query gives one."""
     given: bool
-    """True if the user has given a command without doubts, so that a run may be tried."""
+    """True if the user has given the command, or has confirmed it."""
+    doubtful: bool
+    """True if the command is probably wrong, so that no run is tried."""
     notes: tuple[str, ...]
     """Warnings about values that may be wrong."""
+    templates: Mapping[str, str] = field(default_factory=dict)
+    """Several templates by name, with their paths."""
+    files: tuple[str, ...] = ()
+    """Files that lie beside the inputs of runs."""
+
+    @property
+    def can_be_tried(self) -> bool:
+        """Return True if a run can be tried: it has a command, which is not doubtful, and all values."""
+        return self.command is not None and not self.doubtful and not self.unset
+
+    @property
+    def template_paths(self) -> tuple[str, ...]:
+        return (self.template,) if self.template else tuple(self.templates.values())
 
 
 def write(root: Path, guess: Guess, tried: Trial | None = None) -> Path:
@@ -104,35 +125,85 @@ def _outputs(tried: Trial | None) -> Iterator[str]:
 
 
 def _lines(root: Path, guess: Guess) -> Iterator[str]:
-    xml = (guess.format or Path(guess.template).suffix.lstrip(".")) not in OTHER_FORMATS
     yield "# The experiments that SIERRA runs. For all keys: sierra schema --toml"
-    yield f"template = {quoted(guess.template)}  # SIERRA makes the input of each run from this file"
-    if guess.format:
-        yield f"template_format = {quoted(guess.format)}"
-    if guess.platform != "command":
-        yield f"platform = {quoted(guess.platform)}  # starts the simulator and sets the seed"
+    yield from _inputs(guess)
     if guess.command:
         yield f"command = {quoted(guess.command)}"
-        yield "# {input} is the generated file; runs write into their working directory, {output}"
-    if guess.seed or guess.platform == "command":
-        seed = quoted(guess.seed or ("//@seed" if xml else "/seed"))
-        yield f"{'' if guess.seed else '# '}seed = {seed}  # an XPath: where the seed of each run goes"
-    if guess.unset:
-        sets = ", ".join(f"{{ set = {quoted(place)}, value = 1 }}" for place in guess.unset)
-        yield f"# changes = [{sets}]  # values if a query does not vary them"
+        yield f"# {_about_command(guess)}"
+    yield from _seed(guess)
     yield "runs = 10  # per experiment\n"
-    yield "[variables]  # what queries vary: a name, and an XPath that gets the value"
-    yield from (f"{name} = {quoted(path)}" for name, path in guess.variables.items())
-    yield from (f"# {name} = {quoted(path)}" for name, path in guess.other_variables.items())
-    if not guess.variables and not guess.other_variables:
-        yield f'# population_size = "{"//swarm/@count" if xml else "/swarm/count"}"'
+    yield from _variables(guess)
     if guess.module_path:
         yield f"\n[environment]\nset = {{ PYTHONPATH = {quoted(guess.module_path)} }}"
     if guess.source:
         yield "\n[source]  # the code that results depend on; changes to other files make no new runs"
         yield f"paths = {quoted(guess.source)}"
     else:
-        code, left_out = found(root, guess.template)
+        code, left_out = found(root, guess.template_paths)
         proposed = code if 0 < len(code) <= SHOWN else ("src", "sim.py")
         without = f"  # not {few(left_out, SHOWN)}" if left_out else ""
         yield f"\n# {SOURCE}\n# [source]\n# paths = {quoted(proposed)}{without}"
+
+
+def _inputs(guess: Guess) -> Iterator[str]:
+    if guess.template:
+        yield f"template = {quoted(guess.template)}  # SIERRA makes the input of each run from this file"
+    if guess.templates:
+        several = ", ".join(f"{name} = {quoted(path)}" for name, path in guess.templates.items())
+        yield f"templates = {{ {several} }}  # SIERRA makes the inputs of each run from these files"
+    if guess.files:
+        yield f"files = {quoted(guess.files)}  # these lie beside the inputs of each run"
+    if guess.format:
+        yield f"template_format = {quoted(guess.format)}"
+    if guess.platform != "command":
+        yield f"platform = {quoted(guess.platform)}  # starts the simulator and sets the seed"
+
+
+def _about_command(guess: Guess) -> str:
+    where = "runs write into their working directory, {output}"
+    if guess.templates:
+        names = " and ".join(f"{{input.{name}}}" for name in guess.templates)
+        return f"{names} are the generated files; {where}"
+    if guess.template:
+        return f"{{input}} is the generated file; {where}"
+    return f"the arguments of variables are added; {where}"
+
+
+def _seed(guess: Guess) -> Iterator[str]:
+    if guess.seed:
+        yield f"seed = {quoted(guess.seed)}  # an XPath: where the seed of each run goes"
+    elif guess.platform == "command" and "{seed}" not in (guess.command or ""):
+        yield f"# seed = {_example(guess, '//@seed', '/seed', '--seed {value}')}  # where the seed of each run goes"
+    if guess.unset and guess.template:
+        sets = ", ".join(f"{{ set = {quoted(place)}, value = 1 }}" for place in guess.unset)
+        yield f"# changes = [{sets}]  # values if a query does not vary them"
+
+
+def _example(guess: Guess, xml: str, other: str, argument: str) -> str:
+    """Return the example that fits the inputs: a path in XML, or in another format, or words of the command."""
+    if not guess.template_paths:
+        return f"{{ argument = {quoted(argument)} }}"
+    ending = guess.format or Path(guess.template_paths[0]).suffix.lstrip(".")
+    return quoted(other if ending in OTHER_FORMATS else xml)
+
+
+def _variables(guess: Guess) -> Iterator[str]:
+    what = (
+        "an XPath that gets the value"
+        if guess.template_paths
+        else "the words of the command; only queries that vary it add them"
+    )
+    yield f"[variables]  # what queries vary: a name, and {what}"
+    yield from (f"{name} = {_declared(name, place)}" for name, place in guess.variables.items())
+    for name, place in guess.other_variables.items():
+        instead = "  # if you use it, remove the same words from the command" if VALUE in place else ""
+        yield f"# {name} = {_declared(name, place)}{instead}"
+    if not guess.variables and not guess.other_variables:
+        yield f"# population_size = {_example(guess, '//swarm/@count', '/swarm/count', '--robots {value}')}"
+
+
+def _declared(name: str, place: str) -> str:
+    """Return a variable as TOML: a path, words of the command, or nothing if the command has the variable."""
+    if place == f"{{{name}}}":
+        return "{}"
+    return f"{{ argument = {quoted(place)} }}" if VALUE in place else quoted(place)

@@ -56,7 +56,7 @@ def answering(folder: Path, *answers: str, words: tuple[str, ...] = ("init",)) -
 
 
 def test_one_simulator_and_one_template_are_detected(folder: Path) -> None:
-    ended = quick(folder, "init")
+    ended = quick(folder, "init", "--no-try")
     assert ended.returncode == 0
     assert written(folder)["command"] == "python3 sim.py {input}"
     assert written(folder)["seed"] == "//random/@seed"
@@ -87,7 +87,7 @@ def test_init_loads_no_heavy_library(folder: Path) -> None:
 
 def test_the_only_script_that_can_be_started_is_chosen_as_the_simulator(folder: Path) -> None:
     (folder / "arms.py").write_text("LENGTH = 3\n")
-    assert quick(folder, "init").returncode == 0
+    assert quick(folder, "init", "--no-try").returncode == 0
     assert written(folder)["command"] == "python3 sim.py {input}"
 
 
@@ -101,7 +101,7 @@ def test_a_program_is_found_in_the_folder_and_in_build_folders(tmp_path: Path, n
     (tmp_path / "notes.txt").write_text("executable, as all is on some disks")
     (tmp_path / "notes.txt").chmod(0o755)
     (tmp_path / "in.xml").write_text('<swarm count="3" seed="0"/>')
-    assert quick(tmp_path, "init", "-y").returncode == 0
+    assert quick(tmp_path, "init", "-y", "--no-try").returncode == 0
     assert written(tmp_path)["command"] == command
     assert quick(tmp_path, "run", "population_size.Log2", "--runs", "1", "--no-figures").returncode == 0
 
@@ -119,7 +119,7 @@ def test_names_may_contain_blanks_and_quotation_marks(tmp_path: Path) -> None:
 
 def test_a_template_with_namespaces_gets_paths_with_prefixes(folder: Path) -> None:
     (folder / "arena.xml").write_text('<a xmlns="urn:a" xmlns:q="urn:q"><q:random q:seed="4"/><robots number="5"/></a>')
-    assert quick(folder, "init", "-y").returncode == 0
+    assert quick(folder, "init", "-y", "--no-try").returncode == 0
     assert written(folder)["seed"] == "//q:random/@q:seed"
     assert written(folder)["variables"] == {"population_size": "//_:robots/@number"}
 
@@ -132,7 +132,7 @@ def test_arguments_of_a_launch_file_are_found_by_name(folder: Path) -> None:
         '<launch><arg name="seed" default="7"/><arg name="num_robots" default="2"/>'
         '<param name="speed" value="0.5"/><param name="noise" value="0.1"/></launch>'
     )
-    assert quick(folder, "init", "-y").returncode == 0
+    assert quick(folder, "init", "-y", "--no-try").returncode == 0
     assert written(folder)["template"] == "launch/swarm.launch"
     assert written(folder)["seed"] == "//arg[@name='seed']/@default"
     assert written(folder)["variables"] == {"population_size": "//arg[@name='num_robots']/@default"}
@@ -166,7 +166,7 @@ def test_an_argos_template_selects_the_platform_argos(tmp_path: Path) -> None:
 )
 def test_the_first_query_has_values_around_the_one_in_the_template(folder: Path, value: str, criterion: str) -> None:
     (folder / "arena.xml").write_text(f'<arena seed="0" x="{value}"/>')
-    said = json.loads(quick(folder, "init", "--json", "--variable", "x=//arena/@x").stdout)["next"]
+    said = json.loads(quick(folder, "init", "--json", "--no-try", "--variable", "x=//arena/@x").stdout)["next"]
     assert said == f"sierra run {criterion} -n"
     if "VALUE" not in said:
         assert quick(folder, *said.split()[1:]).returncode == 0
@@ -174,7 +174,10 @@ def test_the_first_query_has_values_around_the_one_in_the_template(folder: Path,
 
 def test_other_seeds_that_stay_fixed_are_reported(folder: Path) -> None:
     (folder / "arena.xml").write_text('<a count="2"><random seed="0"/><noise seed="5"/></a>')
-    assert "note: these seeds keep the template's value in all runs: //noise/@seed" in quick(folder, "init", "-y").stderr
+    assert (
+        "note: these seeds keep the template's value in all runs: //noise/@seed"
+        in quick(folder, "init", "-y", "--no-try").stderr
+    )
 
 
 # Options
@@ -232,7 +235,7 @@ def test_options_replace_all_questions(folder: Path) -> None:
 
 def test_a_template_may_be_named_relative_to_the_current_folder(folder: Path) -> None:
     for text in ("p/arena.xml", str(folder / "arena.xml")):
-        assert quick(folder.parent, "init", "-y", "p", "--template", text).returncode == 0
+        assert quick(folder.parent, "init", "-y", "--no-try", "p", "--template", text).returncode == 0
         assert written(folder)["template"] == "arena.xml"
         (folder / "sierra.toml").unlink()
 
@@ -280,7 +283,7 @@ def test_a_suspicious_command_is_written_with_a_note(folder: Path, command: str,
 
 @pytest.mark.integration
 def test_json_contains_the_written_settings_and_the_next_command(folder: Path) -> None:
-    code, said = answering(folder, words=("init", "--json"))
+    code, said = answering(folder, words=("init", "--json", "--no-try"))
     assert code == 0
     assert json.loads(said) == {
         "written": "sierra.toml",
@@ -300,7 +303,7 @@ def test_json_contains_the_written_settings_and_the_next_command(folder: Path) -
 
 def test_the_whole_folder_is_source_by_default(folder: Path) -> None:
     (folder / "results").mkdir()
-    assert quick(folder, "init", "-y").returncode == 0
+    assert quick(folder, "init", "-y", "--no-try").returncode == 0
     assert "source" not in written(folder)
     text = (folder / "sierra.toml").read_text()
     assert '# paths = ["sim.py"]  # not results\n' in text
@@ -312,7 +315,7 @@ def test_the_whole_folder_is_source_by_default(folder: Path) -> None:
 def test_notes_are_left_out_of_the_proposed_source_paths(folder: Path) -> None:
     for name in ("README.md", "notes.txt", "LICENSE", "poster.pdf", "CMakeLists.txt"):
         (folder / name).write_text("")
-    assert quick(folder, "init", "-y").returncode == 0
+    assert quick(folder, "init", "-y", "--no-try").returncode == 0
     text = (folder / "sierra.toml").read_text()
     assert '# paths = ["CMakeLists.txt", "sim.py"]  # not LICENSE, README.md, notes.txt, poster.pdf\n' in text
 
@@ -418,13 +421,13 @@ def test_ambiguous_settings_without_a_terminal_name_their_option(tmp_path: Path)
 
 def test_a_project_file_is_never_overwritten(folder: Path) -> None:
     (folder / "sierra.toml").write_text("mine")
-    ended = quick(folder, "init", "-y")
+    ended = quick(folder, "init", "-y", "--no-try")
     assert ended.returncode == 2
     assert "exists already and is never overwritten; change it with an editor, or remove it first" in ended.stderr
     assert (folder / "sierra.toml").read_text() == "mine"
     (folder / "sierra.toml").unlink()
     (folder / "pyproject.toml").write_text('[tool.sierra]\ntemplate = "arena.xml"\n')
-    assert "has [tool.sierra] already" in quick(folder, "init", "-y").stderr
+    assert "has [tool.sierra] already" in quick(folder, "init", "-y", "--no-try").stderr
     assert not (folder / "sierra.toml").exists()
 
 
@@ -433,7 +436,7 @@ def test_a_missing_or_read_only_folder_is_reported(folder: Path, monkeypatch: py
     assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (3, "", 1)
     right: Callable[..., bool] = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.W_OK and right(path, mode))  # root may write anywhere
-    ended = quick(folder, "init", "-y")
+    ended = quick(folder, "init", "-y", "--no-try")
     assert (ended.returncode, ended.stderr) == (
         3,
         "sierra: . is not writable; change its permissions, or use another folder\n",
@@ -442,7 +445,7 @@ def test_a_missing_or_read_only_folder_is_reported(folder: Path, monkeypatch: py
 
 def test_a_project_inside_another_is_reported(folder: Path) -> None:
     (folder.parent / "sierra.toml").write_text("")
-    assert "this folder was in the project of" in quick(folder, "init", "-y").stderr
+    assert "this folder was in the project of" in quick(folder, "init", "-y", "--no-try").stderr
 
 
 # The example

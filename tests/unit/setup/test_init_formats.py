@@ -93,7 +93,10 @@ def test_a_run_that_fails_leaves_no_sierra_toml(tmp_path: Path) -> None:
     (folder / "model.py").write_text("import sys\nprint('no map', file=sys.stderr)\nsys.exit(4)\n")
     done = quick(folder, "init", "-y", *GIVEN)
     assert done.returncode == 1
-    assert "no sierra.toml was written, because a run failed: exit status 4 (--no-try writes it)" in done.stderr
+    place = "its standard error is .sierra/try/run/stderr"
+    said = f"no sierra.toml was written, because a run failed: exit status 4; {place} (--no-try writes it nevertheless)\n"
+    assert said in done.stderr
+    assert (folder / ".sierra/try/run/stderr").read_text() == "no map\n"
     assert "no map\n" in done.stderr
     assert not (folder / "sierra.toml").exists()
     assert quick(folder, "init", "-y", *GIVEN, "--no-try").returncode == 0
@@ -123,10 +126,31 @@ def test_an_interrupted_run_leaves_no_sierra_toml(tmp_path: Path) -> None:
     assert not (folder / "sierra.toml").exists()
 
 
-def test_a_command_that_nobody_gave_is_not_executed(tmp_path: Path) -> None:
+def test_a_command_that_nobody_gave_is_tried_before_it_is_written(tmp_path: Path) -> None:
+    folder = make(tmp_path / "project", "json")
+    done = quick(folder, "init", "-y")
+    assert done.returncode == 0
+    assert "trying one run: python3 model.py {input} (--no-try does not)\n" in done.stdout
+    assert settings(folder)["command"] == "python3 model.py {input}"
+
+
+@pytest.mark.parametrize("words", [(), ("-y",), ("--json",)])
+def test_a_guessed_command_that_fails_is_not_written(tmp_path: Path, words: tuple[str, ...]) -> None:
+    folder = make(tmp_path / "project", "json")
+    (folder / "model.py").write_text("import sys\nprint('no map', file=sys.stderr)\nsys.exit(4)\n")
+    done = quick(folder, "init", *words)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == (
+        "sierra: no sierra.toml was written, because a run of 'python3 model.py {input}' failed: exit status 4; "
+        "its standard error is .sierra/try/run/stderr (--no-try writes it nevertheless)"
+    )
+    assert not (folder / "sierra.toml").exists()
+
+
+def test_nothing_is_executed_with_no_try(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "json")
     (folder / "model.py").write_text("import sys\nopen(sys.argv[0] + '.executed', 'w')\n")
-    assert quick(folder, "init", "-y").returncode == 0
+    assert quick(folder, "init", "-y", "--no-try").returncode == 0
     assert settings(folder)["command"] == "python3 model.py {input}"
     assert not (folder / "model.py.executed").exists()
 
@@ -136,14 +160,14 @@ def test_files_of_other_tools_are_no_templates(tmp_path: Path) -> None:
     for name in ("package.json", "pyproject.toml", "requirements.txt", "environment.yml", "tox.ini"):
         (folder / name).write_text("")
     (folder / "pyproject.toml").write_text("[project]\nname = 'x'\n")
-    assert quick(folder, "init", "-y").returncode == 0
+    assert quick(folder, "init", "-y", "--no-try").returncode == 0
     assert settings(folder)["template"] == "world.json"
 
 
 def test_several_possible_templates_are_named(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "json")
     (folder / "map.yaml").write_text("a: 1\n")
-    done = quick(folder, "init", "-y")
+    done = quick(folder, "init", "-y", "--no-try")
     assert (done.returncode, done.stderr.count("\n")) == (3, 1)
     assert "several files could be the template (map.yaml, world.json); give the template with --template FILE" in done.stderr
 
