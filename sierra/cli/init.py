@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import sys
@@ -77,8 +78,9 @@ def init(
 
     Settings are detected from the files in the folder; on a terminal, sierra asks for the others. The simulator's input file
     may be XML, JSON, YAML, TOML, INI, or a text with placeholders such as {{speed}}. A program that reads only arguments needs
-    no file: give the command with all arguments. One run is tried before anything is written, as sierra try does; if it fails,
-    nothing is written. An existing sierra.toml is never overwritten.
+    no file: give the command with all arguments. Files that the input file names become further templates, or lie beside the
+    inputs of runs. One run is tried before anything is written, as sierra try does; if it fails, nothing is written. An existing
+    sierra.toml is never overwritten.
 
     \b
     Examples:
@@ -89,6 +91,7 @@ def init(
                   --variable "population_size=//swarm/@count"
       sierra init -y --template params.yaml --command "python3 model.py {input}"
       sierra init -y --command "./sim --robots 4 --speed 0.5 --seed 1"
+      sierra init -y --template merge.sumocfg
     """
     from sierra.setup.init import wizard
 
@@ -102,48 +105,76 @@ def init(
     said = wizard.Options(template, format, command, seed, tuple(variables or ()), tuple(source or ()))
     somebody = not yes and not as_json and sys.stdin.isatty() and sys.stdout.isatty()
     guess = wizard.find_out(folder, said, _ask if somebody else None)
-    found = None if no_try else _tried(folder, guess, ask=somebody, quiet=as_json)
-    trial = None if isinstance(found, str) else found
-    notes = (*guess.notes, found) if isinstance(found, str) else guess.notes
-    _say(folder, wizard.write(folder, guess, trial), replace(guess, notes=notes), trial, as_json=as_json)
+    guess, trial = (guess, None) if no_try else _tried(folder, guess, ask=somebody, quiet=as_json)
+    _say(folder, wizard.write(folder, guess, trial), guess, trial, as_json=as_json)
 
 
-def _tried(folder: Path, guess: Guess, *, ask: bool, quiet: bool) -> Trial | str | None:
+def _tried(folder: Path, guess: Guess, *, ask: bool, quiet: bool) -> tuple[Guess, Trial | None]:
     """Execute one run, unless the command is doubtful; print what it did unless `quiet`.
 
-    Returns the trial, or why there is none. Raises SierraError if the run failed, unless the user wants the file nevertheless
-    (`ask`), or if nobody has given the command and it cannot be tried; typer.Exit if it was interrupted.
+    If the run fails because it lacks files of the project, another run gets them. Returns the guess, perhaps with such files or
+    one more note, and the trial if there is one. Raises SierraError if the run failed, unless the user wants the file
+    nevertheless (`ask`), or if nobody has given the command and it cannot be tried; typer.Exit if it was interrupted.
     """
-    from sierra.cli.try_run import Printer, print_trial
     from sierra.errors import SierraError
     from sierra.model import Status
     from sierra.setup.init import wizard
-    from sierra.store.layout import RUN_STDERR
+
+    found = _attempt(folder, guess, quiet=quiet)
+    if isinstance(found, str):
+        if guess.can_be_tried and not guess.given:
+            raise SierraError(f"no sierra.toml was written: {found} (--no-try writes it)")
+        return replace(guess, notes=(*guess.notes, found)), None
+    if found is None:
+        return guess, None
+    if found.status is Status.FAILED and (more := wizard.with_lacking(folder, guess, found)):
+        if not quiet:
+            print(
+                f"the run lacked {few(more.files[len(guess.files) :], 4)}; trying again with files = {json.dumps(more.files)}"
+            )
+        again = _attempt(folder, more, quiet=quiet)
+        if not isinstance(again, str) and again is not None and again.status is not Status.FAILED:
+            guess, found = more, again
+    _check_tried(guess, found, ask=ask)
+    return guess, found
+
+
+def _attempt(folder: Path, guess: Guess, *, quiet: bool) -> Trial | str | None:
+    """Execute one run and print what it did unless `quiet`; return the trial, or why there is none."""
+    from sierra.cli.try_run import Printer, print_trial
+    from sierra.setup.init import wizard
 
     if guess.can_be_tried and not quiet:
-        print(f"trying one run: {one_line(guess.command)} (--no-try does not)")
+        print(f"trying one run: {_started(guess)} (--no-try does not)")
     printer = Printer(to_stderr=True)
     found = wizard.try_run(folder, guess, printer.show if not quiet else lambda log, content: None)
     printer.end()
-    if isinstance(found, str) and not guess.given and not guess.unset:
-        raise SierraError(f"no sierra.toml was written: {found} (--no-try writes it)")
-    if found is None or isinstance(found, str):
-        return found
-    if not quiet:
+    if found is not None and not isinstance(found, str) and not quiet:
         for text in found.notes:
             note(one_line(text))
         print_trial(found)
+    return found
+
+
+def _check_tried(guess: Guess, found: Trial, *, ask: bool) -> None:
+    """Raise SierraError if a run failed, unless the user wants the file nevertheless; typer.Exit if it was interrupted."""
+    from sierra.errors import SierraError
+    from sierra.model import Status
+    from sierra.store.layout import RUN_STDERR
+
     if found.status is Status.INTERRUPTED:
         raise typer.Exit(130)
-    if found.status is not Status.OK and ask and typer.confirm("the run failed; write sierra.toml nevertheless?"):
-        return found
-    if found.status is not Status.OK:
-        kept = f"; its standard error is {os.path.relpath(found.folder / RUN_STDERR)}" if found.folder else ""
-        tried = "" if guess.given else f" of {one_line(guess.command)!r}"
-        raise SierraError(
-            f"no sierra.toml was written, because a run{tried} failed: {found.reason}{kept} (--no-try writes it nevertheless)"
-        )
-    return found
+    if found.status is Status.OK or (ask and typer.confirm("the run failed; write sierra.toml nevertheless?")):
+        return
+    kept = f"; its standard error is {os.path.relpath(found.folder / RUN_STDERR)}" if found.folder else ""
+    tried = "" if guess.given else f" of {_started(guess)!r}"
+    raise SierraError(
+        f"no sierra.toml was written, because a run{tried} failed: {found.reason}{kept} (--no-try writes it nevertheless)"
+    )
+
+
+def _started(guess: Guess) -> str:
+    return one_line(guess.command or f"platform {guess.platform}")
 
 
 def _check_alone(*others: object) -> None:
@@ -205,10 +236,9 @@ def _say(folder: Path, path: Path, guess: Guess, trial: Trial | None, *, as_json
         print_json(_answer(path, guess) | tried | {"next": command})
         return
     print(f"wrote {path}")
-    started = guess.command or f"platform {guess.platform}"
     seed = f"; seed {one_line(guess.seed)}" if guess.seed else ""
     inputs = f"template {one_line(few(guess.template_paths, 4))}" if guess.template_paths else "no template"
-    print(f"  {inputs}; {one_line(started)}{seed}")
+    print(f"  {inputs}; {_started(guess)}{seed}")
     if guess.files:
         print(f"  beside the inputs: {one_line(few(guess.files, 4))}")
     for name, place in guess.variables.items():

@@ -45,6 +45,19 @@ def test_the_example_of_sumo_goes_from_a_query_to_figures(started: Started, requ
     assert "Eclipse SUMO sumo 1.28.0" in values(root, "SELECT version FROM programs WHERE name = 'sumo: program'")
 
 
+def test_init_sets_up_the_stock_files_of_sumo_and_tries_a_run(started: Started, require: Callable[..., str]) -> None:
+    root, sumo = started("sumo")
+    works = subprocess.run([sumo.bin / "sumo", "--version"], check=False, capture_output=True).returncode == 0
+    require("the system's libraries that SUMO needs", there=works)
+    (root / "sierra.toml").unlink()
+    done = projects.quick(root, "init", "-y")
+    assert done.returncode == 0, done.stderr
+    assert "trying one run: platform sumo" in done.stdout
+    assert "result  ok" in done.stdout
+    summary, _ = projects.run(root, "scale=0.5,1", "--runs", "1")
+    assert (summary["executed"], summary["failed"]) == (2, 0)
+
+
 def test_dates_in_outputs_of_sumo_are_no_difference(started: Started, require: Callable[..., str]) -> None:
     root, sumo = started("sumo")
     works = subprocess.run([sumo.bin / "sumo", "--version"], check=False, capture_output=True).returncode == 0

@@ -11,7 +11,7 @@ import os
 import re
 import shlex
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -21,33 +21,49 @@ from sierra.design.run_values import Declared
 from sierra.errors import UsageError
 from sierra.execution import commands
 from sierra.platforms.base import Platform
-from sierra.setup.init import arguments, folder
+from sierra.setup.init import arguments, folder, named_files
 from sierra.setup.init.answers import Ask, Question, settled
 
 EXAMPLE = "python3 sim.py {input}"
 EXAMPLE_WITHOUT = "python3 sim.py --robots 4 --seed 1"
+PLATFORMS = {".argos": "argos", ".sumocfg": "sumo"}
+"""The platforms that start the simulator themselves, by the ending of their template."""
 TO_BUILD = ("Makefile", "makefile", "CMakeLists.txt", "Cargo.toml", "meson.build")
 SHELL = re.compile(r"[0-9]?[<>]|&&|\|\|?$|;$|&$")
 
 
-def platform(template: str | None, command: str | None) -> tuple[str, Platform]:
-    """Return the platform's name and the platform; `command` is None if the platform has its own."""
-    name = "argos" if template and template.endswith(".argos") else "command"
-    table = {"platform": name} | ({"template": template} if template else {}) | ({"command": command} if command else {})
+def platform(inputs: Mapping[str, object], command: str | None) -> tuple[str, Platform]:
+    """Return the platform's name and the platform; `command` is None if the platform has its own.
+
+    `inputs` are the settings of the templates.
+    """
+    written = str([inputs.get("template"), inputs.get("templates")])
+    name = next((name for ending, name in PLATFORMS.items() if f"{ending}'" in written), "command")
+    table = {"platform": name, **inputs} | ({"command": command} if command else {})
     return name, platforms.find(name, project_file.parse(table, "sierra init"))
+
+
+def named_template(root: Path, given: str | None) -> str | None:
+    """Return the first template that a given command names as a file; None if it contains {input}."""
+    words = _split(given or "")
+    return None if _has_input(words) else next(iter(named_files.by_command(root, words).values()), None)
 
 
 def needs_no_template(root: Path, given: str | None) -> bool:
     """Check if a given command reads no template: nothing stands for a generated file, and it has arguments with values."""
     words = _split(given or "")
-    if not words or any("{input" in word or "{run}" in word for word in words):
+    if not words or _has_input(words):
         return False
     return bool(arguments.find(words)) or not folder.templates(root)
 
 
+def _has_input(words: Iterable[str]) -> bool:
+    return any("{input" in word or "{run}" in word for word in words)
+
+
 def choose(root: Path, template: str | None, given: str | None, ask: Ask | None) -> str | None:
     """Return the command, if the platform needs one. Raises UsageError if it can never work, Missing if none is found."""
-    if template and template.endswith(".argos") and given is None:
+    if template and template.endswith(tuple(PLATFORMS)) and given is None:
         return None
     found = folder.simulators(root)
     lines = {name: joined([*words, "{input}"] if template else words) for name, words in found.items()}
@@ -76,10 +92,11 @@ def module_path(command: str | None, root: Path) -> str | None:
     return next((place for place, path in places.items() if any((path / part).exists() for part in parts)), None)
 
 
-def doubts(platform: Platform, root: Path, template: str | None) -> Iterator[str]:
+def doubts(platform: Platform, root: Path, inputs: Mapping[str, object]) -> Iterator[str]:
     """Yield warnings about a command that is allowed but probably wrong."""
     root = root.resolve()
-    argv = commands.command(platform, root, declared=_any(platform.command()))
+    project = project_file.parse({"command": "-", **inputs}, "sierra init") if inputs else None
+    argv = commands.command(platform, root, declared=_any(platform.command()), project=project)
     program = commands.fill(argv, root)[0]
     if Path(program).is_file() and not os.access(program, os.X_OK):
         yield f"{program} is not executable; add its interpreter to the command (python3 ...), or use chmod +x"
@@ -90,7 +107,7 @@ def doubts(platform: Platform, root: Path, template: str | None) -> Iterator[str
             yield f"no shell starts the command, so the program gets {word!r} as an argument; use sh -c '...' for a shell"
         if (root / word).is_dir() and not word.startswith(("/", ".")):
             yield f"{word!r} is a folder here, but each run starts in its own folder; to use this one, write {{project}}/{word}"
-    if template and not any("{input}" in word or "{run}" in word for word in argv):
+    if inputs and not _has_input(argv):
         yield "the command does not contain {input}, the generated file; unless the program finds it, all experiments are equal"
 
 
@@ -106,10 +123,18 @@ def _check(root: Path, template: str | None, text: str) -> str:
     for word in words:
         if Path(word).suffix in folder.INTERPRETERS and "{" not in word and not (root / word).exists():
             raise UsageError(f"command: there is no {word} in {root}; use a path relative to that folder")
+    if template and not _has_input(words):
+        words = [_with_input(word, template) for word in words]
     command = joined(_placed(word, root.resolve()) for word in arguments.with_outputs(words, root))
-    found = platform(template, command)[1]
+    found = platform({"template": template} if template else {}, command)[1]
     commands.command(found, root, declared=Declared() if template else _any(found.command()))
     return command
+
+
+def _with_input(word: str, template: str) -> str:
+    """Return the word, with `{input}` if it names the template."""
+    option, equals, name = word.rpartition("=")
+    return f"{option}{equals}{{input}}" if name and os.path.normpath(name) == os.path.normpath(template) else word
 
 
 def _split(text: str) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from sierra.setup.init.answers import NONE, Ask, Question, settled
 from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.templates.base import Template, read
 
-TEMPLATES = (".xml", ".argos", ".world", ".sdf", ".launch")
+TEMPLATES = (".xml", ".argos", ".world", ".sdf", ".launch", ".sumocfg")
 DATA = (".json", ".yaml", ".yml", ".toml", ".ini", ".properties")
 """The endings of data files, which are templates only if there is none of the others."""
 TEXTS = (".txt", ".in", ".tmpl", ".tpl", ".template")
@@ -62,14 +62,16 @@ def doubts(root: Path) -> Iterator[str]:
         yield f"this folder was in the project of {above[0]}; from now on it is a separate project"
 
 
-def template(root: Path, given: str | None, format: str | None, ask: Ask | None) -> tuple[str, Template] | None:
+def template(
+    root: Path, given: str | None, format: str | None, ask: Ask | None, main: Callable[[Path, Sequence[str]], str | None]
+) -> tuple[str, Template] | None:
     """Return the template's path relative to the folder, and its content, read as `format` or by its ending; None for none.
 
-    Raises Missing, TemplateError, ConfigError.
+    `main` returns the one of several files that names the others. Raises Missing, TemplateError, ConfigError.
     """
     found = templates(root)
     named = [name for name in found if Path(name).stem == "template"]
-    default = found[0] if len(found) == 1 else named[0] if len(named) == 1 else None
+    default = found[0] if len(found) == 1 else named[0] if len(named) == 1 else main(root, found)
     endings = ", ".join((*TEMPLATES, *DATA))
     what = f"several files could be the template ({', '.join(found)})" if found else f"no {endings} file found"
     without = "" if found else ", or the arguments of a program that reads none, as in --command './sim --robots 4 --seed 1'"

@@ -34,6 +34,8 @@ SEEDS = frozenset(["rng", "rngrun", "random_state", "randomstate", "random-state
 GENERIC = frozenset(["value", "val", "default", "data"])
 SELDOM = frozenset(["id", "name", "version", "port", "threads", "jobs", "workers", "verbosity"])
 POPULATION = "population_size"
+OF_PLATFORMS = (f"{POPULATION}.Log8", "scale=0.5,1,2")
+"""First queries over criteria of platforms, the better one first."""
 FEW = 16
 """The largest value that doubling from 1 reaches soon enough."""
 
@@ -206,10 +208,10 @@ def _one_more(
 
 def first_query(platform: Platform, template: Template, variables: Mapping[str, str]) -> str | None:
     """Return a query over the platform's population, or else over the first variable; None if there is neither."""
-    criterion = grammar.parse(f"{POPULATION}.Log8")
-    with contextlib.suppress(SierraError):  # the platform finds no population in the template
-        if POPULATION not in variables and platform.criterion(criterion, template):
-            return grammar.text(criterion)
+    for criterion in (grammar.parse(text) for text in OF_PLATFORMS):
+        with contextlib.suppress(SierraError):  # the platform finds no population in the template
+            if criterion.name not in variables and platform.criterion(criterion, template):
+                return grammar.text(criterion)
     if unset(template):  # each placeholder needs a value
         return " ".join(f"{name}=1,2" for name in variables) or None
     return next((around(name, template.find(path)[0].strip()) for name, path in variables.items()), None)

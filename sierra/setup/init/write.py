@@ -18,7 +18,7 @@ from sierra.setup.init.answers import SHOWN
 from sierra.setup.init.source import found
 from sierra.store.layout import CONFIG
 from sierra.util.fs import write_whole
-from sierra.util.text import few, one_line
+from sierra.util.text import counted, few, one_line
 
 if TYPE_CHECKING:
     from sierra.execution.trial import Trial
@@ -58,7 +58,7 @@ class Guess:
     given: bool
     """True if the user has given the command, or has confirmed it."""
     doubtful: bool
-    """True if the command is probably wrong, so that no run is tried."""
+    """True if the command is probably wrong, or its program does not exist, so that no run is tried."""
     notes: tuple[str, ...]
     """Warnings about values that may be wrong."""
     templates: Mapping[str, str] = field(default_factory=dict)
@@ -68,8 +68,8 @@ class Guess:
 
     @property
     def can_be_tried(self) -> bool:
-        """Return True if a run can be tried: it has a command, which is not doubtful, and all values."""
-        return self.command is not None and not self.doubtful and not self.unset
+        """Return True if a run can be tried: its command is not doubtful, and all values are known."""
+        return not self.doubtful and not self.unset
 
     @property
     def template_paths(self) -> tuple[str, ...]:
@@ -111,7 +111,11 @@ def _outputs(tried: Trial | None) -> Iterator[str]:
         return
     yield "\n# A run wrote:"
     for one in tried.files[:SHOWN]:
-        made = f"table {one.table}, {one.rows} rows of {few(list(one.columns), SHOWN)}" if one.table else "no table"
+        made = (
+            f"table {one.table}, {counted(one.rows or 0, 'row')} of {few(list(one.columns), SHOWN)}"
+            if one.table
+            else "no table"
+        )
         yield f"#   {one_line(one.path)}: {one_line(made)}"
     if len(tried.files) > SHOWN:
         yield f"#   and {len(tried.files) - SHOWN} more"

@@ -52,7 +52,9 @@ def test_arguments_become_a_variable_the_seed_and_the_output_and_what_is_written
     assert '# max_speed = { argument = "--max-speed={value}" }' in (folder / "sierra.toml").read_text()
     ran = quick(folder, "run", "population_size=1,2", "--runs", "2", "--no-figures", "--json")
     assert json.loads(ran.stdout)["failed"] == 0
-    found = json.loads(quick(folder, "sql", "--json", "SELECT count(DISTINCT covered) AS n FROM swarm WHERE covered > 0").stdout)
+    found = json.loads(
+        quick(folder, "sql", "--json", "SELECT count(DISTINCT covered) AS n FROM swarm WHERE covered > 0").stdout
+    )
     assert found == [{"n": 4}]  # the variable and the seed have an effect
     assert not list((folder / "results").iterdir())
 

@@ -1,0 +1,75 @@
+"""The first settings of a program that reads generated files: one template, or several that name each other."""
+
+from __future__ import annotations
+
+import shlex
+from functools import partial
+from pathlib import Path
+
+from sierra import templates
+from sierra.config import project_file
+from sierra.model import Set
+from sierra.setup.init import command, folder, named_files, source, variables
+from sierra.setup.init.answers import Ask, Options
+from sierra.setup.init.named_files import Inputs
+from sierra.setup.init.write import Guess
+from sierra.templates.base import Template
+
+
+def guess(root: Path, template: str, content: Template, options: Options, ask: Ask | None) -> Guess:
+    """Return the guess for a program that reads a generated file, or several."""
+    started = command.choose(root, template, options.command, ask)
+    inputs, started = _inputs(root, template, options, started)
+    if inputs.several:
+        content = templates.of_project(project_file.parse({**inputs.settings, "command": "-"}, "sierra init"), root)
+    platform_name, platform = command.platform(inputs.settings, started)
+    numbers = variables.numbers(content)
+    seeds = variables.seeds(numbers)
+    by_platform = platform.seed_changes()
+    seed = None
+    if not by_platform or options.seed is not None:
+        check_seed = partial(variables.check_seed, content)
+        seed = variables.choose_seed(seeds, options.seed, ask, check_seed, "XPath of the attribute or element")
+    named = variables.named({path: value for path, value in numbers.items() if path not in (seed, *seeds)}, platform.criteria())
+    per_run = (*by_platform, *([Set(seed, "{seed}")] if seed else []))
+    likely = {} if platform.criteria() else dict(list(named.items())[:1])
+    unset = [path for path in variables.unset(content) if path not in (seed, *(change.path for change in by_platform))]
+    if unset:  # a placeholder without a value is an error
+        likely = {name: path for name, path in named.items() if path in unset}
+    chosen = variables.choose(named, likely, options.variables, ask, partial(variables.check, content, per_run))
+    wrong = tuple(command.doubts(platform, root, inputs.settings))
+    seeded = bool(by_platform) or "{seed}" in (started or "")
+    return Guess(
+        template=None if inputs.several else template,
+        templates=inputs.several,
+        files=inputs.files,
+        format=options.format,
+        platform=platform_name,
+        command=started,
+        module_path=command.module_path(started, root),
+        seed=seed,
+        variables=chosen,
+        other_variables={name: path for name, path in named.items() if path not in chosen.values()},
+        tried=(),
+        source=source.choose(root, inputs.paths, options.source, ask),
+        next=variables.first_query(platform, content, chosen),
+        unset=tuple(unset),
+        given=options.command is not None or ask is not None,
+        doubtful=bool(wrong),
+        notes=(*wrong, *variables.doubts(seed, seeds, elsewhere=seeded), *folder.doubts(root)),
+    )
+
+
+def _inputs(root: Path, template: str, options: Options, started: str | None) -> tuple[Inputs, str | None]:
+    """Return the templates and the files that they name, and the command with the placeholders of all templates."""
+    if template.endswith(".argos"):  # its platform finds the files that it names
+        return Inputs(template), started
+    words = shlex.split(started or "")
+    others = {} if options.command is None or "{input" in options.command else named_files.by_command(root, words)
+    inputs = named_files.find(root, template, tuple(dict.fromkeys(others.values())), alone=options.format is not None)
+    if started is None:
+        return inputs, None
+    for number, path in others.items():
+        name = words[number].rpartition("=")[2]
+        words[number] = words[number].removesuffix(name) + inputs.placeholder(path)
+    return inputs, command.joined(word.replace("{input}", inputs.placeholder(template)) for word in words)
