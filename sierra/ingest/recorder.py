@@ -21,6 +21,7 @@ from sierra.ingest.model import Shape
 from sierra.ingest.observations import WRITTEN, observed, written
 from sierra.ingest.read_into_segment import TableIngest, artifact_rows, tabled
 from sierra.ingest.recording_context import Context
+from sierra.ingest.silent_runs import SilentRuns
 from sierra.ingest.success import Doubt, Judgement, doubted, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
 from sierra.model import OutputFile, Result, Status
@@ -98,6 +99,7 @@ class Recorder:
         """The files that executions wrote, but not among their outputs."""
         self._left_nothing = False
         """True if some execution has left no file."""
+        self._silent = SilentRuns()
         self._copies: list[Result] = []
         self._copied = self._unlike = 0
         self._bytes = 0
@@ -119,6 +121,8 @@ class Recorder:
             self._astray.update(result.elsewhere)
             self._left_nothing = self._left_nothing or not result.outputs
             self._bytes += sum(file.bytes for file in result.outputs)
+            if status is Status.OK and not (result.outputs or result.elsewhere or self.context.outputs):
+                self._silent.add(lambda: kept_of(f"{result.directory}/{RUN_STDERR}")[0][-LOG_SHOWN:])
         return status
 
     def _ended(self, result: Result) -> Result:
@@ -210,7 +214,16 @@ class Recorder:
             *compare_observations.changed_meanwhile(self._reasons),
             *compare_observations.incomplete(() if self._complete else self._reasons),
         ]
-        return [*self._twice(), *lost(list(self._left_out)), *elsewhere, *unseen, *used, *as_files(kept), *remarks.all()]
+        return [
+            *self._twice(),
+            *lost(list(self._left_out)),
+            *self._silent.notes(),
+            *elsewhere,
+            *unseen,
+            *used,
+            *as_files(kept),
+            *remarks.all(),
+        ]
 
     def _twice(self) -> Iterator[str]:
         """Yield a warning about runs that two attempts executed at the same time."""
