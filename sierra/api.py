@@ -877,19 +877,19 @@ class Project:
     def declare_outputs(self, *query: str, target: str | None = None) -> dict[str, dict[str, str | bool]]:
         """Write the undeclared tables of a batch into `sierra.toml`, as `[outputs.NAME]`; return what was written.
 
-        If the batch is for a target, the tables are written into the table of this target. The declared tables are the same as
-        before. Nothing is executed again. Raises UsageError if the file cannot be changed without changing anything else in it.
+        If the batch is for a target, the tables are written into the table of this target. Tables that exist stay the same.
+        Files that a reader can take but that made no table, such as CSV in a subfolder, become tables with the next run of the
+        query. Nothing is executed again. Raises UsageError if the file cannot be changed without changing anything else in it.
 
         >>> project.declare_outputs(summary.batch)
         {'swarm': {'file': 'swarm.csv'}}
         """
-        from sierra.execution.outputs_taken import proposed
+        from sierra.execution.outputs_taken import comments, proposed
         from sierra.setup import declare_outputs
 
         found = self.outputs(*query, target=target)
         tables = proposed(found)
-        taken = {table.name: table for table in found.tables}
-        declare_outputs.write(self._found, tables, taken, found.target if found.target in self.targets else None)
+        declare_outputs.write(self._found, tables, comments(found), found.target if found.target in self.targets else None)
         return tables
 
     def _taken(self, batch: str) -> TakenOutputs:

@@ -79,8 +79,8 @@ def init(
     Settings are detected from the files in the folder; on a terminal, sierra asks for the others. The simulator's input file
     may be XML, JSON, YAML, TOML, INI, or a text with placeholders such as {{speed}}. A program that reads only arguments needs
     no file: give the command with all arguments. Files that the input file names become further templates, or lie beside the
-    inputs of runs. One run is tried before anything is written, as sierra try does; if it fails, nothing is written. An existing
-    sierra.toml is never overwritten.
+    inputs of runs. One run is tried before anything is written, as sierra try does; if it fails, nothing is written. An
+    existing sierra.toml is never overwritten.
 
     \b
     Examples:

@@ -31,7 +31,8 @@ def outputs(
 
     Shows each table with its columns, their types in SQL, the time axis and the number of rows of a run. Shows also the files
     that became no table, why, and what to declare to make tables of them. With --write, the tables become [outputs.NAME] in
-    sierra.toml, or those of the batch's target. They stay the same, and nothing is executed again.
+    sierra.toml, or those of the batch's target, and they stay the same. Files in subfolders, and too many files of a kind, are
+    declared too, and become tables with the next sierra run. Nothing is executed again.
 
     \b
     Examples:
@@ -42,20 +43,24 @@ def outputs(
       sierra outputs --write
     """
     from sierra.cli.open_project import project
-    from sierra.cli.render_outputs import lines
+    from sierra.cli.render_outputs import lines, unread_lines
 
     opened = project()
     if write:
-        of = opened.outputs(*(query or ()), target=target).target
+        found = opened.outputs(*(query or ()), target=target)
         written = opened.declare_outputs(*(query or ()), target=target)
         if as_json:
             print_json(written)
         else:
-            before = f"targets.{of}." if of in opened.targets else ""
+            before = f"targets.{found.target}." if found.target in opened.targets else ""
             names = ", ".join(f"[{before}outputs.{name}]" for name in written)
             print(
                 f"{opened.file}: added {names}" if written else f"{opened.file}: all tables are declared; nothing was changed"
             )
+            if any(one.name in written for one in found.unread):
+                print("the next sierra run makes tables of files that were none; it executes nothing again for that")
+            for line in unread_lines(found.runs, [one for one in found.unread if one.name not in written]):
+                print(line)
         return
     found = opened.outputs(*(query or ()), target=target)
     if as_json:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from sierra.cli.output import readable
@@ -11,6 +11,7 @@ from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
     from sierra.execution.outputs_taken import TakenOutputs, TakenTable
+    from sierra.execution.unread_files import UnreadFiles
 
 COLUMNS = 6
 """Number of columns that a line names; others are only counted."""
@@ -27,12 +28,11 @@ def short_lines(found: TakenOutputs) -> Iterator[str]:
     if more := len(found.tables) - TABLES:
         yield from [f"and {counted(more, 'more table')}"] if more > 0 else []
     unread = [one for one in found.unread if not one.noted]
-    for one in unread[:UNREAD]:
-        yield f"not a table: {readable(one.path)}{_others(one.files, found.runs)}: {readable(one.why)}"
+    yield from unread_lines(found.runs, unread[:UNREAD])
     if len(unread) > UNREAD:
         yield f"and {len(unread) - UNREAD} more kinds of files"
     if found.tables or unread:
-        undeclared = any(not table.declared for table in found.tables)
+        undeclared = any(not table.declared for table in found.tables) or any(one.keys for one in found.unread)
         write = "; sierra outputs --write declares these tables in sierra.toml" if undeclared else ""
         yield f"(sierra outputs {short(found.batch)} shows all of this again{write})"
 
@@ -44,8 +44,13 @@ def lines(found: TakenOutputs) -> Iterator[str]:
     yield f"batch {short(found.batch)}{target}: {tables} from {counted(found.runs, 'successful run')}"
     for table in found.tables:
         yield from _table(table, found.runs)
-    for one in found.unread:
-        yield f"not a table: {readable(one.path)}{_others(one.files, found.runs)}: {readable(one.why)}"
+    yield from unread_lines(found.runs, found.unread)
+
+
+def unread_lines(runs: int, unread: Iterable[UnreadFiles]) -> Iterator[str]:
+    """Yield why files became no table."""
+    for one in unread:
+        yield f"not a table: {readable(one.path)}{_others(one.files, runs)}: {readable(one.why)}"
 
 
 def _table(table: TakenTable, runs: int) -> Iterator[str]:

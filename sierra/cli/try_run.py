@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 NAMED = 8
 """The largest number of names in a line."""
-AUTOMATIC = "only .csv, .tsv, .parquet, .jsonl and .ndjson files become tables by themselves"
 
 
 def try_(
@@ -163,13 +162,14 @@ def _facts(trial: Trial) -> Iterator[tuple[str, str]]:
 
 def _unread(trial: Trial) -> Iterator[str]:
     """Yield why files would not become tables."""
+    from sierra.cli.render_outputs import unread_lines
     from sierra.model import Status
 
-    unread = [one.path for one in trial.files if one.table is None]
-    if unread and trial.status is not Status.OK:
+    if trial.status is not Status.OK and any(one.table is None for one in trial.files):
         yield "no file was read as a table, because the run failed"
-    elif unread:
-        yield f"no table: {few(unread, NAMED)} ({AUTOMATIC}; [outputs.NAME] in sierra.toml declares others)"
+    yield from unread_lines(1, trial.unread[:NAMED])
+    if len(trial.unread) > NAMED:
+        yield f"and {counted(len(trial.unread) - NAMED, 'more kind')} of files (--json has them all)"
 
 
 def _from_here(folder: Path) -> str:

@@ -158,7 +158,8 @@ class Project(Table):
     )
     outputs: Annotated[Mapping[Name, Output], AfterValidator(file_once)] = Field(
         default_factory=dict,
-        description="files that runs write, by the table's name; default: each .csv, .parquet and .jsonl of the output folder",
+        description="files that runs write, by the table's name; default: each .csv, .tsv, .parquet, .jsonl and "
+        ".ndjson of the output folder, but not of its subfolders",
     )
     success: Success = Success.model_construct()
     limits: LimitsTable = LimitsTable.model_construct()

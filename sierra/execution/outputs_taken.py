@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 from typing import NamedTuple
 
-from sierra.config.output_tables import FILE_FORMAT, Output
-from sierra.config.plugin_registry import READERS
-from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
+from sierra.config.output_tables import Output
+from sierra.execution.unread_files import NUMBER, Alike, UnreadFiles, unread_files
 from sierra.store.samples import names_time
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.store import Snapshot, Store
@@ -19,19 +15,6 @@ from sierra.store.table_layout import TableLayout
 from sierra.util.text import counted
 
 OWN = ("run", "execution", "file")
-NAMED = {
-    "json": 'format = "json"',
-    "xml": 'format = "xml", rows = "//ELEMENT"',
-    "graphml": 'format = "graphml", rows = "edges"',
-    **dict.fromkeys(("npy", "npz"), 'format = "npy"'),
-    **dict.fromkeys(("arrow", "feather"), 'format = "arrow"'),
-    **dict.fromkeys(("sqlite", "sqlite3", "db"), 'format = "sqlite", rows = "TABLE"'),
-    **dict.fromkeys(("h5", "hdf5", "hdf"), 'format = "hdf5", rows = "/DATASET"'),
-    **dict.fromkeys(("nc", "nc4", "cdf"), 'format = "netcdf", rows = "VARIABLE"'),
-    **dict.fromkeys(("dat", "txt", "out"), 'format = "csv" and, for columns between blanks, delimiter = "blanks"'),
-}
-"""The keys that make tables of files with these endings, which no reader takes by itself."""
-COMPRESSED = ("gz", "zst")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,17 +53,6 @@ class TakenTable:
 
 
 @dataclass(frozen=True, slots=True)
-class UnreadFiles:
-    """Files of a batch that became no table: an example, their number in all runs, and the reason."""
-
-    path: str
-    files: int
-    why: str
-    noted: bool
-    """True if `sierra run` prints a note about such files in each session."""
-
-
-@dataclass(frozen=True, slots=True)
 class TakenOutputs:
     """The tables of a batch, and the files that became no table."""
 
@@ -99,17 +71,17 @@ class _Layout(NamedTuple):
     path: str
 
 
+class _Unread(NamedTuple):
+    path: str
+    files: int
+    most: int
+    runs: int
+
+
 class _Rows(NamedTuple):
     output: str
     runs: int
     least: int
-    most: int
-
-
-class _Unread(NamedTuple):
-    path: str
-    last: str
-    files: int
     most: int
 
 
@@ -123,12 +95,20 @@ SELECT output, count(*) AS runs, min(rows)::BIGINT AS least, max(rows)::BIGINT A
 ) GROUP BY output
 """
 UNREAD = """
-SELECT min(path) AS path, max(last) AS last, sum(files)::BIGINT AS files, max(files) AS most FROM (
-    SELECT regexp_replace(path, '[0-9]+', '0', 'g') AS alike, execution, min(path) AS path, max(path) AS last, count(*) AS files
+SELECT min(path) AS path, sum(files)::BIGINT AS files, max(files) AS most, count(*) AS runs FROM (
+    SELECT regexp_replace(path, '[0-9]+', '0', 'g') AS alike, execution, min(path) AS path, count(*) AS files
     FROM own WHERE kind = 'file' GROUP BY ALL
 ) GROUP BY alike ORDER BY path LIMIT 1000
 """
 """The files that became no table; those whose names differ only in numbers are counted together."""
+VARYING = """
+SELECT alike, place FROM (
+    SELECT regexp_replace(path, '[0-9]+', '0', 'g') AS alike, unnest(regexp_extract_all(path, '[0-9]+')) AS number,
+           generate_subscripts(regexp_extract_all(path, '[0-9]+'), 1) AS place
+    FROM own WHERE kind = 'file'
+) GROUP BY ALL HAVING count(DISTINCT number) > 1
+"""
+"""The places of the numbers that differ in the names of such files; the first place is 1."""
 LAYOUTS_BY_SESSION = """
 SELECT DISTINCT a.output, a.table_layout, '' AS path
 FROM all_artifacts a JOIN all_judgements e ON e.judgement = a.execution AND e.purpose = 'run'
@@ -157,8 +137,11 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutpu
             for name, found in sorted(layouts.items())
         )
         rows = snapshot.select(_Unread, UNREAD)
-    names = {table.name.lower() for table in tables}
-    return TakenOutputs(batch, runs, tables, tuple(_unread(row, outputs, names) for row in rows))
+        places: dict[str, set[int]] = {}
+        for alike, place in snapshot.run(VARYING) if any(row.files > 1 for row in rows) else ():
+            places.setdefault(alike, set()).add(place)
+    kinds = [Alike(*row, places.get(NUMBER.sub("0", row.path), ())) for row in rows]
+    return TakenOutputs(batch, runs, tables, unread_files(kinds, outputs, [table.name for table in tables], runs))
 
 
 def is_new(store: Store, session: str) -> bool:
@@ -219,69 +202,24 @@ def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | 
         yield TakenColumn(original.get(stored, stored), described.get(sql, ""), units.get(original.get(stored, stored)))
 
 
-def _unread(row: _Unread, outputs: Mapping[str, Output], tables: set[str]) -> UnreadFiles:
-    why, noted = _why(row, outputs, tables)
-    return UnreadFiles(row.path, row.files, why, noted)
-
-
-def _why(row: _Unread, outputs: Mapping[str, Output], tables: set[str]) -> tuple[str, bool]:
-    """Return why files are no table and what would make one, and whether each session notes it."""
-    declared = next((name for name, output in outputs.items() if output.matches(row.path)), None)
-    if declared is not None:
-        ending = unnamed_format(outputs[declared])
-        if ending is None:
-            return f'kept as a file, as declared (format = "{FILE_FORMAT}")', False
-        return (
-            f"declared without a format; set {NAMED.get(ending, f'format = {json.dumps(ending)}')} in [outputs.{declared}]",
-            True,
-        )
-    place = f"[outputs.{_free(row.path, tables)}] file = {json.dumps(pattern(row), ensure_ascii=False)}"
-    path = PurePosixPath(row.path)
-    if automatic_format(row.path):
-        if "/" in row.path:
-            return f"in a subfolder; declare {place}", True
-        many = row.most > AUTOMATIC_AT_MOST or table_name(row.path).lower() not in tables
-        return (
-            f"{'too many such files in a run' if many else 'another file makes the table of that name'}; declare {place}",
-            True,
-        )
-    ending = path.suffix.lower().removeprefix(".")
-    if ending in COMPRESSED:
-        inner = PurePosixPath(path.stem).suffix.lower().removeprefix(".")
-        plain = automatic_format(path.stem)
-        keys = f'format = "{plain}"' if plain else NAMED.get(inner, "")
-        return (f"compressed; to make a table of it, declare {place}, {keys}" if keys else "no reader takes it"), False
-    if ending in READERS.added():
-        return f"the installed reader {ending!r} takes declared files only; declare {place}", False
-    if ending in NAMED:
-        return f"this ending is read only if its format is named; declare {place}, {NAMED[ending]}", False
-    return f"no reader takes {'files without an ending' if not ending else f'.{ending} files'}", False
-
-
-def pattern(row: _Unread) -> str:
-    """Return the value of `file` for these files: a path, or a pattern if a run has several."""
-    if row.most < 2:
-        return row.path
-    first, last = (re.split("([0-9]+)", path) for path in (row.path, row.last))
-    varying = [place for place, (one, other) in enumerate(zip(first, last, strict=True)) if one != other]
-    stars = ("{tick}",) if len(varying) == 1 else tuple(f"{{tick{number}}}" for number in range(1, len(varying) + 1))
-    for place, star in zip(varying, stars, strict=True):
-        first[place] = star
-    return "".join(first)
-
-
-def _free(path: str, tables: set[str]) -> str:
-    """Return a name for the table of a file that no other table has."""
-    name = re.sub("_*[0-9]+$", "", table_name(path)) or table_name(path)
-    return next(
-        one for number in range(1, len(tables) + 3) if (one := name + f"_{number}" * (number > 1)).lower() not in tables
-    )
-
-
 def proposed(found: TakenOutputs) -> dict[str, dict[str, str | bool]]:
-    """Return the keys of `[outputs.NAME]` for each table that is not declared. They give the same tables as without them."""
-    return {
+    """Return the keys of `[outputs.NAME]` for each table that is not declared, and for files that they make tables of.
+
+    The tables that exist stay the same.
+    """
+    tables: dict[str, dict[str, str | bool]] = {
         table.name: {"file": table.file} | ({} if table.runs == found.runs else {"required": False})
         for table in found.tables
         if not table.declared
+    }
+    return tables | {one.name: dict(one.keys) for one in found.unread if one.keys}
+
+
+def comments(found: TakenOutputs) -> dict[str, str]:
+    """Return what is known about each of these outputs, in words."""
+    tables = {
+        one.name: f"{one.rows}; {', '.join(f'{column.name} {column.type}' for column in one.columns)}" for one in found.tables
+    }
+    return tables | {
+        one.name: f"{counted(one.files, 'file')} in {counted(found.runs, 'run')}" for one in found.unread if one.keys
     }

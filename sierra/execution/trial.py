@@ -22,6 +22,7 @@ from sierra.execution.observer import Observer, Progress, Relay, Tally
 from sierra.execution.resolve_plan import Plan, context, out_of_reach, versioned
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session, locked
+from sierra.execution.unread_files import UnreadFiles, of_run
 from sierra.model import Experiment, Run, Status, Value
 from sierra.store.layout import RUN_STDERR, RUN_STDOUT, StorePaths, TrialPaths
 from sierra.store.row_types import ArtifactRow
@@ -85,6 +86,8 @@ class Trial:
     folder: Path | None = None
     """The run's folder; None if there is none, because the run was interrupted before it began."""
     files: tuple[TriedFile, ...] = ()
+    unread: tuple[UnreadFiles, ...] = ()
+    """The files that would become no table, and why."""
     logs: Mapping[str, int] | None = None
     """The bytes that the program printed, by `stdout` and `stderr`."""
     elsewhere: tuple[str, ...] = ()
@@ -149,7 +152,10 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
         found = _read(store, commands.execution_id(session.id, run.id), values, run.seed, folder)
     if found.status is not Status.OK:
         notes += tuple(out_of_reach(plan, None))
-    return replace(found, notes=tuple(dict.fromkeys(notes)))
+        return replace(found, notes=tuple(dict.fromkeys(notes)))
+    tables = {one.table for one in found.files if one.table}
+    unread = of_run((one.path for one in found.files if one.table is None), plan.outputs, tables)
+    return replace(found, notes=tuple(dict.fromkeys(notes)), unread=unread)
 
 
 def _alone(plan: Plan, run: Run) -> Plan:

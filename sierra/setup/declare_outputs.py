@@ -16,15 +16,11 @@ if TYPE_CHECKING:
     from tomlkit import TOMLDocument
     from tomlkit.items import Table
 
-    from sierra.execution.outputs_taken import TakenTable
-
 Keys = Mapping[str, str | bool]
 
 
-def write(
-    found: ProjectFolder, outputs: Mapping[str, Keys], tables: Mapping[str, TakenTable], target: str | None = None
-) -> None:
-    """Add `[outputs.NAME]` for each of these outputs to the project's file, or to the table of a target there.
+def write(found: ProjectFolder, outputs: Mapping[str, Keys], comments: Mapping[str, str], target: str | None = None) -> None:
+    """Add `[outputs.NAME]` for each of these outputs, with its comment, to the project's file, or to a target there.
 
     Raises Missing if there is no such file, or if it cannot be written; UsageError if its form does not allow the addition.
     """
@@ -37,7 +33,7 @@ def write(
     within = ("targets", target) if target else ()
     try:
         before = file.read_bytes().decode()
-        after = _added(before, outputs, tables, (*settings, *within))
+        after = _added(before, outputs, comments, (*settings, *within))
         if not _only_added(before, after, outputs, settings, within):
             lines = "; ".join(_lines(outputs, within))
             raise UsageError(f"{found.file}: outputs cannot be added to it as it is; add these lines: {lines}")
@@ -47,7 +43,7 @@ def write(
         raise Missing(f"{found.file}: {error.strerror}") from error
 
 
-def _added(before: str, outputs: Mapping[str, Keys], tables: Mapping[str, TakenTable], names: tuple[str, ...]) -> str:
+def _added(before: str, outputs: Mapping[str, Keys], comments: Mapping[str, str], names: tuple[str, ...]) -> str:
     """Return the file's text with the outputs; `names` are those of the tables that they are in."""
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
@@ -58,7 +54,7 @@ def _added(before: str, outputs: Mapping[str, Keys], tables: Mapping[str, TakenT
         if "outputs" not in place:
             place.add("outputs", tomlkit.table(is_super_table=True))
         for name, keys in outputs.items():
-            place["outputs"].add(name, _table(keys, tables[name]))
+            place["outputs"].add(name, _table(keys, comments[name]))
     except (TOMLKitError, AttributeError, LookupError, TypeError, ValueError):
         return before
     return tomlkit.dumps(document)
@@ -71,11 +67,11 @@ def _section(document: TOMLDocument, names: tuple[str, ...]) -> TOMLDocument | T
     return place
 
 
-def _table(keys: Keys, taken: TakenTable) -> Table:
+def _table(keys: Keys, comment: str) -> Table:
     import tomlkit
 
     table = tomlkit.table()
-    table.add(tomlkit.comment(" ".join(f"{taken.rows}; {', '.join(f'{c.name} {c.type}' for c in taken.columns)}".split())))
+    table.add(tomlkit.comment(" ".join(comment.split())))
     for key, value in keys.items():
         table.add(key, value)
     return table

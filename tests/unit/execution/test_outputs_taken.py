@@ -120,6 +120,63 @@ def test_table_that_only_some_runs_wrote_is_declared_as_not_required(tmp_path: P
     assert (again["executed"], again["failed"]) == (0, 0)
 
 
+SUBFOLDERS = """
+import os
+for name in ("floor", "end"):
+    os.mkdir(name)
+for number in range(3):
+    open(f"floor/f-{number}.csv", "w").write(f"a,b\\n1,{count}\\n")
+open(f"end/robot-{seed}.csv", "w").write("z\\n1\\n")
+if count == 2:
+    open("end/rare.tsv", "w").write("z\\ty\\n1\\t2\\n")
+open("log.bin", "wb").write(b"x")
+"""
+
+
+def test_write_declares_tables_in_subfolders_and_one_table_of_many_files(tmp_path: Path) -> None:
+    project(tmp_path, SUBFOLDERS)
+    assert quick(tmp_path, *QUERY).returncode == 0
+    written = quick(tmp_path, "outputs", "--write")
+    assert written.returncode == 0, written.stderr
+    assert "the next sierra run makes tables of files that were none; it executes nothing again for that\n" in written.stdout
+    assert "not a table: log.bin: no reader takes .bin files\n" in written.stdout
+    assert "end/" not in written.stdout
+    assert tomllib.loads((tmp_path / "sierra.toml").read_text())["outputs"] == {
+        "swarm": {"file": "swarm.csv"},
+        "rare": {"file": "end/rare.tsv", "required": False},
+        "robot": {"file": "end/robot-*.csv"},
+        "f": {"file": "floor/f-{tick}.csv"},
+    }
+    again = json.loads(quick(tmp_path, *QUERY, "--json").stdout)
+    assert (again["executed"], again["reevaluated"], again["failed"]) == (0, 4, 0)
+    assert sql(tmp_path, "SELECT count(*) AS n, sum(tick) AS ticks FROM f") == [{"n": 12, "ticks": 12}]
+    assert sql(tmp_path, "SELECT count(*) AS n FROM robot") == [{"n": 4}]
+    said = quick(tmp_path, "outputs", "--write").stdout
+    assert "all tables are declared; nothing was changed\nnot a table: log.bin" in said
+
+
+@pytest.mark.parametrize(
+    ("names", "file"),
+    [
+        ((1, 2), "x/a-{tick}-b-7.csv"),
+        ((10, 9), "x/a-{tick}-b-7.csv"),
+    ],
+)
+def test_the_proposed_pattern_has_a_place_for_each_number_that_differs(
+    tmp_path: Path, names: tuple[int, int], file: str
+) -> None:
+    more = f"import os\nos.mkdir('x')\nfor n in {names}: open(f'x/a-{{n}}-b-7.csv', 'w').write('a\\n1\\n')\n"
+    project(tmp_path, more)
+    assert f'file = "{file}"' in quick(tmp_path, "try").stdout
+
+
+def test_numbers_that_differ_only_between_the_first_and_the_last_name_are_found_too(tmp_path: Path) -> None:
+    more = "import os\nos.mkdir('x')\nfor a, b in ((1, 5), (2, 3), (9, 5)): open(f'x/{a}-{b}.csv', 'w').write('a\\n1\\n')\n"
+    project(tmp_path, more)
+    assert quick(tmp_path, *QUERY).returncode == 0
+    assert 'file = "x/{tick1}-{tick2}.csv"' in quick(tmp_path, "outputs").stdout
+
+
 @pytest.mark.parametrize(
     "written", ["outputs = {}\n", "outputs = { other = { file = 'a', format = 'file', required = false } }\n"]
 )

@@ -119,7 +119,15 @@ def test_a_table_that_no_reader_reads_is_a_failure(tmp_path: Path) -> None:
 def test_files_that_would_be_no_table_are_named_with_the_reason(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator=SIMULATOR + "open('notes.log', 'w').write('x')\n")
     done = quick(project, "try")
-    assert "no table: notes.log (only .csv, .tsv, .parquet, .jsonl and .ndjson files become tables by themselves" in done.stdout
+    assert "not a table: notes.log: no reader takes .log files\n" in done.stdout
+
+
+def test_tables_in_subfolders_are_named_with_the_lines_that_declare_them(tmp_path: Path) -> None:
+    folders = "import os\nos.mkdir('floor')\nfor n in range(3): open(f'floor/f-{n}.csv', 'w').write('a\\n1\\n')\n"
+    project = make(tmp_path / "project", simulator=SIMULATOR + folders)
+    done = quick(project, "try")
+    said = 'in a subfolder; declare [outputs.f] file = "floor/f-{tick}.csv"'
+    assert f"not a table: floor/f-0.csv and 2 other files: {said}\n" in done.stdout
 
 
 def test_files_that_are_written_elsewhere_are_named(tmp_path: Path) -> None:

@@ -1,0 +1,150 @@
+"""The files of runs that became no table: why, and what to declare in `sierra.toml` to make tables of them."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import PurePosixPath
+
+from sierra.config.output_tables import FILE_FORMAT, Output
+from sierra.config.plugin_registry import READERS
+from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
+
+NUMBER = re.compile("[0-9]+")
+NAMED = {
+    "json": 'format = "json"',
+    "xml": 'format = "xml", rows = "//ELEMENT"',
+    "graphml": 'format = "graphml", rows = "edges"',
+    **dict.fromkeys(("npy", "npz"), 'format = "npy"'),
+    **dict.fromkeys(("arrow", "feather"), 'format = "arrow"'),
+    **dict.fromkeys(("sqlite", "sqlite3", "db"), 'format = "sqlite", rows = "TABLE"'),
+    **dict.fromkeys(("h5", "hdf5", "hdf"), 'format = "hdf5", rows = "/DATASET"'),
+    **dict.fromkeys(("nc", "nc4", "cdf"), 'format = "netcdf", rows = "VARIABLE"'),
+    **dict.fromkeys(("dat", "txt", "out"), 'format = "csv" and, for columns between blanks, delimiter = "blanks"'),
+}
+"""The keys that make tables of files with these endings, which no reader takes by itself."""
+COMPRESSED = ("gz", "zst")
+
+Keys = Mapping[str, str | bool]
+"""Keys of `[outputs.NAME]`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alike:
+    """Files whose names differ only in numbers: the first name, their number in all runs and in one, and the number of runs."""
+
+    path: str
+    files: int
+    most: int
+    runs: int
+    varying: Collection[int] = ()
+    """The places of the numbers that differ; the first place is 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnreadFiles:
+    """Files of a batch that became no table: an example, their number in all runs, and the reason."""
+
+    path: str
+    files: int
+    why: str
+    noted: bool
+    """True if `sierra run` prints a note about such files in each session."""
+    name: str = ""
+    """The name of the table that `keys` make."""
+    keys: Keys = field(default_factory=dict)
+    """The keys of `[outputs.NAME]` that make a table of them; empty if somebody has to choose."""
+
+
+def unread_files(
+    kinds: Iterable[Alike], outputs: Mapping[str, Output], tables: Iterable[str], runs: int
+) -> tuple[UnreadFiles, ...]:
+    """Return why files became no table; `outputs` are declared, `tables` exist, and there are so many `runs`."""
+    known = {name.lower() for name in tables}
+    taken = {*known, *(name.lower() for name in outputs)}
+    found = []
+    for one in kinds:
+        made = _unread(one, outputs, known, _free(one.path, taken), runs)
+        taken |= {made.name.lower()} if made.keys else set()
+        found.append(made)
+    return tuple(found)
+
+
+def of_run(paths: Iterable[str], outputs: Mapping[str, Output], tables: Iterable[str]) -> tuple[UnreadFiles, ...]:
+    """Return why files of a single run became no table."""
+    alike: dict[str, list[str]] = {}
+    for path in sorted(paths):
+        alike.setdefault(NUMBER.sub("0", path), []).append(path)
+    kinds = [Alike(some[0], len(some), len(some), 1, _varying(some)) for some in alike.values()]
+    return unread_files(kinds, outputs, tables, 1)
+
+
+def _varying(paths: Iterable[str]) -> set[int]:
+    columns = zip(*(NUMBER.findall(path) for path in paths), strict=True)
+    return {place for place, numbers in enumerate(columns, 1) if len(set(numbers)) > 1}
+
+
+def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], name: str, runs: int) -> UnreadFiles:
+    declared = next((name for name, output in outputs.items() if output.matches(one.path)), None)
+    if declared is not None:
+        return UnreadFiles(one.path, one.files, *_declared(declared, outputs[declared]))
+    file = pattern(one)
+    place = f"[outputs.{name}] file = {json.dumps(file, ensure_ascii=False)}"
+    keys: Keys = {"file": file} | ({} if one.runs == runs else {"required": False})
+    if automatic_format(one.path):
+        return UnreadFiles(one.path, one.files, f"{_not_automatic(one, tables)}; declare {place}", True, name, keys)
+    ending = _ending(one.path)
+    if ending in COMPRESSED:
+        inner = PurePosixPath(one.path).stem
+        if plain := automatic_format(inner):
+            why = f'compressed; to make a table of it, declare {place}, format = "{plain}"'
+            return UnreadFiles(one.path, one.files, why, False, name, {**keys, "format": plain})
+        also = NAMED.get(_ending(inner))
+        why = f"compressed; to make a table of it, declare {place}, {also}" if also else "no reader takes it"
+    elif ending in READERS.added():
+        why = f"the installed reader {ending!r} takes declared files only; declare {place}"
+    elif ending in NAMED:
+        why = f"this ending is read only if its format is named; declare {place}, {NAMED[ending]}"
+    else:
+        why = f"no reader takes {'files without an ending' if not ending else f'.{ending} files'}"
+    return UnreadFiles(one.path, one.files, why, False)
+
+
+def _declared(name: str, output: Output) -> tuple[str, bool]:
+    """Return why files of a declared output became no table, and whether each session notes it."""
+    ending = unnamed_format(output)
+    if ending is None:
+        return f'kept as a file, as declared (format = "{FILE_FORMAT}")', False
+    keys = NAMED.get(ending, f"format = {json.dumps(ending)}")
+    return f"declared without a format; set {keys} in [outputs.{name}]", True
+
+
+def _not_automatic(one: Alike, tables: Collection[str]) -> str:
+    if "/" in one.path:
+        return "in a subfolder"
+    if one.most > AUTOMATIC_AT_MOST or table_name(one.path).lower() not in tables:
+        return "too many such files in a run"
+    return "another file makes the table of that name"
+
+
+def _ending(path: str) -> str:
+    return PurePosixPath(path).suffix.lower().removeprefix(".")
+
+
+def pattern(one: Alike) -> str:
+    """Return the value of `file` for these files: a path, or a pattern if their names differ."""
+    stars = ["{tick}"] if len(one.varying) == 1 else [f"{{tick{number}}}" for number in range(1, len(one.varying) + 1)]
+    if one.most < 2:  # each run has one such file, with another number in its name
+        stars = ["*"] * len(one.varying)
+    parts = re.split("([0-9]+)", one.path)
+    for place, star in zip(sorted(one.varying), stars, strict=True):
+        parts[2 * place - 1] = star
+    return "".join(parts)
+
+
+def _free(path: str, taken: Collection[str]) -> str:
+    """Return a name for the table of a file that no other table has."""
+    name = re.sub("_*[0-9]+$", "", table_name(path)) or table_name(path)
+    return next(one for number in range(1, len(taken) + 3) if (one := name + f"_{number}" * (number > 1)).lower() not in taken)
