@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 from sierra.config.output_tables import Output
-from sierra.execution.unread_files import NUMBER, Alike, UnreadFiles, unread_files
+from sierra.errors import SierraError
+from sierra.execution.unread_files import MAX_SIZE, NUMBER, Alike, UnreadFiles, unread_files
 from sierra.store.samples import names_time
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.store import Snapshot, Store
@@ -76,6 +78,8 @@ class _Unread(NamedTuple):
     files: int
     most: int
     runs: int
+    sha256: str
+    size: int
 
 
 class _Rows(NamedTuple):
@@ -95,8 +99,10 @@ SELECT output, count(*) AS runs, min(rows)::BIGINT AS least, max(rows)::BIGINT A
 ) GROUP BY output
 """
 UNREAD = """
-SELECT min(path) AS path, sum(files)::BIGINT AS files, max(files) AS most, count(*) AS runs FROM (
-    SELECT regexp_replace(path, '[0-9]+', '0', 'g') AS alike, execution, min(path) AS path, count(*) AS files
+SELECT min(path) AS path, sum(files)::BIGINT AS files, max(files) AS most, count(*) AS runs,
+       arg_min(sha256, path) AS sha256, arg_min(size, path) AS size FROM (
+    SELECT regexp_replace(path, '[0-9]+', '0', 'g') AS alike, execution, min(path) AS path, count(*) AS files,
+           arg_min(sha256, path) AS sha256, arg_min(size, path) AS size
     FROM own WHERE kind = 'file' GROUP BY ALL
 ) GROUP BY alike ORDER BY path LIMIT 1000
 """
@@ -140,8 +146,25 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutpu
         places: dict[str, set[int]] = {}
         for alike, place in snapshot.run(VARYING) if any(row.files > 1 for row in rows) else ():
             places.setdefault(alike, set()).add(place)
-    kinds = [Alike(*row, places.get(NUMBER.sub("0", row.path), ())) for row in rows]
+    kinds = [
+        Alike(
+            row.path,
+            row.files,
+            row.most,
+            row.runs,
+            places.get(NUMBER.sub("0", row.path), ()),
+            partial(_content, store, row.sha256 if row.size <= MAX_SIZE else None),
+        )
+        for row in rows
+    ]
     return TakenOutputs(batch, runs, tables, unread_files(kinds, outputs, [table.name for table in tables], runs))
+
+
+def _content(store: Store, sha256: str | None) -> bytes | None:
+    try:
+        return store.object(sha256) if sha256 else None
+    except SierraError:  # the store does not have it any more
+        return None
 
 
 def is_new(store: Store, session: str) -> bool:

@@ -24,7 +24,7 @@ from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session, locked
 from sierra.execution.unread_files import UnreadFiles, of_run
 from sierra.model import Experiment, Run, Status, Value
-from sierra.store.layout import RUN_STDERR, RUN_STDOUT, StorePaths, TrialPaths
+from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, StorePaths, TrialPaths
 from sierra.store.row_types import ArtifactRow
 from sierra.store.segments import disk_errors
 from sierra.store.store import GITIGNORE, Store
@@ -154,7 +154,8 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
         notes += tuple(out_of_reach(plan, None))
         return replace(found, notes=tuple(dict.fromkeys(notes)))
     tables = {one.table for one in found.files if one.table}
-    unread = of_run((one.path for one in found.files if one.table is None), plan.outputs, tables)
+    written = folder and folder / RUN_OUTPUT
+    unread = of_run((one.path for one in found.files if one.table is None), plan.outputs, tables, written)
     return replace(found, notes=tuple(dict.fromkeys(notes)), unread=unread)
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import PurePosixPath
+from functools import partial
+from pathlib import Path, PurePosixPath
 
 from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.config.plugin_registry import READERS
+from sierra.ingest.json_lists import in_words, keys_of
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
 
 NUMBER = re.compile("[0-9]+")
@@ -26,6 +28,8 @@ NAMED = {
 }
 """The keys that make tables of files with these endings, which no reader takes by itself."""
 COMPRESSED = ("gz", "zst")
+MAX_SIZE = 1 << 24
+"""The largest number of bytes of a document that is searched for its rows."""
 
 Keys = Mapping[str, str | bool]
 """Keys of `[outputs.NAME]`."""
@@ -41,6 +45,8 @@ class Alike:
     runs: int
     varying: Collection[int] = ()
     """The places of the numbers that differ; the first place is 1."""
+    content: Callable[[], bytes | None] = lambda: None
+    """The bytes of the first file, or None if it is too large or not there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +78,26 @@ def unread_files(
     return tuple(found)
 
 
-def of_run(paths: Iterable[str], outputs: Mapping[str, Output], tables: Iterable[str]) -> tuple[UnreadFiles, ...]:
-    """Return why files of a single run became no table."""
+def of_run(
+    paths: Iterable[str], outputs: Mapping[str, Output], tables: Iterable[str], folder: Path | None
+) -> tuple[UnreadFiles, ...]:
+    """Return why files of a single run became no table; they are in `folder`."""
     alike: dict[str, list[str]] = {}
     for path in sorted(paths):
         alike.setdefault(NUMBER.sub("0", path), []).append(path)
-    kinds = [Alike(some[0], len(some), len(some), 1, _varying(some)) for some in alike.values()]
+    kinds = [
+        Alike(some[0], len(some), len(some), 1, _varying(some), partial(_read, folder and folder / some[0]))
+        for some in alike.values()
+    ]
     return unread_files(kinds, outputs, tables, 1)
+
+
+def _read(path: Path | None) -> bytes | None:
+    try:
+        usable = path is not None and not path.is_symlink() and path.is_file() and path.stat().st_size <= MAX_SIZE
+        return path.read_bytes() if path is not None and usable else None
+    except OSError:
+        return None
 
 
 def _varying(paths: Iterable[str]) -> set[int]:
@@ -105,11 +124,21 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
         why = f"compressed; to make a table of it, declare {place}, {also}" if also else "no reader takes it"
     elif ending in READERS.added():
         why = f"the installed reader {ending!r} takes declared files only; declare {place}"
+    elif ending == "json" and (rows := _rows_of(one)) is not None:
+        keys = {**keys, "format": "json", **rows}
+        why = f"this ending is read only if its format is named; declare {place}, {in_words({'format': 'json', **rows})}"
+        return UnreadFiles(one.path, one.files, why, False, name, keys)
     elif ending in NAMED:
         why = f"this ending is read only if its format is named; declare {place}, {NAMED[ending]}"
     else:
         why = f"no reader takes {'files without an ending' if not ending else f'.{ending} files'}"
     return UnreadFiles(one.path, one.files, why, False)
+
+
+def _rows_of(one: Alike) -> Mapping[str, str] | None:
+    """Return the keys that read the list of objects in a JSON document; None if there is none."""
+    content = one.content()
+    return None if content is None else keys_of(content)
 
 
 def _declared(name: str, output: Output) -> tuple[str, bool]:

@@ -12,6 +12,8 @@ from typing import NamedTuple
 from sierra.ingest.consistency import GOOD, many, parameters
 from sierra.ingest.csv import delimiter_of
 from sierra.ingest.event_tables import TableSize, is_uneven, of_events, short
+from sierra.ingest.json_lists import in_words
+from sierra.ingest.json_rows import DOT
 from sierra.ingest.match_outputs import NOTED_AT_MOST
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
@@ -27,6 +29,11 @@ from sierra.util.text import counted
 
 COMMENT = """the first line is a comment; begin with the column names, without '#' (comment = "#" leaves comments out)"""
 NOTED_DOUBTS = 3
+LISTS = """
+SELECT coalesce(bool_and(lists), false), max(rows) FROM (
+    SELECT bool_and(starts_with({column}, '[{{')) AS lists, count(*) AS rows FROM {table} GROUP BY execution
+)
+"""
 SEVERAL = "are these several columns? (set delimiter = {delimiter} in [outputs.{output}])"
 
 
@@ -52,6 +59,8 @@ class TableWarnings:
         self._store = store
         self._context = context
         self._shapes = shapes
+        self._paths: Mapping[str, str] = {}
+        """The paths of the files of tables, each of one run."""
 
     def all(self) -> list[str]:
         """Return the warnings, one line each.
@@ -66,6 +75,7 @@ class TableWarnings:
                 return empty
             rows = snapshot.select(_Form, GOOD + FORMS, **parameters(self._context))
             sizes = snapshot.select(TableSize, SIZES)
+        self._paths = {row.output: TableLayout.load(row.table_layout).file or "" for row in rows}
         forms = [_Table(row.output, TableLayout.load(row.table_layout).columns, row.executions) for row in rows]
         return [*empty, *self._alone(forms), *self._renamed(forms), *self._of_kinds(forms), *self._events(sizes)]
 
@@ -156,7 +166,9 @@ class TableWarnings:
         """Yield warnings about columns that are text in all runs, but were probably not intended as text."""
         texts = [key for key, counts in kinds.items() if all(kind == "text" or kind.endswith(AS_TEXT) for kind in counts)]
         for output, name in texts[:NOTED_AT_MOST]:
-            if message := self._as_one_column(kinds, output, name) or self._numeric(kinds, output, name):
+            if message := (
+                self._as_one_column(kinds, output, name) or self._as_list(output, name) or self._numeric(kinds, output, name)
+            ):
                 runs = kinds[output, name].total()
                 yield f"column {name!r} of output {output!r} is text in {counted(runs, 'run')}, so it has no figure: {message}"
 
@@ -170,12 +182,30 @@ class TableWarnings:
             return SEVERAL.format(delimiter=json.dumps(other), output=output)
         return SEVERAL.format(delimiter='" "', output=output) if len(name.split()) > 1 else None
 
+    def _as_list(self, output: str, name: str) -> str | None:
+        """Return advice for a column whose values are lists of objects in JSON."""
+        if self._shapes[output].format not in ("json", "jsonl"):
+            return None
+        with self._store.snapshot(self._context.batch) as snapshot:
+            column = _in_sql(snapshot, output, name)
+            if column is None:
+                return None
+            statement = LISTS.format(column=identifier(column), table=identifier(output))
+            [(lists, most)] = snapshot.run(statement)
+        if not lists:
+            return None
+        declared = self._context.outputs.get(output)
+        keys: dict[str, str | bool] = {} if declared else {"file": self._paths[output]}
+        if self._shapes[output].format == "json" and most == 1:
+            keys["rows"] = DOT.join(filter(None, (declared.rows if declared else "", name)))
+        else:
+            keys |= {"unnest": name} | ({"flatten": True} if self._shapes[output].format == "jsonl" else {})
+        return f"it is a list of objects ([outputs.{output}] {in_words(keys)} makes a row of each)"
+
     def _numeric(self, kinds: Iterable[tuple[str, str]], output: str, name: str) -> str | None:
         """Return advice for a column of texts that mostly look like numbers, judged by the first rows."""
         with self._store.snapshot(self._context.batch) as snapshot:
-            snapshot.views.make((output,))
-            named = {row[0].lower(): row[0] for row in snapshot.run(f"DESCRIBE {identifier(output)}")}
-            column = next((named[n] for n in (name.lower() + "_", name.lower()) if n in named), None)
+            column = _in_sql(snapshot, output, name)
             if column is None:
                 return None
             rows = snapshot.run(
@@ -190,6 +220,13 @@ class TableWarnings:
         if first.startswith("#") and looks and looks[0][0] == "other":
             return COMMENT
         return "most of its values look like numbers; " + _instead(output, name, *(looks[0] if looks else ("", 0, "")))
+
+
+def _in_sql(snapshot: Snapshot, output: str, name: str) -> str | None:
+    """Return the name in SQL of a column of a table; None if it has none."""
+    snapshot.views.make((output,))
+    named = {row[0].lower(): row[0] for row in snapshot.run(f"DESCRIBE {identifier(output)}")}
+    return next((named[n] for n in (name.lower() + "_", name.lower()) if n in named), None)
 
 
 def _instead(output: str, name: str, look: str, cells: int, example: str) -> str:

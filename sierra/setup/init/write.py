@@ -119,6 +119,11 @@ def _outputs(tried: Trial | None) -> Iterator[str]:
         yield f"#   {one_line(one.path)}: {one_line(made)}"
     if len(tried.files) > SHOWN:
         yield f"#   and {len(tried.files) - SHOWN} more"
+    for unread in tried.unread:
+        if unread.keys:
+            yield "# These files become a table only if they are declared:"
+            yield f"# [outputs.{unread.name}]"
+            yield from (f"# {key} = {quoted(value)}" for key, value in unread.keys.items())
     first = next((one for one in tried.files if one.table), None)
     if first is not None:
         time = next((name for name in first.columns if name.lower() in TIMES), None)
