@@ -12,6 +12,9 @@ from typing import NamedTuple
 from sierra.errors import ConfigError, Missing
 from sierra.store.layout import CONFIG, PYPROJECT, STORE
 
+WITHOUT_STORE = (".gitignore", "try")
+"""What a tried run leaves in the folder of a store."""
+
 
 class ProjectFolder(NamedTuple):
     """The root of a project (absolute), and its file."""
@@ -45,9 +48,14 @@ def find_store(folder: Path) -> ProjectFolder:
         for root in (folder.resolve(), *folder.resolve().parents):
             if any((root / name).exists() for name in (CONFIG, PYPROJECT)):
                 raise
-            if (root / STORE).is_dir():
+            if _holds_store(root / STORE):
                 return ProjectFolder(root, root / CONFIG, written=False)
         raise
+
+
+def _holds_store(folder: Path) -> bool:
+    """Return whether a store may be in a folder, which has more than what a try or an init without a project has left."""
+    return folder.is_dir() and any(path.name not in WITHOUT_STORE for path in folder.iterdir())
 
 
 def settings(file: Path) -> dict[str, object] | None:

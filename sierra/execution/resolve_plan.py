@@ -460,13 +460,20 @@ def _doubts(designed: Design, command: Sequence[str], config: Project) -> Iterat
     mentioned = " ".join(command)
     seeded = any(mentions(change, "seed") for change in designed.per_run)
     if designed.query.runs > 1 and not seeded and not config.seed.environment and "{seed}" not in mentioned:
-        hint = 'set seed = "XPATH", or use {seed} in the command (SIERRA_SEED also has it)'
+        hint = f"{_place_of_seed(config)}, or use {{seed}} in the command (SIERRA_SEED also has it)"
         yield f"neither inputs nor command contain the seed: {hint}"
     for name, values in designed.lists.items():
         if len(values) < designed.query.runs:
             yield f"[per_run] {name} has {len(values)} items for {designed.query.runs} runs: run {len(values)} uses the first"
     if config.template_paths and not any(word in mentioned for word in ("{input}", "{run}", commands.SPLICED)):
         yield "the command does not contain {input}: all experiments are the same unless it finds the generated file itself"
+
+
+def _place_of_seed(config: Project) -> str:
+    """Return the lines that could give runs their seeds."""
+    if config.template_paths:
+        return 'set seed = "XPATH"'
+    return 'set seed = { argument = "--seed {value}" } or seed = { environment = "SEED" }'
 
 
 def _texts(designed: Design, config: Project, template: templates.Template) -> Iterator[str]:

@@ -111,6 +111,13 @@ def doubts(platform: Platform, root: Path, inputs: Mapping[str, object]) -> Iter
         yield "the command does not contain {input}, the generated file; unless the program finds it, all experiments are equal"
 
 
+def services(command: str) -> Iterator[str]:
+    """Yield a note on the services whose ports a command uses: they must be declared before runs can execute."""
+    if names := list(dict.fromkeys(commands.PORT.findall(command))):
+        tables = ", ".join(f"[services.{name}]" for name in names)
+        yield f"no run was tried, because the command uses ports of services: declare {tables} with command and ready first"
+
+
 def _any(words: Sequence[str]) -> Declared:
     """Return the variables that the words of a command use, as if queries had them."""
     return Declared(names=arguments.placeholders(words))

@@ -36,7 +36,7 @@ def guess(root: Path, options: Options, ask: Ask | None) -> Guess:
     places = {name: f"{{{name}}}" for name in used} | {name: one.declared for name, one in removed.items()}
     first = next((variables.around(name, value) for name, value in values.items()), None)
     platform_name, platform = command.platform({}, started)
-    wrong = tuple(command.doubts(platform, root, {}))
+    wrong = (*command.doubts(platform, root, {}), *command.services(started))
     return Guess(
         template=None,
         format=None,

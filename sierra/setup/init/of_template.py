@@ -9,6 +9,7 @@ from pathlib import Path
 from sierra import templates
 from sierra.config import project_file
 from sierra.model import Set
+from sierra.provenance import referenced_files
 from sierra.setup.init import command, folder, named_files, source, variables
 from sierra.setup.init.answers import Ask, Options
 from sierra.setup.init.named_files import Inputs
@@ -37,7 +38,7 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
     if unset:  # a placeholder without a value is an error
         likely = {name: path for name, path in named.items() if path in unset}
     chosen = variables.choose(named, likely, options.variables, ask, partial(variables.check, content, per_run))
-    wrong = tuple(command.doubts(platform, root, inputs.settings))
+    wrong = (*command.doubts(platform, root, inputs.settings), *command.services(started or ""))
     seeded = bool(by_platform) or "{seed}" in (started or "")
     return Guess(
         template=None if inputs.several else template,
@@ -56,7 +57,12 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
         unset=tuple(unset),
         given=options.command is not None or ask is not None,
         doubtful=bool(wrong),
-        notes=(*wrong, *variables.doubts(seed, seeds, elsewhere=seeded), *folder.doubts(root)),
+        notes=(
+            *wrong,
+            *variables.with_comments(content, referenced_files.text(root / template)),
+            *variables.doubts(seed, seeds, elsewhere=seeded),
+            *folder.doubts(root),
+        ),
     )
 
 

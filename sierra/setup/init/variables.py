@@ -19,11 +19,14 @@ from sierra.platforms.base import Platform
 from sierra.query import grammar
 from sierra.setup.init.answers import NONE, SHOWN, Ask, Question, settled
 from sierra.templates.base import Template
+from sierra.util.text import few
 
 T = TypeVar("T")
 
 NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 NUMBER = re.compile(r"[+-]?\d+(\.\d+)?")
+COMMENTED = re.compile(r"^[ \t]*([^\s=:;#\[][^=:\n]*?)[ \t]*[=:][ \t]*[+-]?\d+(?:\.\d+)?[ \t]+[;#]", re.MULTILINE)
+"""A key with a number and a comment behind it."""
 CROWDS = frozenset(
     ["population", "robots", "agents", "swarm", "individuals", "vehicles", "drones", "boids", "ants", "particles"]
 )
@@ -44,6 +47,16 @@ def numbers(template: Template) -> dict[str, str]:
     """Return the paths that select one number, with the number; of a text, the paths of all placeholders."""
     found = {path: value.strip() for path, value in template.attributes()}
     return {path: value for path, value in found.items() if _is_text(template) or NUMBER.fullmatch(value)}
+
+
+def with_comments(template: Template, text: str) -> Iterator[str]:
+    """Yield a note on numbers in an INI or properties file that no change can set, because a comment stands behind them."""
+    from sierra.templates.ini import IniTemplate, PropertiesTemplate
+
+    found = COMMENTED.findall(text) if isinstance(template, IniTemplate | PropertiesTemplate) else []
+    if found:
+        keys = few(list(dict.fromkeys(found)), SHOWN)
+        yield f"to vary {keys}, write the comment behind the value on a line of its own: programs read such values differently"
 
 
 def unset(template: Template) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from sierra.config import project_file
 from sierra.config.change_tables import VALUE
 from sierra.errors import UsageError
+from sierra.execution.commands import PORT
 from sierra.setup.init import folder
 from sierra.setup.init.answers import SHOWN
 from sierra.setup.init.source import found
@@ -21,7 +22,7 @@ from sierra.util.fs import write_whole
 from sierra.util.text import counted, few, one_line
 
 if TYPE_CHECKING:
-    from sierra.execution.trial import Trial
+    from sierra.execution.trial import Trial, TriedFile
 
 SOURCE = (
     "By default, results depend on all files of this folder, including new files: a change to any file makes all runs new,\n"
@@ -105,8 +106,6 @@ def _checked(root: Path, guess: Guess, tried: Trial | None) -> tuple[bytes, proj
 
 def _outputs(tried: Trial | None) -> Iterator[str]:
     """Yield comments on the files of a run, and the declaration of its first table."""
-    from sierra.store.samples import TIMES
-
     if tried is None or not tried.files:
         return
     yield "\n# A run wrote:"
@@ -126,11 +125,19 @@ def _outputs(tried: Trial | None) -> Iterator[str]:
             yield from (f"# {key} = {quoted(value)}" for key, value in unread.keys.items())
     first = next((one for one in tried.files if one.table), None)
     if first is not None:
-        time = next((name for name in first.columns if name.lower() in TIMES), None)
+        time = _time(first)
         yield "# Such tables need no declaration. To set a time axis, units or required rows:"
         yield f"# [outputs.{first.table}]"
         yield f"# file = {quoted(one_line(first.path))}"
         yield f"# time = {quoted(time)}" if time else '# units = { distance = "m" }'
+
+
+def _time(table: TriedFile) -> str | None:
+    """Return the time axis of a table by the rule of figures: the first column, if it has numbers and the name of a time."""
+    from sierra.store.samples import names_time
+
+    name, kind = next(iter(table.columns.items()), ("", ""))
+    return name if names_time(name) and kind != "text" else None
 
 
 def _lines(root: Path, guess: Guess) -> Iterator[str]:
@@ -144,6 +151,10 @@ def _lines(root: Path, guess: Guess) -> Iterator[str]:
     yield from _variables(guess)
     if guess.module_path:
         yield f"\n[environment]\nset = {{ PYTHONPATH = {quoted(guess.module_path)} }}"
+    for name in dict.fromkeys(PORT.findall(guess.command or "")):
+        yield f"\n# [services.{name}]  # a program that runs beside each run; declare it before the first run"
+        yield f"# command = {quoted('./server --port {port}')}"
+        yield f"# ready = {{ port = {quoted('{port}')} }}"
     if guess.source:
         yield "\n[source]  # the code that results depend on; changes to other files make no new runs"
         yield f"paths = {quoted(guess.source)}"

@@ -1,0 +1,62 @@
+"""`sierra init` says what keeps a value from being varied or a run from being tried; a failed one leaves no project."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests.projects import CONFIG, make, quick
+
+
+def test_a_number_with_a_comment_behind_it_is_named(tmp_path: Path) -> None:
+    (tmp_path / "sim.py").write_text("import sys\n")
+    (tmp_path / "p.ini").write_text("[main]\nseed = 3\nspeed = 0.5\ncount = 4 ; robots\n# a = 3 # b\n")
+    done = quick(tmp_path, "init", "-y", "--no-try")
+    assert done.returncode == 0
+    assert "note: to vary count, write the comment behind the value on a line of its own" in done.stderr
+    assert tomllib.loads((tmp_path / "sierra.toml").read_text())["variables"] == {"speed": "//speed"}
+
+
+def test_services_that_the_command_uses_are_to_be_declared(tmp_path: Path) -> None:
+    (tmp_path / "sim.py").write_text("import sys\n")
+    done = quick(tmp_path, "init", "-y", "--command", "python3 sim.py --bridge {services.bridge.port} --robots 3 --seed 1")
+    assert done.returncode == 0
+    assert "declare [services.bridge] with command and ready first\n" in done.stderr
+    written = tmp_path / "sierra.toml"
+    service = "# [services.bridge]", '# command = "./server', "# ready"
+    lines = [line[2:] if line.startswith(service) else line for line in written.read_text().splitlines()]
+    written.write_text("\n".join(lines).replace("./server", "python3"))
+    assert quick(tmp_path, "run", "population_size=1,2", "-n").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("columns", "time"), [("tick,x", "tick"), ("x,tick", None)]
+)
+def test_the_time_axis_is_proposed_by_the_rule_of_figures(tmp_path: Path, columns: str, time: str | None) -> None:
+    program = f"open('a.csv', 'w').write('{columns}\\n0,1\\n1,2\\n')\n"
+    (tmp_path / "sim.py").write_text(program)
+    assert quick(tmp_path, "init", "-y", "--command", "python3 sim.py --seed 1 --robots 2").returncode == 0
+    text = (tmp_path / "sierra.toml").read_text()
+    assert (f'# time = "{time}"' in text) == (time is not None)
+    assert ("# time" in text) == (time is not None)
+
+
+def test_after_an_init_that_failed_the_missing_project_is_named(tmp_path: Path) -> None:
+    (tmp_path / "sim.py").write_text("import sys\nsys.exit(3)\n")
+    assert quick(tmp_path, "init", "-y", "--command", "python3 sim.py --robots 2").returncode == 1
+    for words in (("try",), ("ls",), ("run", "robots=1")):
+        done = quick(tmp_path, *words)
+        assert (done.returncode, done.stderr.count("\n")) == (3, 1)
+        assert "no sierra.toml in" in done.stderr
+        assert "create one with: sierra init" in done.stderr
+
+
+def test_a_missing_seed_is_explained_for_the_inputs_that_there_are(tmp_path: Path) -> None:
+    folder = make(tmp_path / "template", CONFIG.replace('seed = "//random/@seed"\n', ""))
+    assert 'set seed = "XPATH", or use {seed} in the command' in quick(folder, "run", "noise=1", "-n").stderr
+    folder = make(tmp_path / "none", 'command = "python3 sim.py {n}"\n[variables]\nn = {}\n')
+    said = quick(folder, "run", "n=1", "-n").stderr
+    assert 'set seed = { argument = "--seed {value}" } or seed = { environment = "SEED" }, or use {seed}' in said
+    assert "XPATH" not in said
