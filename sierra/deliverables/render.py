@@ -273,10 +273,23 @@ class _Gallery:
                 raise NotFound(f"this batch has no figure {name!r}; its figures: {', '.join(everything) or 'none'}")
             return {name: everything[name]}, []
         if not declared and len(found) > AT_MOST:
-            left = list(found)[AT_MOST:]
-            kept = {name: found[name] for name in list(found)[:AT_MOST]}
+            kept = self._best(found)
+            left = [name for name in found if name not in kept]
             return kept, [*notes, f"{len(left)} more figures can be drawn, for example: sierra figures HASH {left[0]}"]
         return found, notes
+
+    def _best(self, figures: Mapping[str, Figure]) -> dict[str, Figure]:
+        """Return as many figures as are drawn by default: those of columns that differ most between experiments."""
+        columns: dict[str, dict[str, None]] = {}
+        for figure in figures.values():
+            columns.setdefault(figure.table, {}).update(dict.fromkeys(figure.columns))
+        shares = {table: self._frame.differing(table, list(names)) for table, names in columns.items()}
+        share = {
+            name: max((shares[figure.table].get(column, 0.0) for column in figure.columns), default=0.0)
+            for name, figure in figures.items()
+        }
+        best = set(sorted(figures, key=lambda name: -share[name])[:AT_MOST])
+        return {name: figure for name, figure in figures.items() if name in best}
 
     def _default(self) -> tuple[dict[str, Figure], list[str]]:
         """Return the default figures that fit each output; and notes on outputs and columns without one, and why."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
@@ -303,6 +304,21 @@ class Frame:
             'WINDOW w AS (ORDER BY "# place"))'
         )
         return {column for column, grows in zip(columns, rows[0], strict=True) if grows}
+
+    def differing(self, table: str, columns: Sequence[str]) -> dict[str, float]:
+        """Return by column which part of the variance of the runs' means is between experiments: 0 is nothing, 1 is all."""
+        if not columns:
+            return {}
+        if table not in self._loaded:
+            self._load(table, self._files[table])
+        names = [(f"c{number}", identifier(column)) for number, column in enumerate(columns)]
+        means = ", ".join(f"avg({column}::DOUBLE) FILTER (isfinite({column}::DOUBLE)) AS {name}" for name, column in names)
+        parts = ", ".join(f"avg({name}) AS m{name}, coalesce(var_pop({name}), 0) AS v{name}" for name, _ in names)
+        shares = ", ".join(f"var_pop(m{name}) / nullif(var_pop(m{name}) + avg(v{name}), 0)" for name, _ in names)
+        of_runs = f'SELECT "# experiment" AS e, run, {means} FROM {identifier("data " + table)} GROUP BY ALL'
+        [found] = self._snapshot.run(f"SELECT {shares} FROM (SELECT e, {parts} FROM ({of_runs}) GROUP BY e)")
+        known = zip(columns, found, strict=True)  # the variance of very large numbers is not finite
+        return {column: share if share is not None and isfinite(share) else 0.0 for column, share in known}
 
     def samples(self, table: str, column: str, time: str = "", where: str = "") -> None:
         """Create the view `samples` of one column of one output. Raises NotFound for an unknown output or column.
