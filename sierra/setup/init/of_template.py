@@ -10,7 +10,7 @@ from sierra import templates
 from sierra.config import project_file
 from sierra.model import Set
 from sierra.provenance import referenced_files
-from sierra.setup.init import command, folder, named_files, source, variables
+from sierra.setup.init import arguments, command, folder, named_files, source, variables
 from sierra.setup.init.answers import Ask, Options
 from sierra.setup.init.named_files import Inputs
 from sierra.setup.init.write import Guess
@@ -31,6 +31,8 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
     if not by_platform or options.seed is not None:
         check_seed = partial(variables.check_seed, content)
         seed = variables.choose_seed(seeds, options.seed, ask, check_seed, "XPath of the attribute or element")
+    elsewhere = bool(by_platform) or seed is not None or options.seed is not None
+    started, more = _with_arguments(started, seeded=elsewhere)
     named = variables.named({path: value for path, value in numbers.items() if path not in (seed, *seeds)}, platform.criteria())
     per_run = (*by_platform, *([Set(seed, "{seed}")] if seed else []))
     likely = {} if platform.criteria() else dict(list(named.items())[:1])
@@ -50,7 +52,8 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
         module_path=command.module_path(started, root),
         seed=seed,
         variables=chosen,
-        other_variables={name: path for name, path in named.items() if path not in chosen.values()},
+        other_variables={name: path for name, path in named.items() if path not in chosen.values()}
+        | {name: words for name, words in more.items() if not variables.refused(name, (*named, *chosen, *platform.criteria()))},
         tried=(),
         source=source.choose(root, inputs.paths, options.source, ask),
         next=variables.first_query(platform, content, chosen),
@@ -64,6 +67,21 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
             *folder.doubts(root),
         ),
     )
+
+
+def _with_arguments(started: str | None, *, seeded: bool) -> tuple[str | None, dict[str, str]]:
+    """Return the command with `{seed}` as the value of its seed, unless runs have seeds; and its other numbers as variables."""
+    if started is None:
+        return None, {}
+    words = shlex.split(started)
+    found = {one.key: one for one in arguments.find(words)}
+    numbers = arguments.numbers(tuple(found.values()))
+    seeds = variables.seeds(numbers)
+    named = variables.named({key: value for key, value in numbers.items() if key not in seeds}, ())
+    more = {name: found[key].declared for name, key in named.items()}
+    if seeded or not seeds or "{seed}" in started:
+        return started, more
+    return command.joined(arguments.placed(words, found[seeds[0]], ())), more
 
 
 def _inputs(root: Path, template: str, options: Options, started: str | None) -> tuple[Inputs, str | None]:

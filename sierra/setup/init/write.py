@@ -216,7 +216,7 @@ def _variables(guess: Guess) -> Iterator[str]:
     yield f"[variables]  # what queries vary: a name, and {what}"
     yield from (f"{name} = {_declared(name, place)}" for name, place in guess.variables.items())
     for name, place in guess.other_variables.items():
-        instead = "  # if you use it, remove the same words from the command" if VALUE in place else ""
+        instead = "  # then remove these words from the command" if VALUE in place else ""
         yield f"# {name} = {_declared(name, place)}{instead}"
     if not guess.variables and not guess.other_variables:
         yield f"# population_size = {_example(guess, '//swarm/@count', '/swarm/count', '--robots {value}')}"

@@ -80,11 +80,12 @@ def test_the_file_that_names_the_others_is_the_template(folder: Path) -> None:
 
 def test_several_templates_in_a_command_are_all_generated(folder: Path) -> None:
     (folder / "world.xml").write_text('<world count="5"/>')
-    command = "python3 model.py --world=world.xml conf/gains.json --seed 4"
+    command = "python3 model.py --world=world.xml conf/gains.json --steps 9 --seed 4"
     assert quick(folder, "init", "-y", "--no-try", "--command", command).returncode == 0
     found = settings(folder)
     assert found["templates"] == {"world": "world.xml", "gains": "conf/gains.json"}
-    assert found["command"].startswith("python3 model.py --world={input.world} {input.gains}")
+    assert found["command"] == "python3 model.py --world={input.world} {input.gains} --steps 9 --seed {seed}"
+    assert '# steps = { argument = "--steps {value}" }' in (folder / "sierra.toml").read_text()
 
 
 def test_a_template_that_names_only_data_stays_alone(folder: Path) -> None:

@@ -31,9 +31,7 @@ def test_services_that_the_command_uses_are_to_be_declared(tmp_path: Path) -> No
     assert quick(tmp_path, "run", "population_size=1,2", "-n").returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("columns", "time"), [("tick,x", "tick"), ("x,tick", None)]
-)
+@pytest.mark.parametrize(("columns", "time"), [("tick,x", "tick"), ("x,tick", None)])
 def test_the_time_axis_is_proposed_by_the_rule_of_figures(tmp_path: Path, columns: str, time: str | None) -> None:
     program = f"open('a.csv', 'w').write('{columns}\\n0,1\\n1,2\\n')\n"
     (tmp_path / "sim.py").write_text(program)
