@@ -250,6 +250,14 @@ class Slurm:
         asked = ("squeue", "-h", "-a", "-r", "-t", "all", *(["-j", job] if job else []), "-o", "%i %T")
         return dict(line.split() for line in self.command(*asked).splitlines())
 
+    def restarts(self, job: str) -> dict[str, int]:
+        """Return how often SLURM itself has started each array task of a job once more, by the id of the task."""
+        tasks = [dict(word.split("=", 1) for word in line.split() if "=" in word) for line in self._details(job)]
+        return {f"{one['ArrayJobId']}_{one['ArrayTaskId']}": int(one["Restarts"]) for one in tasks}
+
+    def _details(self, job: str) -> list[str]:
+        return self.command("scontrol", "show", "job", "--oneliner", job).splitlines()
+
     def until_idle(self) -> None:
         """Wait until all nodes are idle; use nodes again that were declared down."""
 

@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -263,16 +264,33 @@ def test_two_copies_of_an_array_task_give_one_result_and_a_comparison(gated: Gat
     assert "executed twice" in told
 
 
-def test_a_batch_completes_after_a_crash_of_the_controller(gated: Gated) -> None:
+@pytest.mark.parametrize("requeued", [0, 3])
+def test_a_batch_completes_after_a_crash_of_the_controller(gated: Gated, requeued: int) -> None:
+    """A busy SLURM may requeue the running array tasks when its controller is back.
+
+    A requeued task executes the run again that it was executing. Therefore SIERRA may start as many runs twice as SLURM
+    counts restarts of tasks, and no more. The second case requeues all running tasks, so that this happens for sure.
+    """
     asking = gated.ask()
     gated.until_begun(3)
+    job = gated.job()
     gated.slurm.kill_controller(saved=True)
     time.sleep(12)
     gated.slurm.start_controller(SlurmdTimeout="300")  # however long the nodes take, they count as alive
+    for task in range(requeued):
+        gated.slurm.command("scontrol", "requeue", f"{job}_{task}")
+    if requeued:
+        gated.slurm.release_requeued(requeued)
+        gated.until_begun(3 + requeued)
     gated.open()
     ended(asking)
     is_whole(gated.project)
-    assert len(gated.begun()) == 8
+    starts, restarts = Counter(gated.begun()), gated.slurm.restarts(job)
+    assert len(restarts) == 3
+    assert all(restarts.values()) or not requeued
+    assert len(starts) == 8
+    assert starts.total() <= 8 + sum(restarts.values())
+    assert max(starts.values()) <= 1 + max(restarts.values())
 
 
 @pytest.mark.nightly
