@@ -292,6 +292,7 @@ class CommandBuilder:
         beside: Path | None = None,
         success: Sequence[int] = (0,),
         timeouts: Mapping[str, float] | None = None,
+        observed: bool = False,
     ) -> None:
         """Prepare the variables and containers that all jobs share.
 
@@ -299,9 +300,10 @@ class CommandBuilder:
         execute in containers. `script` is the worker's path on the nodes of a cluster; with it, runs get the devices that the
         scheduler allots. `beside` is the folder of the files that lie beside the inputs of runs. With an `image` and without a
         `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful command, and
-        `timeouts` the seconds in which services must be ready, by name.
+        `timeouts` the seconds in which services must be ready, by name. `observed`: services that runs share are observed.
         """
         self._success = success
+        self._observed = observed
         self._timeouts = timeouts or {}
         self._spec = spec
         self._root = root
@@ -408,6 +410,7 @@ class CommandBuilder:
         around = self._spec.around
         plan: conductor.Plan = {
             "shared": [service(one) for one in around.services if one.shared],
+            "observed": self._observed,
             "services": [service(one) for one in around.services if not one.shared],
             "before": [words(one) for one in around.before],
             "argv": argv,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from sierra.errors import Missing
 from sierra.execution import recover, session_records
-from sierra.execution.observation import reusable_executions, stale_sessions
+from sierra.execution.observation import reusable_executions, shared_services, stale_sessions
 from sierra.execution.reasons import FAILED
 from sierra.execution.resolve_plan import Plan, context, versioned
 from sierra.execution.reuse import FileCheck, is_answered, states
@@ -38,7 +38,9 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
     recover.finish_dead(store)
     began = datetime.now(UTC)
     if is_answered(plan, store):
-        return of_session(plan, store, len({run.id for run in plan.batch.runs}), only=options.only)
+        return of_session(
+            plan, store, len({run.id for run in plan.batch.runs}), only=options.only, notes=shared_services.note(plan, store)
+        )
     return _execute(plan, store, options, began)
 
 
@@ -107,6 +109,7 @@ def _sum_up(executor: Executor) -> Summary:
     only = executor.only
     failed = bad & (executor.attempted | executor.failed)
     failed = failed if only is None else failed & only
+    reused = shared_services.note(plan, store) if runs > len(executor.attempted | bad) else ()
     return of_session(
         plan,
         store,
@@ -120,6 +123,6 @@ def _sum_up(executor: Executor) -> Summary:
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
         interrupted=executor.interrupted,
         detached=tuple(paths.root.name for paths in executor.left),
-        notes=executor.notes,
+        notes=(*executor.notes, *reused),
         only=only,
     )

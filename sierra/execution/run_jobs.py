@@ -146,6 +146,7 @@ class Service:
             beside=self._session.paths.shared if self._beside else None,
             success=success,
             timeouts={name: table.timeout for name, table in setup.project.config.services.items()},
+            observed=self._is_observed(),
         )
 
     def _limits(self) -> Limits:
@@ -158,7 +159,7 @@ class Service:
     def _observed(self, jobs: Iterable[tuple[Run, Job]], batch: str, programs: Programs) -> Iterable[Job]:
         """Return the jobs; those that are to be observed have the folders that names of files refer to."""
         project = self._setup.project
-        if self._setup.image or project.config.observe == "none":
+        if not self._is_observed():
             return (job for _, job in jobs)
         folders = {"project": self._setup.root, "store": self._store.paths.root, **of_user()}
         named = {name: str(folder.resolve()) for name, folder in folders.items()}
@@ -170,6 +171,10 @@ class Service:
             named["prefix"] = str(prefix)
         helps = None if self._stays else Helps(tracer.usable(), str(user_digests()))
         return choose_runs.choose(jobs, batch, project.config, named, helps)
+
+    def _is_observed(self) -> bool:
+        """Return whether runs may be observed."""
+        return not self._setup.image and self._setup.project.config.observe != "none"
 
     def _search(self) -> str:
         """Return the PATH of the runs."""

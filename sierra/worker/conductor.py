@@ -82,6 +82,8 @@ class Plan(TypedDict):
 
     shared: Sequence[Service]
     """Services that the worker starts once for all runs."""
+    observed: bool
+    """Whether the worker is to observe them."""
     services: Sequence[Service]
     before: Sequence[Sequence[str]]
     argv: Sequence[str]

@@ -10,7 +10,8 @@ the methods of `Way`. There are two: `Strace`, which sees everything that is des
 4. calls `observation.look(pids)` with the run's processes while they live, as often as it likes (once a second is enough);
 5. has ended all processes of the run, calls `observation.end()`, which waits for the tracer, and then `observation.trace()`.
 
-All of this must happen before the run's folder is removed. Of what `trace` returns,
+All of this must happen before the run's folder is removed. `observation.trace(living=True)` tells what programs that go on have
+done until now. Of what `trace` returns,
 
 - `reasons` is empty if everything was seen; only such a trace is `complete`. A caller reuses no result because of another one.
 - `disturbed` is not None if the observation may have changed what the run did. The caller executes this run again, unobserved.
@@ -245,10 +246,11 @@ class Observation(Protocol):
         was killed does not end.
         """
 
-    def trace(self, stderr: str | None = None, check_stop: Callable[[], None] = ...) -> Trace:
+    def trace(self, stderr: str | None = None, check_stop: Callable[[], None] = ..., *, living: bool = False) -> Trace:
         """Return what was seen. Never fails, whatever the log contains; calls `check_stop` at times, which may raise.
 
-        `stderr` is the file with the run's standard error. A tracer writes its own messages there, too.
+        `stderr` is the file with the run's standard error. A tracer writes its own messages there, too. `living`: return what
+        was seen until now; call it by one thread at a time.
         """
 
 
@@ -354,6 +356,13 @@ class Traced:
         self._conducted = False
         self._late = False
         self._unfit: str | None = None
+        self._reader: Log | None = None
+        self._offset = 0
+        """Number of bytes of the log that were read while the programs go on."""
+        self._said = 0
+        """Number of bytes of standard error that were read then."""
+        self._latest: Trace | None = None
+        """What was seen until the last look."""
         self._prefix = (program, *OPTIONS, "-e", "trace=" + ",".join("?" + name for name in CALLS), "-o", log, "--")
         os.close(os.open(log, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
         self.began = min(time.time_ns(), os.stat(log).st_ctime_ns)
@@ -397,22 +406,34 @@ class Traced:
             with contextlib.suppress(OSError):
                 os.kill(pid, 9)
 
-    def trace(self, stderr: str | None = None, check_stop: Callable[[], None] = nothing) -> Trace:
+    def trace(self, stderr: str | None = None, check_stop: Callable[[], None] = nothing, *, living: bool = False) -> Trace:
         if self._unfit is not None:
             return Trace(Strace.name, reasons=("it was not observed: " + self._unfit,))
-        log = Log(os.fsencode(os.path.realpath(self._cwd)), conducted=self._conducted)
+        log = self._reader or Log(os.fsencode(os.path.realpath(self._cwd)), conducted=self._conducted)
+        self._reader = log if living else None
+        before = self._offset
         try:
             with open(self._log, "rb") as file:
-                log.read(file, check_stop)
+                file.seek(self._offset)
+                self._offset += log.read(file, check_stop, living=living)
             if is_full(self._log):
                 log.damage("the disk of the log is full")
         except OSError as error:
             log.damage("the log cannot be read: %s" % error.strerror)
         if self._late:
             log.damage("the tracer did not end, and was killed")
-        if stderr is not None and contains(stderr, os.fsencode(self._program) + b": ", check_stop):
+        if stderr is not None and self._complains(stderr, check_stop):
             log.damage("the tracer has written to the run's standard error")
-        return log.trace(Strace.name, cut=self._cut)
+        if not living or self._latest is None or before != self._offset or log.is_damaged:
+            self._latest = log.trace(Strace.name, cut=self._cut, living=living)
+        return self._latest
+
+    def _complains(self, stderr: str, check_stop: Callable[[], None]) -> bool:
+        """Return whether the tracer has written to a file since the last look."""
+        words = os.fsencode(self._program) + b": "
+        begin = max(0, self._said - len(words))
+        self._said = size_of(stderr)
+        return contains(stderr, words, check_stop, begin)
 
 
 def parsed(log: IO[bytes], cwd: str) -> Trace:
@@ -422,11 +443,20 @@ def parsed(log: IO[bytes], cwd: str) -> Trace:
     return reader.trace(Strace.name)
 
 
-def contains(path: str, words: bytes, check_stop: Callable[[], None]) -> bool:
-    """Return whether words are in a file. One that cannot be read contains them."""
+def size_of(path: str) -> int:
+    """Return the size of a file; 0 if there is none."""
+    try:
+        return os.stat(path).st_size
+    except OSError:
+        return 0
+
+
+def contains(path: str, words: bytes, check_stop: Callable[[], None], begin: int = 0) -> bool:
+    """Return whether words are in a file, at `begin` or later. One that cannot be read contains them."""
     before = b""
     try:
         with open(path, "rb", buffering=0) as file:
+            file.seek(begin)
             for chunk in iter(lambda: file.read(CHUNK), b""):
                 check_stop()
                 if words in before + chunk:
@@ -666,10 +696,13 @@ class Log:
         self._folders: dict[bytes, bytes] = {}
         """The real paths of folders."""
 
-    def read(self, file: IO[bytes], check_stop: Callable[[], None] = nothing) -> None:
-        """Read a log, at most LOG_BYTES of it."""
-        left = LOG_BYTES
+    def read(self, file: IO[bytes], check_stop: Callable[[], None] = nothing, *, living: bool = False) -> int:
+        """Read a log, at most LOG_BYTES of it; return how many bytes it has. `living`: leave out a line without an end."""
+        left, count = LOG_BYTES, 0
         for number, line in enumerate(iter(lambda: file.readline(LINE_BYTES), b"")):
+            if living and not line.endswith(b"\n") and len(line) < LINE_BYTES:
+                break
+            count += len(line)
             if number % 4096 == 0:
                 check_stop()
                 if self._too_many():
@@ -680,12 +713,18 @@ class Log:
                 self._cut = "its log is longer than %d bytes" % LOG_BYTES
                 break
             self.add(line)
-        self._adopt_all()
+        if not living:
+            self._adopt_all()
+        return count
 
     def damage(self, reason: str) -> None:
         """Note that the log or the tracer is not as it should be, and so perhaps the run is not either."""
         self._reasons[reason] = None
         self._disturbed = self._disturbed or reason
+
+    @property
+    def is_damaged(self) -> bool:
+        return self._disturbed is not None
 
     def add(self, line: bytes) -> None:
         """Add a line. One that is not understood is counted."""
@@ -1186,9 +1225,12 @@ class Log:
 
     # The result
 
-    def trace(self, way: str, *, cut: bool = False) -> Trace:
-        """Return what the log says; `cut`: it was emptied in between."""
-        self._check_end(cut=cut)
+    def trace(self, way: str, *, cut: bool = False, living: bool = False) -> Trace:
+        """Return what the log says; `cut`: it was emptied in between, `living`: its processes go on."""
+        if cut or self._cut:
+            self._reasons[self._cut or "its log is longer than %d bytes" % LOG_BYTES] = None
+        else:
+            self._check_lines(living=living)
         programs = self._programs()
         for path in self._read_links:
             self._follow(path, os.path.realpath(path))
@@ -1214,14 +1256,17 @@ class Log:
         )
         return filled(trace, {name: tuple(sorted(map(os.fsdecode, paths))) for name, paths in names.items()})
 
-    def _check_end(self, *, cut: bool) -> None:
-        if cut or self._cut:
-            self._reasons[self._cut or "its log is longer than %d bytes" % LOG_BYTES] = None
-            return
+    def _check_lines(self, *, living: bool) -> None:
         if self._damaged:
             self.damage("%d lines of the log are not understood" % self._damaged)
         if not self._started and not self._reasons:
             self.damage("the tracer did not start it")
+        if not living:
+            self._check_end()
+        elif self._waiting:
+            self._reasons["a process had just begun"] = None
+
+    def _check_end(self) -> None:
         if any(process.seen for process in self._processes.values()):
             self.damage("the log ends before the run: the tracer was killed, or the log was cut")
         unseen = sum(not process.seen for process in self._processes.values())
@@ -1384,7 +1429,7 @@ class Mapped:
     def end(self, candidates: Callable[[], Iterable[int]] | None = None, seconds: float = SETTLE_S) -> None:
         pass
 
-    def trace(self, stderr: str | None = None, check_stop: Callable[[], None] = nothing) -> Trace:
+    def trace(self, stderr: str | None = None, check_stop: Callable[[], None] = nothing, *, living: bool = False) -> Trace:
         executed = {path for path in self._executed if path.startswith("/")}
         return Trace(
             Maps.name,
@@ -1515,6 +1560,26 @@ def contents(
             reader.unusable[path] = "it was made after the run had looked for it"
     kinds = {path: sha256_of_kind(path) for path in (*trace.found, *trace.refused)}
     return Contents(reader.files, reader.folders, reader.unusable, reader.listings, kinds)
+
+
+def with_services(trace: Trace, contents: Contents, shared: Trace, own: Contents) -> tuple[Trace, Contents]:
+    """Return the trace and the contents of a run together with those of services that it shares with other runs.
+
+    What the services have changed is their state, and no input of the run; what they have only opened for writing is one.
+    """
+    state = {path for path in (*shared.written, *shared.removed) if path not in own.files}
+    used = ("executed", "read", "found", "missed", "refused", "listed")
+    lists = {name: tuple(sorted({*getattr(trace, name), *(set(getattr(shared, name)) - state)})) for name in used}
+    trace = filled(trace, {**lists, "written": trace.written, "removed": trace.removed})
+    links = {path: real for path, real in shared.links.items() if path not in state and real not in state}
+    unusable = {path: reason for path, reason in own.unusable.items() if path not in state}
+    return trace._replace(links={**links, **trace.links}), Contents(
+        {**own.files, **contents.files},
+        {**own.folders, **contents.folders},
+        {**unusable, **contents.unusable},
+        {**own.listings, **contents.listings},
+        {**own.kinds, **contents.kinds},
+    )
 
 
 def sha256_of_kind(path: str) -> str:

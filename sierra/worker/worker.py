@@ -94,7 +94,7 @@ if TYPE_CHECKING:
     from types import ModuleType
     from typing import Literal, NotRequired
 
-    from sierra.worker.file_trace import Hashed, Observation, Way
+    from sierra.worker.file_trace import Contents, Hashed, Names, Observation, Trace, Way
 
 FOLDERS = ("home", "tmp", "output")
 LOGS = ("stdout", "stderr")
@@ -104,6 +104,7 @@ CONDUCTOR = "conductor.py"  # beside this file: it executes what is around a run
 CONDUCTED = "\2"  # the first word of a job that the conductor executes; the second is its plan
 REPORT = os.path.join("home", ".sierra-conductor")  # the conductor's, in the run's folder
 REPORT_BYTES = 1 << 16
+UNOBSERVED = "services that all runs share were not observed"
 SHARED = "shared"  # in the folder of shared services: what their conductor tells when they are ready
 OF_ONE_RUN = ("SIERRA_RUN_ID", "SIERRA_SEED", "SIERRA_EXECUTION")  # variables
 TRACE = ".trace"  # the end of the name of a tracer's log, beside the run's folder
@@ -466,10 +467,22 @@ class Meter:
 
 
 class SharedServices:
-    """Services that all runs of this worker share: their conductor, which ends when one of them has ended."""
+    """Services that all runs of this worker share: their conductor, which ends when one of them has ended.
 
-    def __init__(self, job: Job, plan: Mapping[str, object], folder: str) -> None:
-        """Start the conductor in a new folder, with the environment of a run without what belongs to one run."""
+    If they are observed, the files that they have used until a run ends are part of what is observed of this run.
+    """
+
+    def __init__(
+        self, job: Job, plan: Mapping[str, object], folder: str, way: Way | None = None, reasons: Sequence[str] = (UNOBSERVED,)
+    ) -> None:
+        """Start the conductor in a new folder, with the environment of a run without what belongs to one run.
+
+        `way` to observe them; `reasons` why this is not possible, or not complete.
+        """
+        self.reasons = tuple(reasons)
+        self.observation = way.begin(folder + TRACE, os.path.join(folder, "output")) if way else None
+        self.looking = threading.Lock()
+        self.tracer = 0
         self.folder = folder
         self.path = os.path.join(folder, SHARED)
         self.grace = job["limits"].get("grace_s", GRACE_S)
@@ -480,21 +493,44 @@ class SharedServices:
             name: value.replace("\0", folder) for name, value in job["environment"].items() if name not in OF_ONE_RUN
         }
         own = {**plan, "shared": [], "services": plan["shared"], "before": [], "argv": [], "after": []}
+        argv = [sys.executable, "-I", "-S", beside(CONDUCTOR), folder, json.dumps(own)]
+        cwd = os.path.join(folder, "output")
+        if self.observation:
+            argv = self.observation.prefixed(argv, environment, cwd, conducted=True)
         with open(os.path.join(folder, LOGS[1]), "ab") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-I", "-S", beside(CONDUCTOR), folder, json.dumps(own)],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                cwd=os.path.join(folder, "output"),
-                env=environment,
-                start_new_session=True,
+                argv, stdin=subprocess.DEVNULL, stdout=log, stderr=log, cwd=cwd, env=environment, start_new_session=True
             )
 
     def await_ready(self, is_stopping: Callable[[], bool]) -> None:
         """Wait until the services are ready, or have failed: the runs then fail with the reason."""
         while not os.path.exists(self.path) and self.process.poll() is None and not is_stopping():
             time.sleep(SAMPLE_S)
+        if self.observation and not self.tracer:
+            self.tracer = number_in(self.process.pid, b"TracerPid:")
+
+    def seen(self, check_stop: Callable[[], None] = lambda: None) -> Trace | None:
+        """Return what the services have done with files until now; None if they are not observed."""
+        if self.observation is None:
+            return None
+        with self.looking:
+            lost = self.tracer and self.process.poll() is None and number_in(self.process.pid, b"TracerPid:") != self.tracer
+            trace = self.observation.trace(os.path.join(self.folder, LOGS[1]), check_stop, living=True)
+        return trace._replace(disturbed="their tracer has ended") if lost else trace
+
+    def disturbed(self) -> str | None:
+        """Return why the observation may have changed what the services do; None if it has not, or if there is none."""
+        trace = self.seen()
+        return trace.disturbed if trace else None
+
+    def look(self) -> None:
+        """Look at the living processes of the services, and keep the log of their tracer below its limit."""
+        if self.observation and self.looking.acquire(blocking=False):  # else a run that has ended looks what they have done
+            try:
+                self.observation.limit()
+                self.observation.look(pid for pid in descendants(self.process.pid) if pid != self.process.pid)
+            finally:
+                self.looking.release()
 
     def word(self) -> str:
         """Return what the conductor of a run needs to know."""
@@ -514,6 +550,10 @@ class SharedServices:
                 for pid in descendants(self.process.pid):
                     signal_process(pid, signal.SIGKILL)
             time.sleep(SAMPLE_S)
+        if self.observation:
+            end_orphans(None, is_tracer=self.observation.is_tracer)  # the tracer waits for them
+            self.observation.end(orphans)
+            unlink(self.folder + TRACE)
 
 
 class Container:
@@ -819,7 +859,7 @@ class Worker:
             end_container(running.client)
         # a run with a seal is alone in its container
         alone = end_orphans(None if running.seal else running.execution, running.pid, running.is_tracer)
-        observed, disturbed = self.keep_observation(job, running)
+        observed, disturbed = self.keep_observation(job, running, services)
         if disturbed:
             self.await_signal()  # a scheduler may kill the tracer before it tells this process to end
             self.trusts = False
@@ -832,7 +872,7 @@ class Worker:
             running.stopped = "interrupted"
         if running.stopped != "interrupted" and not running.seal:
             check_room(self.folder)
-        failure = trouble_of(job, folder)
+        failure = trouble_of(job, folder) or trouble_of_services(services)
         spare = alone and self.adopts and place is not None and place.is_reusable()
         if running.seal:  # the worker that takes the folder out of the container reads it
             remains = no_outputs(self.clear_shared(folder), running.stopped)
@@ -856,9 +896,23 @@ class Worker:
             return None
         with self.starting_services:
             if self.services is None:
-                self.services = SharedServices(job, plan, self.next_folder("services-"))
+                self.services = self.start_services(job, plan)
             self.services.await_ready(lambda: self.stopping)
         return self.services
+
+    def start_services(self, job: Job, plan: Mapping[str, object]) -> SharedServices:
+        """Start services that runs share. They are observed, unless this changes how they start."""
+        if plan.get("observed"):
+            with self.observing:
+                way, unusable = self.way(job.get("helps"))
+            services = SharedServices(job, plan, self.next_folder("services-"), way, unusable)
+            services.await_ready(lambda: self.stopping)
+            disturbed = services.disturbed()
+            if not disturbed or self.stopping:
+                return services
+            services.end(skip_grace=lambda: self.without_grace)
+            return SharedServices(job, plan, self.next_folder("services-"), None, ("%s: %s" % (UNOBSERVED, disturbed),))
+        return SharedServices(job, plan, self.next_folder("services-"))
 
     def execute_unobserved(self, job: Job, folder: str, slot: int, reason: str) -> None:
         """Execute a run that could not be observed once more, in a new folder."""
@@ -888,7 +942,7 @@ class Worker:
         found: tuple[Way | None, tuple[str, ...]] = file_trace().usable()
         return found
 
-    def keep_observation(self, job: Job, running: Running) -> tuple[bool, str | None]:
+    def keep_observation(self, job: Job, running: Running, services: SharedServices | None = None) -> tuple[bool, str | None]:
         """Write what a run did with files to its folder.
 
         Return whether it was observed, and what the observation may have changed: such a run is executed again without it.
@@ -904,13 +958,19 @@ class Worker:
             trace = running.observation.trace(os.path.join(running.folder, LOGS[1]), self.check_stop)
             disturbed = trace.disturbed
             names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder})
-            unseen = ("services that all runs share were not observed",) if self.services else ()
-            seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable, *unseen)))
+            seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
+            shared = services.seen(self.check_stop) if services else None
             with self.observing:
-                since = running.observation.began - int(job.get("ahead", 0.0) * 1e9)
-                contents = file_trace().contents(seen, since, self.hashes.get, self.check_stop, names.is_listed)
+                contents = self.contents(job, seen, names, running.observation.began)
+                if services:
+                    seen = with_reasons(seen, services, shared)
+                if services and services.observation and shared:
+                    used = names.inputs(shared)
+                    own = self.contents(job, used, names, services.observation.began)
+                    seen, contents = file_trace().with_services(seen, contents, used, own)
                 digests = self.hashes.news()
-            record = file_trace().as_record(seen, contents, names, gpu=file_trace().uses_gpu(trace))
+            gpu = any(file_trace().uses_gpu(one) for one in (trace, shared) if one)
+            record = file_trace().as_record(seen, contents, names, gpu=gpu)
             record["digests"] = digests
             unlink(path)  # a link or a pipe that the run has put there
             with open(path, "x", encoding="ascii") as file:
@@ -922,6 +982,12 @@ class Worker:
             unlink(running.folder + TRACE)
             self.account.charge(time.monotonic() - began + TRACED_S + traced * BYTE_S, observations=1)
         return True, disturbed
+
+    def contents(self, job: Job, trace: Trace, names: Names, began: int) -> Contents:
+        """Return the contents of the files in a trace, which began at this time."""
+        since = began - int(job.get("ahead", 0.0) * 1e9)
+        found: Contents = file_trace().contents(trace, since, self.hashes.get, self.check_stop, names.is_listed)
+        return found
 
     def await_signal(self) -> None:
         """Give a SIGTERM that has ended a run time to reach this process too: a scheduler sends it to one after the other."""
@@ -983,6 +1049,8 @@ class Worker:
         due = []
         if self.contains:
             reap()
+        if self.services is not None:
+            self.services.look()
         for container in list(self.containers.values()):
             if self.stopping:
                 container.stop()
@@ -1282,6 +1350,20 @@ def is_conducted(job: Job) -> bool:
 def trouble_of(job: Job, folder: str) -> str | None:
     """Return why a run has failed, by the conductor's report; None if all was executed, or if there is no conductor."""
     return reported(folder) if is_conducted(job) else None
+
+
+def trouble_of_services(services: SharedServices | None) -> str | None:
+    """Return why services that all runs share cannot be trusted any more; None if they can."""
+    reason = services.disturbed() if services else None
+    return reason and 'observing the services that all runs share may have changed them: %s; set observe = "none"' % reason
+
+
+def with_reasons(trace: Trace, services: SharedServices, shared: Trace | None) -> Trace:
+    """Return the trace of a run with the notes on services, and with the reasons why their observation is not complete."""
+    found = shared.reasons if shared else ()
+    reasons = (*trace.reasons, *services.reasons, *("services that all runs share: " + reason for reason in found))
+    notes = (*trace.notes, *(shared.notes if shared else ()))
+    return trace._replace(reasons=tuple(dict.fromkeys(reasons)), notes=tuple(dict.fromkeys(notes)))
 
 
 def reported(folder: str) -> str | None:

@@ -430,10 +430,72 @@ def test_runs_share_a_service_of_the_batch(tmp_path: Path, require: Callable[...
     assert "4 executed" in says(root, *ONE, "--jobs", "2")
     assert (tmp_path / "starts").read_text() == "x\n"
     assert not alive(mark)
-    assert rows(root, "SELECT DISTINCT reason FROM observations") == [
-        {"reason": "services that all runs share were not observed"}
-    ]
+    assert rows(root, "SELECT DISTINCT reason FROM observations") == [{"reason": None}]
     assert "0 executed, 4 reused" in says(root)
+
+
+def serving(folder: Path, *, observe: str = "first") -> Path:
+    """Write a project with four runs and a server that they share: it reads a file outside the project for each answer."""
+    config = CONFIG.replace("runs = 2", f'runs = 4\nobserve = "{observe}"')
+    root = make(folder / "project", config + 'scope = "batch"\n')
+    (folder / "rate").write_text("7")
+    answer = f"open({str(folder / 'rate')!r}, 'rb').read(1)"
+    (root / "server.py").write_text(SERVER.replace('b"7"', answer))
+    return root
+
+
+def test_a_change_of_a_file_that_only_a_shared_service_reads_executes_its_runs_again(
+    tmp_path: Path, require: Callable[..., str]
+) -> None:
+    require("strace")
+    root = serving(tmp_path)
+    assert "4 executed" in says(root, *ONE)
+    assert rows(root, "SELECT DISTINCT coverage FROM swarm") == [{"coverage": 12}]
+    read = rows(root, f"SELECT DISTINCT use FROM files_read WHERE path = '{tmp_path}/rate'")
+    assert read == [{"use": "read"}]
+    assert "0 executed, 4 reused" in says(root, *ONE)
+    (tmp_path / "rate").write_text("3")
+    said = says(root, *ONE)
+    assert "4 executed" in said
+    assert f"files that they used have changed: {tmp_path}/rate" in said
+    assert rows(root, "SELECT DISTINCT coverage FROM swarm") == [{"coverage": 8}]
+    assert "0 executed, 4 reused" in says(root, *ONE)
+
+
+def test_a_note_names_a_shared_service_whose_files_are_not_known_when_its_runs_are_reused(tmp_path: Path) -> None:
+    root = serving(tmp_path, observe="none")
+    assert "not observed" not in says(root, *ONE)
+    (tmp_path / "rate").write_text("3")
+    for _ in range(2):
+        said = says(root, *ONE)
+        assert "0 executed, 4 reused" in said
+        assert "runs are reused that shared 'echo', of which it was not observed what files it reads" in said
+
+
+def test_a_service_that_cannot_be_observed_while_it_starts_is_started_once_more_without_it(
+    tmp_path: Path, require: Callable[..., str]
+) -> None:
+    require("strace")
+    root = shared(
+        tmp_path / "project", f"echo x >> {tmp_path}/starts; mount >/dev/null; strace true; echo ready; sleep 99; true"
+    )
+    assert "4 executed" in says(root, *ONE)
+    assert (tmp_path / "starts").read_text() == "x\nx\n"
+    [row] = rows(root, "SELECT DISTINCT reason FROM observations")
+    assert row["reason"].startswith("services that all runs share were not observed: ")
+
+
+def test_runs_fail_when_the_tracer_of_a_shared_service_is_killed(tmp_path: Path, require: Callable[..., str]) -> None:
+    require("strace")
+    mark = str(21098 + os.getpid())
+    kill = f"kill -9 $(sed -n s/TracerPid://p /proc/$(pgrep -xf 'sleep {mark}')/status)"
+    root = shared(tmp_path / "project", f"echo ready; sleep {mark}; true", command="sh sim.sh {seed} {input}")
+    (root / "sim.sh").write_text(f"test -e ../../seen && {kill}; touch ../../seen; sleep 1")
+    says(root, *ONE, "--jobs", "1", code=1)
+    found = [row["reason"] for row in rows(root, "SELECT reason FROM executions ORDER BY started")]
+    assert found[0] is None
+    assert all(reason for reason in found[1:])
+    assert not alive(mark)
 
 
 def test_runs_fail_from_when_a_shared_service_has_ended(tmp_path: Path) -> None:
