@@ -58,12 +58,12 @@ BASES = {
 }
 """The first line of an explanation: the batch, if any, with which the plan is compared."""
 CHANGES = {
-    Aspect.QUERY: "{name} was {was!r} and is {now!r}",
+    Aspect.QUERY: "{name} was {was} and is {now}",
     Aspect.SET_ADDED: "--set {name} was added",
     Aspect.SET_REMOVED: "--set {name} was removed",
-    Aspect.COMMAND: "the command was {was!r} and is {now!r}",
-    Aspect.AROUND: "{name} was {was!r} and is {now!r}",
-    Aspect.VARIABLE: "the variable {name} was {was!r} and is {now!r}",
+    Aspect.COMMAND: "the command was {was} and is {now}",
+    Aspect.AROUND: "{name} was {was} and is {now}",
+    Aspect.VARIABLE: "the variable {name} was {was} and is {now}",
     Aspect.PLATFORM: "the platform was {was} and is {now}",
     Aspect.IMAGE: "the image was {was} and is {now}",
     Aspect.PACKAGES: "the images differ in packages: {details}",
@@ -75,12 +75,14 @@ CHANGES = {
     Aspect.SOURCE: "the source has changed: {details}",
     Aspect.EXCLUSIONS: "{details}",
     Aspect.TEMPLATE: "the template {name} has changed",
-    Aspect.SETTINGS: (
-        "sierra.toml changes the template differently (variables, changes, controllers, scenarios, seed, platforms)"
-    ),
+    Aspect.NEW_TEMPLATE: "the template {name} was added",
+    Aspect.NO_TEMPLATE: "the template {name} is not used any more",
+    Aspect.SETTINGS: "sierra.toml makes other inputs (variables, changes, controllers, scenarios, seed, platforms)",
     Aspect.PROGRAM: "{details}",
 }
 """A line for each difference between a plan and a recorded batch."""
+QUOTED = (Aspect.QUERY, Aspect.COMMAND, Aspect.AROUND, Aspect.VARIABLE)
+"""The differences whose values are texts or numbers of the user's."""
 SHOWN = 10
 """The largest number of details in a line."""
 
@@ -96,8 +98,13 @@ def build(state: BuildState, *, dry_run: bool) -> str:
 
 def change(found: PlanChange) -> str:
     """Return a difference between a plan and a recorded batch in words."""
-    words = CHANGES[found.aspect].format(name=found.name, was=found.was, now=found.now, details=few(found.details, SHOWN))
+    was, now = (_quoted(value) if found.aspect in QUOTED else value for value in (found.was, found.now))
+    words = CHANGES[found.aspect].format(name=found.name, was=was, now=now, details=few(found.details, SHOWN))
     return words.removesuffix(": ")
+
+
+def _quoted(value: str | int | None) -> str:
+    return "not set" if value is None else repr(value)
 
 
 def new_runs(found: NewRuns) -> list[str]:

@@ -12,7 +12,20 @@ from sierra.util.text import few
 if TYPE_CHECKING:
     from sierra.execution.cluster_status import ClusterSession
 
-COLUMNS = ("batch", "query", "session", "runner", "jobs", "runs", "done", "failed", "state", "followed by", "submitted")
+COLUMNS = (
+    "batch",
+    "query",
+    "target",
+    "session",
+    "runner",
+    "jobs",
+    "runs",
+    "done",
+    "failed",
+    "state",
+    "followed by",
+    "submitted",
+)
 LONGEST = 40
 """The largest length of a query in a list."""
 SESSION = 8
@@ -66,6 +79,7 @@ def _row(one: ClusterSession, *, long: bool) -> Sequence[object]:
     return (
         one.batch if long else short(one.batch),
         query if long or len(query) <= LONGEST else f"{query[: LONGEST - 1]}…",
+        one.target or "",
         one.session if long else one.session[:SESSION],
         one.runner,
         few(one.jobs, 3) or "unknown",

@@ -72,7 +72,7 @@ def figures(
                 if name is not None:
                     raise
                 notes.append(f"figure {figure_name}: {error}")
-        notes += gallery.time_notes.values()
+        notes += (*gallery.declared_notes, *gallery.time_notes.values())
     notes += drawer.close()
     return drawn, notes
 
@@ -126,6 +126,7 @@ def statistics(
             notes.append(f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate")
         notes = [
             *gallery.target_notes,
+            *gallery.declared_notes,
             *gallery.time_notes.values(),
             *stats.left_out([table], samples.coverage, gallery.planned, threshold),
             *notes,
@@ -249,6 +250,8 @@ class _Gallery:
         target = targets.recorded(store, frame.batch) if project.targets else None
         self.target_notes = [f"target {target}"] if target else []
         """The target that the batch was requested for; its declarations are used."""
+        self.declared_notes = targets.notes(project, store, frame.batch)
+        """A note if the declarations are those of another target."""
         self._config = targets.of_batch(project, store, frame.batch).config
         self._store = store
         self._frame = frame

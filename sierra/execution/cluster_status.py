@@ -62,6 +62,8 @@ class ClusterSession:
     cancelled: bool = False
     ended: bool = False
     """True if everything is recorded and no job of the session is left."""
+    target: str | None = None
+    """Target that the batch was requested for."""
 
     @property
     def is_gone(self) -> bool:
@@ -134,7 +136,8 @@ def submitted(paths: SessionPaths) -> ClusterSession | None:
     return ClusterSession(
         session=paths.root.name,
         batch=made.batch,
-        query=_query(paths),
+        query=_asked(paths, "query"),
+        target=_asked(paths, "target"),
         runner=made.runner,
         scheduler=made.version,
         jobs=tuple(one.job for one in sent if one.job is not None),
@@ -167,12 +170,13 @@ SELECT session, count(*) AS executed, count(*) FILTER (NOT good) AS failed FROM 
 """
 
 
-def _query(paths: SessionPaths) -> str | None:
+def _asked(paths: SessionPaths, name: str) -> str | None:
+    """Return a text of what a session was asked; None if there is none, as for a replay."""
     try:
-        query = read_record(paths.asking).get("query")
+        value = read_record(paths.asking).get(name)
     except FileNotFoundError:
         return None
-    return query if isinstance(query, str) else None
+    return value if isinstance(value, str) else None
 
 
 def _recorded(store: Store, row: ClusterSession, observer: Observer) -> ClusterSession:

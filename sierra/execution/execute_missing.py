@@ -242,7 +242,7 @@ class Executor:
         if programs.id != plan.programs.id:
             raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; run the command again")
         if made and (left_out := checkout.left_out()):  # reported last: the callback may write to a file of the project
-            what = "nodes get only those that the command, a variable or the template names"
+            what = "nodes get only those that the command, a variable or a template names"
             self._options.observer.notice(f"git ignores {left_out} in the project: {what}")
         return root, programs
 

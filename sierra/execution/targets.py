@@ -63,6 +63,16 @@ def of_batch(project: LoadedProject, store: Store, batch: str) -> LoadedProject:
     return project.for_target(name) if name in project.targets else project
 
 
+def notes(project: LoadedProject, store: Store, batch: str) -> tuple[str, ...]:
+    """Return a note if `of_batch` returns the project for another target than the batch was last requested for."""
+    name, default = recorded(store, batch), project.config.target
+    if project.declared is None or name in project.targets or name == default:
+        return ()
+    was = "without a target" if name is None else f"for target {name!r}, which sierra.toml no longer has"
+    used = f"of the default target {default!r}" if default else "outside [targets]"
+    return (f"the batch was requested {was}; its outputs, units and times are taken to be those {used}",)
+
+
 def recorded(store: Store, batch: str) -> str | None:
     """Return the target that a batch was last requested for; None if it was none."""
     return next(iter(store.values(str, LAST, b=batch)), None) or None

@@ -35,8 +35,11 @@ class Aspect(StrEnum):
     EXCLUSIONS = "exclusions"
     """Advice on files that the source should leave out."""
     TEMPLATE = "template"
+    NEW_TEMPLATE = "new template"
+    NO_TEMPLATE = "no template"
+    """There was no template before, or there is none now; `name` is the one that there was or is."""
     SETTINGS = "settings"
-    """Nothing else differs, so that `sierra.toml` changes the template differently."""
+    """Nothing else differs, so that `sierra.toml` makes other inputs."""
     PROGRAM = "program"
     """A program outside source and image; `details` says how it differs."""
 

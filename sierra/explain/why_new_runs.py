@@ -37,6 +37,8 @@ class Recorded(NamedTuple):
     scenario: str | None
     base_seed: int
     overrides: list[str]
+    template: str
+    """The paths of the templates; empty if there is none."""
     template_sha256: str
     platform: str
     command: list[str]
@@ -52,7 +54,7 @@ class Recorded(NamedTuple):
 
 
 COLUMNS = """
-SELECT b.batch, b.query, b.runs, b.controller, b.scenario, b.base_seed, b.overrides, b.template_sha256, b.platform,
+SELECT b.batch, b.query, b.runs, b.controller, b.scenario, b.base_seed, b.overrides, b.template, b.template_sha256, b.platform,
        r.command, r.variables, r.source, r.image, r.host_access, r.around, s.target, r.files,
        r.shared_files
 FROM batches b JOIN specs r USING (spec) LEFT JOIN (
@@ -124,8 +126,16 @@ def _similar(plan: Plan, store: Store | Snapshot) -> Recorded | None:
 def _changes(plan: Plan, store: Store, before: Recorded) -> tuple[PlanChange, ...]:
     changes = (*_spec(plan, store, before), *_image(plan, store, before), *_source(plan, store, before))
     if before.template_sha256 != plan.template_sha256:
-        changes += (PlanChange(Aspect.TEMPLATE, " ".join(plan.project.config.template_paths)),)
+        changes += (_template(plan, before),)
     return (*changes, *_query(plan, before)) or (OTHER_SETTINGS,)
+
+
+def _template(plan: Plan, before: Recorded) -> PlanChange:
+    """Return the difference between two templates, of which one may not exist."""
+    was, now = before.template, " ".join(plan.project.config.template_paths)
+    if was and now:
+        return PlanChange(Aspect.TEMPLATE, now)
+    return PlanChange(Aspect.NEW_TEMPLATE, now) if now else PlanChange(Aspect.NO_TEMPLATE, was)
 
 
 LAST_PROGRAMS = """

@@ -2,11 +2,13 @@
 
 The fingerprint of a program is the SHA-256 of its file. In a script of a virtual environment, the path of the environment does
 not count, so that it may be moved, or made again elsewhere. Every word of a command that names a program is included (as in
-`nice -n 5 simulator`), and so is the interpreter that a script names in its first line. A program includes the libraries that
-the loader loads for it in the runs' own environment (`sierra.provenance.libraries`). A Python interpreter includes its
-installed distributions (`pythons`), and a script of a package the compiled program of the same name. Files that the command, a
-variable or the template names are included too (`referenced_files`). Files that a program opens by itself, such as plug-ins,
-are included if a variable names their folder by `{project}/…`.
+`nice -n 5 simulator`), except a name behind an option, which is its value (`simulator --fast true`). If the program only
+starts others (STARTERS), a name behind an option counts too (`mpirun --oversubscribe simulator`). Included as well is the
+interpreter that a script names in its first line. A program includes the libraries that the loader loads for it in the runs'
+own environment (`sierra.provenance.libraries`). A Python interpreter includes its installed distributions (`pythons`), and a
+script of a package the compiled program of the same name. Files that the command, a variable or the template names are
+included too (`referenced_files`). Files that a program opens by itself, such as plug-ins, are included if a variable names
+their folder by `{project}/…`.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 from sierra.errors import Missing
@@ -27,6 +30,27 @@ from sierra.util.hashing import sha256, short
 from sierra.util.text import few
 
 SHOWN = 5
+STARTERS = frozenset(
+    (
+        *(
+            "chrt",
+            "env",
+            "flatpak-spawn",
+            "ionice",
+            "mpiexec",
+            "mpirun",
+            "nice",
+            "nohup",
+            "numactl",
+            "orterun",
+            "perf",
+            "prlimit",
+        ),
+        *("prun", "runuser", "setarch", "setpriv", "setsid", "srun", "stdbuf", "strace", "sudo", "taskset", "time", "timeout"),
+        *("unshare", "valgrind", "xargs", "xvfb-run", "bash", "dash", "sh"),
+    )
+)
+"""Programs that only start another one, which their words name."""
 
 
 def find(
@@ -92,11 +116,15 @@ class _Finding:
                 f"the program {argv[0]!r} was not found; install it, or correct the command of the project in {self._root}"
             )
         self.start(argv[0], first, needed=True)
-        for word in argv[1:]:
+        starts = Path(argv[0]).name in STARTERS
+        for before, word in pairwise(argv):
             if Path(argv[0]).name == "env" and "=" in word:
                 self._variables = {**self._variables, **dict([word.split("=", 1)])}
+            elif not starts and before.startswith("-") and os.sep not in word:
+                continue  # the value of an option
             elif word and not word.startswith("-") and (path := shutil.which(word, path=search)):
                 self.start(word, path)
+                starts = starts and Path(word).name in STARTERS
         self._variables = declared  # those that `env` has set were only for this command
 
     def found(self, more: Programs) -> Programs:

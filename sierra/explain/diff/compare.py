@@ -42,9 +42,9 @@ def compare(project: LoadedProject, store: Store, before: str, after: str, *, re
     check(old, new)
     if old == new:
         return Comparison(old, new, (), KINDS, (f"both are the same {old.kind}",))
-    project = targets.of_batch(project, store, new.batch or new.id)
     found: list[Difference] = []
-    notes: list[Note] = []
+    notes = [Note(text) for text in targets.notes(project, store, new.batch or new.id)]
+    project = targets.of_batch(project, store, new.batch or new.id)
     compared: set[str] = set()
     for kinds, differences in _parts(project, store, old, new, notes, results_too=results_too):
         try:

@@ -127,6 +127,8 @@ def test_a_target_on_a_cluster_is_detached_and_recorded_with_its_name(waiting: W
     config.write_text(config.read_text() + '[targets.field]\nrunner = "slurm"\nlimits.wall = 500\n')
     done = waiting.project.quick("run", *QUERY, "--target", "field", "--detach")
     assert done.returncode == 0, done.stderr
+    listed = waiting.project.quick("status")
+    assert [word in listed.stdout for word in (" target ", " field ")] == [True, True], listed.stdout
     waiting.open()
     done = waiting.project.quick("attach", waiting.batch(), "--json", "--no-figures")
     assert (done.returncode, json.loads(done.stdout)["target"], json.loads(done.stdout)["executed"]) == (0, "field", 6)

@@ -2,8 +2,23 @@
 
 from __future__ import annotations
 
+import pytest
+
 from sierra.cli.render_reasons import BASES, CHANGES, change, new_runs
 from sierra.explain.plan_changes import Aspect, Basis, NewRuns, PlanChange
+
+
+@pytest.mark.parametrize(
+    ("found", "line"),
+    [
+        (PlanChange(Aspect.NO_TEMPLATE, "a.xml"), "the template a.xml is not used any more"),
+        (PlanChange(Aspect.NEW_TEMPLATE, "a.xml"), "the template a.xml was added"),
+        (PlanChange(Aspect.QUERY, "target", None, "sim"), "target was not set and is 'sim'"),
+        (PlanChange(Aspect.AROUND, "before", "'x'", None), "before was \"'x'\" and is not set"),
+    ],
+)
+def test_a_missing_value_has_a_sentence_of_its_own(found: PlanChange, line: str) -> None:
+    assert change(found) == line
 
 
 def test_every_kind_of_difference_has_words() -> None:

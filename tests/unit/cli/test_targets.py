@@ -196,6 +196,39 @@ def test_recorded_batches_can_be_replayed_after_their_target_is_gone(project: Pa
     assert (answer["target"], answer["executed"]) == ("robots", 0)
 
 
+def test_a_note_says_whose_declarations_are_used_for_a_batch_without_a_target(tmp_path: Path) -> None:
+    folder = make(tmp_path / "p", CONFIG.replace('target = "sim"\n', ""))
+    identity = projects.run(folder, "population_size=1", "--target", "robots", "--no-figures")[0]["batch"]
+    (folder / "sierra.toml").write_text(CONFIG.replace("robots]", "field]").replace("robots =", "field ="))
+    words = ("stats", "swarm", "coverage", "--batch", identity)
+    note = (
+        "the batch was requested for target 'robots', which sierra.toml no longer has; "
+        "its outputs, units and times are taken to be those of the default target 'sim'"
+    )
+    assert note in projects.quick(folder, *words).stderr
+    drawn = projects.quick(folder, "figures", identity)
+    assert (drawn.returncode, drawn.stderr.count(note)) == (0, 1), drawn.stderr
+    (folder / "sierra.toml").write_text(CONFIG)
+    assert "taken to be those" not in projects.quick(folder, *words).stderr
+
+
+def test_a_template_of_one_of_two_batches_is_named(tmp_path: Path) -> None:
+    config = """
+        runs = 1
+        command = "python3 {project}/robots.py {arguments}"
+        seed.argument = "--seed {value}"
+        variables.population_size.argument = "--robots {value}"
+        source.paths = ["robots.py"]
+    """
+    folder = make(tmp_path / "p", config)
+    words = ("run", "population_size=1", "--no-figures")
+    assert projects.quick(folder, *words).returncode == 0
+    (folder / "sierra.toml").write_text(config + '\ntemplate = "params.json"\n')
+    assert "the template params.json was added" in projects.quick(folder, *words, "--explain").stdout
+    (folder / "sierra.toml").write_text(config + "environment.set.A = '1'\n")
+    assert "the template params.json is not used any more" in projects.quick(folder, *words, "--explain").stdout
+
+
 def test_why_repeats_the_query_for_its_target(project: Path) -> None:
     for name in ("sim", "robots"):
         answer = json.loads(projects.quick(project, "why", batch(project, name), "--json").stdout)

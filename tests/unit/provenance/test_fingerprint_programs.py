@@ -229,6 +229,28 @@ def test_environments_with_the_same_distributions_have_the_same_id(python: Path,
     assert seen(python, tmp_path).id != seen(other, tmp_path).id
 
 
+@pytest.mark.parametrize(
+    ("words", "programs"),
+    [
+        ("./sim --fast true", {"./sim"}),
+        ("./sim --fast /bin/true", {"./sim", "/bin/true"}),
+        ("./sim true", {"./sim", "true"}),
+        ("nice -n 5 ./sim --fast true", {"nice", "./sim"}),
+        ("env -i true --fast false", {"env", "true"}),
+        ("timeout -v nice -n 1 true", {"timeout", "nice", "true"}),
+    ],
+)
+def test_the_value_of_an_option_is_no_program_unless_the_program_starts_others(
+    tmp_path: Path, words: str, programs: set[str]
+) -> None:
+    (tmp_path / "sim").write_bytes(Path("/bin/true").read_bytes())
+    (tmp_path / "sim").chmod(0o755)
+    command = [word.replace("./sim", str(tmp_path / "sim")) for word in words.split()]
+    found = fingerprint_programs.find(command, {"PATH": SEARCH}, tmp_path / "other")
+    named = {one.name for one in found.all if one.kind == "program"}
+    assert named == {word.replace("./sim", str(tmp_path / "sim")) for word in programs}
+
+
 def test_the_python_that_a_script_starts_is_recorded(python: Path, tmp_path: Path) -> None:
     """The shims of pyenv and asdf are such scripts."""
     install(python, "numpy", "2.0.1")

@@ -237,7 +237,7 @@ def test_the_reason_is_reported_before_runs_execute_again(tmp_path: Path) -> Non
     (root / "arena.xml").write_text(projects.TEMPLATE.replace("an arena", "the arena"))
     assert "since then: the template arena.xml has changed" in ask(2)
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace('"//swarm/@count"', '"/arena/@size"'))
-    assert "since then: sierra.toml changes the template differently" in ask(2)
+    assert "since then: sierra.toml makes other inputs" in ask(2)
     assert "submitted before" not in projects.quick(root, "run", "population_size=1", "--runs", "3", "--no-figures").stderr
 
 
