@@ -812,6 +812,26 @@ class Project:
 
         return render.check(self._loaded, self.store, self.batch(prefix))
 
+    def draw_together(
+        self, targets: Sequence[str], prefix: str | None = None, name: str | None = None
+    ) -> tuple[list[Path], list[str]]:
+        """Draw the last batches of one query for several targets together, in figures that have a line for each target.
+
+        The query is that of the batch with this prefix; by default, the last one that was requested for any of the targets.
+        Return the files, and notes on figures that could not be drawn. Raises UsageError if the runs are no pairs.
+
+        >>> project.targets
+        ()
+        """
+        from sierra.deliverables import overlay, render
+        from sierra.execution import targets as of_query
+
+        of_query.check_names(targets)
+        for target in targets:
+            self._loaded.for_target(target)  # raises an error for an unknown one
+        batch = self.batch(prefix) if prefix else None
+        return render.overlaid(self._loaded, self.store, overlay.batches(self.store, targets, batch), name)
+
     def statistics(
         self,
         prefix: str | None,

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import TargetOfBatch
 from sierra.cli.output import note, print_json, readable
 from sierra.errors import UsageError
 
@@ -26,7 +25,15 @@ def figures(
     name: Annotated[
         str | None, typer.Argument(metavar="NAME", autocompletion=complete.figures, help="One figure (default: all).")
     ] = None,
-    target: TargetOfBatch = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            "--target",
+            metavar="NAME[,NAME...]",
+            autocompletion=complete.targets,
+            help="The last batch of this target instead; several targets are drawn together.",
+        ),
+    ] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Draw nothing; check that drawn figures still follow from the store.")
     ] = False,
@@ -34,14 +41,17 @@ def figures(
 ) -> None:
     """Draw the figures of a batch again.
 
-    Figures are drawn from recorded results; nothing is executed. With --check, nothing is drawn: exit status 1 means that a
-    file was changed or removed since it was drawn, or that the store has other data now.
+    Figures are drawn from recorded results; nothing is executed. With several targets, the last batches of one query are drawn
+    together, with a line for each target: those of the query of HASH, or of the last query for any of these targets. Their runs
+    must be pairs, with the same values and seeds. With --check, nothing is drawn: exit status 1
+    means that a file was changed or removed since it was drawn, or that the store has other data now.
 
     \b
     Examples:
       sierra figures
       sierra figures 3f9a1c
       sierra figures --target robots
+      sierra figures --target sim,robots
       sierra figures 3f9a1c swarm_coverage_summary
       sierra figures 3f9a1c --check
     """
@@ -53,7 +63,10 @@ def figures(
             raise UsageError("--check checks all figures of a batch; leave out the figure's name")
         _check(opened.check_figures(opened.batch(prefix, target=target)), as_json=as_json)
         return
-    paths, notes = opened.draw(opened.batch(prefix, target=target), name)
+    if target is not None and "," in target:
+        paths, notes = opened.draw_together(target.split(","), prefix, name)
+    else:
+        paths, notes = opened.draw(opened.batch(prefix, target=target), name)
     for text in notes:
         note(text)
     if as_json:

@@ -111,7 +111,9 @@ def run(
             _check(project, plan, options)
     answers: dict[str, object] = {}
     summaries: list[Summary] = []
-    for plan in plans:
+    for place, plan in enumerate(plans):
+        if len(plans) > 1 and not dry_run:
+            note(f"target {plan.target} ({place + 1} of {len(plans)}): {counted(len(plan.batch.runs), 'run')}")
         summary, answers[plan.target or ""] = _run(project, plan, options)
         if summary is not None:
             summaries.append(summary)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Container, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from math import isfinite
@@ -20,7 +21,7 @@ from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
 from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import record, seconds, suggest_tables
+from sierra.deliverables import overlay, record, seconds, suggest_tables
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.figures.gather import Batch, gather
 from sierra.deliverables.record import Checked, Content, Recorder, ShownDeliverable, checked
@@ -89,10 +90,55 @@ def find(project: LoadedProject, store: Store, file: Path) -> ShownDeliverable:
 
 def _again(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
     """Return the content of a recorded deliverable by its definition and the data that the store has now."""
+    definition = json.loads(row.definition)
+    figure = Figure.model_validate(definition["figure"])
+    if named := overlay.targets_of(definition):
+        with ExitStack() as frames:
+            batches = overlay.batches_of(named, row.batches)
+            return _overlay(_galleries(project, store, batches, frames), row.name, figure).content()
     with Frame(store, row.batch) as frame:
-        figure = Figure.model_validate(json.loads(row.definition)["figure"])
         only = {figure.table} if figure.table or figure.sql else None
         return _Gallery(project, store, frame, only=only).drawing(row.name, figure).content()
+
+
+def overlaid(
+    project: LoadedProject, store: Store, batches: Mapping[str, str], name: str | None = None
+) -> tuple[list[Path], list[str]]:
+    """Draw the figures of several batches together, by target; return the files, and what could not be drawn and why.
+
+    Raises NotFound if no figure has that name, SierraError if that figure cannot be drawn.
+    """
+    with ExitStack() as frames:
+        galleries = _galleries(project, store, batches, frames)
+        first, *others = galleries.values()
+        wanted, notes = first.wanted(name)
+        drawer = _Drawer(store, project.root, *batches.values(), again=True)
+        drawn: list[Path] = []
+        for figure_name, found in wanted.items():
+            try:
+                figure = overlay.fitting(found, declared=bool(project.config.figures))
+                called = figure_name.replace("_heatmap", "_summary") if figure is not found else figure_name
+                drawn += drawer.draw(_overlay(galleries, "_".join((called, *galleries)), figure))
+            except Missing:
+                raise
+            except SierraError as error:
+                if name is not None:
+                    raise
+                notes.append(f"figure {figure_name}: {error}")
+        notes += dict.fromkeys(note for gallery in (first, *others) for note in gallery.time_notes.values())
+    notes += drawer.close()
+    return drawn, notes
+
+
+def _galleries(project: LoadedProject, store: Store, batches: Mapping[str, str], frames: ExitStack) -> dict[str, _Gallery]:
+    return {
+        target: _Gallery(project.for_target(target), store, frames.enter_context(Frame(store, batch)), target)
+        for target, batch in batches.items()
+    }
+
+
+def _overlay(galleries: Mapping[str, _Gallery], name: str, figure: Figure) -> Drawing:
+    return overlay.merged({target: gallery.drawing(name, figure) for target, gallery in galleries.items()})
 
 
 def statistics(
@@ -172,9 +218,10 @@ def _with_axes(table: pa.Table, frame: Frame) -> pa.Table:
 class _Drawer:
     """The writer of figures' files, which records them. Without `again`, it skips figures that it would only write again."""
 
-    def __init__(self, store: Store, root: Path, batch: str, *, again: bool) -> None:
+    def __init__(self, store: Store, root: Path, batch: str, *others: str, again: bool) -> None:
+        """`others`: further batches that the figures show."""
         self._recorder = Recorder(store, root, batch)
-        self._mark = ProjectPaths(root).drawn(short(batch))
+        self._mark = ProjectPaths(root).drawn("-".join(map(short, (batch, *others))))
         self._again = again
 
     def draw(self, drawing: Drawing) -> tuple[Path, ...]:
@@ -242,17 +289,22 @@ class _Gallery:
         project: LoadedProject,
         store: Store,
         frame: Frame,
+        target: str | None = None,
         *,
         name: str | None = None,
         only: Container[str] | None = None,
     ) -> None:
-        """`name`: the only figure that is wanted. `only`: the outputs and derived tables that are needed; default: all."""
-        target = targets.recorded(store, frame.batch) if project.targets else None
+        """`target`: the project is the one for this target; by default, it is that of the batch's last request.
+
+        `name`: the only figure that is wanted. `only`: the outputs and derived tables that are needed; default: all.
+        """
+        own = target is not None
+        target = target or (targets.recorded(store, frame.batch) if project.targets else None)
         self.target_notes = [f"target {target}"] if target else []
         """The target that the batch was requested for; its declarations are used."""
-        self.declared_notes = targets.notes(project, store, frame.batch)
+        self.declared_notes = () if own else targets.notes(project, store, frame.batch)
         """A note if the declarations are those of another target."""
-        self._config = targets.of_batch(project, store, frame.batch).config
+        self._config = project.config if own else targets.of_batch(project, store, frame.batch).config
         self._store = store
         self._frame = frame
         self._outputs = {output.name: output for output in frame.outputs(only or _tables(self._config.figures, name))}

@@ -66,6 +66,8 @@ class Drawing:
     time: str = "time"
     units: Mapping[str, str] = field(default_factory=dict)
     formats: tuple[Format, ...] = ("png", "pdf", "svg")
+    targets: Mapping[str, str] = field(default_factory=dict)
+    """The batches of several targets that the figure shows together, by target; `batch` is that of the first."""
 
     @property
     def data(self) -> str:
@@ -86,8 +88,11 @@ class Drawing:
             "note": self.note,
             "formats": self.formats,
         }
+        if self.targets:
+            definition["targets"] = list(self.targets)
+        batches = tuple(self.targets.values()) or (self.batch,)
         made_by = (f"sierra-experiments=={__version__}", f"matplotlib=={version('matplotlib')}")
-        return Content("figure", self.name, (self.batch,), definition, self.sql, self.data, made_by)
+        return Content("figure", self.name, batches, definition, self.sql, self.data, made_by)
 
 
 def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:

@@ -176,6 +176,56 @@ def test_list_show_statistics_and_figures_say_the_target(project: Path) -> None:
     assert "m2" in image
 
 
+def test_the_target_that_is_executed_is_named_before_its_runs(project: Path) -> None:
+    done = projects.quick(project, "run", "population_size=1,2", *BOTH, "--no-figures")
+    said = [line for line in done.stderr.splitlines() if "target" in line]
+    assert said == ["note: target sim (1 of 2): 4 runs", "note: target robots (2 of 2): 4 runs"]
+
+
+def test_figures_of_several_targets_have_a_line_for_each(project: Path) -> None:
+    config = CONFIG.replace(', units = { coverage = "m2" }', "")
+    (project / "sierra.toml").write_text(config)
+    drawn = projects.quick(project, "figures", "--target", "sim,robots", "--json")
+    assert drawn.returncode == 0, drawn.stderr
+    found = {Path(path).name: Path(path) for path in json.loads(drawn.stdout)}
+    assert {"swarm_coverage_timeseries_sim_robots.svg", "swarm_coverage_summary_sim_robots.svg"} <= found.keys()
+    folder = f"{batch(project, 'sim')[:10]}-{batch(project, 'robots')[:10]}"
+    for name in ("swarm_coverage_timeseries_sim_robots.svg", "swarm_coverage_summary_sim_robots.svg"):
+        text = found[name].read_text()
+        assert [f">{word}</text>" in text for word in ("target", "sim", "robots")] == [True, True, True]
+        assert found[name].parent.name == folder
+    one = projects.quick(project, "figures", batch(project, "robots"), "swarm_coverage_summary", *BOTH)
+    assert len(one.stdout.splitlines()) == 3, one.stderr
+    for identity in (batch(project, "sim"), batch(project, "robots")):
+        assert projects.quick(project, "figures", identity, "--check").returncode == 0
+    found["swarm_coverage_summary_sim_robots.svg"].write_text("changed")
+    checked = projects.quick(project, "figures", batch(project, "sim"), "--check")
+    assert (checked.returncode, "swarm_coverage_summary_sim_robots" in checked.stdout + checked.stderr) == (1, True)
+
+
+def test_figures_of_targets_with_other_units_are_not_drawn(project: Path) -> None:
+    drawn = projects.quick(project, "figures", *BOTH)
+    assert (drawn.returncode, drawn.stdout) == (0, "")
+    assert "targets 'sim' and 'robots' have different units: none and {'coverage': 'm2'}" in drawn.stderr
+
+
+@pytest.mark.parametrize(
+    ("query", "message"),
+    [
+        (
+            ("population_size=3", "--target", "sim"),
+            "population_size=3 was not run for target robots; record all batches with: ",
+        ),
+        (("population_size=1,2", "--target", "sim", "--runs", "3"), "the runs for targets 'sim' and 'robots' are no pairs: "),
+    ],
+)
+def test_batches_that_are_no_pairs_are_not_drawn_together(project: Path, query: tuple[str, ...], message: str) -> None:
+    assert projects.quick(project, "run", *query, "--no-figures").returncode == 0
+    refused = projects.quick(project, "figures", *BOTH)
+    assert refused.returncode in (2, 3)
+    assert message in refused.stderr
+
+
 def test_recorded_batches_need_no_target(project: Path) -> None:
     identity = batch(project, "robots")
     replayed = projects.quick(project, "replay", identity, "--json")

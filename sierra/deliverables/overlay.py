@@ -1,0 +1,185 @@
+"""Figures that show several targets together: the drawings of one query's batches, merged into one with the axis `target`.
+
+The batches are the last ones of the query, one for each target. Their runs must be pairs: the same values and seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from sierra.config.deliverable_tables import Figure
+from sierra.deliverables.figures.drawing import Drawing
+from sierra.errors import Missing, NotFound, SierraError, UsageError
+from sierra.model import Axis, Value
+from sierra.store.store import Store
+from sierra.util.hashing import short
+from sierra.util.text import few
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+KINDS = ("timeseries", "summary", "box", "violin")
+"""Kinds of figures that can show several targets."""
+TARGET = "target"
+
+
+class _Request(NamedTuple):
+    """What batches of one query have in common."""
+
+    query: str
+    controller: str | None
+    scenario: str | None
+    overrides: list[str]
+    base_seed: int
+
+
+class _Batch(NamedTuple):
+    target: str
+    batch: str
+
+
+class _Members(NamedTuple):
+    batch: str
+    runs: list[tuple[int, int, int]]
+
+
+REQUEST = """
+SELECT s.query, b.controller, b.scenario, b.overrides, b.base_seed FROM sessions s JOIN batches b USING (batch)
+WHERE list_contains($targets, s.target) AND ($batch = '' OR s.batch = $batch) ORDER BY s.lamport DESC LIMIT 1
+"""
+LAST = """
+SELECT s.target, arg_max(s.batch, s.lamport) AS batch FROM sessions s JOIN batches b USING (batch)
+WHERE list_contains($targets, s.target) AND s.query = $query AND b.overrides = $overrides AND b.base_seed = $base_seed
+AND b.controller IS NOT DISTINCT FROM $controller AND b.scenario IS NOT DISTINCT FROM $scenario GROUP BY s.target
+"""
+MEMBERS = """
+SELECT batch, list(row(ordinal, number, seed) ORDER BY ordinal, number) AS runs FROM batch_runs
+WHERE list_contains($batches, batch) GROUP BY batch
+"""
+
+
+def batches(store: Store, targets: Sequence[str], batch: str | None = None) -> dict[str, str]:
+    """Return the last batches of one query by target: the query of a batch, or the last query for any of the targets.
+
+    Raises NotFound or Missing if there are none, UsageError if their runs are no pairs.
+    """
+    asked = store.select(_Request, REQUEST, targets=list(targets), batch=batch or "")
+    if not asked and batch:
+        raise NotFound(f"batch {short(batch)} was not requested for target {' or '.join(targets)}")
+    if not asked:
+        raise Missing(f"no batch is recorded for target {' or '.join(targets)} yet; record them with sierra run")
+    found = {row.target: row.batch for row in store.select(_Batch, LAST, targets=list(targets), **asked[0]._asdict())}
+    if lacking := [target for target in targets if target not in found]:
+        command = f"sierra run {asked[0].query} --target {','.join(targets)}"
+        raise Missing(f"{asked[0].query} was not run for target {few(lacking, 3)}; record all batches with: {command}")
+    chosen = {target: found[target] for target in targets}
+    members = {row.batch: row.runs for row in store.select(_Members, MEMBERS, batches=sorted(set(chosen.values())))}
+    first = members[chosen[targets[0]]]
+    for target in targets[1:]:
+        if members[chosen[target]] != first:
+            raise UsageError(
+                f"the runs for targets {targets[0]!r} and {target!r} are no pairs: their seeds or numbers differ; "
+                f"run the query for both at once: sierra run {asked[0].query} --target {','.join(targets)}"
+            )
+    return chosen
+
+
+def fitting(figure: Figure, *, declared: bool) -> Figure:
+    """Return the figure for several targets: a default map becomes a summary. Raises SierraError for other kinds."""
+    if figure.kind == "heatmap" and not declared:
+        return figure.model_copy(update={"kind": "summary"})
+    if figure.series or figure.facet:
+        raise SierraError("series and facet choose the lines and panels of one target; leave them out to draw several targets")
+    if figure.kind not in KINDS:
+        raise SierraError(f"a figure of kind {figure.kind} shows one target; kinds for several are {', '.join(KINDS)}")
+    return figure
+
+
+def targets_of(definition: Mapping[str, object]) -> list[str]:
+    """Return the targets of a recorded figure that shows several; empty for another one."""
+    found = definition.get("targets")
+    return list(map(str, found)) if isinstance(found, list) else []
+
+
+def batches_of(targets: Sequence[str], recorded: Sequence[str]) -> dict[str, str]:
+    """Return the recorded batches of a figure by target."""
+    return dict(zip(targets, recorded, strict=True))
+
+
+def merged(drawings: Mapping[str, Drawing]) -> Drawing:
+    """Return one drawing of the drawings by target; the target is a further axis, and the first one in figures over time.
+
+    Raises SierraError if the values, their units or the name of the time differ.
+    """
+    first = next(iter(drawings.values()))
+    _check(drawings)
+    name = TARGET
+    while any(axis.name == name for axis in first.axes):
+        name += "_"
+    axis = Axis(name, tuple(drawings), label=TARGET)
+    over_time = first.figure.kind == "timeseries"
+    step = 1 + max((max(one.cells, default=0) for one in drawings.values()), default=0)
+    places = {target: place * step for place, target in enumerate(drawings)}
+    cells: dict[int, Mapping[str, Value]] = {
+        ordinal + places[target]: {**values, name: target}
+        for target, one in drawings.items()
+        for ordinal, values in one.cells.items()
+    }
+    runs = {target: one.runs for target, one in drawings.items() if one.runs is not None}
+    return replace(
+        first,
+        axes=(axis, *first.axes) if over_time else (*first.axes, axis),
+        cells=cells,
+        tables={
+            column: _stacked({target: one.tables[column] for target, one in drawings.items()}, places)
+            for column in first.tables
+        },
+        runs=_stacked(runs, places) if runs else None,
+        note="; ".join(_notes(drawings)),
+        sql="\n\n".join(f"-- target {target}\n{one.sql}" for target, one in drawings.items()),
+        targets={target: one.batch for target, one in drawings.items()},
+    )
+
+
+def _notes(drawings: Mapping[str, Drawing]) -> list[str]:
+    """Return the notes of all drawings; one that not all have names its target."""
+    parts = {target: one.note.split("; ") for target, one in drawings.items()}
+    own = {target: [part for part in some if part and part != f"{TARGET} {target}"] for target, some in parts.items()}
+    shared = [part for part in next(iter(own.values())) if all(part in some for some in own.values())]
+    return [*shared, *(f"{target}: {part}" for target, some in own.items() for part in some if part not in shared)]
+
+
+def _check(drawings: Mapping[str, Drawing]) -> None:
+    (one, first), *others = drawings.items()
+    for target, other in others:
+        for what, mine, theirs in (
+            ("columns", tuple(first.tables), tuple(other.tables)),
+            ("values", [(axis.name, axis.values) for axis in first.axes], [(axis.name, axis.values) for axis in other.axes]),
+            ("time column", first.time, other.time),
+            ("units", _units(first), _units(other)),
+        ):
+            if mine != theirs:
+                raise SierraError(f"targets {one!r} and {target!r} have different {what}: {_text(mine)} and {_text(theirs)}")
+
+
+def _units(drawing: Drawing) -> dict[str, str]:
+    """Return the units that the figure shows, by column."""
+    return {name: unit for name, unit in drawing.units.items() if name in (*drawing.tables, drawing.time) and unit}
+
+
+def _text(value: object) -> str:
+    return repr(value) if value else "none"
+
+
+def _stacked(tables: Mapping[str, pa.Table], places: Mapping[str, int]) -> pa.Table:
+    """Return the tables of all targets as one; the experiments of each begin at its place."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    def moved(table: pa.Table, by: int) -> pa.Table:
+        column = table.schema.get_field_index("experiment")
+        return table.set_column(column, "experiment", pc.add(table.column(column), by))
+
+    return pa.concat_tables([moved(table, places[target]) for target, table in tables.items()], promote_options="permissive")
