@@ -8,7 +8,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, StringConstraints, model_validator
 
-from sierra.config.field_types import NAME, Argv, Name, Table, Text
+from sierra.config.field_types import NAME, Argv, Name, RawTable, Table, Text
 
 VALUE = "{value}"
 """The text that stands for the value in the `argument` of a variable or of the seed."""
@@ -145,6 +145,9 @@ class ChangesOfGroup(Table):
     """The changes of a controller or a scenario for a target."""
 
     changes: tuple[ChangeTable, ...] = Field((), description="changes to the template; may be empty")
+    platform: RawTable = Field(
+        default_factory=dict, description="options of the platform, merged over `[platforms.NAME]`; see `sierra schema`"
+    )
 
 
 class Group(ChangesOfGroup):

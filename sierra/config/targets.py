@@ -20,8 +20,8 @@ RawTable = Mapping[str, object]
 PER_TARGET: Mapping[str, tuple[str, ...]] = {
     "seed": ("set", "argument", "environment"),
     "variables": ("set", "changes", "argument", "environment"),
-    "controllers": ("changes",),
-    "scenarios": ("changes",),
+    "controllers": ("changes", "platform"),
+    "scenarios": ("changes", "platform"),
 }
 """By table with changes for each target, the keys of it that make changes."""
 SHARED = (

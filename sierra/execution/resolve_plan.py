@@ -19,7 +19,7 @@ from sierra.config.project_file import LoadedProject, Project
 from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
-from sierra.design import run_values
+from sierra.design import platform_options, run_values
 from sierra.design.expand import Expansion
 from sierra.design.factorial_design import GROUPED, PlanningProgress, design, ignore_progress, mentions
 from sierra.errors import ConfigError, Missing, QueryError
@@ -161,6 +161,7 @@ def plan(
     """
     project = project.for_target(request.target)
     query = resolve(project, request)
+    project = replace(project, config=platform_options.merged(project.config, query))
     config, root = project.config, project.root
     _check_names(project)
     plugin_registry.check(config)

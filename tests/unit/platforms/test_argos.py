@@ -690,6 +690,48 @@ def refused(folder: Path, *words: str) -> str:
     return ran.stderr
 
 
+LONG = (
+    CONFIG
+    + """
+[scenarios.long]
+platform = { length = 120 }
+[scenarios.wide]
+platform = { length = 120, arena = "20x20" }
+[scenarios.also_long.platform]
+length = 120
+[scenarios.same]
+platform = { arena = "10x10" }
+[scenarios.plain]
+"""
+)
+
+
+def test_a_scenario_sets_options_of_the_platform_for_its_runs(tmp_path: Path) -> None:
+    folder = argos_project(tmp_path / "p", LONG)
+    plain = seen(folder, "population_size=20")
+    assert [(row["x"], row["length"]) for row in plain] == [(10, 60)]
+    rows = seen(folder, "population_size=20", "--scenario", "wide")
+    assert [(row["x"], row["length"], row["walls"]) for row in rows] == [(10, 60, 4), (20, 120, 4)]
+    listed = json.loads(projects.quick(folder, "ls", "--json").stdout)
+    assert len({one["batch"] for one in listed}) == 2
+    seen(folder, "population_size=20", "--scenario", "same")
+    assert len(json.loads(projects.quick(folder, "ls", "--json").stdout)) == 2, "the options change nothing, so no id"
+    assert [row["length"] for row in seen(folder, "scenario=long,also_long")] == [60, 120, 120, 120]
+
+
+@pytest.mark.parametrize(
+    ("config", "words", "message"),
+    [
+        (LONG, ("scenario=long,plain",), "scenarios 'long' and 'plain' have different options of the platform 'argos'"),
+        (LONG + "[scenarios.bad]\nplatform = { lenght = 3 }\n", ("population_size=1",), "scenario 'bad': [platforms.argos]"),
+    ],
+)
+def test_options_of_scenarios_that_differ_in_a_batch_or_are_unknown_are_refused(
+    tmp_path: Path, config: str, words: tuple[str, ...], message: str
+) -> None:
+    assert message in refused(argos_project(tmp_path / "p", config), *words)
+
+
 @pytest.mark.parametrize(
     ("criterion", "expected"),
     [
