@@ -30,6 +30,13 @@ def column_names(names: Sequence[str], taken: Iterable[str] = BESIDE_OUTPUTS) ->
     return tuple(kept)
 
 
+def row_name(taken: Iterable[str]) -> str:
+    """Return the name of the column with the number of the row; another one if an output or a variable has the usual name."""
+    names = tuple(taken)
+    usual, other = column_names(("row", "row_number"), names)
+    return usual if usual == "row" else other
+
+
 def unnested(columns: Mapping[str, str]) -> str:
     """Return the query whose parameters are the values of each column, as lists. `columns`: their SQL types by name."""
     names = (f"unnest(${place}::{kind}[]) AS {identifier(name)}" for place, (name, kind) in enumerate(columns.items(), 1))

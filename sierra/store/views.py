@@ -12,7 +12,7 @@ from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
 from sierra.store.schema import DERIVED, LATER, RECORDED
 from sierra.store.segments import Segment, is_first_part
-from sierra.store.sql_names import column_names, identifier, quote
+from sierra.store.sql_names import column_names, identifier, quote, row_name
 from sierra.store.sql_result import RawRow
 from sierra.store.union_files import Fetch, Relation, relation
 
@@ -280,7 +280,7 @@ class Views:
         free = column_names(theirs, taken=axes)
         renamed = ", ".join(f"{identifier(c)} AS {identifier(n)}" for c, n in zip(theirs, free, strict=True) if c != n)
         rename = f" RENAME ({renamed})" if renamed else ""
-        *_, row = column_names(["row"], taken=(*axes, *free))
+        row = row_name((*axes, *free))
         self.sql_names[name.lower()] = dict(zip(theirs, free, strict=True))
         self._note(name, found, self.sql_names[name.lower()])
         ours = "".join(f"p.{identifier(axis)}, " for axis in axes)

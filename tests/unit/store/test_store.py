@@ -249,7 +249,7 @@ def test_rows_of_a_run_can_be_sorted_in_the_order_of_writing(project: Project) -
     other = "printf 'v\\n3\\n1\\n2\\n' > other.csv\n"
     (project.root / "sim.sh").write_text("printf 'v,row\\n3,a\\n1,b\\n2,c\\n' > out.csv\n" + other)
     run(project, "n=1,2")
-    assert project.sql("SELECT v FROM out WHERE n = 2 AND number = 1 ORDER BY row_").column(0).to_pylist() == [3, 1, 2]
+    assert project.sql("SELECT v FROM out WHERE n = 2 AND number = 1 ORDER BY row_number").column(0).to_pylist() == [3, 1, 2]
     assert project.sql("SELECT v FROM other WHERE n = 1 AND number = 1 ORDER BY row").column(0).to_pylist() == [3, 1, 2]
     assert project.sql("SELECT DISTINCT row FROM out ORDER BY 1").column(0).to_pylist() == ["a", "b", "c"]
 
