@@ -16,7 +16,7 @@ from sierra.containers.images.image import Image
 from sierra.execution import commands, shared_files
 from sierra.execution.follow import Followed, follow
 from sierra.execution.observation import choose_runs
-from sierra.execution.observation.plan_files import of_user
+from sierra.execution.observation.plan_files import folders
 from sierra.execution.observer import Tally
 from sierra.execution.resolve_plan import not_in_checkouts
 from sierra.execution.sessions import Session
@@ -24,7 +24,7 @@ from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Doubt
 from sierra.model import Helps, Job, Limits, Run, RunSpec, Times
-from sierra.provenance import environment, pythons, tracer
+from sierra.provenance import environment, tracer
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
 from sierra.runners.base import Runner, Work, needed
@@ -161,14 +161,12 @@ class Service:
         project = self._setup.project
         if not self._is_observed():
             return (job for _, job in jobs)
-        folders = {"project": self._setup.root, "store": self._store.paths.root, **of_user()}
-        named = {name: str(folder.resolve()) for name, folder in folders.items()}
+        named = {name: str(folder) for name, folder in folders(self._setup.root, programs, self._search()).items()}
+        named["store"] = str(self._store.paths.root.resolve())
         root = str(project.root.resolve())
         if root != named["project"]:
             named["project:given"] = root  # links in a checkout may lead there
         named |= {f"unlisted:{number}": f"{root}/{name}" for number, name in enumerate(not_in_checkouts(project))}
-        if prefix := pythons.environment(programs, self._search()):
-            named["prefix"] = str(prefix)
         helps = None if self._stays else Helps(tracer.usable(), str(user_digests()))
         return choose_runs.choose(jobs, batch, project.config, named, helps)
 

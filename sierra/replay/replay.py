@@ -31,7 +31,7 @@ from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
 from sierra.model import Purpose, Run, Status, Value
-from sierra.provenance import environment, fingerprint_programs, pythons, reported_versions
+from sierra.provenance import environment, fingerprint_programs, reported_versions
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Kind, Programs, mentioned
 from sierra.replay import compare_host_with_image, equivalence, same_files
@@ -378,12 +378,9 @@ def _other_programs(record: _Record, now: Programs, root: Path) -> Iterator[str]
 
 def _used_files(store: Store, record: _Record, now: Programs, root: Path, search: str) -> UsedFiles:
     """Compare the files that the recorded executions used with those now; programs and products are compared elsewhere."""
-    named = {"project": root.resolve(), **plan_files.of_user()}
-    environment = pythons.environment(now, search)
     built = [str(root / one.name) for one in record.of.build.products] if record.of.build else []
     known = [one.path for one in now.all if one.kind != Kind.DISTRIBUTIONS] + built
-    if environment:
-        named["prefix"] = environment
+    named = plan_files.folders(root, now, search)
     declared = "PATH" in record.of.spec.environment
     current = Current(named, search, declared, now.all[0].path if now.all else "", is_source_only=True)
     return same_files.compare(store, [str(one.execution) for one in record.runs], current, known)

@@ -880,7 +880,7 @@ class Worker:
             remains = collect_outputs(folder, inputs_of(job), running.limits, running.stopped, self.check_stop, spare)
         if running.stopped is None and remains["stopped"] is None:
             remains["error"] = failure or remains["error"]
-        if "beside" in job and (trouble := changed_beside(job["beside"])):
+        if "beside" in job and (trouble := shared_files(job["beside"]).changed()):
             remains["error"] = remains["error"] or trouble
         if spare and place is not None and not remains["error"] and sum(file["bytes"] for file in remains["outputs"]) <= CHUNK:
             self.spare[int(os.path.basename(folder))] = place
@@ -1182,7 +1182,7 @@ def prepare(job: Job, folder: str, used: RunFolder | None = None) -> RunFolder |
         with open(os.path.join(folder, name), "xb") as file:
             file.write(content_of(job, name, folder))
     if "beside" in job:
-        place(job["beside"], folder)
+        shared_files(job["beside"]).place(folder)
     for name in LOGS:
         make_log(os.path.join(folder, name))
     return RunFolder(folder, list(job["files"])) if "used" in job and "beside" not in job else None
@@ -1199,26 +1199,55 @@ def content_of(job: Job, name: str, folder: str) -> bytes:
     return content
 
 
-def place(source: str, folder: str) -> None:
-    """Copy the files of a shared folder to a run's folder.
+class SharedFiles:
+    """The files of a folder that the runs of a session share. The folder is listed once, because nothing changes it."""
 
-    A large file shares its data with the copy if the file system copies on write. Otherwise it is a hard link, which only its
-    owner could make writable, and `changed_beside` would find that. For root, whom no permission stops, it is a copy.
-    """
-    for path, name in files_below(source):
-        target = os.path.join(folder, name)
-        os.makedirs(os.path.dirname(target), exist_ok=True)
-        status = os.stat(path)
-        with open(path, "rb") as original, open(target, "xb") as copy:
-            if cloned(copy.fileno(), original.fileno()):
-                linked = False
-            else:
-                linked = status.st_size >= LINKED and os.geteuid() != 0 and relinked(path, target)
-                if not linked:
-                    shutil.copyfileobj(original, copy, CHUNK)
-        if not linked:
-            os.chmod(target, 0o755 if status.st_mode & stat.S_IXUSR else 0o644)
+    def __init__(self, source: str) -> None:
+        statuses = [(path, name, os.stat(path)) for path, name in files_below(source)]
+        self.files = [(path, name, 0o755 if status.st_mode & stat.S_IXUSR else 0o644) for path, name, status in statuses]
+        self.names = [name for _, name, _ in self.files]
+        self.folders = folders_of(self.names)
+        self.large = {name: (path, status.st_size) for path, name, status in statuses if status.st_size >= LINKED}
+        """The files that may be hard links, with their sizes."""
+        self.clones = True
+        """Whether the file system may make files that share their data."""
+
+    def place(self, folder: str) -> None:
+        """Copy the files to a run's folder.
+
+        A large file shares its data with the copy if the file system copies on write. Otherwise it is a hard link, which only
+        its owner could make writable, and `changed` would find that. For root, whom no permission stops, it is a copy.
+        """
+        for name in self.folders:
+            os.makedirs(os.path.join(folder, name), exist_ok=True)
+        for path, name, mode in self.files:
+            target = os.path.join(folder, name)
+            with open(path, "rb", buffering=0) as original, open(target, "xb", buffering=0) as copy:
+                self.clones = self.clones and cloned(copy.fileno(), original.fileno())
+                if not self.clones:
+                    if name in self.large and os.geteuid() != 0 and relinked(path, target):
+                        continue
+                    for chunk in iter(lambda: original.read(CHUNK), b""):
+                        write_all(copy.fileno(), chunk)
+                os.fchmod(copy.fileno(), mode)
             os.utime(target, ns=(BESIDE_NS, BESIDE_NS))
+
+    def changed(self) -> str | None:
+        """Return why runs that share large files cannot be trusted: a run has changed one; None if none has."""
+        for name, (path, size) in self.large.items():
+            try:
+                status = os.stat(path)
+            except OSError:
+                return "a run has removed %s, which all runs share" % name
+            if (status.st_size, status.st_mtime_ns, status.st_mode & 0o222) != (size, BESIDE_NS, 0):
+                return "a run has changed %s, which all runs share" % name
+        return None
+
+
+@functools.lru_cache(maxsize=None)
+def shared_files(source: str) -> SharedFiles:
+    """Return the files of a folder that runs share. It is read once."""
+    return SharedFiles(source)
 
 
 def cloned(copy: int, original: int) -> bool:
@@ -1250,18 +1279,9 @@ def files_below(folder: str) -> Iterator[tuple[str, str]]:
             yield path, os.path.relpath(path, folder)
 
 
-def changed_beside(source: str) -> str | None:
-    """Return why runs that share large files cannot be trusted: a run has changed one; None if none has."""
-    for path, name in files_below(source):
-        status = os.stat(path)
-        if status.st_size >= LINKED and (status.st_mtime_ns != BESIDE_NS or status.st_mode & 0o222):
-            return "a run has changed %s, which all runs share" % name
-    return None
-
-
 def inputs_of(job: Job) -> list[str]:
     """Return the names of all files that a run gets in its folder."""
-    return [*job["files"], *(name for _, name in files_below(job["beside"]))] if "beside" in job else list(job["files"])
+    return [*job["files"], *shared_files(job["beside"]).names] if "beside" in job else list(job["files"])
 
 
 def make_log(path: str) -> None:

@@ -9,25 +9,25 @@ from sierra.execution import commands
 from sierra.execution.observation.current_files import Current
 from sierra.execution.resolve_plan import Plan, not_in_checkouts
 from sierra.provenance import pythons
+from sierra.provenance.dependency_model import Programs
 
 
-def of_user() -> dict[str, Path]:
-    """Return the user's folders that names of observed files refer to, by name."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return {"home": Path.home().resolve(), "cache": cache.resolve()}
+def folders(root: Path, programs: Programs, search: str) -> dict[str, Path]:
+    """Return the folders that names of observed files refer to, by name.
 
-
-def folders(plan: Plan) -> dict[str, Path]:
-    """Return the folders that names of observed files refer to, by name."""
-    named = {"project": plan.project.root.resolve(), **of_user()}
-    environment = pythons.environment(plan.programs, _search(plan))
+    `root` is the folder of the code, `search` the PATH of the runs.
+    """
+    home = Path.home()
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
+    named = {"project": root.resolve(), "home": home.resolve(), "cache": cache.resolve()}
+    environment = pythons.environment(programs, search)
     return {**named, "prefix": environment} if environment else named
 
 
 def current(plan: Plan) -> Current:
     """Return where files are now."""
     return Current(
-        folders=folders(plan),
+        folders=folders(plan.project.root, plan.programs, _search(plan)),
         search=_search(plan),
         declared="PATH" in plan.batch.spec.environment,
         program=plan.programs.all[0].path if plan.programs.all else "",

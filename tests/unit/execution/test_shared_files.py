@@ -170,6 +170,9 @@ def test_a_changed_large_file_is_noticed(tmp_path: Path) -> None:
     large.write_bytes(b"0" * worker.LINKED)
     large.chmod(0o444)
     os.utime(large, ns=(worker.BESIDE_NS, worker.BESIDE_NS))
-    assert worker.changed_beside(str(folder)) is None
+    files = worker.SharedFiles(str(folder))
+    assert files.changed() is None
     large.chmod(0o644)
-    assert worker.changed_beside(str(folder)) == "a run has changed large, which all runs share"
+    assert files.changed() == "a run has changed large, which all runs share"
+    large.unlink()
+    assert files.changed() == "a run has removed large, which all runs share"
