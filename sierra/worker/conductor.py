@@ -37,14 +37,48 @@ import os
 import re
 import select
 import signal
-import socket
 import subprocess
 import sys
 import time
-from typing import TYPE_CHECKING, Container, Mapping, Sequence, TypedDict
 
+TYPE_CHECKING = False  # each run starts a conductor, and importing `typing` is a tenth of its time; so is `socket`
 if TYPE_CHECKING:
-    from typing import NoReturn
+    from typing import Container, Mapping, NoReturn, Sequence, TypedDict
+
+    class Service(TypedDict):
+        """A service: see `sierra.model.Service`."""
+
+        name: str
+        argv: Sequence[str]
+        ready: Sequence[str]
+        timeout: float
+
+    class Shared(TypedDict):
+        """What a conductor knows of services that several runs share."""
+
+        ports: Mapping[str, int]
+        pids: Mapping[str, int]
+        log: str
+        """The file with their output."""
+        error: str | None
+        """Why they could not be started."""
+
+    class Plan(TypedDict):
+        """The programs around a run's command, with all placeholders but NUL and the ports filled in."""
+
+        shared: Sequence[Service]
+        """Services that the worker starts once for all runs."""
+        observed: bool
+        """Whether the worker is to observe them."""
+        services: Sequence[Service]
+        before: Sequence[Sequence[str]]
+        argv: Sequence[str]
+        after: Sequence[Sequence[str]]
+        success: Sequence[int]
+        """The exit statuses of the command that mean success."""
+        grace: float
+        """The seconds between SIGTERM and SIGKILL."""
+
 
 REPORT = os.path.join("home", ".sierra-conductor")  # in the run's folder, removed with `home`
 SHARED_FILE = "shared"  # in the folder of shared services
@@ -55,43 +89,6 @@ LONGEST_S = 3600.0  # of one wait
 LAST_WORDS_S = 1.0  # for the output of a service that has ended
 CHUNK = 1 << 16
 LAST_BYTES = 1 << 12
-
-
-class Service(TypedDict):
-    """A service: see `sierra.model.Service`."""
-
-    name: str
-    argv: Sequence[str]
-    ready: Sequence[str]
-    timeout: float
-
-
-class Shared(TypedDict):
-    """What a conductor knows of services that several runs share."""
-
-    ports: Mapping[str, int]
-    pids: Mapping[str, int]
-    log: str
-    """The file with their output."""
-    error: str | None
-    """Why they could not be started."""
-
-
-class Plan(TypedDict):
-    """The programs around a run's command, with all placeholders but NUL and the ports filled in."""
-
-    shared: Sequence[Service]
-    """Services that the worker starts once for all runs."""
-    observed: bool
-    """Whether the worker is to observe them."""
-    services: Sequence[Service]
-    before: Sequence[Sequence[str]]
-    argv: Sequence[str]
-    after: Sequence[Sequence[str]]
-    success: Sequence[int]
-    """The exit statuses of the command that mean success."""
-    grace: float
-    """The seconds between SIGTERM and SIGKILL."""
 
 
 class Failed(Exception):
@@ -397,6 +394,8 @@ def send(group: int, number: int) -> None:
 
 def accepts(port: int) -> bool:
     """Return whether a program accepts connections to a port of this host."""
+    import socket
+
     for family, address in ((socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1")):
         with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_STREAM) as client:
             client.settimeout(1.0)
@@ -415,6 +414,8 @@ def free_port(taken: Container[int]) -> int:
 
 
 def is_free(port: int) -> bool:
+    import socket
+
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_STREAM) as server:
         server.bind(("", port))
         return True

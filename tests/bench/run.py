@@ -322,6 +322,34 @@ def observation(folder: Path) -> None:
     batch_of_short_runs(folder)
 
 
+AROUND = {
+    "before and after": 'before = "true"\nafter = "true"\n',
+    "a service": '[services.it]\ncommand = ["sh", "-c", "echo ready; exec sleep 99"]\nready = { output = "ready" }\n',
+}
+CONDUCTED = 50
+
+
+def around(folder: Path) -> None:
+    """Measure what services and commands around a run cost, compared with the start of a Python."""
+
+    def batch(name: str, tables: str) -> Callable[[], None]:
+        here = project(folder / name)
+        config = here / "sierra.toml"
+        own, table = ("", tables) if tables.startswith("[") else (tables, "")
+        config.write_text(f'observe = "none"\n{own}{config.read_text()}{table}')
+        return partial(run_anew, here, str(CONDUCTED))
+
+    plain = batch("plain", "")
+    python = partial(quietly, sys.executable, "-I", "-S", "-c", "pass")
+    for name, tables in AROUND.items():
+        ours = batch(name, tables)
+        ours()  # fills the caches
+        rounds = [tuple(map(cpu_seconds, (ours, plain, python))) for _ in range(3)]
+        more, less, theirs = (statistics.median(taken) for taken in zip(*rounds, strict=True))
+        took = (more - less) / CONDUCTED
+        say(f"a run with {name} ({took * 1000:.0f} ms CPU) / the start of a Python", took, theirs, "at most 5")
+
+
 def batch_of_short_runs(folder: Path) -> None:
     """Measure a batch of 100 runs of 0.1 s with the default settings, compared with runs that are not observed."""
     both = [observed(folder / f"sleep {observe}", observe, ("sleep", "0.1")) for observe in ("first", "none")]
@@ -522,6 +550,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "planning": planning,
     "commands": commands,
     "observation": observation,
+    "around": around,
     "linear": linear,
     "inputs": inputs,
     "recording": recording,
