@@ -415,7 +415,8 @@ class Traced:
         try:
             with open(self._log, "rb") as file:
                 file.seek(self._offset)
-                self._offset += log.read(file, check_stop, living=living)
+                if not (living and self._cut):  # else the log was emptied
+                    self._offset += log.read(file, check_stop, living=living)
             if is_full(self._log):
                 log.damage("the disk of the log is full")
         except OSError as error:
@@ -424,7 +425,7 @@ class Traced:
             log.damage("the tracer did not end, and was killed")
         if stderr is not None and self._complains(stderr, check_stop):
             log.damage("the tracer has written to the run's standard error")
-        if not living or self._latest is None or before != self._offset or log.is_damaged:
+        if not living or self._latest is None or before != self._offset or log.is_damaged or self._cut:
             self._latest = log.trace(Strace.name, cut=self._cut, living=living)
         return self._latest
 
@@ -1250,7 +1251,7 @@ class Log:
         trace = Trace(
             way,
             links={os.fsdecode(path): os.fsdecode(self._links[path]) for path in sorted(self._links)},
-            reasons=tuple(one_line(reason) for reason in self._reasons),
+            reasons=tuple(one_line(reason) for reason in (*self._reasons, *(self._now_unknown() if living else ()))),
             disturbed=self._disturbed and one_line(self._disturbed),
             notes=tuple(one_line(note) for note in self._notes),
         )
@@ -1259,14 +1260,19 @@ class Log:
     def _check_lines(self, *, living: bool) -> None:
         if self._damaged:
             self.damage("%d lines of the log are not understood" % self._damaged)
-        if not self._started and not self._reasons:
-            self.damage("the tracer did not start it")
         if not living:
             self._check_end()
-        elif self._waiting:
-            self._reasons["a process had just begun"] = None
+
+    def _now_unknown(self) -> Iterator[str]:
+        """Yield why something that programs have done until now is not known yet."""
+        if not self._started:
+            yield "it had not begun"
+        if self._waiting:
+            yield "a process had just begun"
 
     def _check_end(self) -> None:
+        if not self._started and not self._reasons:
+            self.damage("the tracer did not start it")
         if any(process.seen for process in self._processes.values()):
             self.damage("the log ends before the run: the tracer was killed, or the log was cut")
         unseen = sum(not process.seen for process in self._processes.values())

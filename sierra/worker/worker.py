@@ -509,13 +509,13 @@ class SharedServices:
         if self.observation and not self.tracer:
             self.tracer = number_in(self.process.pid, b"TracerPid:")
 
-    def seen(self, check_stop: Callable[[], None] = lambda: None) -> Trace | None:
-        """Return what the services have done with files until now; None if they are not observed."""
+    def seen(self) -> Trace | None:
+        """Return what the services have done with files until now; None if they are not observed. Reads only what is new."""
         if self.observation is None:
             return None
         with self.looking:
             lost = self.tracer and self.process.poll() is None and number_in(self.process.pid, b"TracerPid:") != self.tracer
-            trace = self.observation.trace(os.path.join(self.folder, LOGS[1]), check_stop, living=True)
+            trace = self.observation.trace(os.path.join(self.folder, LOGS[1]), living=True)
         return trace._replace(disturbed="their tracer has ended") if lost else trace
 
     def disturbed(self) -> str | None:
@@ -905,12 +905,16 @@ class Worker:
         if plan.get("observed"):
             with self.observing:
                 way, unusable = self.way(job.get("helps"))
-            services = SharedServices(job, plan, self.next_folder("services-"), way, unusable)
-            services.await_ready(lambda: self.stopping)
-            disturbed = services.disturbed()
-            if not disturbed or self.stopping:
-                return services
-            services.end(skip_grace=lambda: self.without_grace)
+            try:
+                services = SharedServices(job, plan, self.next_folder("services-"), way, unusable)
+            except (OSError, ValueError) as error:  # perhaps the tracer is gone
+                disturbed: str | None = "they could not be started by the tracer: " + explain(error)
+            else:
+                services.await_ready(lambda: self.stopping)
+                disturbed = services.disturbed()
+                if not disturbed or self.stopping:
+                    return services
+                services.end(skip_grace=lambda: self.without_grace)
             return SharedServices(job, plan, self.next_folder("services-"), None, ("%s: %s" % (UNOBSERVED, disturbed),))
         return SharedServices(job, plan, self.next_folder("services-"))
 
@@ -959,7 +963,7 @@ class Worker:
             disturbed = trace.disturbed
             names = file_trace().Names({"work": self.folder, **job["observe"], "run": running.folder})
             seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
-            shared = services.seen(self.check_stop) if services else None
+            shared = services.seen() if services else None
             with self.observing:
                 contents = self.contents(job, seen, names, running.observation.began)
                 if services:

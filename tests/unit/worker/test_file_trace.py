@@ -76,6 +76,32 @@ def test_a_log_that_is_cut_anywhere_is_never_complete() -> None:
         assert not read(LOG[:size]).complete, LOG[:size][-80:]
 
 
+@given(st.lists(st.integers(0, len(LOG)), max_size=5))
+def test_what_living_programs_have_done_is_read_piece_by_piece_from_a_log_that_grows(
+    tmp_path_factory: pytest.TempPathFactory, cuts: list[int]
+) -> None:
+    log, whole = tmp_path_factory.mktemp("log") / "log", read(LOG)
+    growing = Strace("/usr/bin/strace").begin(str(log), "/w")
+    for end in sorted((*cuts, len(LOG))):
+        log.write_text(LOG[:end])
+        seen = growing.trace(living=True)
+        begun = "execve" in LOG[:end].rpartition("\n")[0]
+        assert (seen.disturbed, "it had not begun" in seen.reasons) == (None, not begun)
+    assert seen == whole
+
+
+def test_a_living_program_may_be_observed_until_its_log_is_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log, whole = tmp_path / "log", read(LOG)
+    growing = Strace("/usr/bin/strace").begin(str(log), "/w")
+    log.write_text(LOG)
+    assert growing.trace(living=True).reason is None
+    monkeypatch.setattr(file_trace, "LOG_BYTES", 10)
+    growing.limit()
+    log.write_text("a log that begins anew")
+    cut = growing.trace(living=True)
+    assert (cut.read, cut.reason, cut.disturbed) == (whole.read, "its log is longer than 10 bytes", None)
+
+
 def test_a_log_that_lacks_a_line_of_a_call_in_two_parts_is_not_complete() -> None:
     lines = LOG.splitlines(keepends=True)
     for number in (0, 4, 5, 6, 7, 8, 10, 11, 14, 16):
