@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,7 @@ from sierra.cli.arguments import (
     TargetNames,
 )
 from sierra.cli.output import note, print_json, table
+from sierra.errors import SierraError
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
@@ -119,8 +121,9 @@ def run(
             summaries.append(summary)
             if summary.interrupted or (fail_fast and summary.failed):
                 break
+    together = _together(project, plans, summaries, options)
     if as_json:
-        print_json({"targets": answers} if len(plans) > 1 else answers[plans[0].target or ""])
+        print_json({"targets": answers, "figures": together} if len(plans) > 1 else answers[plans[0].target or ""])
     render_summary.leave(summaries, detached=detach)
 
 
@@ -175,6 +178,26 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
         return summary, render_summary.answer(project, summary, more)
     render_summary.print_text(project, summary)
     return summary, {}
+
+
+def _together(project: Project, plans: Sequence[Plan], summaries: Sequence[Summary], options: Options) -> list[str]:
+    """Draw the batches of several targets together, if all were executed; print and return the files."""
+    from sierra.cli.figures import from_here
+
+    if len(plans) < 2 or not options.figures or len(summaries) < len(plans):
+        return []
+    if any(one.interrupted or one.detached for one in summaries):
+        return []
+    try:
+        paths, notes = project.draw_together([plan.target or "" for plan in plans], plans[0].batch.id)
+    except SierraError as error:
+        paths, notes = [], [f"the targets are not drawn together: {error}"]
+    for text in notes:
+        note(text)
+    if not options.as_json:
+        for path in paths:
+            print(from_here(path))
+    return list(map(str, paths))
 
 
 def _preview(project: Project, plan: Plan, selection: Selection | None, built: str | None, options: Options) -> PlanPreview:

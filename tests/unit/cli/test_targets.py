@@ -203,6 +203,15 @@ def test_figures_of_several_targets_have_a_line_for_each(project: Path) -> None:
     assert (checked.returncode, "swarm_coverage_summary_sim_robots" in checked.stdout + checked.stderr) == (1, True)
 
 
+def test_a_query_for_several_targets_draws_them_together_at_its_end(tmp_path: Path) -> None:
+    folder = make(tmp_path / "p", CONFIG.replace(', units = { coverage = "m2" }', ""))
+    done = projects.quick(folder, "run", "population_size=1", *BOTH, "--figures", "--json")
+    assert done.returncode == 0, done.stderr
+    drawn = [Path(path) for path in json.loads(done.stdout)["figures"]]
+    assert {path.stem for path in drawn} == {f"swarm_coverage_{kind}_sim_robots" for kind in ("summary", "timeseries")}
+    assert all("-" in path.parent.name for path in drawn)
+
+
 def test_figures_of_targets_with_other_units_are_not_drawn(project: Path) -> None:
     drawn = projects.quick(project, "figures", *BOTH)
     assert (drawn.returncode, drawn.stdout) == (0, "")
