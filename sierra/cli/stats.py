@@ -72,8 +72,8 @@ def stats(
 
     Prints n, mean, sd, the 95 % interval of the mean (low, high), median, quartiles, whiskers, range, the interquartile mean
     (iqm) with its interval, and the number of missing or infinite values, or of runs that never reached the threshold. A column
-    that is 0 or 1 (false or true) in all runs is a rate: its interval is Wilson's, as the column `interval` shows. (A column of
-    fractions is a rate only if both 0 and 1 occur in the batch.)
+    of true and false is a rate: its interval is Wilson's, as the column `interval` shows. So is a column of 0 and 1 that
+    `rates` in [outputs.OUTPUT] names.
 
     \b
     Examples:

@@ -134,6 +134,11 @@ class Output(Table):
         "and reports n",
     )
     units: Mapping[str, str] = Field(default_factory=dict, description="unit of each column in figures")
+    rates: Annotated[tuple[str, ...], AfterValidator(_once)] = Field(
+        (),
+        description="columns of 0 and 1 whose mean is a rate, so that its interval is Wilson's; columns of false and true need "
+        "not be named",
+    )
     tolerance: Mapping[str, Tolerance] = Field(
         default_factory=dict,
         description="maximum difference between replay and record, by column (`*`: all other columns): abs, rel or ulp",

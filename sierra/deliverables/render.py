@@ -39,6 +39,7 @@ from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
+from sierra.util.text import like
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -168,8 +169,7 @@ def statistics(
             table, text, notes = samples.at_times(times or "own", stats.STATISTICS)
         else:
             (table, text), notes = samples.by_experiment(measure, stats.STATISTICS, threshold), []
-        if stats.is_rate(table):
-            notes.append(f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate")
+        notes += _about_rates(table, column, output, asked=samples.rate and measure != "time_to")
         notes = [
             *gallery.target_notes,
             *gallery.declared_notes,
@@ -187,6 +187,20 @@ def _tables(figures: Mapping[str, Figure], name: str | None) -> Container[str] |
     wanted = [figure for called, figure in figures.items() if name in (None, called)]
     known = wanted and all(figure.table or figure.sql for figure in wanted)
     return {figure.table for figure in wanted} if known else None
+
+
+def _about_rates(table: pa.Table, column: str, output: str, *, asked: bool) -> list[str]:
+    """Return notes on the kind of interval if the values are 0 and 1. `asked`: whether the column is one of a rate."""
+    if stats.is_rate(table):
+        return [f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate"]
+    if asked and any(n > 1 for n in table.column("n").to_pylist()):
+        return [f"not all values of {column} are 0 or 1: low and high are Student's t interval, not that of a rate"]
+    if not stats.may_be_rate(table):
+        return []
+    return [
+        f"all values of {column} are 0 or 1, but it may be a count: low and high are Student's t interval"
+        f' (for the interval of a rate, set rates = ["{column}"] in [outputs.{output}])'
+    ]
 
 
 def _check_reduction(measure: str | None, threshold: float | None, times: str | None) -> None:
@@ -387,7 +401,16 @@ class _Gallery:
         (column,) = figure.columns
         source = _Output(self._frame, output, self.time(output))
         source.check(figure.columns, numeric=True)
-        return stats.Samples(source.samples(column), self._coverage(output), column in output.whole)
+        return stats.Samples(source.samples(column), self._coverage(output), column in self.rates(output))
+
+    def rates(self, output: OutputTable) -> tuple[str, ...]:
+        """Return the columns whose values 0 and 1 are a rate: those of flags, and those that are declared."""
+        declared = self._config.declared(output.name)
+        rates = declared.rates if isinstance(declared, Output) else ()
+        if unknown := [column for column in rates if column not in output.all_columns]:
+            where = f"[outputs.{output.name}] rates"
+            raise NotFound(f"{where}: no column {unknown[0]!r}; {like(unknown[0], output.all_columns)}")
+        return (*output.flags, *rates)
 
     def drawing(self, name: str, figure: Figure) -> Drawing:
         """Return the computed content of a figure."""
@@ -402,7 +425,7 @@ class _Gallery:
         if figure.where:
             seen = source.coverage(columns[0])
             batch = batch.of_experiments(seen.runs)
-        made = gather(name, figure, columns, batch, source, seen, output.whole)
+        made = gather(name, figure, columns, batch, source, seen, self.rates(output))
         declared = self._config.declared(output.name)
         units = dict(declared.units) if declared else {}
         tables, note = made.tables, made.note

@@ -22,7 +22,7 @@ from sierra.util.hashing import digest
 from sierra.util.json_types import Json, JsonView
 
 ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
-UNREAD = {"units", "time", "ticks_per_second", "tolerance", "ordered", "volatile"}
+UNREAD = {"units", "rates", "time", "ticks_per_second", "tolerance", "ordered", "volatile"}
 """The settings of an output that do not influence how it is recorded."""
 SAME_PROGRAMS = """(CASE WHEN e.reusing IS NULL THEN e.programs = $programs
     AND e.session NOT IN (SELECT s.stale FROM stale_sessions s WHERE s.session = $session) ELSE e.reusing = $session END)"""

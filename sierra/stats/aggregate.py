@@ -156,13 +156,13 @@ def compute(
     *,
     planned: Mapping[int, int] | None = None,
     known: Coverage | None = None,
-    whole: Container[str] = (),
+    rates: Container[str] = (),
 ) -> Computed:
     """Compute what a figure `needs` from the columns in `frames` (column's name → its samples).
 
     `planned` is the number of runs that each experiment should have, to report absent runs. `known` is the coverage of the
-    same output, if it was computed before. `whole` has the columns of whole numbers and truth values. Raises SierraError
-    if there is nothing to show, UsageError if the figure does not fit the batch.
+    same output, if it was computed before. `rates` has the columns whose values 0 and 1 are a rate. Raises SierraError if
+    there is nothing to show, UsageError if the figure does not fit the batch.
     """
     _check(figure, needs, frames)
     seen = known or coverage(next(iter(frames.values())))
@@ -170,7 +170,7 @@ def compute(
     notes: dict[str, None] = {}
     tables, texts = {}, []
     for column, frame in frames.items():
-        samples = Samples(frame, seen, column in whole)
+        samples = Samples(frame, seen, column in rates)
         if needs.over == "time":
             table, text, how = samples.at_times(figure.times, statistics)
             notes |= dict.fromkeys(how)
@@ -202,18 +202,22 @@ class Samples:
 
     frame: Frame
     coverage: Coverage
-    whole: bool = False
-    """True if the column holds only whole numbers or truth values; if all are 0 or 1, they are a rate."""
+    rate: bool = False
+    """True if the column has flags, or is declared as a rate; if all values are 0 or 1, their mean is a rate."""
 
     def by_experiment(self, measure: str, statistics: Iterable[str], threshold: float | None = None) -> Statistics:
         """Return statistics of each experiment, each run reduced by `measure`."""
         text = statement(_file(f"measures/{measure}"), "group_by_experiment", _ordered(statistics))
-        return self._run(text, rates=measure != "time_to", whole=self.whole, threshold=threshold)
+        return self._run(text, rate=self._remains_rate(measure), threshold=threshold)
+
+    def _remains_rate(self, measure: str) -> bool:
+        """Return whether the reduced values of a rate are still 0 or 1; the mean of several rows is a fraction."""
+        return self.rate and (measure == "final" or (measure == "mean" and self.coverage.most == 1))
 
     def by_time(self, statistics: Iterable[str]) -> Statistics:
         """Return statistics of each experiment at each of its runs' times."""
         text = statement("SELECT experiment, t, value FROM samples", "group_by_time", _ordered(statistics))
-        return self._run(text, whole=self.whole)
+        return self._run(text, rate=self.rate)
 
     def at_times(self, times: str | None, statistics: Iterable[str]) -> tuple[pa.Table, str, list[str]]:
         """Return statistics at the runs' `own` times or at common ones (`carry`, `linear`), and also notes about the times.
@@ -238,7 +242,7 @@ class Samples:
     def resampled(self, grid: Sequence[float], statistics: Iterable[str], *, linear: bool = False) -> Statistics:
         """Return the result of `by_time` at the times of `grid`, which need not be times of any run."""
         text = statement(_file("resample"), "group_by_time", _ordered(statistics))
-        return self._run(text, whole=self.whole and not linear, grid=list(grid), linear=linear)
+        return self._run(text, rate=self.rate and not linear, grid=list(grid), linear=linear)
 
     def _common_times(self) -> list[float]:
         """Return the times of a common axis, in ascending order.
@@ -256,9 +260,9 @@ class Samples:
         grid: list[float] = np.unique(np.where(close, near, even)).tolist()
         return grid
 
-    def _run(self, text: str, *, whole: bool, rates: bool = True, **params: Parameter) -> Statistics:
+    def _run(self, text: str, *, rate: bool, **params: Parameter) -> Statistics:
         most = max(self.coverage.runs.values())
-        params |= {"z": NormalDist().inv_cdf((1 + LEVEL) / 2), "rates": rates, "whole": whole}
+        params |= {"z": NormalDist().inv_cdf((1 + LEVEL) / 2), "rate": rate}
         return self.frame.sql(text, **_used(text, t=_t(most), **params)), _documented(text, most, **params)
 
 
@@ -389,6 +393,26 @@ def _nothing(figure: Figure, tables: Mapping[str, pa.Table], seen: Coverage) -> 
 def is_rate(table: pa.Table) -> bool:
     """Return whether the intervals of computed statistics are those of a rate."""
     return "interval" in table.column_names and "Wilson" in table.column("interval").to_pylist()
+
+
+def may_be_rate(table: pa.Table) -> bool:
+    """Return whether all values of a column without the interval of a rate are 0 or 1, and both occur.
+
+    Numbers from 0 to 1 are all 0 or 1 exactly if the mean of their squares is their mean, which means that
+    sd² = mean · (1 − mean) · n / (n − 1).
+    """
+    import numpy as np
+
+    if is_rate(table):
+        return False
+    n, mean, sd, low, high = (
+        table.column(name).to_numpy(zero_copy_only=False).astype(float)[table.column("n").to_numpy() > 0]
+        for name in ("n", "mean", "sd", "min", "max")
+    )
+    if not len(n) or low.min() != 0 or high.max() != 1:
+        return False
+    expected = mean * (1 - mean) * n / np.maximum(n - 1, 1)
+    return bool(np.all(np.where(n > 1, np.abs(np.nan_to_num(sd) ** 2 - expected) < 1e-9, (mean == 0) | (mean == 1))))
 
 
 def _shown(figure: Figure, *, several: bool, rate: bool) -> str:

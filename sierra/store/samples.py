@@ -19,7 +19,7 @@ from sierra.store.duckdb_messages import explain
 from sierra.store.schema import RECORDED
 from sierra.store.segments import is_first_part
 from sierra.store.sql_names import identifier, quote
-from sierra.store.sql_result import INTEGER, NUMBER
+from sierra.store.sql_result import NUMBER
 from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
@@ -33,7 +33,7 @@ MEMBERS = "SELECT judgement FROM membership"
 MIXED = "has numbers in some runs and other values in others"
 TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
 """Names of a first column that make it the time axis, if the project declares no time column."""
-WHOLE, NUMERIC = rf"BOOLEAN|{INTEGER}", rf"BOOLEAN|{NUMBER}"
+FLAG, NUMERIC = "BOOLEAN", rf"BOOLEAN|{NUMBER}"
 """DuckDB's types of the columns that statistics use, as regular expressions; flags are 0 and 1."""
 NO_VALUES = ("run", "number", "row", "seed", "execution", "file", "batch", "experiment", "ordinal")
 """Columns of derived tables that say where a row belongs, and are no values; the axes are others."""
@@ -58,8 +58,8 @@ class OutputTable:
     """The largest number of files that one run has."""
     mixed: tuple[str, ...]
     """The columns that hold numbers in some runs, and other values in others."""
-    whole: tuple[str, ...] = ()
-    """The numeric columns that hold only whole numbers or flags."""
+    flags: tuple[str, ...] = ()
+    """The numeric columns that hold only flags: true or false."""
     fewest: int = 0
     """The number of rows of its shortest run."""
     others: Mapping[str, str] = field(default_factory=dict)
@@ -211,11 +211,11 @@ class Frame:
                 f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0), coalesce(min(rows), 0) FROM ({sizes})"
             )
             mixed = _mixed(source)
-            numeric, whole = (
-                tuple(c for c, kind in columns if re.fullmatch(kinds, kind) and c not in mixed) for kinds in (NUMERIC, WHOLE)
+            numeric, flags = (
+                tuple(c for c, kind in columns if re.fullmatch(kinds, kind) and c not in mixed) for kinds in (NUMERIC, FLAG)
             )
             others = {c: kind for c, kind in columns if c not in (*numeric, *source.texts, *source.texts.values())}
-            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, whole, fewest, others))
+            found.append(OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, flags, fewest, others))
         return tuple(found)
 
     def _derived_output(self, name: str) -> Iterator[OutputTable]:
@@ -229,7 +229,7 @@ class Frame:
             return
         hidden = {*NO_VALUES, *(axis.lower() for axis in self._axis_names())}
         columns = {column: kind for column, kind in made.columns.items() if column.lower() not in hidden}
-        numeric, whole = (tuple(c for c, kind in columns.items() if re.fullmatch(kinds, kind)) for kinds in (NUMERIC, WHOLE))
+        numeric, flags = (tuple(c for c, kind in columns.items() if re.fullmatch(kinds, kind)) for kinds in (NUMERIC, FLAG))
         sizes = f"SELECT count(*) AS rows FROM {identifier(name)} GROUP BY run"
         [(rows, fewest)] = self._snapshot.run(f"SELECT max(rows), min(rows) FROM ({sizes})")
         yield OutputTable(
@@ -239,7 +239,7 @@ class Frame:
             rows,
             files=1,
             mixed=(),
-            whole=whole,
+            flags=flags,
             fewest=fewest,
             others={column: kind for column, kind in columns.items() if column not in numeric},
             unordered=not made.ordered,

@@ -62,12 +62,12 @@ def gather(
     batch: Batch,
     source: Source,
     seen: stats.Coverage,
-    whole: Container[str] = (),
+    rates: Container[str] = (),
 ) -> Drawing:
     """Return the drawing of a figure, without units. Raises SierraError if there is nothing to draw.
 
-    `seen` is the coverage of the output, which may have several rows at the same time. `whole` has the columns
-    of whole numbers.
+    `seen` is the coverage of the output, which may have several rows at the same time. `rates` has the columns
+    whose values 0 and 1 are a rate.
     """
     batch = labelled(arranged(batch, figure), figure.labels)
     needs = kind_of(figure).needs(Request(figure, batch.axes, len(seen.runs), seen.most, columns))
@@ -76,7 +76,7 @@ def gather(
     if needs.statistics or needs.runs:
         stats.check_times(seen)
         frames = {column: source.samples(column) for column in columns}
-        computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, whole=whole)
+        computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, rates=rates)
     only = figure.where and f"rows where {' '.join(figure.where.split())}"
     return Drawing(
         name=name,

@@ -118,9 +118,7 @@ def test_a_figure_can_have_its_own_statement_and_its_files_contain_all_sql(recor
     assert "figure wrong: sql: now() gives another value each time" in done.stderr
     [svg] = root.glob("figures/*/own.svg")
     text = svg.read_text()
-    assert text.index(f"[tables.ends]\n{ENDS.split(' >')[0]}") < text.index(
-        "-- sql\nSELECT run, 2 * most AS m FROM ends"
-    )
+    assert text.index(f"[tables.ends]\n{ENDS.split(' >')[0]}") < text.index("-- sql\nSELECT run, 2 * most AS m FROM ends")
 
 
 def test_a_condition_uses_columns_only(root: Path) -> None:

@@ -52,8 +52,8 @@ class Memory:
         return self.connection.sql(text, params=params).to_arrow_table()
 
 
-def samples(frame: stats.Frame, *, whole: bool = False) -> stats.Samples:
-    return stats.Samples(frame, stats.coverage(frame), whole)
+def samples(frame: stats.Frame, *, rate: bool = False) -> stats.Samples:
+    return stats.Samples(frame, stats.coverage(frame), rate)
 
 
 def compute(figure: Figure, frames: dict[str, Any], **more: Any) -> stats.Computed:
@@ -63,10 +63,10 @@ def compute(figure: Figure, frames: dict[str, Any], **more: Any) -> stats.Comput
     return stats.compute(figure, frames, needs, **more)
 
 
-def over_runs(values: Iterable[float | None], *, whole: bool = False) -> dict[str, Any]:
+def over_runs(values: Iterable[float | None], *, rate: bool = False) -> dict[str, Any]:
     """Return all statistics of one experiment whose runs ended with these values."""
     frame = Memory((0, number, 0.0, value) for number, value in enumerate(values))
-    table, _ = samples(frame, whole=whole).by_experiment("final", stats.STATISTICS)
+    table, _ = samples(frame, rate=rate).by_experiment("final", stats.STATISTICS)
     found: list[dict[str, Any]] = table.to_pylist()
     return found[0]
 
@@ -164,7 +164,7 @@ def test_equal_values_have_that_value_as_mean_and_bounds(value: float, n: int) -
 
 @pytest.mark.parametrize(("good", "n"), [(0, 5), (5, 5), (1, 5), (3, 10), (100, 100), (1, 1000)])
 def test_the_interval_of_a_rate_equals_scipys_wilson_interval(good: int, n: int) -> None:
-    found = over_runs([1.0] * good + [0.0] * (n - good), whole=True)
+    found = over_runs([1.0] * good + [0.0] * (n - good), rate=True)
     interval = scipy.stats.binomtest(good, n).proportion_ci(0.95, method="wilson")
     assert (found["low"], found["high"]) == pytest.approx((interval.low, interval.high), rel=1e-12, abs=1e-15)
     assert 0 <= found["low"] <= found["mean"] <= found["high"] <= 1
@@ -172,28 +172,50 @@ def test_the_interval_of_a_rate_equals_scipys_wilson_interval(good: int, n: int)
     assert found["interval"] == "Wilson"
 
 
-def test_equal_fractions_are_not_a_rate() -> None:
-    assert [over_runs(values)["interval"] for values in ([0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.5, 1.0])] == [
-        "t",
-        "t",
-        "Wilson",
-        "t",
-    ]
-    assert over_runs([0.0, 2.0], whole=True)["interval"] == "t"
-    assert (over_runs([1.0], whole=True)["low"], over_runs([1.0], whole=True)["interval"]) == (None, None)
+@pytest.mark.parametrize("values", [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.5, 1.0]])
+def test_numbers_that_nobody_calls_a_rate_have_the_interval_of_a_mean(values: list[float]) -> None:
+    assert over_runs(values)["interval"] == "t"
+
+
+def test_a_rate_has_only_zeros_and_ones_and_an_interval_from_two_runs_on() -> None:
+    assert over_runs([0.0, 2.0], rate=True)["interval"] == "t"
+    assert (over_runs([1.0], rate=True)["low"], over_runs([1.0], rate=True)["interval"]) == (None, None)
+
+
+def test_the_mean_of_several_flags_of_a_run_is_no_rate_over_runs() -> None:
+    """If no run ever succeeds, Wilson's interval would treat each run as one trial."""
+    frame = Memory((0, run, float(t), 0.0) for run in range(5) for t in range(3))
+    assert samples(frame, rate=True).by_experiment("mean", ["interval"])[0]["interval"].to_pylist() == ["t"]
+    assert samples(frame, rate=True).by_experiment("final", ["interval"])[0]["interval"].to_pylist() == ["Wilson"]
+
+
+@pytest.mark.parametrize(
+    ("values", "doubtful"),
+    [
+        ([0.0, 1.0, 1.0], True),
+        ([0.0, 1.0, 0.5], False),
+        ([0.0, 0.0], False),
+        ([1.0, 1.0], False),
+        ([0.0, 1.0, 2.0], False),
+        ([0.0, 0.1, 0.9, 1.0], False),
+    ],
+)
+def test_numbers_that_may_be_a_rate_are_noticed(values: list[float], doubtful: bool) -> None:
+    frame = Memory((0, number, 0.0, value) for number, value in enumerate(values))
+    assert stats.may_be_rate(samples(frame).by_experiment("final", stats.STATISTICS)[0]) is doubtful
 
 
 def test_a_rate_is_a_rate_in_all_experiments_and_at_all_times() -> None:
     frame = Memory((e, run, float(t), float(e == 1 and run > t)) for e in range(2) for run in range(5) for t in range(3))
     for table in (
-        samples(frame).by_time(["interval"])[0],
-        samples(frame).by_experiment("final", ["interval"])[0],
+        samples(frame, rate=True).by_time(["interval"])[0],
+        samples(frame, rate=True).by_experiment("final", ["interval"])[0],
     ):
         assert set(table["interval"].to_pylist()) == {"Wilson"}
         assert table["high"].to_pylist()[0] == pytest.approx(0.434482, abs=1e-6)
-    late, _ = samples(frame, whole=True).by_experiment("time_to", ["interval"], 1.0)
+    late, _ = samples(frame, rate=True).by_experiment("time_to", ["interval"], 1.0)
     assert "Wilson" not in late["interval"].to_pylist()
-    note = compute(figure(), {"energy": frame}).note
+    note = compute(figure(), {"energy": frame}, rates=["energy"]).note
     assert note.startswith("mean, Wilson's 95 % CI of a rate, n = 5")
 
 
@@ -627,9 +649,43 @@ def test_booleans_are_a_rate_with_wilsons_interval_and_this_is_reported(simulate
     found = [(row["mean"], round(row["low"], 4), round(row["high"], 4), row["interval"]) for row in json.loads(said.stdout)]
     assert found == [(0, 0, 0.4345, "Wilson"), (1, 0.5655, 1, "Wilson")]
     assert said.stderr.count("all values of good are 0 or 1: low and high are Wilson's 95 % interval of a rate") == 1
-    assert {row["interval"] for row in json.loads(project.quick("stats", "swarm", "n", "--json").stdout)} == {"Wilson"}
+    assert {row["interval"] for row in json.loads(project.quick("stats", "swarm", "n", "--json").stdout)} == {"t"}
     batch = sierra.open(project.folder).batches[-1].batch
     assert project.quick("figures", batch, "swarm_good_summary").returncode == 0
+
+
+COUNTS = r"""
+size=$(sed 's/.* size="\([0-9]*\)".*/\1/' "$1")
+printf 't,none,some\n1,0,%s\n' $((size > 1)) > swarm.csv
+"""
+
+
+@pytest.mark.integration
+def test_counts_that_are_0_or_1_get_wilsons_interval_only_if_they_are_declared(simulate: Callable[..., Any]) -> None:
+    project = simulate(COUNTS)
+    config = project.folder / "sierra.toml"
+    declared = config.read_text() + '[outputs.swarm]\nfile = "swarm.csv"\n'
+    config.write_text(declared)
+    assert project.quick("run", "size=1,3", "--runs", "3", "--no-figures").returncode == 0
+
+    def ask(column: str) -> tuple[set[str], str]:
+        said = project.quick("stats", "swarm", column, "--json")
+        return {row["interval"] for row in json.loads(said.stdout)}, said.stderr
+
+    assert ask("none") == ({"t"}, "")
+    kind, note = ask("some")
+    assert kind == {"t"}
+    assert note == (
+        "note: all values of some are 0 or 1, but it may be a count: low and high are Student's t interval"
+        ' (for the interval of a rate, set rates = ["some"] in [outputs.swarm])\n'
+    )
+    config.write_text(declared + 'rates = ["some"]\n')
+    assert ask("some")[0] == {"Wilson"}
+    assert "evaluated again" not in project.quick("run", "size=1,3", "--runs", "3", "--dry-run").stdout
+    config.write_text(declared + 'rates = ["sone"]\n')
+    wrong = project.quick("stats", "swarm", "some")
+    assert (wrong.returncode, wrong.stdout) == (2, "")
+    assert "[outputs.swarm] rates: no column 'sone'; did you mean 'some'?" in wrong.stderr
 
 
 def test_an_axis_named_like_a_statistic_keeps_its_name(simulate: Callable[..., Any]) -> None:
