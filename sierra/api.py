@@ -841,8 +841,12 @@ class Project:
         measure: str | None = "auto",
         threshold: float | None = None,
         times: str | None = None,
+        statistics: Sequence[str] = (),
     ) -> Result:
-        """Return all statistics of a column over the runs of each experiment of a batch: n, mean, sd, interval, median, ….
+        """Return statistics of a column over the runs of each experiment of a batch: n, mean, sd, interval, median, ….
+
+        `statistics` chooses some by name: `mean`, `median`, `iqm`, `sd`, `iqr`, `mad`, `range`, quantiles such as `q90`, and
+        plug-ins. Each has the columns `NAME`, `NAME_low`, `NAME_high` and `NAME_interval`, the method of its 95 % interval.
 
         First, `measure` reduces each run to one value: `final`, `mean` or `time_to` a `threshold`; `auto` is `final`, or `mean`
         in a table of events: without a time column, and with different numbers of rows. With `measure=None`,
@@ -858,7 +862,7 @@ class Project:
         from sierra.store.public_result import Result
 
         batch = self.batch(prefix)
-        return Result(render.statistics(self._loaded, self.store, batch, output, column, measure, threshold, times))
+        return Result(render.statistics(self._loaded, self.store, batch, output, column, measure, threshold, times, statistics))
 
     def batch(self, prefix: str | None = None, *, target: str | None = None) -> str:
         """Return the id of a batch from a prefix; without one, that of the batch requested last, for `target` if it is given.

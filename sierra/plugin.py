@@ -1,7 +1,7 @@
 """All that a package needs to add to SIERRA: the contracts of plug-ins, the records they get and return, and the errors.
 
-A plug-in is a class of one of seven kinds. A package offers it by an entry point in its `pyproject.toml`. The name of the entry
-point is the name by which users choose the plug-in:
+A plug-in is a class of one of several kinds. A package offers it by an entry point in its `pyproject.toml`. The name of the
+entry point is the name by which users choose the plug-in:
 
     [project.entry-points."sierra.platforms"]
     sonar = "sonar_sierra.platform:Sonar"
@@ -16,6 +16,7 @@ group of entry points      contract           chosen by                         
 `sierra.engines`           `Engine`           `[container] engine = "NAME"`, `--engine`  `[engines.NAME]`
 `sierra.readers`           `OutputReader`     `[outputs.…] format`, or the ending        `[readers.NAME]`
 `sierra.figures`           `FigureKind`       `[figures.…] kind = "NAME"`                the same table
+`sierra.statistics`        `Statistic`        `sierra stats … --statistic NAME`          `[statistics.NAME]`
 =========================  =================  =========================================  ============================
 
 Each class has two class attributes beside what its contract says:
@@ -28,7 +29,8 @@ Each class has two class attributes beside what its contract says:
 **Identity.** A run's id is the hash of its inputs, command, environment, source and image. The options of a platform and of a
 template format are part of it as far as they change these. The options of a reader, and its package's version, are part of the
 hash of the rules by which executions are evaluated. The options of a runner, a scheduler and an engine are part of no id, so
-they must not change results. A kind of figure is part of no id either.
+they must not change results. The options of a statistic change the numbers of tables and figures, and no id. A kind of figure
+is part of no id either.
 
 **Errors.** Raise `ConfigError` for invalid settings, `TemplateError` for a template, `Missing` for something that does not
 exist on this machine, `UnreadableError` for an output file, with one line: what is wrong, which one, what would be right. Any
@@ -38,7 +40,7 @@ other error counts as a fault of the plug-in, and SIERRA says so in one line tha
 that offer the same name for one kind are an error that names both; the shipped names cannot be replaced.
 
 `sierra.testing` has a conformance suite for each kind: `platforms`, `templates`, `runners` (for schedulers too), `engines`,
-`readers` and `figures`. The contracts themselves are the docstrings of the classes below.
+`readers`, `statistics` and `figures`. The contracts themselves are the docstrings of the classes below.
 """
 
 from __future__ import annotations
@@ -81,6 +83,9 @@ from sierra.query.ranges import values
 from sierra.runners.base import Look, Runner, Work
 from sierra.runners.local import Local
 from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, Request, Scheduler, State, Task
+from sierra.stats.base import Estimate, Formula, Function, Parameter, Statistic
+from sierra.stats.bootstrap import BootstrapOptions
+from sierra.stats.bootstrap import estimate as bootstrap
 from sierra.stats.needs import Needs
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.templates.arithmetic import fill
@@ -93,6 +98,7 @@ __all__ = [
     "VERSION",
     "Add",
     "Axis",
+    "BootstrapOptions",
     "Bounds",
     "Capabilities",
     "Change",
@@ -105,12 +111,15 @@ __all__ = [
     "Document",
     "Drawing",
     "Engine",
+    "Estimate",
     "Figure",
     "FigureKind",
     "FigureRequest",
     "Files",
     "Following",
+    "Formula",
     "Full",
+    "Function",
     "Image",
     "Job",
     "Kind",
@@ -124,6 +133,7 @@ __all__ = [
     "NoOptions",
     "OutputFile",
     "OutputReader",
+    "Parameter",
     "Platform",
     "PluginError",
     "Point",
@@ -144,6 +154,7 @@ __all__ = [
     "Set",
     "SierraError",
     "State",
+    "Statistic",
     "StorePaths",
     "Table",
     "Task",
@@ -155,6 +166,7 @@ __all__ = [
     "UsageError",
     "Value",
     "Work",
+    "bootstrap",
     "fill",
     "options",
     "values",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -28,6 +29,14 @@ class Times(StrEnum):
     own = "own"
     carry = "carry"
     linear = "linear"
+
+
+def named(words: Sequence[str]) -> tuple[str, ...]:
+    """Return the names in words that separate them by commas."""
+    names = tuple(name.strip() for word in words for name in word.split(","))
+    if not all(names):
+        raise UsageError("--statistic: a name is empty; write, for example, --statistic median,q90")
+    return names
 
 
 def stats(
@@ -64,6 +73,16 @@ def stats(
             "--times", help="Print a row for each time: the runs' own, or common times (values carried, interpolated)."
         ),
     ] = None,
+    statistic: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--statistic",
+            "-s",
+            metavar="NAME",
+            help="Print only these, each with its interval: mean, median, iqm, sd, iqr, mad, range, quantiles such as q90, "
+            "or a plug-in (several: separated by commas, or repeated).",
+        ),
+    ] = None,
     format: Annotated[Format, typer.Option("--format", "-f", help="Output format.")] = Format.table,
     file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the result to a file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Same as --format json.")] = False,
@@ -81,6 +100,7 @@ def stats(
       sierra stats swarm coverage -b 774d --format markdown
       sierra stats distances distance         # of a table that [tables.distances] in sierra.toml makes by SQL
       sierra stats swarm coverage --measure time_to --threshold 0.5
+      sierra stats swarm coverage --statistic median,q90
       sierra stats swarm coverage --times own --format csv -o coverage.csv
     """
     from sierra.cli.open_project import project
@@ -92,6 +112,12 @@ def stats(
     reduced = None if times else measure.value if measure else "auto"
     opened = project()
     table = opened.statistics(
-        opened.batch(batch, target=target), output, column, measure=reduced, threshold=threshold, times=times and times.value
+        opened.batch(batch, target=target),
+        output,
+        column,
+        measure=reduced,
+        threshold=threshold,
+        times=times and times.value,
+        statistics=named(statistic or ()),
     )
     write(Printable.of_arrow(table.arrow), Format.json if as_json else format, file)

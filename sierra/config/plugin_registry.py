@@ -1,4 +1,4 @@
-"""The registry of plug-ins: classes of seven kinds that are found by name, shipped with SIERRA or added by other packages.
+"""The registry of plug-ins: classes of several kinds that are found by name, shipped with SIERRA or added by other packages.
 
 A package adds a class by an entry point of the group of its kind. The shipped classes are entry points too, but they are
 written here, so that no metadata is read for them. A plug-in is imported when its name is used, and not before. A command that
@@ -234,7 +234,20 @@ FIGURES = Kind(
     },
 )
 """Kinds of figures. Their options are in the table of each figure that has this `kind`."""
-KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS, FIGURES)
+STATISTICS = Kind(
+    "statistic",
+    "sierra.stats.base:Statistic",
+    {
+        "mean": "sierra.stats.shipped:Mean",
+        "median": "sierra.stats.shipped:Median",
+        "iqm": "sierra.stats.shipped:InterquartileMean",
+        "sd": "sierra.stats.shipped:StandardDeviation",
+        "iqr": "sierra.stats.resampled:InterquartileRange",
+        "mad": "sierra.stats.resampled:MedianAbsoluteDeviation",
+        "range": "sierra.stats.shipped:Range",
+    },
+)
+KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS, STATISTICS, FIGURES)
 
 
 def check(project: Project) -> None:
@@ -244,6 +257,7 @@ def check(project: Project) -> None:
     ENGINES.check(project.engines)
     READERS.check(project.readers)
     figure_options.check(project.figures)
+    STATISTICS.check(project.statistics)
 
 
 def culprit(error: BaseException) -> str | None:

@@ -199,6 +199,7 @@ class Project(Table):
     readers: Mapping[str, RawTable] = Field(
         default_factory=dict, description="options of the readers of output formats, by name"
     )
+    statistics: Mapping[str, RawTable] = Field(default_factory=dict, description="options of statistics, by name")
 
     @property
     def template_paths(self) -> tuple[str, ...]:

@@ -29,6 +29,7 @@ from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
+from sierra.stats.selection import Selection
 from sierra.store.derived_tables import Definition
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
@@ -151,14 +152,17 @@ def statistics(
     measure: str | None,
     threshold: float | None = None,
     times: str | None = None,
+    chosen: Sequence[str] = (),
 ) -> pa.Table:
-    """Return all statistics of one column, as `sierra.api.Project.statistics` does, with the values of the axes.
+    """Return statistics of one column, as `sierra.api.Project.statistics` does, with the values of the axes.
 
     The columns are `experiment`, one for each axis, and those of the statistics. If an axis has the name of another column,
     that column gets a `_` after its name, as outputs' columns do in SQL. The schema's metadata hold the statement
     (`sierra:sql`) and notes for the reader (`sierra:note`). Raises NotFound, UsageError.
     """
     _check_reduction("final" if measure == AUTO else measure, threshold, times)
+    selection = Selection.of(chosen, project.config.statistics) if chosen else None
+    wanted = selection or stats.STATISTICS
     with Frame(store, batch) as frame:
         gallery = _Gallery(project, store, frame, only={output})
         figure = Figure(table=output, column=(column,))
@@ -166,10 +170,13 @@ def statistics(
         if measure == AUTO:
             measure = "mean" if gallery.takes_mean(gallery.output(figure)) else "final"
         if measure is None:
-            table, text, notes = samples.at_times(times or "own", stats.STATISTICS)
+            table, text, notes = samples.at_times(times or "own", wanted)
         else:
-            (table, text), notes = samples.by_experiment(measure, stats.STATISTICS, threshold), []
-        notes += _about_rates(table, column, output, asked=samples.rate and measure != "time_to")
+            (table, text), notes = samples.by_experiment(measure, wanted, threshold), []
+        if selection:
+            notes += selection.notes(table)
+        if not selection or "mean" in chosen:
+            notes += _about_rates(table, column, output, asked=samples.rate and measure != "time_to")
         notes = [
             *gallery.target_notes,
             *gallery.declared_notes,

@@ -24,20 +24,23 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias, cast
 
 from sierra.config.deliverable_tables import Figure
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.stats import student_t
+from sierra.stats.base import LEVEL, Parameter
 from sierra.stats.needs import Needs
+from sierra.stats.order_statistics import ranks
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from sierra.stats.selection import Selection
+
 HERE = Path(__file__).parent
-LEVEL = 0.95
 GRID = 500
 """The largest number of points of a common time axis, used if the runs' own times differ."""
 TIMES = ("own", "carry", "linear")
@@ -51,7 +54,10 @@ STATISTICS: Mapping[str, tuple[str, ...]] = {
     "extremes": ("n",),
     "is_rate": ("extremes",),
     "interval": ("mean", "sd", "is_rate"),
+    "kurtosis": ("mean", "max_deviation"),
+    "sd_interval": ("sd", "kurtosis"),
     "median": ("n",),
+    "median_interval": ("median",),
     "quartiles": ("n",),
     "whiskers": ("quartiles",),
     "range": ("n",),
@@ -70,11 +76,9 @@ CENTERS: Mapping[str, tuple[str, str]] = {
 """The centers of a figure: by name, the statistic of the center and the statistic of its spread."""
 
 
-Parameter: TypeAlias = bool | float | str | list[float] | None
-"""The value of a parameter in SQL."""
-
-
 Statistics: TypeAlias = "tuple[pa.Table, str]"
+Wanted: TypeAlias = "Iterable[str] | Selection"
+"""Statistics by the names of their files, or chosen ones."""
 
 
 class Frame(Protocol):
@@ -205,21 +209,21 @@ class Samples:
     rate: bool = False
     """True if the column has flags, or is declared as a rate; if all values are 0 or 1, their mean is a rate."""
 
-    def by_experiment(self, measure: str, statistics: Iterable[str], threshold: float | None = None) -> Statistics:
+    def by_experiment(self, measure: str, statistics: Wanted, threshold: float | None = None) -> Statistics:
         """Return statistics of each experiment, each run reduced by `measure`."""
-        text = statement(_file(f"measures/{measure}"), "group_by_experiment", _ordered(statistics))
-        return self._run(text, rate=self._remains_rate(measure), threshold=threshold)
+        text = statement(_file(f"measures/{measure}"), "group_by_experiment", statistics)
+        return self._run(text, statistics, rate=self._remains_rate(measure), threshold=threshold)
 
     def _remains_rate(self, measure: str) -> bool:
         """Return whether the reduced values of a rate are still 0 or 1; the mean of several rows is a fraction."""
         return self.rate and (measure == "final" or (measure == "mean" and self.coverage.most == 1))
 
-    def by_time(self, statistics: Iterable[str]) -> Statistics:
+    def by_time(self, statistics: Wanted) -> Statistics:
         """Return statistics of each experiment at each of its runs' times."""
-        text = statement("SELECT experiment, t, value FROM samples", "group_by_time", _ordered(statistics))
-        return self._run(text, rate=self.rate)
+        text = statement("SELECT experiment, t, value FROM samples", "group_by_time", statistics)
+        return self._run(text, statistics, rate=self.rate)
 
-    def at_times(self, times: str | None, statistics: Iterable[str]) -> tuple[pa.Table, str, list[str]]:
+    def at_times(self, times: str | None, statistics: Wanted) -> tuple[pa.Table, str, list[str]]:
         """Return statistics at the runs' `own` times or at common ones (`carry`, `linear`), and also notes about the times.
 
         The result is that of `by_time`. With None as `times`, the times are `own` if most runs share them, else `carry`.
@@ -239,10 +243,10 @@ class Samples:
         how = "interpolated linearly" if times == "linear" else "last values carried forward"
         return table, text, [f"{'times differ: ' if times is None else ''}{how} to {len(grid)} common times"]
 
-    def resampled(self, grid: Sequence[float], statistics: Iterable[str], *, linear: bool = False) -> Statistics:
+    def resampled(self, grid: Sequence[float], statistics: Wanted, *, linear: bool = False) -> Statistics:
         """Return the result of `by_time` at the times of `grid`, which need not be times of any run."""
-        text = statement(_file("resample"), "group_by_time", _ordered(statistics))
-        return self._run(text, rate=self.rate and not linear, grid=list(grid), linear=linear)
+        text = statement(_file("resample"), "group_by_time", statistics)
+        return self._run(text, statistics, rate=self.rate and not linear, grid=list(grid), linear=linear)
 
     def _common_times(self) -> list[float]:
         """Return the times of a common axis, in ascending order.
@@ -260,10 +264,15 @@ class Samples:
         grid: list[float] = np.unique(np.where(close, near, even)).tolist()
         return grid
 
-    def _run(self, text: str, *, rate: bool, **params: Parameter) -> Statistics:
+    def _run(self, text: str, statistics: Wanted, *, rate: bool, **params: Parameter) -> Statistics:
         most = max(self.coverage.runs.values())
         params |= {"z": NormalDist().inv_cdf((1 + LEVEL) / 2), "rate": rate}
-        return self.frame.sql(text, **_used(text, t=_t(most), **params)), _documented(text, most, **params)
+        lists: dict[str, Parameter] = {"t": _t(most), "median_rank": ranks(0.5, max(1, most), 1 - LEVEL)[0]}
+        selection = _selection(statistics)
+        if selection:
+            params |= selection.parameters(most)
+        table = self.frame.sql(text, **_used(text, **lists, **params))
+        return selection.complete(table) if selection else table, _documented(text, most, **params)
 
 
 def reduced(frame: Frame, measure: str, threshold: float | None = None) -> pa.Table:
@@ -275,17 +284,29 @@ def reduced(frame: Frame, measure: str, threshold: float | None = None) -> pa.Ta
     return frame.sql(text, **_used(text, threshold=threshold))
 
 
-def statement(observations: str, grouping: str, statistics: Iterable[str]) -> str:
+def statement(observations: str, grouping: str, statistics: Wanted) -> str:
     """Return a complete statement: the statistics of the rows of `observations`, in the groups of `grouping`."""
     keys = "experiment, t" if grouping == "group_by_time" else "experiment"
-    texts = [_file(f"statistics/{name}") for name in statistics]
+    selection = _selection(statistics)
+    names = selection.uses if selection else cast("Iterable[str]", statistics)
+    texts = [_file(f"statistics/{name}") for name in _ordered(names)]
     steps = ["x", *re.findall(r" AS (_\w+)", _code("".join((_file(grouping), *texts))))]
+    shown = f"* EXCLUDE ({', '.join(steps)})"
+    if selection:
+        never = () if grouping == "group_by_time" else ("never",)
+        shown = ",\n  ".join((keys, "n", "missing", "infinite", *never, *selection.columns()))
     return (
         f"WITH observations AS (\n{observations.rstrip()}\n),\n"
         f"grouped AS (\n{_file(grouping)})\n"
         f"{'FROM (' * len(texts)}FROM grouped\n{''.join(f'SELECT *,{chr(10)}{text})' + chr(10) for text in texts)}"
-        f"SELECT * EXCLUDE ({', '.join(steps)})\nORDER BY {keys}"
+        f"SELECT {shown}\nORDER BY {keys}"
     )
+
+
+def _selection(statistics: Wanted) -> Selection | None:
+    from sierra.stats.selection import Selection
+
+    return statistics if isinstance(statistics, Selection) else None
 
 
 def _used(text: str, **params: Parameter) -> dict[str, Parameter]:
@@ -294,10 +315,21 @@ def _used(text: str, **params: Parameter) -> dict[str, Parameter]:
 
 def _documented(text: str, most: int, **params: Parameter) -> str:
     """Return the statement after comments that explain its parameters."""
-    texts = {"t": f"quantiles of Student's t, p = {(1 + LEVEL) / 2}, for 1 … {max(1, most - 1)} degrees of freedom"}
+    texts = {
+        "t": f"quantiles of Student's t, p = {(1 + LEVEL) / 2}, for 1 … {max(1, most - 1)} degrees of freedom",
+        "median_rank": f"rank of the lower end of the interval of the median for each n = 1 … {max(1, most)}",
+    }
     for name, value in params.items():
-        texts[name] = f"{len(value)} times from {value[0]} to {value[-1]}" if isinstance(value, list) else str(value)
+        texts[name] = _explained(name, value)
     return "".join(f"-- ${name}: {texts[name]}\n" for name in _used(text, **texts)) + text
+
+
+def _explained(name: str, value: Parameter) -> str:
+    if not isinstance(value, Sequence) or isinstance(value, str):
+        return str(value)
+    if name == "grid":
+        return f"{len(value)} times from {value[0]} to {value[-1]}"
+    return f"a number for each n = 1 … {len(value)}"
 
 
 @cache
@@ -392,7 +424,8 @@ def _nothing(figure: Figure, tables: Mapping[str, pa.Table], seen: Coverage) -> 
 
 def is_rate(table: pa.Table) -> bool:
     """Return whether the intervals of computed statistics are those of a rate."""
-    return "interval" in table.column_names and "Wilson" in table.column("interval").to_pylist()
+    names = {"interval", "mean_interval"} & set(table.column_names)
+    return any("Wilson" in table.column(name).to_pylist() for name in names)
 
 
 def may_be_rate(table: pa.Table) -> bool:
@@ -403,7 +436,7 @@ def may_be_rate(table: pa.Table) -> bool:
     """
     import numpy as np
 
-    if is_rate(table):
+    if is_rate(table) or not {"mean", "sd", "min", "max"} <= set(table.column_names):
         return False
     n, mean, sd, low, high = (
         table.column(name).to_numpy(zero_copy_only=False).astype(float)[table.column("n").to_numpy() > 0]

@@ -32,6 +32,7 @@ from sierra.deliverables.figures.gather import Batch, gather
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.stats import aggregate as stats
+from sierra.stats.base import Parameter
 from sierra.store.sql_names import identifier
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 
@@ -134,7 +135,7 @@ class _Samples:
     connection: Database
     column: str
 
-    def sql(self, text: str, /, **parameters: stats.Parameter) -> pa.Table:
+    def sql(self, text: str, /, **parameters: Parameter) -> pa.Table:
         number = f"TRY_CAST({identifier(self.column)} AS DOUBLE) AS value"
         keys = '"# experiment" AS experiment, run, "# number" AS number, "# t" AS t'
         self.connection.sql(f"SELECT {keys}, {number} FROM data").create_view("samples")  # noqa: S608 - quoted names only

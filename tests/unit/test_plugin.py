@@ -22,7 +22,7 @@ from sierra.query import grammar
 from sierra.runners import schedulers
 from sierra.templates.xml import XmlTemplate
 from sierra.testing import engines as engine_conformance
-from sierra.testing import platforms, readers, runners, templates
+from sierra.testing import platforms, readers, runners, statistics, templates
 from tests import images, plugins, projects
 
 SHIPPED = ", ".join(READERS.shipped)
@@ -356,6 +356,60 @@ def test_plugin_template_format_conforms(installed: Path) -> None:
 
     data = (plugins.SOURCE / "project" / "herd.conf").read_bytes()
     templates.check(lambda data, name: Conf(data, name, ConfOptions()), data, ["speed", "tortoises", "seed"])
+
+
+def test_plugin_statistic_conforms(installed: Path) -> None:
+    statistics.check("laggards", {(1.0, 3.0, 9.0, 11.0): 2.0, (4.0,): 4.0}, {"resamples": 999})
+    statistics.check("laggards", {(1.0, 3.0, 9.0, 11.0): 6.0}, {"part": 1.0, "resamples": 999})
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("mean", 6.0), ("median", 6.0), ("iqm", 6.0), ("sd", 4.760952285695233), ("iqr", 7.0), ("mad", 4.0), ("range", 10.0)],
+)
+def test_shipped_statistics_conform(name: str, expected: float) -> None:
+    statistics.check(name, {(1.0, 3.0, 9.0, 11.0): expected})
+
+
+def test_a_statistic_of_a_plugin_is_computed_with_its_options(project: Path) -> None:
+    assert projects.quick(project, "run", "herd=1", "--no-figures").returncode == 0
+    asked = projects.quick(project, "stats", "walk", "distance", "--statistic", "laggards,median", "--json")
+    (row,) = json.loads(asked.stdout)
+    both = sorted(one["last"] for one in rows(project, "SELECT run, max_by(distance, tick) AS last FROM walk GROUP BY run"))
+    assert (row["laggards"], row["laggards_low"], row["laggards_interval"]) == (both[0], None, None)
+    assert row["median"] == pytest.approx(sum(both) / 2)
+    assert "n is too small for the 95 % interval of laggards in 1 row" in asked.stderr
+    change(project, "[runners.niced]", "[statistics.laggards]\npart = 1.0\n\n[runners.niced]")
+    (row,) = json.loads(projects.quick(project, "stats", "walk", "distance", "-s", "laggards", "--json").stdout)
+    assert row["laggards"] == pytest.approx(sum(both) / 2)
+    change(project, "part = 1.0", "part = 2.0")
+    told = "[statistics.laggards]: part should be less than or equal to 1, not 2.0"
+    assert refused(project, "stats", "walk", "distance", "-s", "laggards") == f"sierra: {told}"
+
+
+BROKEN = """
+from sierra.plugin import Estimate, Function, NoOptions
+class Made:
+    contract = 1
+    Options = NoOptions
+    interval = "none"
+    def __init__(self, options): pass
+    def definition(self): return Function(lambda values: ESTIMATE)
+"""
+
+
+@pytest.mark.parametrize("estimate", ["Estimate(1.0, 2.0, 3.0)", "Estimate(1.0, 0.5)", "Estimate(float('nan'))", "1 / 0"])
+def test_a_statistic_with_a_wrong_interval_is_a_fault_of_its_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, estimate: str
+) -> None:
+    code = BROKEN.replace("ESTIMATE", estimate)
+    monkeypatch.syspath_prepend(plugins.write(tmp_path / "lib", "broken", {"sierra.statistics wrong": "Made"}, code))
+    project = projects.make(tmp_path / "project")
+    assert projects.quick(project, "run", "noise=1", "--no-figures").returncode == 0
+    asked = projects.quick(project, "stats", "swarm", "coverage", "-s", "wrong")
+    assert (asked.returncode == 0, asked.stdout, asked.stderr.count("\n")) == (False, "", 1)
+    assert "wrong" in asked.stderr
 
 
 def test_xml_template_format_conforms() -> None:

@@ -8,9 +8,7 @@ import re
 from collections.abc import Callable, Iterable
 from typing import Any
 
-import duckdb
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import scipy.stats
@@ -24,36 +22,10 @@ from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.stats import aggregate as stats
 from sierra.stats import student_t
+from tests.samples import Memory, samples
 
 AXIS = (Axis("size", (1, 2)),)
 NUMBERS = st.floats(min_value=-1e6, max_value=1e6, allow_nan=False).map(lambda x: round(x, 6))
-
-
-class Memory:
-    """A frame in memory: rows of (experiment, number of the run, t, value)."""
-
-    def __init__(self, rows: Iterable[tuple[int, int, float, float | None]], threads: int = 2) -> None:
-        rows = list(rows)
-        columns: list[Any] = list(zip(*rows, strict=True)) or [()] * 4
-        table = pa.table(
-            {
-                "experiment": pa.array(columns[0], pa.int32()),
-                "run": pa.array([f"{e}-{n}" for e, n, *_ in rows], pa.string()),
-                "number": pa.array(columns[1], pa.int32()),
-                "t": pa.array(columns[2], pa.float64()),
-                "value": pa.array(columns[3], pa.float64(), from_pandas=False),
-            }
-        )
-        self.connection = duckdb.connect(config={"threads": threads})
-        self.connection.register("given", table)
-        self.connection.execute("CREATE TABLE samples AS SELECT * FROM given")
-
-    def sql(self, text: str, /, **params: Any) -> pa.Table:
-        return self.connection.sql(text, params=params).to_arrow_table()
-
-
-def samples(frame: stats.Frame, *, rate: bool = False) -> stats.Samples:
-    return stats.Samples(frame, stats.coverage(frame), rate)
 
 
 def compute(figure: Figure, frames: dict[str, Any], **more: Any) -> stats.Computed:

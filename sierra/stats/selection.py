@@ -1,0 +1,153 @@
+"""Statistics that are chosen by name: shipped ones, quantiles such as `q90`, and plug-ins; as columns of one statement.
+
+A statistic NAME becomes the columns `NAME`, `NAME_low`, `NAME_high` and `NAME_interval`, the method of its interval. The
+interval is NULL if there is none, for example because there are too few runs.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+from typing import TYPE_CHECKING, cast
+
+from sierra.config.field_types import RawTable
+from sierra.config.plugin_registry import STATISTICS
+from sierra.errors import PluginError, UsageError
+from sierra.stats.base import LEVEL, Estimate, Formula, Function, Parameter, Statistic
+from sierra.util.text import counted
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+QUANTILE = re.compile(r"q(\d+)(\.\d+)?")
+PARTS = ("", "_low", "_high", "_interval")
+"""The ends of the names of a statistic's columns."""
+CALLS = 5000
+"""The largest number of calls of statistics in Python for one table; a bootstrap takes some hundredths of a second."""
+
+
+def find(name: str, tables: Mapping[str, RawTable]) -> Statistic:
+    """Return a statistic by its name; `tables` has the options of plug-ins. Raises UsageError for an unknown name."""
+    if found := QUANTILE.fullmatch(name):
+        return _quantile(name, found[1], found[2] or "")
+    if name not in STATISTICS.names():
+        known = ", ".join(STATISTICS.names())
+        raise UsageError(f"unknown statistic {name!r}; known are {known}, and quantiles such as q05 or q97.5 (percent)")
+    return cast(Statistic, STATISTICS.make(name, tables))
+
+
+def _quantile(name: str, digits: str, rest: str) -> Statistic:
+    from sierra.stats.shipped import Quantile
+
+    if len(digits) == 1 and not rest:
+        quartile = {"1": "25", "2": "50", "3": "75"}.get(digits)
+        other = f"q{quartile} for the quartile, or " if quartile else ""
+        raise UsageError(f"statistic {name!r} is ambiguous; write {other}q0{digits} for the quantile of {digits} %")
+    percent = float(digits + rest)
+    if not 0 < percent < 100:
+        raise UsageError(f"statistic {name!r}: the percentage of a quantile must be between 0 and 100, as in q90")
+    return Quantile(name, percent / 100)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The statistics that were chosen, by name."""
+
+    statistics: Mapping[str, Statistic]
+
+    @classmethod
+    def of(cls, names: Iterable[str], tables: Mapping[str, RawTable]) -> Selection:
+        """Return the statistics of these names, each once. Raises UsageError."""
+        return cls({name: find(name, tables) for name in dict.fromkeys(names)})
+
+    @cached_property
+    def definitions(self) -> Mapping[str, Formula | Function]:
+        return {name: statistic.definition() for name, statistic in self.statistics.items()}
+
+    @property
+    def uses(self) -> tuple[str, ...]:
+        """Return the shipped formulas that the chosen ones use."""
+        return tuple(step for one in self.definitions.values() if isinstance(one, Formula) for step in one.uses)
+
+    @property
+    def functions(self) -> Mapping[str, Function]:
+        return {name: one for name, one in self.definitions.items() if isinstance(one, Function)}
+
+    def columns(self) -> list[str]:
+        """Return the columns of a statement: those of formulas, and the values for functions."""
+        found = []
+        for name, one in self.definitions.items():
+            if isinstance(one, Formula):
+                texts = (one.value, one.low, one.high, self._method(name, one))
+                found += [f'{text} AS "{name}{part}"' for text, part in zip(texts, PARTS, strict=True)]
+        return [*found, *(["x"] if self.functions else [])]
+
+    def _method(self, name: str, formula: Formula) -> str:
+        method = self.statistics[name].interval.replace("'", "''")
+        return formula.method or f"CASE WHEN {formula.low} IS NOT NULL THEN '{method}' END"
+
+    def parameters(self, most: int) -> dict[str, Parameter]:
+        """Return the parameters of the formulas. `most` is the largest number of runs of an experiment."""
+        formulas = [one for one in self.definitions.values() if isinstance(one, Formula)]
+        return {name: value for one in formulas for name, value in one.parameters(most).items()}
+
+    def complete(self, table: pa.Table) -> pa.Table:
+        """Return the table of a statement with the columns of functions, and without the values for them."""
+        if self.functions:
+            self._check_calls(table.num_rows)
+            values = [tuple(row) for row in table.column("x").to_pylist()]
+            for name, function in self.functions.items():
+                estimates = [_checked(name, function.estimate(x)) for x in values]
+                table = _with(table, name, estimates, self.statistics[name].interval)
+            table = table.drop_columns("x")
+        own = [f"{name}{part}" for name in self.statistics for part in PARTS]
+        return table.select([name for name in table.column_names if name not in own] + own)
+
+    def _check_calls(self, rows: int) -> None:
+        if rows > CALLS:
+            raise UsageError(
+                f"{' and '.join(self.functions)} would be computed for {rows} experiments and times, which takes too long "
+                f"(at most {CALLS}); choose a measure, or statistics with a formula in SQL"
+            )
+
+    def notes(self, table: pa.Table) -> list[str]:
+        """Return notes on intervals that are missing because there are too few runs, and on bootstraps."""
+        n = table.column("n").to_pylist()
+        found = []
+        for name, statistic in self.statistics.items():
+            low = table.column(f"{name}_low").to_pylist()
+            lacking = sum(end is None and count > 0 for end, count in zip(low, n, strict=True))
+            if not statistic.interval:
+                found.append(f"{name} has no interval")
+            elif lacking:
+                found.append(
+                    f"n is too small for the {LEVEL:.0%} interval of {name} in {counted(lacking, 'row')}".replace("%", " %")
+                )
+        return found
+
+
+def _checked(name: str, found: Estimate) -> Estimate:
+    """Return an estimate of a function. Raises PluginError if its interval is none."""
+    numbers = [number for number in (found.low, found.value, found.high) if number is not None]
+    if len(numbers) == 2 or not all(map(isfinite, numbers)) or numbers != sorted(numbers):
+        raise PluginError(
+            f"statistic {name!r} returned {found}; an interval has two finite ends, and the value is between them"
+        )
+    return found
+
+
+def _with(table: pa.Table, name: str, estimates: list[Estimate], method: str) -> pa.Table:
+    import pyarrow as pa
+
+    columns = (
+        pa.array([one.value for one in estimates], pa.float64()),
+        pa.array([one.low for one in estimates], pa.float64()),
+        pa.array([one.high for one in estimates], pa.float64()),
+        pa.array([None if one.low is None else method for one in estimates], pa.string()),
+    )
+    for part, column in zip(PARTS, columns, strict=True):
+        table = table.append_column(f"{name}{part}", column)
+    return table

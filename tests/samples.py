@@ -1,0 +1,38 @@
+"""Samples in memory, as statistics get them from the store."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+
+from sierra.stats import aggregate as stats
+
+
+class Memory:
+    """A frame in memory: rows of (experiment, number of the run, t, value)."""
+
+    def __init__(self, rows: Iterable[tuple[int, int, float, float | None]], threads: int = 2) -> None:
+        rows = list(rows)
+        columns: list[Any] = list(zip(*rows, strict=True)) or [()] * 4
+        table = pa.table(
+            {
+                "experiment": pa.array(columns[0], pa.int32()),
+                "run": pa.array([f"{e}-{n}" for e, n, *_ in rows], pa.string()),
+                "number": pa.array(columns[1], pa.int32()),
+                "t": pa.array(columns[2], pa.float64()),
+                "value": pa.array(columns[3], pa.float64(), from_pandas=False),
+            }
+        )
+        self.connection = duckdb.connect(config={"threads": threads})
+        self.connection.register("given", table)
+        self.connection.execute("CREATE TABLE samples AS SELECT * FROM given")
+
+    def sql(self, text: str, /, **params: Any) -> pa.Table:
+        return self.connection.sql(text, params=params).to_arrow_table()
+
+
+def samples(frame: stats.Frame, *, rate: bool = False) -> stats.Samples:
+    return stats.Samples(frame, stats.coverage(frame), rate)
