@@ -846,14 +846,17 @@ class Project:
         """Return statistics of a column over the runs of each experiment of a batch: n, mean, sd, interval, median, ….
 
         `statistics` chooses some by name: `mean`, `median`, `iqm`, `sd`, `iqr`, `mad`, `range`, quantiles such as `q90`, and
-        plug-ins. Each has the columns `NAME`, `NAME_low`, `NAME_high` and `NAME_interval`, the method of its 95 % interval.
+        plug-ins; for `time_to` also `km_median` and `restricted_mean`, in which runs that never reach the threshold count as
+        censored. Each has the columns `NAME`, `NAME_low`, `NAME_high` and `NAME_interval`, the method of its 95 % interval.
 
         First, `measure` reduces each run to one value: `final`, `mean` or `time_to` a `threshold`; `auto` is `final`, or `mean`
         in a table of events: without a time column, and with different numbers of rows. With `measure=None`,
         there is a row for each experiment and time instead: the runs' `own` times, or common ones (`carry`: last values
-        carried forward, `linear`: interpolated). Column `experiment` is the experiment's place in the batch; the values of the
-        axes follow it. The schema's metadata hold the statement (`sierra:sql`) and notes on everything that is not in the
-        numbers (`sierra:note`). Values have the unit of the column. Raises NotFound, UsageError.
+        carried forward, `linear`: interpolated). With `measure="time_to"` and `times="own"`, there is a row for each step of
+        the Kaplan-Meier curves: the part of the runs that has not reached the threshold at `t` (`remaining`), its interval, and
+        the numbers of runs `at_risk`, `reached` and `censored`. Column `experiment` is the experiment's place in the batch; the
+        values of the axes follow it. The schema's metadata hold the statement (`sierra:sql`) and notes on everything that is not
+        in the numbers (`sierra:note`). Values have the unit of the column. Raises NotFound, UsageError.
 
         >>> project.statistics(summary.batch, "swarm", "coverage", measure="mean").column("n").to_pylist()
         [2, 2]

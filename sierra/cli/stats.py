@@ -94,12 +94,17 @@ def stats(
     of true and false is a rate: its interval is Wilson's, as the column `interval` shows. So is a column of 0 and 1 that
     `rates` in [outputs.OUTPUT] names.
 
+    With --measure time_to, runs that never reach the threshold are not dropped: km_median and restricted_mean count them
+    as censored at their last time. With --times own, the Kaplan-Meier curve is printed: the part of the runs that has not
+    reached the threshold.
+
     \b
     Examples:
       sierra stats swarm coverage
       sierra stats swarm coverage -b 774d --format markdown
       sierra stats distances distance         # of a table that [tables.distances] in sierra.toml makes by SQL
       sierra stats swarm coverage --measure time_to --threshold 0.5
+      sierra stats swarm coverage --measure time_to --threshold 0.5 --times own
       sierra stats swarm coverage --statistic median,q90
       sierra stats swarm coverage --times own --format csv -o coverage.csv
     """
@@ -107,9 +112,9 @@ def stats(
 
     if (measure is Measure.time_to) != (threshold is not None):
         raise UsageError("--measure time_to and --threshold X must be used together")
-    if times and measure:
+    if times and measure and (measure, times) != (Measure.time_to, Times.own):
         raise UsageError("--times gives a row for each time, --measure one for each experiment; choose one of them")
-    reduced = None if times else measure.value if measure else "auto"
+    reduced = measure.value if measure else None if times else "auto"
     opened = project()
     table = opened.statistics(
         opened.batch(batch, target=target),

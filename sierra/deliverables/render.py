@@ -29,6 +29,7 @@ from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
+from sierra.stats import survival
 from sierra.stats.selection import Selection
 from sierra.store.derived_tables import Definition
 from sierra.store.layout import ProjectPaths
@@ -161,18 +162,31 @@ def statistics(
     (`sierra:sql`) and notes for the reader (`sierra:note`). Raises NotFound, UsageError.
     """
     _check_reduction("final" if measure == AUTO else measure, threshold, times)
-    selection = Selection.of(chosen, project.config.statistics) if chosen else None
-    wanted = selection or stats.STATISTICS
+    of_times = [name for name in chosen if name in survival.STATISTICS] if chosen else list(survival.STATISTICS)
+    if chosen and of_times and measure != "time_to":
+        raise UsageError(f"statistic {of_times[0]!r} is one of times until a threshold; it needs the measure time_to")
+    others = [name for name in chosen if name not in survival.STATISTICS]
+    selection = Selection.of(others, project.config.statistics) if chosen else None
+    wanted = stats.STATISTICS if selection is None else selection
     with Frame(store, batch) as frame:
         gallery = _Gallery(project, store, frame, only={output})
         figure = Figure(table=output, column=(column,))
         samples = gallery.column(figure)
         if measure == AUTO:
             measure = "mean" if gallery.takes_mean(gallery.output(figure)) else "final"
-        if measure is None:
+        curves: dict[int, tuple[survival.Step, ...]] = {}
+        notes: list[str] = []
+        if measure == "time_to" and threshold is not None:
+            curves = {place: survival.curve(runs) for place, runs in survival.times(samples.frame, threshold).items()}
+        if measure == "time_to" and times is not None:
+            table, text, notes = survival.curves_table(curves), survival.statement(), notes
+        elif measure is None:
             table, text, notes = samples.at_times(times or "own", wanted)
         else:
-            (table, text), notes = samples.by_experiment(measure, wanted, threshold), []
+            (table, text), notes = samples.by_experiment(measure, wanted, threshold), notes
+        if curves and times is None:
+            table = survival.with_statistics(table, curves, of_times)
+            notes += _about_times(curves, of_times, others=bool(others) or not chosen)
         if selection:
             notes += selection.notes(table)
         if not selection or "mean" in chosen:
@@ -181,7 +195,7 @@ def statistics(
             *gallery.target_notes,
             *gallery.declared_notes,
             *gallery.time_notes.values(),
-            *stats.left_out([table], samples.coverage, gallery.planned, threshold),
+            *stats.left_out([] if "remaining" in table.column_names else [table], samples.coverage, gallery.planned, threshold),
             *notes,
         ]
         text = "\n\n".join(filter(None, (frame.statements(output), text)))
@@ -194,6 +208,19 @@ def _tables(figures: Mapping[str, Figure], name: str | None) -> Container[str] |
     wanted = [figure for called, figure in figures.items() if name in (None, called)]
     known = wanted and all(figure.table or figure.sql for figure in wanted)
     return {figure.table for figure in wanted} if known else None
+
+
+def _about_times(curves: Mapping[int, Sequence[survival.Step]], of_times: Sequence[str], *, others: bool) -> list[str]:
+    """Return notes on which runs the statistics of times count."""
+    notes = []
+    censored = sum(step.censored for steps in curves.values() for step in steps)
+    if censored and others:
+        notes.append(
+            f"mean, median and all others except {' and '.join(survival.STATISTICS)} are those of the runs that reached it"
+        )
+    if censored and "restricted_mean" in of_times:
+        notes.append(f"restricted_mean is the mean time up to {survival.horizon(curves.values()):.12g}")
+    return notes
 
 
 def _about_rates(table: pa.Table, column: str, output: str, *, asked: bool) -> list[str]:
@@ -217,7 +244,7 @@ def _check_reduction(measure: str | None, threshold: float | None, times: str | 
         raise UsageError("measure 'time_to' needs a threshold, for example threshold = 0.9; no other measure has one")
     if threshold is not None and not isfinite(threshold):
         raise UsageError(f"a threshold must be a finite number, not {threshold}")
-    if measure is not None and times is not None:
+    if measure is not None and times is not None and (measure, times) != ("time_to", "own"):
         raise UsageError(
             f"times {times!r} needs statistics at each time, but a measure ({measure!r}) gives one value for all times"
         )

@@ -7,7 +7,7 @@ interval is NULL if there is none, for example because there are too few runs.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import isfinite
@@ -101,7 +101,7 @@ class Selection:
             values = [tuple(row) for row in table.column("x").to_pylist()]
             for name, function in self.functions.items():
                 estimates = [_checked(name, function.estimate(x)) for x in values]
-                table = _with(table, name, estimates, self.statistics[name].interval)
+                table = with_estimates(table, name, estimates, self.statistics[name].interval)
             table = table.drop_columns("x")
         own = [f"{name}{part}" for name in self.statistics for part in PARTS]
         return table.select([name for name in table.column_names if name not in own] + own)
@@ -139,7 +139,8 @@ def _checked(name: str, found: Estimate) -> Estimate:
     return found
 
 
-def _with(table: pa.Table, name: str, estimates: list[Estimate], method: str) -> pa.Table:
+def with_estimates(table: pa.Table, name: str, estimates: Sequence[Estimate], method: str) -> pa.Table:
+    """Return a table with the columns of one more statistic."""
     import pyarrow as pa
 
     columns = (

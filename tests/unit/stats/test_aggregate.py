@@ -493,7 +493,13 @@ def test_every_sql_file_is_used_and_begins_with_a_comment() -> None:
     known = {f"statistics/{name}.sql" for name in stats.STATISTICS} | {
         f"measures/{m}.sql" for m in ("final", "mean", "time_to")
     }
-    assert set(files) == known | {"group_by_time.sql", "group_by_experiment.sql", "coverage.sql", "resample.sql"}
+    assert set(files) == known | {
+        "group_by_time.sql",
+        "group_by_experiment.sql",
+        "coverage.sql",
+        "resample.sql",
+        "censored_times.sql",
+    }
     for path in stats.HERE.rglob("*.sql"):
         text = path.read_text(encoding="utf-8")
         assert text.startswith("-- ")
@@ -588,6 +594,8 @@ def test_contradictory_options_of_the_stats_command_are_refused(simulated: Any) 
         ("--measure", "time_to"): together,
         ("--threshold", "4"): together,
         ("--times", "own", "--measure", "mean"): choose,
+        ("--times", "carry", "--measure", "time_to", "--threshold", "4"): choose,
+        ("--statistic", "km_median"): "'km_median' is one of times until a threshold; it needs the measure time_to",
         ("--measure", "time_to", "--threshold", "nan"): "a threshold must be a finite number, not nan",
     }.items():
         asked = simulated.quick("stats", "swarm", "v", *words)
