@@ -855,8 +855,8 @@ class Project:
         carried forward, `linear`: interpolated). With `measure="time_to"` and `times="own"`, there is a row for each step of
         the Kaplan-Meier curves: the part of the runs that has not reached the threshold at `t` (`remaining`), its interval, and
         the numbers of runs `at_risk`, `reached` and `censored`. Column `experiment` is the experiment's place in the batch; the
-        values of the axes follow it. The schema's metadata hold the statement (`sierra:sql`) and notes on everything that is not
-        in the numbers (`sierra:note`). Values have the unit of the column. Raises NotFound, UsageError.
+        values of the axes follow it. The schema's metadata hold the statement (`sierra:sql`) and notes on everything that is
+        not in the numbers (`sierra:note`). Values have the unit of the column. Raises NotFound, UsageError.
 
         >>> project.statistics(summary.batch, "swarm", "coverage", measure="mean").column("n").to_pylist()
         [2, 2]
@@ -866,6 +866,20 @@ class Project:
 
         batch = self.batch(prefix)
         return Result(render.statistics(self._loaded, self.store, batch, output, column, measure, threshold, times, statistics))
+
+    def paper_table(self, statistics: Result, format: str = "latex", *, caption: str = "", label: str = "") -> str:
+        """Return statistics as the text of a table for papers: `latex` (with booktabs), `markdown` or `html`.
+
+        `statistics` is the result of `statistics`, with chosen ones. Numbers are rounded to two significant digits of their
+        uncertainty, as in `0.714 ± 0.021`. Headers have labels and units. Raises UsageError.
+
+        >>> found = project.statistics(summary.batch, "swarm", "coverage", statistics=["mean"])
+        >>> print(project.paper_table(found, "markdown").splitlines()[0])
+        | population size | coverage |
+        """
+        from sierra.deliverables import paper_tables
+
+        return paper_tables.text(self._loaded, self.store, statistics.arrow, format, caption, label)
 
     def batch(self, prefix: str | None = None, *, target: str | None = None) -> str:
         """Return the id of a batch from a prefix; without one, that of the batch requested last, for `target` if it is given.

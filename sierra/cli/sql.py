@@ -149,6 +149,18 @@ def write(answer: Printable, format: Format, output: Path | None, *, long: bool 
     if output is not None:
         write_whole(output, data)
         return
+    _print(data)
+
+
+def write_text(text: str, output: Path | None) -> None:
+    """Write a text to a file or to standard output."""
+    if output is not None:
+        write_whole(output, text.encode())
+    else:
+        _print(text.encode())
+
+
+def _print(data: bytes) -> None:
     if sys.stdout.isatty():
         print(data.decode("utf-8", "replace"), end="")
         return

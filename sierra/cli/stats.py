@@ -11,7 +11,7 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import TargetOfBatch
-from sierra.cli.sql import Format, Printable, write
+from sierra.cli.sql import Format, Printable, write, write_text
 from sierra.errors import UsageError
 
 
@@ -29,6 +29,22 @@ class Times(StrEnum):
     own = "own"
     carry = "carry"
     linear = "linear"
+
+
+class Shown(StrEnum):
+    """The format of the statistics."""
+
+    table = "table"
+    csv = "csv"
+    json = "json"
+    parquet = "parquet"
+    markdown = "markdown"
+    latex = "latex"
+    html = "html"
+
+
+PAPER = (Shown.markdown, Shown.latex, Shown.html)
+"""The formats of tables for papers."""
 
 
 def named(words: Sequence[str]) -> tuple[str, ...]:
@@ -83,7 +99,16 @@ def stats(
             "or a plug-in (several: separated by commas, or repeated).",
         ),
     ] = None,
-    format: Annotated[Format, typer.Option("--format", "-f", help="Output format.")] = Format.table,
+    format: Annotated[
+        Shown,
+        typer.Option(
+            "--format", "-f", help="Output format; markdown, latex and html: a table for papers, with rounded numbers."
+        ),
+    ] = Shown.table,
+    caption: Annotated[str, typer.Option("--caption", metavar="TEXT", help="Caption of a table for papers.")] = "",
+    label: Annotated[
+        str, typer.Option("--label", metavar="NAME", help="Label of a table for papers, such as tab:coverage.")
+    ] = "",
     file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the result to a file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Same as --format json.")] = False,
 ) -> None:
@@ -101,7 +126,7 @@ def stats(
     \b
     Examples:
       sierra stats swarm coverage
-      sierra stats swarm coverage -b 774d --format markdown
+      sierra stats swarm coverage -b 774d --format latex -o coverage.tex
       sierra stats distances distance         # of a table that [tables.distances] in sierra.toml makes by SQL
       sierra stats swarm coverage --measure time_to --threshold 0.5
       sierra stats swarm coverage --measure time_to --threshold 0.5 --times own
@@ -115,6 +140,9 @@ def stats(
     if times and measure and (measure, times) != (Measure.time_to, Times.own):
         raise UsageError("--times gives a row for each time, --measure one for each experiment; choose one of them")
     reduced = measure.value if measure else None if times else "auto"
+    format = Shown.json if as_json else format
+    if (caption or label) and format not in PAPER:
+        raise UsageError("--caption and --label need a table for papers: --format latex, markdown or html")
     opened = project()
     table = opened.statistics(
         opened.batch(batch, target=target),
@@ -123,6 +151,9 @@ def stats(
         measure=reduced,
         threshold=threshold,
         times=times and times.value,
-        statistics=named(statistic or ()),
+        statistics=named(statistic or (["mean"] if format in PAPER else [])),
     )
-    write(Printable.of_arrow(table.arrow), Format.json if as_json else format, file)
+    if format in PAPER:
+        write_text(opened.paper_table(table, format.value, caption=caption, label=label), file)
+    else:
+        write(Printable.of_arrow(table.arrow), Format(format.value), file)

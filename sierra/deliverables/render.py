@@ -165,6 +165,8 @@ def statistics(
     of_times = [name for name in chosen if name in survival.STATISTICS] if chosen else list(survival.STATISTICS)
     if chosen and of_times and measure != "time_to":
         raise UsageError(f"statistic {of_times[0]!r} is one of times until a threshold; it needs the measure time_to")
+    if chosen and measure == "time_to" and times is not None:
+        raise UsageError("the Kaplan-Meier curve (time_to at own times) has no statistics to choose, and no table for papers")
     others = [name for name in chosen if name not in survival.STATISTICS]
     selection = Selection.of(others, project.config.statistics) if chosen else None
     wanted = stats.STATISTICS if selection is None else selection
@@ -199,7 +201,20 @@ def statistics(
             *notes,
         ]
         text = "\n\n".join(filter(None, (frame.statements(output), text)))
-        metadata = {"sierra:batch": batch, "sierra:sql": text, "sierra:note": "; ".join(notes)}
+        about = {
+            "axes": [axis.name for axis in frame.axes()],
+            "statistics": list(dict.fromkeys(chosen)),
+            "output": output,
+            "column": column,
+            "time": gallery.time(gallery.output(figure)) or "row",
+            "threshold": threshold,
+        }
+        metadata = {
+            "sierra:batch": batch,
+            "sierra:sql": text,
+            "sierra:note": "; ".join(notes),
+            "sierra:statistics": json.dumps(about, ensure_ascii=False),
+        }
         return _with_axes(table, frame).replace_schema_metadata(metadata)
 
 

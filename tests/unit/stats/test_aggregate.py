@@ -559,8 +559,7 @@ def test_the_stats_command_prints_a_table_with_the_values_of_the_axes(simulated:
     assert [(row["size"], row["n"], row["mean"], row["low"]) for row in rows] == [(1, 2, 3, 3), (2, 2, 6, 6), (3, 2, 9, 9)]
     first = simulated.quick("stats", "swarm", "v").stdout.splitlines()[0].split()
     assert first[:5] == ["experiment", "size", "missing", "infinite", "never"]
-    for kind, begin in (("csv", "experiment,size,"), ("markdown", "| experiment | size |")):
-        assert simulated.quick("stats", "swarm", "v", "--format", kind).stdout.startswith(begin)
+    assert simulated.quick("stats", "swarm", "v", "--format", "csv").stdout.startswith("experiment,size,")
     assert simulated.quick("stats", "swarm", "v", "-f", "parquet", "-o", "table.parquet").returncode == 0
     table = pq.read_table(simulated.folder / "table.parquet")
     assert table["size"].to_pylist() == [1, 2, 3]

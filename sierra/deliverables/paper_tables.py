@@ -1,0 +1,235 @@
+"""Tables of statistics for papers, as LaTeX, Markdown and HTML.
+
+A row is an experiment, or one of its times. Numbers are rounded by their interval: see `sierra.stats.rounding`. The line
+below a table has n, the kinds of intervals, and what is not in the numbers. The same statistics give the same bytes.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from sierra.config.project_file import LoadedProject, Project
+from sierra.errors import UsageError
+from sierra.execution import targets
+from sierra.stats.rounding import Rounded, rounded
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from sierra.store.store import Store
+
+LABEL = re.compile(r"[A-Za-z0-9:._-]+")
+PLAIN = ("mean",)
+"""Statistics that need no name in a header if they are the only one."""
+SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    "[": "{[}",
+    "*": "{*}",
+    **{character: f"\\{character}" for character in "&%$#_{}"},
+}
+"""Characters with a meaning in LaTeX, and how they are written; `[` and `*` have one after the end of a row."""
+OUTSIDE_TEXT = {"±": r"$\pm$", "×": r"$\times$", "−": "$-$", "≥": r"$\geq$", "∞": r"$\infty$", "µ": r"$\mu$", "μ": r"$\mu$"}
+SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+Cell: TypeAlias = Rounded | str | None
+
+
+@dataclass(frozen=True, slots=True)
+class PaperTable:
+    """The content of a table: headers, rows, and the line below it."""
+
+    headers: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: str
+    caption: str = ""
+    label: str = ""
+    texts: frozenset[int] = frozenset()
+    """The places of the columns that hold text, and not numbers."""
+
+
+def text(project: LoadedProject, store: Store, statistics: pa.Table, format: str, caption: str = "", label: str = "") -> str:
+    """Return the text of a table of statistics, as `render.statistics` returns them, in one of `FORMATS`. Raises UsageError."""
+    if label and not LABEL.fullmatch(label):
+        raise UsageError(f"label {label!r}: use letters, digits and the characters : . _ - only")
+    if format not in FORMATS:
+        raise UsageError(f"unknown format of a table {format!r}; known are {', '.join(FORMATS)}")
+    metadata = statistics.schema.metadata or {}
+    about = json.loads(metadata.get(b"sierra:statistics", b"{}"))
+    if not about.get("statistics") or "remaining" in statistics.column_names:
+        raise UsageError(
+            "a table for papers needs chosen statistics, one row for each experiment or time; name them, as in mean"
+        )
+    config = targets.of_batch(project, store, metadata[b"sierra:batch"].decode()).config
+    axes = [f"axis {place}" for place in range(len(about["axes"]))]
+    rest = [name[:-1] if name[:-1] in about["axes"] else name for name in statistics.column_names[1 + len(axes) :]]
+    named = statistics.rename_columns(["experiment", *axes, *rest])
+    headers = _headers(config, about, axes) | _of_statistics(config, about)
+    shown = {name: header for name, header in headers.items() if name in named.column_names}
+    notes = metadata.get(b"sierra:note", b"").decode()
+    return FORMATS[format](paper_table(named, about["statistics"], shown, notes, caption=caption, label=label))
+
+
+def _headers(config: Project, about: Mapping[str, Any], axes: Sequence[str]) -> dict[str, str]:
+    """Return the headers of the variables and of the time."""
+    headers = {}
+    for column, name in zip(axes, about["axes"], strict=True):
+        variable = config.variables.get(name)
+        headers[column] = _header(variable.label if variable and variable.label else name, variable.unit if variable else "")
+    return headers | {"t": _header(about["time"], _unit(config, about, about["time"]))}
+
+
+def _of_statistics(config: Project, about: Mapping[str, Any]) -> dict[str, str]:
+    """Return the headers of the statistics; one alone is named by its column only."""
+    what, unit = about["column"], _unit(config, about, about["column"])
+    if about["threshold"] is not None:
+        reached = f"{about['column']} ≥ {about['threshold']:.12g}"
+        what, unit = f"time until {reached}{f' {unit}' if unit else ''}", _unit(config, about, about["time"])
+    names = about["statistics"]
+    return {name: _header(what if len(names) == 1 and name in PLAIN else f"{name} {what}", unit) for name in names}
+
+
+def _unit(config: Project, about: Mapping[str, Any], column: str) -> str:
+    declared = config.declared(about["output"])
+    return declared.units.get(column, "") if declared else ""
+
+
+def _header(name: str, unit: str) -> str:
+    return f"{name.replace('_', ' ')} [{unit}]" if unit else name.replace("_", " ")
+
+
+def paper_table(
+    statistics: pa.Table, names: Sequence[str], headers: Mapping[str, str], notes: str, *, caption: str = "", label: str = ""
+) -> PaperTable:
+    """Return the table of these statistics. `headers` has the header of each column; columns without one are not shown."""
+    columns = {name: statistics.column(name).to_pylist() for name in statistics.column_names}
+    counts = columns.get("n", [])
+    shown: dict[str, list[Cell]] = {}
+    for name, header in headers.items():
+        if name in names:
+            ends = zip(columns[name], columns[f"{name}_low"], columns[f"{name}_high"], strict=True)
+            shown[header] = [None if value is None else rounded(value, low, high) for value, low, high in ends]
+        else:
+            shown[header] = [_plain(value) for value in columns[name]]
+    n = f"n = {counts[0]}" if len(set(counts)) == 1 else ""
+    if counts and not n:
+        shown["n"] = [str(count) for count in counts]
+    methods = {name: list(dict.fromkeys(filter(None, columns[f"{name}_interval"]))) for name in names}
+    texts = [
+        place for place, name in enumerate(headers) if name not in names and any(isinstance(v, str) for v in columns[name])
+    ]
+    note = "; ".join(filter(None, (n, _intervals(methods), notes)))
+    rows = tuple(zip(*shown.values(), strict=True))
+    return PaperTable(tuple(shown), rows, note, caption, label, frozenset(texts))
+
+
+def _plain(value: object) -> str:
+    """Return a value of a variable as text."""
+    if isinstance(value, float):
+        return f"{value:.12g}".replace("-", "−")
+    return str(value).replace("-", "−") if isinstance(value, int) and not isinstance(value, bool) else str(value)
+
+
+def _intervals(methods: Mapping[str, Sequence[str]]) -> str:
+    """Return what the intervals are, in words."""
+    having = {name: " or ".join(found) for name, found in methods.items() if found}
+    if not having:
+        return "no intervals"
+    if len(methods) == 1:
+        return f"95 % interval ({next(iter(having.values()))})"
+    return f"95 % intervals: {', '.join(f'{name} {method}' for name, method in having.items())}"
+
+
+def latex(table: PaperTable) -> str:
+    """Return the table as a `tabular` with the rules of the package booktabs, in a `table` if it has a caption or a label."""
+    alignment = "".join("l" if place in table.texts else "r" for place in range(len(table.headers)))
+    rows = [" & ".join(map(_latex_cell, row)) + r" \\" for row in table.rows]
+    lines = [
+        rf"\begin{{tabular}}{{{alignment}}}",
+        r"\toprule",
+        " & ".join(map(escaped, table.headers)) + r" \\",
+        r"\midrule",
+        *rows,
+        r"\bottomrule",
+        rf"\multicolumn{{{len(table.headers)}}}{{l}}{{\footnotesize {escaped(table.note)}}} \\",
+        r"\end{tabular}",
+    ]
+    if not (table.caption or table.label):
+        return "\n".join(lines) + "\n"
+    caption = [rf"\caption{{{escaped(table.caption)}}}"] if table.caption else []
+    label = [rf"\label{{{table.label}}}"] if table.label else []
+    return "\n".join([r"\begin{table}", r"\centering", *caption, *label, *lines, r"\end{table}"]) + "\n"
+
+
+def escaped(text: str) -> str:
+    """Return a text for LaTeX, in one line."""
+    known = {**SPECIAL, **OUTSIDE_TEXT}
+    return "".join(known.get(character, character) for character in " ".join(text.split()))
+
+
+def _latex_cell(cell: Cell) -> str:
+    match cell:
+        case None:
+            return "--"
+        case str():
+            return escaped(cell)
+        case Rounded(value, half, ends, exponent):
+            inner = value if not half else rf"{value} \pm {half}"
+            if exponent:
+                inner = rf"{f'({inner})' if half else inner} \times 10^{{{exponent}}}"
+            if ends:
+                inner += rf"\ [{ends[0]}, {ends[1]}]" + (rf" \times 10^{{{exponent}}}" if exponent else "")
+            inner = inner.replace("−", "-").replace("∞", r"\infty")
+            return f"${inner}$"
+
+
+def markdown(table: PaperTable) -> str:
+    """Return the table as a table of GitHub's Markdown."""
+    rules = [":--" if place in table.texts else "--:" for place in range(len(table.headers))]
+    rows = [table.headers, rules, *([_text_cell(cell) for cell in row] for row in table.rows)]
+    lines = ["| " + " | ".join(_markdown(cell) for cell in row) + " |" for row in rows]
+    above = [_markdown(table.caption), ""] if table.caption else []
+    return "\n".join([*above, *lines, "", _markdown(table.note)]) + "\n"
+
+
+def _markdown(text: str) -> str:
+    """Return a text without characters that Markdown gives a meaning to, in one line."""
+    return "".join(f"\\{c}" if c in "\\|*_`<>" else c for c in " ".join(text.split()))
+
+
+def _text_cell(cell: Cell) -> str:
+    match cell:
+        case None:
+            return "–"
+        case str():
+            return cell
+        case Rounded(value, half, ends, exponent):
+            power = f" × 10{str(exponent).translate(SUPERSCRIPTS)}" if exponent else ""
+            if half:
+                return f"({value} ± {half}){power}" if power else f"{value} ± {half}"
+            return f"{value}{power}" + (f" [{ends[0]}, {ends[1]}]{power}" if ends else "")
+
+
+def page(table: PaperTable) -> str:
+    """Return the table as an element of HTML."""
+    width = len(table.headers)
+    heads = "".join(f"<th>{html.escape(header)}</th>" for header in table.headers)
+    rows = ["<tr>" + "".join(f"<td>{html.escape(_text_cell(cell))}</td>" for cell in row) + "</tr>" for row in table.rows]
+    name = f' id="{html.escape(table.label)}"' if table.label else ""
+    caption = [f"<caption>{html.escape(table.caption)}</caption>"] if table.caption else []
+    foot = f'<tfoot><tr><td colspan="{width}">{html.escape(table.note)}</td></tr></tfoot>'
+    return "\n".join(
+        [f"<table{name}>", *caption, f"<thead><tr>{heads}</tr></thead>", "<tbody>", *rows, "</tbody>", foot, "</table>", ""]
+    )
+
+
+FORMATS: Mapping[str, Callable[[PaperTable], str]] = {"latex": latex, "markdown": markdown, "html": page}
+"""The formats of tables for papers, by name."""
