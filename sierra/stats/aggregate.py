@@ -129,6 +129,7 @@ def coverage(frame: Frame, *, several: bool = False) -> Coverage:
     rows = frame.sql(_file("coverage")).to_pylist()
     if not rows or all(row["first"] is None for row in rows):
         raise SierraError("no run has written any row of this output yet; there is nothing to compute")
+    ascending = all(row["ascending"] for row in rows)
     timed = [row for row in rows if row["first"] is not None]
     found = Coverage(
         runs={row["experiment"]: row["runs"] for row in rows},
@@ -137,7 +138,7 @@ def coverage(frame: Frame, *, several: bool = False) -> Coverage:
         first=min(row["first"] for row in timed),
         last=max(row["last"] for row in timed),
         untimed=sum(row["untimed"] for row in rows),
-        doubled=sum(row["doubled"] for row in rows),
+        doubled=0 if ascending else int(frame.sql(_file("doubled")).column("doubled")[0].as_py()),
     )
     if not several:
         check_times(found)

@@ -22,6 +22,7 @@ from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.stats import aggregate as stats
 from sierra.stats import student_t
+from sierra.stats.selection import Selection
 from tests.samples import Memory, samples
 
 AXIS = (Axis("size", (1, 2)),)
@@ -238,18 +239,22 @@ def test_n_is_counted_at_each_time() -> None:
     assert table["mean"].to_pylist() == [2.0, 2.0, 2.5]
 
 
+@pytest.mark.integration
 def test_results_are_bit_identical_for_any_row_order_and_number_of_threads() -> None:
     rng = np.random.default_rng(1)
-    rows = [(e, run, float(t), float(rng.normal())) for e in range(10) for run in range(20) for t in range(100)]
+    keys = [(e, run, float(t)) for e in range(10) for run in range(20) for t in range(100)]
+    values = rng.normal(size=len(keys)) * 10.0 ** rng.integers(-8, 17, len(keys))
+    rows = [(*key, value) for key, value in zip(keys, values.tolist(), strict=True)]
     rng.shuffle(mixed := list(range(len(rows))))
+    one, many = Memory(rows, threads=1), Memory((rows[k] for k in mixed), threads=4)
+    plain = "SELECT experiment, t, avg(value) AS mean FROM samples GROUP BY ALL ORDER BY ALL"
+    assert not one.sql(plain).equals(many.sql(plain)), "the order of these values must matter for a plain mean"
+    chosen = Selection.of(["mean", "sd", "iqm", "q90", "mad"], {})
     for measure in ("mean", "final"):
-        one, many = Memory(rows, threads=1), Memory((rows[k] for k in mixed), threads=4)
-        assert (
-            samples(one)
-            .by_experiment(measure, stats.STATISTICS)[0]
-            .equals(samples(many).by_experiment(measure, stats.STATISTICS)[0])
-        )
-        assert samples(one).by_time(["interval"])[0].equals(samples(many).by_time(["interval"])[0])
+        for wanted in (stats.STATISTICS, chosen):
+            found = [samples(frame).by_experiment(measure, wanted)[0] for frame in (one, many)]
+            assert found[0].equals(found[1])
+    assert samples(one).by_time(stats.STATISTICS)[0].equals(samples(many).by_time(stats.STATISTICS)[0])
 
 
 def measured(measure: str, values: list[float | None], threshold: float | None = None) -> dict[str, Any]:
@@ -437,6 +442,24 @@ def test_several_rows_of_a_run_at_one_time_are_refused() -> None:
         stats.coverage(frame)
 
 
+@pytest.mark.parametrize("order", ["t, number", "t DESC", "number, t DESC", "random()"])
+def test_the_order_of_rows_has_no_effect_on_whether_times_are_doubled(order: str) -> None:
+    rows = [(e, run, float(t), 1.0) for e in range(2) for run in range(3) for t in range(5)]
+    for more, doubled in (
+        ([], False),
+        ([(1, 2, 0.0, 2.0)], True),
+        ([(0, 1, 3.0, 2.0)], True),
+        ([(0, 1, math.nan, 2.0)], False),
+    ):
+        frame = Memory([*rows, *more])
+        frame.connection.execute(f"CREATE OR REPLACE TABLE samples AS SELECT * FROM samples ORDER BY {order}")
+        if doubled:
+            with pytest.raises(UsageError, match="1 run with more than one row at the same time"):
+                stats.coverage(frame)
+        else:
+            assert (stats.coverage(frame).rows, stats.coverage(frame).untimed) == (30 + len(more), len(more))
+
+
 def test_a_frame_without_values_is_an_error() -> None:
     with pytest.raises(SierraError, match="no run has written any row"):
         compute(figure(), {"energy": Memory([])})
@@ -497,6 +520,7 @@ def test_every_sql_file_is_used_and_begins_with_a_comment() -> None:
         "group_by_time.sql",
         "group_by_experiment.sql",
         "coverage.sql",
+        "doubled.sql",
         "resample.sql",
         "censored_times.sql",
     }
