@@ -1,6 +1,7 @@
 -- coverage, per experiment: the number of runs, the largest number of rows of a run, the first and the last time, the number
--- of rows without a finite time (no statistic uses them), and whether the rows of each run follow each other, in ascending order
--- of their times, as they were read. If they do, no run has two rows at the same time, and `doubled.sql` is not needed.
+-- of rows without a finite time (no statistic uses them), and whether the times of each run ascend. To know that, nothing is sorted: the
+-- rows are cut, as they are read, into pieces that have rows of one run; in each piece, times must ascend, and the pieces of a run must
+-- not overlap. If so, no run has two rows at the same time; if not, `doubled.sql` has to count.
 SELECT
   experiment,
   count(*) AS runs,
@@ -9,25 +10,41 @@ SELECT
   min(first) AS first,
   max(last) AS last,
   sum(untimed)::BIGINT AS untimed,
-  bool_and(parts = 1 AND ascending) AS ascending
+  bool_and(ascending) AS ascending
 FROM (
   SELECT
     experiment,
     run,
-    count(*) AS rows,
-    count(*) FILTER (NOT coalesce(isfinite(t), false)) AS untimed,
-    min(t) FILTER (isfinite(t)) AS first,
-    max(t) FILTER (isfinite(t)) AS last,
-    count(*) FILTER (begins) AS parts,
-    bool_and(begins OR coalesce(t > before, false)) AS ascending
+    sum(rows)::BIGINT AS rows,
+    sum(untimed)::BIGINT AS untimed,
+    min(first) AS first,
+    max(last) AS last,
+    bool_and(ascending AND coalesce(first > before, true)) AS ascending
   FROM (
-    SELECT
-      experiment,
-      run,
-      t,
-      lag(t) OVER () AS before,
-      experiment IS DISTINCT FROM lag(experiment) OVER () OR run IS DISTINCT FROM lag(run) OVER () AS begins
-    FROM samples
+    SELECT *, lag(last) OVER (PARTITION BY experiment, run ORDER BY first) AS before
+    FROM (
+      SELECT
+        experiment,
+        run,
+        count(*) AS rows,
+        count(*) FILTER (NOT coalesce(isfinite(t), false)) AS untimed,
+        min(t) FILTER (isfinite(t)) AS first,
+        max(t) FILTER (isfinite(t)) AS last,
+        count(*) FILTER (begins) = 1 AND bool_and(begins OR coalesce(t > before, false)) AS ascending
+      FROM (
+        SELECT *, count(*) FILTER (begins) OVER (ROWS UNBOUNDED PRECEDING) AS piece
+        FROM (
+          SELECT
+            experiment,
+            run,
+            t,
+            lag(t) OVER () AS before,
+            experiment IS DISTINCT FROM lag(experiment) OVER () OR run IS DISTINCT FROM lag(run) OVER () AS begins
+          FROM samples
+        )
+      )
+      GROUP BY experiment, run, piece
+    )
   )
   GROUP BY experiment, run
 )

@@ -389,19 +389,25 @@ class Frame:
         return rows
 
     def _load(self, table: str, files: list[str]) -> None:
-        source = self._relation(table, files)
+        source, run = self._relation(table, files), self._snapshot.run
+        data, rows = identifier("data " + table), identifier("rows " + table)
         if not files:
-            self._snapshot.run(LOAD.format(data=identifier("data " + table), table=identifier(table)))
+            run(LOAD.format(data=data, table=identifier(table)))
             self._loaded.add(table)
             return
-        file = ", o.file" if "file" in source.types else ""
-        self._snapshot.run(
-            f'CREATE TEMP TABLE {identifier("data " + table)} AS SELECT m.experiment AS "# experiment", '
-            f'm.number AS "# number", row_number() OVER (PARTITION BY o.execution, m.experiment{file} '
-            'ORDER BY o.filename, o.file_row_number) - 1 AS "# place", '
-            "o.* EXCLUDE (execution, filename, file_row_number) REPLACE (m.run AS run) "
-            f"FROM {source.sql} o JOIN membership m ON o.execution = m.judgement"
+        keys = ("execution", "file") if "file" in source.types else ("execution",)
+        own = ", ".join(f"o.{key}" for key in keys)
+        run("CREATE TEMP TYPE IF NOT EXISTS run_name AS ENUM (SELECT DISTINCT run FROM membership ORDER BY run)")
+        run(f"CREATE OR REPLACE TEMP TABLE spans AS {SPANS.format(keys=', '.join(keys), source=source.sql)}")
+        place = 'o.file_row_number - s."# first"'
+        if not run('SELECT bool_and("# together") FROM spans')[0][0]:
+            place = f'row_number() OVER (PARTITION BY {own}, s."# experiment" ORDER BY o.filename, o.file_row_number) - 1'
+        run(
+            f'CREATE TEMP TABLE {rows} AS SELECT s."# experiment", s."# number", {place} AS "# place", '
+            'o.* EXCLUDE (execution, filename, file_row_number) REPLACE (s."# run" AS run) '
+            f"FROM {source.sql} o JOIN spans s ON {' AND '.join(f'o.{key} = s.{key}' for key in keys)}"
         )
+        run(f"CREATE TEMP VIEW {data} AS SELECT * REPLACE (run::VARCHAR AS run) FROM {rows}")
         self._loaded.add(table)
 
     def most_frequent(self, table: str, column: str) -> str | None:
@@ -437,6 +443,14 @@ CREATE TEMP TABLE {data} AS SELECT w.ordinal::INTEGER AS "# experiment", w.numbe
 FROM {table} d JOIN wanted w ON d.run = w.run
 """
 
+SPANS = """
+SELECT s.*, m.experiment AS "# experiment", m.number AS "# number", m.run::run_name AS "# run" FROM (
+    SELECT {keys}, min(file_row_number) AS "# first",
+        count(DISTINCT filename) = 1 AND max(file_row_number) - min(file_row_number) + 1 = count(*) AS "# together"
+    FROM {source} WHERE execution IN (SELECT judgement FROM membership) GROUP BY {keys}
+) s JOIN membership m ON s.execution = m.judgement
+"""
+"""The first row of each execution in its file, and whether its rows follow each other there; then no rows need to be sorted."""
 ALIKE = """
 SELECT 1 FROM (SELECT count(DISTINCT run) AS runs FROM {data}) WHERE runs > 1 AND NOT EXISTS (
     SELECT "# place" FROM {data} GROUP BY "# place"

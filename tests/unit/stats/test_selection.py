@@ -206,3 +206,17 @@ def test_the_stats_command_prints_the_chosen_statistics_only(simulate: Callable[
     assert (wrong.returncode, wrong.stdout) == (2, "")
     (same,) = sierra.open(project.folder).statistics(None, "swarm", "v", statistics=["median", "q90", "range"]).to_pylist()
     assert same == row
+
+
+NAMED = r"""
+printf 't,first,name,together\n1,5,6,7\n2,8,9,1\n' > swarm.csv
+"""
+
+
+@pytest.mark.integration
+def test_columns_may_have_any_name(simulate: Callable[..., Any]) -> None:
+    project = simulate(NAMED)
+    assert project.quick("run", "size=1", "--runs", "2", "--no-figures").returncode == 0
+    for column, last in (("first", 8), ("name", 9), ("together", 1)):
+        (row,) = json.loads(project.quick("stats", "swarm", column, "--json").stdout)
+        assert (row["n"], row["mean"]) == (2, last)
