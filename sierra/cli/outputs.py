@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Annotated
 
 import typer
@@ -54,11 +55,14 @@ def outputs(
         else:
             before = f"targets.{found.target}." if found.target in opened.targets else ""
             names = ", ".join(f"[{before}outputs.{name}]" for name in written)
-            print(
-                f"{opened.file}: added {names}" if written else f"{opened.file}: all tables are declared; nothing was changed"
-            )
+            every = all(table.declared or table.name in written for table in found.tables)
+            nothing = "all tables are declared; nothing was changed" if every else "nothing was changed"
+            print(f"{opened.file}: added {names}" if written else f"{opened.file}: {nothing}")
             if any(one.name in written for one in found.unread):
                 print("the next sierra run makes tables of files that were none; it executes nothing again for that")
+            for table in found.tables:
+                if not table.declared and table.name not in written:
+                    print(f"not declared any more: [outputs.{table.name}] file = {json.dumps(table.file)} had other keys too")
             for line in unread_lines(found.runs, [one for one in found.unread if one.name not in written]):
                 print(line)
         return

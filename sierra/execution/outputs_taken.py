@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-from sierra.config.output_tables import Output
+from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.errors import SierraError
 from sierra.execution.unread_files import MAX_SIZE, NUMBER, Alike, UnreadFiles, unread_files
 from sierra.store.samples import names_time
@@ -228,12 +228,12 @@ def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | 
 def proposed(found: TakenOutputs) -> dict[str, dict[str, str | bool]]:
     """Return the keys of `[outputs.NAME]` for each table that is not declared, and for files that they make tables of.
 
-    The tables that exist stay the same.
+    The tables that exist stay the same. Tables of declarations that were removed are left out: their keys are not known.
     """
     tables: dict[str, dict[str, str | bool]] = {
         table.name: {"file": table.file} | ({} if table.runs == found.runs else {"required": False})
         for table in found.tables
-        if not table.declared
+        if not table.declared and table.format != FILE_FORMAT
     }
     return tables | {one.name: dict(one.keys) for one in found.unread if one.keys}
 

@@ -200,3 +200,15 @@ def test_settings_in_pyproject_get_the_tables_too(tmp_path: Path) -> None:
     tool = tomllib.loads((tmp_path / "pyproject.toml").read_text())["tool"]["sierra"]
     assert tool["outputs"] == {"swarm": {"file": "swarm.csv"}}
     assert json.loads(quick(tmp_path, *QUERY, "--json").stdout)["executed"] == 0
+
+
+def test_a_declaration_that_was_removed_is_not_written_without_its_keys(tmp_path: Path) -> None:
+    more = "import json\njson.dump([{'a': 1}], open('r.json', 'w'))\nos = __import__('os'); os.remove('swarm.csv')\n"
+    config = projects.CONFIG + '[outputs.r]\nfile = "r.json"\nformat = "json"\n'
+    project(tmp_path, more, config)
+    assert quick(tmp_path, *QUERY).returncode == 0
+    (tmp_path / "sierra.toml").write_text(projects.CONFIG)
+    said = quick(tmp_path, "outputs", "--write").stdout
+    assert "sierra.toml: nothing was changed\n" in said
+    assert 'not declared any more: [outputs.r] file = "r.json" had other keys too\n' in said
+    assert (tmp_path / "sierra.toml").read_text() == projects.CONFIG
