@@ -65,8 +65,10 @@ def of_batch(project: LoadedProject, store: Store, batch: str) -> LoadedProject:
 
 def notes(project: LoadedProject, store: Store, batch: str) -> tuple[str, ...]:
     """Return a note if `of_batch` returns the project for another target than the batch was last requested for."""
+    if project.declared is None:
+        return ()
     name, default = recorded(store, batch), project.config.target
-    if project.declared is None or name in project.targets or name == default:
+    if name in project.targets or name == default:
         return ()
     was = "without a target" if name is None else f"for target {name!r}, which sierra.toml no longer has"
     used = f"of the default target {default!r}" if default else "outside [targets]"

@@ -1227,8 +1227,8 @@ class SharedFiles:
         for path, name, mode in self.files:
             target = os.path.join(folder, name)
             with open(path, "rb", buffering=0) as original, open(target, "xb", buffering=0) as copy:
-                self.clones = self.clones and cloned(copy.fileno(), original.fileno())
-                if not self.clones:
+                if not (self.clones and cloned(copy.fileno(), original.fileno())):
+                    self.clones = False
                     if name in self.large and os.geteuid() != 0 and relinked(path, target):
                         continue
                     for chunk in iter(lambda: original.read(CHUNK), b""):
