@@ -86,6 +86,7 @@ def test_names_of_input_files_are_part_of_the_specification(tmp_path: Path) -> N
     assert sdf.batch.spec_id != xml.batch.spec_id
 
 
+@pytest.mark.integration
 def test_a_template_of_another_name_keeps_records_sound(tmp_path: Path) -> None:
     for name in ("t.xml", "t.sdf"):
         folder = project(tmp_path / "p", TOML.replace("t.xml", name))

@@ -142,6 +142,7 @@ def nice_simulator(folder: Path) -> None:
 # Use of each kind of plug-in
 
 
+@pytest.mark.integration
 def test_platform_template_format_and_reader_of_another_package_execute_a_batch(project: Path) -> None:
     assert "4 runs: 4 executed" in succeed(project, "run", "herd=1,3", "--no-figures")
     found = rows(project, "SELECT herd, count(*) AS n, max(tick) AS last, max(distance) AS far FROM walk GROUP BY 1 ORDER BY 1")
@@ -417,6 +418,7 @@ def test_xml_template_format_conforms() -> None:
     templates.check(XmlTemplate, data, ["/a/@b", "//c", "//d"])
 
 
+@pytest.mark.integration
 def test_plugin_reader_conforms(installed: Path, tmp_path: Path) -> None:
     tables = {
         b"track 1\ntick far\n0 0.5\n1 2\nend\n": {"tick": [0, 1], "far": [50.0, 200.0]},

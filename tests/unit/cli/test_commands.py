@@ -100,6 +100,7 @@ def test_completion_script_exists_for_each_shell(tmp_path: Path, shell: str) -> 
     assert said.returncode == 0
 
 
+@pytest.mark.integration
 def test_completion_completes_a_command_name(tmp_path: Path) -> None:
     typed = {"_SIERRA_COMPLETE": "complete_bash", "COMP_WORDS": "sierra ru", "COMP_CWORD": "1"}
     assert sierra(tmp_path, environment=typed).stdout.split() == ["run"]
@@ -130,6 +131,7 @@ def test_repeated_query_from_a_subfolder_executes_nothing(answered: Path, answer
     assert ended.stderr == ""
 
 
+@pytest.mark.integration
 def test_dry_run_reports_how_many_runs_would_execute(answered: Path) -> None:
     said = quick(answered, "run", "-n", "population_size.Log4", "noise=0:1:2")
     assert "4 of 12 runs would execute" in said.stdout

@@ -47,6 +47,7 @@ def test_commands_that_read_a_few_rows_import_only_duckdb(root: Path, words: tup
     assert imported(root, *words) <= {"duckdb", "logging"}
 
 
+@pytest.mark.integration
 def test_a_batch_without_outputs_imports_neither_numpy_nor_pyarrow(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", "true"))
     for size in ("1", "2"):

@@ -108,6 +108,7 @@ WHERE sim.target = 'sim' AND robots.target = 'robots' ORDER BY ALL
 """
 
 
+@pytest.mark.integration
 def test_the_runs_of_targets_are_pairs_with_the_same_values_and_seeds(executed: Path) -> None:
     rows = projects.sql(executed, PAIRS)
     assert [(row["population_size"], row["difference"]) for row in rows] == [(1, 1), (1, 1), (2, 1), (2, 1)]
@@ -141,6 +142,7 @@ def test_the_name_of_a_target_is_no_part_of_an_id(project: Path) -> None:
     assert {one["batch"]: one["targets"] for one in listed(project)}[before] == ["robots", "swarm"]
 
 
+@pytest.mark.integration
 def test_keys_outside_targets_are_a_target_of_their_own(tmp_path: Path) -> None:
     config = """
         runs = 1
@@ -158,6 +160,7 @@ def test_keys_outside_targets_are_a_target_of_their_own(tmp_path: Path) -> None:
     assert (other["batch"], other["target"], other["executed"]) == (answer["batch"], "slow", 0)
 
 
+@pytest.mark.integration
 def test_list_show_statistics_and_figures_say_the_target(project: Path) -> None:
     identity = batch(project, "robots")
     assert "robots" in projects.quick(project, "ls").stdout
@@ -235,6 +238,7 @@ def test_batches_that_are_no_pairs_are_not_drawn_together(project: Path, query: 
     assert message in refused.stderr
 
 
+@pytest.mark.integration
 def test_recorded_batches_need_no_target(project: Path) -> None:
     identity = batch(project, "robots")
     replayed = projects.quick(project, "replay", identity, "--json")
@@ -246,6 +250,7 @@ def test_recorded_batches_need_no_target(project: Path) -> None:
     assert "leave out --runs, --controller, --scenario, --set and --target" in refused.stderr
 
 
+@pytest.mark.integration
 def test_recorded_batches_can_be_replayed_after_their_target_is_gone(project: Path) -> None:
     identity = batch(project, "robots")
     (project / "sierra.toml").write_text('template = "params.json"\ncommand = "python3 {project}/sim.py {input}"\n')
@@ -288,6 +293,7 @@ def test_a_template_of_one_of_two_batches_is_named(tmp_path: Path) -> None:
     assert "the template params.json is not used any more" in projects.quick(folder, *words, "--explain").stdout
 
 
+@pytest.mark.integration
 def test_why_repeats_the_query_for_its_target(project: Path) -> None:
     for name in ("sim", "robots"):
         answer = json.loads(projects.quick(project, "why", batch(project, name), "--json").stdout)
@@ -317,6 +323,7 @@ def test_a_request_in_a_file_names_its_target(project: Path, tmp_path: Path) -> 
     assert (refused.returncode, "leave out --target" in refused.stderr) == (2, True)
 
 
+@pytest.mark.integration
 def test_a_failure_in_one_target_fails_the_command_and_not_the_other(tmp_path: Path) -> None:
     folder = make(tmp_path / "p")
     (folder / "sim.py").write_text("raise SystemExit(3)\n")
@@ -347,6 +354,7 @@ def test_outputs_are_those_of_the_target(project: Path) -> None:
     assert (refused.returncode, refused.stderr) == (2, "sierra: unknown target 'x'; known are sim, robots\n")
 
 
+@pytest.mark.integration
 def test_outputs_are_declared_for_the_target_that_wrote_them(tmp_path: Path) -> None:
     config = CONFIG.replace('outputs.swarm = { file = "swarm.csv", time = "tick" }\n', "")
     folder = make(tmp_path / "p", config)
@@ -400,6 +408,7 @@ def test_wrong_targets_are_named_in_one_line_before_anything_runs(executed: Path
     assert len(listed(executed)) == 2
 
 
+@pytest.mark.integration
 def test_a_target_names_where_its_runs_execute(tmp_path: Path) -> None:
     folder = make(tmp_path / "p", CONFIG.replace("[targets.robots]", '[targets.robots]\nrunner = "field"'))
     done = projects.quick(folder, "run", "population_size=1", *BOTH)
@@ -446,6 +455,7 @@ def test_runs_that_are_no_pairs_are_refused(tmp_path: Path) -> None:
     assert "the runs for targets 'small' and 'large' are no pairs: the values of population_variable_density are" in done.stderr
 
 
+@pytest.mark.integration
 def test_a_target_may_vary_what_its_platform_knows_itself(tmp_path: Path) -> None:
     config = """
         runs = 1

@@ -38,6 +38,7 @@ def root(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.integration
 def test_a_run_counts_by_the_mean_of_its_events(root: Path) -> None:
     done = projects.quick(root, "run", "demand=1,2")
     assert done.returncode == 0, done.stderr

@@ -26,6 +26,7 @@ def texts(folder: Path, config: str, *words: str) -> list[str]:
     return ["".join(text.itertext()) for text in etree.parse(path).iter("{*}text")]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("given", ["10", '"//arena/@rate"'])
 def test_ticks_are_shown_as_seconds(tmp_path: Path, given: str) -> None:
     shown = texts(tmp_path / "p", CONFIG + f"ticks_per_second = {given}\n", "population_size=1,2")
@@ -34,6 +35,7 @@ def test_ticks_are_shown_as_seconds(tmp_path: Path, given: str) -> None:
     assert any("seconds: tick / 10 per second" in text for text in shown)
 
 
+@pytest.mark.integration
 def test_each_experiment_has_its_own_ticks_per_second(tmp_path: Path) -> None:
     shown = texts(tmp_path / "p", CONFIG + 'ticks_per_second = "//arena/@rate"\n', "rate=2,4")
     assert any("seconds: tick / 2 to 4 per second" in text for text in shown)
@@ -41,6 +43,7 @@ def test_each_experiment_has_its_own_ticks_per_second(tmp_path: Path) -> None:
     assert "1.75" in shown
 
 
+@pytest.mark.integration
 def test_without_the_key_ticks_stay_ticks(tmp_path: Path) -> None:
     shown = texts(tmp_path / "p", CONFIG, "population_size=1,2")
     assert "tick" in shown
@@ -55,6 +58,7 @@ def test_the_key_executes_nothing_again(tmp_path: Path) -> None:
     assert (summary["executed"], summary["reused"]) == (0, 2)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("path", "said"), [("//arena/@none", "selects nothing"), ("//swarm/@controller", "selects 'none'")])
 def test_a_path_without_a_number_is_reported(tmp_path: Path, path: str, said: str) -> None:
     folder = projects.make(tmp_path / "p", CONFIG + f'ticks_per_second = "{path}"\n', template=TEMPLATE)
@@ -73,6 +77,7 @@ def test_runs_that_differ_are_reported(tmp_path: Path) -> None:
     assert "runs of an experiment have 1 and 2" in done.stderr
 
 
+@pytest.mark.integration
 def test_a_path_needs_one_template(tmp_path: Path) -> None:
     several = CONFIG.replace('template = "arena.xml"', 'templates = { arena = "arena.xml" }').replace('= "//', '= "arena://')
     several = several.replace("{input}", "{input.arena}")

@@ -79,6 +79,7 @@ def test_an_unknown_name_of_a_category_is_refused(folder: Path) -> None:
     assert "unknown controller 'depth0.XYZ'; known are depth0.CRW, depth0.DPO-2" in said
 
 
+@pytest.mark.integration
 def test_numbers_in_a_scenarios_name_are_values_in_its_changes(folder: Path) -> None:
     (made,) = inputs(folder, "population_size=2", "--scenario", "Low.10x5")
     assert made["size"] == "10;10"
@@ -86,6 +87,7 @@ def test_numbers_in_a_scenarios_name_are_values_in_its_changes(folder: Path) -> 
     assert made["size"] == "0.5;10"
 
 
+@pytest.mark.integration
 def test_scenarios_with_numbers_can_be_an_axis(folder: Path) -> None:
     made = inputs(folder, "scenario=Low.10x5,Plain,Low.3x3", "--controller", "depth0.CRW")
     assert [row["size"] for row in made] == ["10;10", "1", "3;6"]
@@ -158,6 +160,7 @@ def test_completion_offers_names_that_can_be_chosen(folder: Path, monkeypatch: p
     assert complete.scenarios("") == ["Low.", "Plain"]
 
 
+@pytest.mark.integration
 def test_figures_show_the_labels_of_controllers(folder: Path) -> None:
     summary, _ = projects.run(folder, "controller=depth0.CRW,depth0.DPO-2", "--scenario", "Plain")
     done = projects.quick(folder, "figures", summary["batch"], "--json")

@@ -54,6 +54,7 @@ def refused(folder: Path, *words: str) -> str:
     return done.stderr
 
 
+@pytest.mark.integration
 def test_a_project_without_a_template_gives_values_to_command_and_environment(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     summary, noted = run(root, "population_size=1,2", "max_speed=0.5")
@@ -81,6 +82,7 @@ def test_arguments_follow_the_command_if_it_has_no_place_for_them(tmp_path: Path
     assert words[:4] == ["--robots=1", "--last", "--speed", "3"]
 
 
+@pytest.mark.integration
 def test_values_are_part_of_the_identity_of_runs(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     run(root, "population_size=1,2", "max_speed=1")
@@ -91,6 +93,7 @@ def test_values_are_part_of_the_identity_of_runs(tmp_path: Path) -> None:
     assert len(first) == 2
 
 
+@pytest.mark.integration
 def test_a_replay_executes_the_recorded_values(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     summary, _ = run(root, "population_size=1,2", "max_speed=0.5")
@@ -102,6 +105,7 @@ def test_a_replay_executes_the_recorded_values(tmp_path: Path) -> None:
     assert "2 identical" in done.stdout
 
 
+@pytest.mark.integration
 def test_show_has_the_command_of_the_run(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     run(root, "population_size=4", "max_speed=0.5")
@@ -112,6 +116,7 @@ def test_show_has_the_command_of_the_run(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.integration
 def test_values_and_a_template_can_be_mixed(tmp_path: Path) -> None:
     root = make(
         tmp_path / "p",

@@ -125,6 +125,7 @@ def test_a_command_in_one_line_means_the_same_as_its_words(tmp_path: Path) -> No
     assert batch(root) == written
 
 
+@pytest.mark.integration
 def test_the_explanation_names_what_changed_around_the_command(tmp_path: Path) -> None:
     root = make(tmp_path / "project", before='after = "true"\n')
     projects.run(root, "population_size=1")

@@ -104,6 +104,7 @@ def test_a_product_is_built_before_runs_use_it_and_recorded(root: Path) -> None:
     assert rows(root, "SELECT name FROM programs WHERE name LIKE '{project}%'") == [{"name": "{project}/build/sim"}]
 
 
+@pytest.mark.integration
 def test_a_product_that_is_up_to_date_is_not_built_again(root: Path) -> None:
     run(root)
     os.utime(root / "sim.sh", (1, 1))
@@ -113,6 +114,7 @@ def test_a_product_that_is_up_to_date_is_not_built_again(root: Path) -> None:
     assert built(root) == 1
 
 
+@pytest.mark.integration
 def test_changed_source_is_built_whatever_its_times_say(root: Path) -> None:
     run(root)
     before = (root / "sim.sh").stat()
@@ -133,6 +135,7 @@ def test_a_source_that_was_built_before_is_built_again_if_the_product_is_another
     assert "0 executed, 2 reused" in done.stdout
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("how", ["changed", "removed"])
 def test_a_changed_or_removed_product_is_built_again_even_if_the_tool_finds_it_up_to_date(tmp_path: Path, how: str) -> None:
     root = make(tmp_path / "project", compiler=f"test build/sim -nt sim.sh && exit\n{COMPILER}")
@@ -191,6 +194,7 @@ def test_another_command_flag_or_compiler_builds_again_and_executes_with_the_oth
     assert rows(root, "SELECT flags FROM builds ORDER BY lamport DESC LIMIT 1") == [{"flags": '{"CFLAGS": "-O3"}'}]
 
 
+@pytest.mark.integration
 def test_ids_do_not_depend_on_products(root: Path) -> None:
     preview = json.loads(run(root, *QUERY, "--dry-run", "--json").stdout)
     assert not (root / "build").exists()
@@ -224,6 +228,7 @@ def test_a_pattern_that_matches_nothing_is_an_error(root: Path) -> None:
     assert "it made no file that matches 'build/*.so' of produces" in failing(root)
 
 
+@pytest.mark.integration
 def test_a_try_builds_what_its_run_needs_and_a_batch_uses_it(root: Path) -> None:
     done = projects.quick(root, "try", "population_size=3")
     assert done.returncode == 0, done.stderr

@@ -50,6 +50,7 @@ def make(folder: Path, kind: str = "json") -> Path:
     return folder
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", FORMATS)
 def test_paths_are_filled_in_and_not_in_ids(tmp_path: Path, kind: str) -> None:
     root = make(tmp_path / "p", kind)

@@ -27,6 +27,7 @@ def project(folder: Path, more: str = "", config: str = projects.CONFIG) -> Path
     return projects.commit(projects.make(folder, config, simulator=projects.SIMULATOR + more))
 
 
+@pytest.mark.integration
 def test_first_runs_say_what_was_read_and_what_was_not_and_later_ones_do_not(tmp_path: Path) -> None:
     project(tmp_path, FILES)
     first = quick(tmp_path, *QUERY)
@@ -39,6 +40,7 @@ def test_first_runs_say_what_was_read_and_what_was_not_and_later_ones_do_not(tmp
     assert json.loads(quick(tmp_path, *QUERY, "--runs", "4", "--json").stdout)["outputs"] is None
 
 
+@pytest.mark.integration
 def test_new_shape_of_a_table_is_said_again(tmp_path: Path) -> None:
     project(tmp_path)
     assert TABLE in quick(tmp_path, *QUERY).stdout
@@ -47,6 +49,7 @@ def test_new_shape_of_a_table_is_said_again(tmp_path: Path) -> None:
     assert "swarm.csv: 5 rows; tick BIGINT, area DOUBLE" in quick(tmp_path, *QUERY).stdout
 
 
+@pytest.mark.integration
 def test_outputs_shows_the_tables_of_a_batch_or_query_from_the_store(tmp_path: Path) -> None:
     project(tmp_path, FILES)
     assert quick(tmp_path, *QUERY).returncode == 0
@@ -63,6 +66,7 @@ def test_outputs_shows_the_tables_of_a_batch_or_query_from_the_store(tmp_path: P
     assert "has not been run" in ended.stderr
 
 
+@pytest.mark.integration
 def test_declared_keys_of_a_file_that_is_no_table_make_one(tmp_path: Path) -> None:
     project(tmp_path, FILES)
     assert quick(tmp_path, *QUERY).returncode == 0
@@ -88,6 +92,7 @@ column = [ "coverage" ]   # the last lines
 """
 
 
+@pytest.mark.integration
 def test_write_adds_the_tables_changes_nothing_else_and_nothing_executes_again(tmp_path: Path) -> None:
     head, variables = projects.CONFIG.replace("runs = 2\n", "").split("[variables]")
     before = head + AROUND + "[variables]" + variables
@@ -110,6 +115,7 @@ def test_write_adds_the_tables_changes_nothing_else_and_nothing_executes_again(t
     assert (tmp_path / "sierra.toml").read_text() == after
 
 
+@pytest.mark.integration
 def test_table_that_only_some_runs_wrote_is_declared_as_not_required(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.rare]\nfile = "rare.csv"\nrequired = false\n'
     project(tmp_path, 'if count == 2:\n    open("two.csv", "w").write("a\\n1\\n")\n', config)
@@ -177,6 +183,7 @@ def test_numbers_that_differ_only_between_the_first_and_the_last_name_are_found_
     assert 'file = "x/{tick1}-{tick2}.csv"' in quick(tmp_path, "outputs").stdout
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "written", ["outputs = {}\n", "outputs = { other = { file = 'a', format = 'file', required = false } }\n"]
 )
@@ -190,6 +197,7 @@ def test_inline_table_is_refused_with_the_lines_to_write(tmp_path: Path, written
     assert (tmp_path / "sierra.toml").read_bytes() == before
 
 
+@pytest.mark.integration
 def test_settings_in_pyproject_get_the_tables_too(tmp_path: Path) -> None:
     project(tmp_path)
     (tmp_path / "sierra.toml").unlink()

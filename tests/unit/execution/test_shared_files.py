@@ -56,6 +56,7 @@ def outputs(root: Path) -> list[tuple[object, ...]]:
     return [(row["speed"], row["mesh"], row["new"]) for row in sql(root, "SELECT speed, mesh, new FROM out")]
 
 
+@pytest.mark.integration
 def test_each_run_has_its_own_copy_beside_its_input(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     _, noted = run(root, "population_size=1,2")
@@ -71,6 +72,7 @@ def test_each_run_has_its_own_copy_beside_its_input(tmp_path: Path) -> None:
     assert quick(root, "fsck").returncode == 0
 
 
+@pytest.mark.integration
 def test_contents_are_part_of_the_identity_and_stored_once(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     run(root, "population_size=1")
@@ -85,6 +87,7 @@ def test_contents_are_part_of_the_identity_and_stored_once(tmp_path: Path) -> No
     assert sql(root, copies)[0]["n"] == 1
 
 
+@pytest.mark.integration
 def test_their_change_is_the_reason_for_new_runs(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     run(root, "population_size=1")
@@ -106,6 +109,7 @@ def test_a_name_that_is_not_utf8_is_one_line(tmp_path: Path) -> None:
     assert "is not UTF-8" in done.stderr
 
 
+@pytest.mark.integration
 def test_a_replay_takes_them_from_the_store(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     summary, _ = run(root, "population_size=1")
@@ -117,6 +121,7 @@ def test_a_replay_takes_them_from_the_store(tmp_path: Path) -> None:
     assert "2 identical" in done.stdout
 
 
+@pytest.mark.integration
 def test_removed_batches_leave_the_files_of_others(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     first, _ = run(root, "population_size=1")

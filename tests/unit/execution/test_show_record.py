@@ -19,6 +19,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.integration
 def test_each_kind_of_object_has_a_class_whose_form_in_json_is_printed(root: Path) -> None:
     project = sierra.open(root)
     batch = project.show(project.batches[0].batch)

@@ -45,6 +45,7 @@ def test_the_template_is_used_as_it_is_except_for_the_seed(project: Path) -> Non
     assert made.replace('seed="4711"', 'seed="0"') == (project / "arena.xml").read_text()
 
 
+@pytest.mark.integration
 def test_a_try_leaves_the_store_as_it_was_and_never_counts(project: Path) -> None:
     summary, _ = run(project, "population_size=1")
     before = sql(project, "SELECT count(*) AS n FROM executions")

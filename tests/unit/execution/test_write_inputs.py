@@ -33,6 +33,7 @@ def command(project: Path, row: dict[str, str]) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.integration
 def test_runs_and_inputs_are_those_that_a_batch_records(project: Path) -> None:
     rows = written(project)
     assert not (project / ".sierra").exists()

@@ -39,6 +39,7 @@ def notes(root: Path, *words: str) -> list[str]:
     return [line for line in done.stderr.splitlines() if "[build]" in line]
 
 
+@pytest.mark.integration
 def test_code_that_changed_alone_is_noted_each_time(root: Path) -> None:
     assert notes(root) == []
     (root / "sim.c").write_text("int main() { return 1; }\n")
@@ -49,6 +50,7 @@ def test_code_that_changed_alone_is_noted_each_time(root: Path) -> None:
     assert notes(root, "--dry-run", "--explain") == [line]
 
 
+@pytest.mark.integration
 def test_a_program_that_was_built_again_is_not_noted(root: Path) -> None:
     notes(root)
     (root / "sim.c").write_text("int main() { return 1; }\n")
@@ -57,6 +59,7 @@ def test_a_program_that_was_built_again_is_not_noted(root: Path) -> None:
     assert notes(root) == []
 
 
+@pytest.mark.integration
 def test_times_and_other_files_are_no_evidence(root: Path) -> None:
     notes(root)
     os.utime(root / "sim.c", (2**31, 2**31))
@@ -64,6 +67,7 @@ def test_times_and_other_files_are_no_evidence(root: Path) -> None:
     assert notes(root) == []
 
 
+@pytest.mark.integration
 def test_a_project_with_build_gets_no_note(root: Path) -> None:
     build = '[build]\ncommand = "sh -c \'mkdir -p build && cp /bin/sh build/sim\'"\nproduces = ["build/sim"]\n'
     (root / "sierra.toml").write_text(CONFIG + build)

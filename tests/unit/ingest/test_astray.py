@@ -67,6 +67,7 @@ def test_a_run_that_writes_only_beside_its_input_or_into_its_home_has_failed(
     ]
 
 
+@pytest.mark.integration
 def test_what_the_note_says_keeps_the_file(made: Made) -> None:
     root = made('print("a,b\\n1,2", file=open(place + "/" + open(sys.argv[1]).read().split("<!--")[1].split()[0], "w"))')
     template = root / "arena.xml"
@@ -77,6 +78,7 @@ def test_what_the_note_says_keeps_the_file(made: Made) -> None:
     assert sql(root, "SELECT DISTINCT a, b FROM trips") == [{"a": 1, "b": 2}]
 
 
+@pytest.mark.integration
 def test_an_environment_with_another_home_keeps_the_file(made: Made) -> None:
     root = made(HOME)
     config = root / "sierra.toml"

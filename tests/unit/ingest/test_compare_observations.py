@@ -63,12 +63,14 @@ def sql(root: Path, statement: str) -> list[dict[str, Any]]:
     return found
 
 
+@pytest.mark.integration
 def test_a_run_that_reads_a_file_that_its_siblings_do_not_read_is_reported(said: Callable[[str], tuple[str, Path]]) -> None:
     text, root = said('if order == 1 and count == 2: open(here + "/extra").read()')
     assert DIFFERS + f"{root.parent}/simulator/extra (by 1 of 3, e.g. run " in text
     assert text.count("note:") == 1
 
 
+@pytest.mark.integration
 def test_runs_that_use_the_same_files_are_not_reported(said: Callable[[str], tuple[str, Path]]) -> None:
     assert said('open(here + "/extra").read()')[0] == ""
 

@@ -41,6 +41,7 @@ def run(folder: Path) -> tuple[dict[str, Any], list[str]]:
     return summary, summary["notes"]
 
 
+@pytest.mark.integration
 def test_trips_and_collisions_are_kept_and_the_proposed_lines_silence_the_note(tmp_path: Path) -> None:
     project(tmp_path)
     summary, notes = run(tmp_path)
@@ -58,6 +59,7 @@ def test_trips_and_collisions_are_kept_and_the_proposed_lines_silence_the_note(t
     assert not [note for note in notes if "events" in note]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("cut", "reason"),
     [
@@ -73,6 +75,7 @@ def test_file_that_is_cut_short_next_to_them_fails_its_run_only(tmp_path: Path, 
     assert "is truncated or not XML" in failure["reason"]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("declared", ["", 'mismatch = "ragged"\n'])
 def test_valid_file_with_far_fewer_rows_than_the_others_is_doubted(tmp_path: Path, declared: str) -> None:
     root = project(tmp_path, "lines[:9], '</tripinfos>\\n'", config=TRIPS + declared)
@@ -94,6 +97,7 @@ with open("swarm.csv", "w") as file:
 """
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("header", "row"),
     [

@@ -53,6 +53,7 @@ def test_numbers_in_names_become_a_column_in_their_natural_order(tmp_path: Path)
     assert quick(root, "fsck").returncode == 0
 
 
+@pytest.mark.integration
 def test_time_axis_may_be_the_number_of_the_files(tmp_path: Path) -> None:
     root = projects.make(tmp_path, CONFIG + 'time = "tick"\n', simulator=SIMULATOR.replace("range(2)", "range(1)"))
     assert quick(root, "run", "population_size=1", "--no-figures").returncode == 0

@@ -218,6 +218,7 @@ def test_truncated_netcdf_is_refused_in_one_line(tmp_path: Path, kept: int) -> N
     assert "trunc" in fault(tmp_path, netcdf3(tmp_path)[:kept], "netcdf", "speed")
 
 
+@pytest.mark.integration
 def test_both_are_readers(tmp_path: Path) -> None:
     good = hdf5(lambda file: file.create_dataset("d", data=[1, 2]))
     other = hdf5(lambda file: file.create_dataset("d", data=[3]))

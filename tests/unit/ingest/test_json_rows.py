@@ -93,6 +93,7 @@ VALUES = st.recursive(
 )
 
 
+@pytest.mark.integration
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)
 @given(
     st.lists(st.dictionaries(st.sampled_from(["a", "x y", "b"]), VALUES, max_size=3), max_size=3), st.sampled_from(["", "a"])

@@ -52,6 +52,7 @@ def sql(root: Path, statement: str) -> list[dict[str, Any]]:
     return found
 
 
+@pytest.mark.integration
 def test_files_that_a_run_uses_are_recorded_once_for_all_runs(root: Path) -> None:
     run(root)
     observations = sql(root, "SELECT * FROM observations JOIN executions USING (execution)")
@@ -109,6 +110,7 @@ def test_the_setting_decides_which_runs_are_observed(root: Path, setting: str, c
     assert sql(root, "SELECT count(*) AS n FROM observations") == [{"n": count}]
 
 
+@pytest.mark.integration
 def test_observation_changes_neither_ids_nor_outputs(root: Path, tmp_path: Path) -> None:
     run(root)
     plain = projects.make(tmp_path / "plain", (root / "sierra.toml").read_text().replace("all", "none"), simulator=SIMULATOR)
@@ -172,6 +174,7 @@ def test_names_that_are_not_utf_8_are_escaped(tmp_path: Path) -> None:
     assert written(result) == ("/\\xfe",)
 
 
+@pytest.mark.integration
 def test_a_run_that_observation_would_change_is_executed_unobserved(root: Path, tmp_path: Path) -> None:
     privileged = tmp_path / "privileged"
     shutil.copy(shutil.which("true") or "", privileged)

@@ -625,6 +625,7 @@ def test_texts_first_read_as_numbers_are_restored_in_every_batch_after_reexecuti
         assert column(project, "sha")[:2] == ["1e5"] * 2
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("bad", [0, 1, 3])
 def test_text_among_numbers_is_detected_wherever_recordings_are_split(
     make: Make, monkeypatch: pytest.MonkeyPatch, bad: int
@@ -919,6 +920,7 @@ def test_rows_of_a_large_file_keep_their_order_with_several_threads(tmp_path: Pa
 EVENTS = "write('tick,v\\n' + '0,1\\n' * (seed % 7))"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("lines", "toml", "told"),
     [
@@ -940,6 +942,7 @@ def test_ragged_is_proposed_for_tables_of_events(
     assert any("events" in note for note in noted()) == (told is not None)
 
 
+@pytest.mark.integration
 def test_file_whose_format_must_be_named_is_kept_with_a_note(make: Make, noted: Callable[[], list[str]]) -> None:
     project = make("write('[{\"v\": 1}]', 'out.json')", '[outputs.out]\nfile = "out.json"\n')
     assert not run(project, runs=2).failed

@@ -74,6 +74,7 @@ def test_gc_without_a_terminal_needs_yes(root: Path) -> None:
     assert stores.state(root) == before
 
 
+@pytest.mark.integration
 def test_unreferenced_and_unfinished_files_are_removed(root: Path) -> None:
     store = sierra.open(root).store
     writer = store.writer(store.paths.work / "test", store.segments()[0].batch)

@@ -1154,6 +1154,7 @@ def test_engines_with_other_properties_are_not_copied(engine: str) -> None:
         followed(instead('<dynamics2d id="dyn2d"/>', engine), physics_engines=2)
 
 
+@pytest.mark.integration
 def test_engines_follow_growing_arenas_and_not_those_of_single_runs(tmp_path: Path) -> None:
     config = CONFIG.replace('arena = "10x10"', 'arena = "10x10"\nphysics_engines = 2')
     rows = seen(argos_project(tmp_path / "p", config), "population_constant_density.1p0.I10.C2")

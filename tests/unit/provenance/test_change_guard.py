@@ -115,6 +115,7 @@ def test_files_changed_and_changed_back_are_detected_and_new_files_are_not(tmp_p
         assert f": {name} (" in str(changed(what))
 
 
+@pytest.mark.integration
 def test_a_replay_fails_if_a_program_is_replaced_meanwhile(simulate: Callable[..., Any], tmp_path: Path) -> None:
     program = tmp_path / "sim"
     program.write_text(f'#!/bin/sh\nuntil [ -e "{tmp_path}/gate" ]; do sleep 0.02; done; {PRINTS}\n')

@@ -435,6 +435,7 @@ def test_a_note_for_a_failed_relative_include_says_how_to_reach_it(tmp_path: Pat
     assert not [note for note in mended.notes if "relative path" in note]
 
 
+@pytest.mark.integration
 def test_a_relative_include_is_noted_only_if_failed_runs_mention_it(tmp_path: Path) -> None:
     template = '<e seed="0" n="0"><include file="arm.xml"/><other>no/such.xml</other></e>'
     project = make(tmp_path / "p", "sh sim.sh {input}", template=template)

@@ -950,6 +950,7 @@ def test_the_recorded_remote_belongs_to_the_branch(repository: Path, git: Git) -
 # ---------------------------------------------------------------- in the store
 
 
+@pytest.mark.integration
 def test_sql_and_show_display_the_state_of_the_source(tmp_path: Path, git: Git) -> None:
     root = projects.make(tmp_path / "p" / "study")
     commit(git, tmp_path / "p")

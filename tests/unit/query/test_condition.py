@@ -81,6 +81,7 @@ def test_a_name_is_not_compared_by_order(project: Path) -> None:
     assert "< compares numbers; scenario is low, high: use = or !=" in done.stderr
 
 
+@pytest.mark.integration
 def test_a_part_of_a_batch_has_the_same_ids_and_is_reused_by_the_rest(tmp_path: Path) -> None:
     folder = make(tmp_path / "project")
     part, messages = run(folder, "population_size.Log8", "--only", "population_size<=2")
@@ -94,6 +95,7 @@ def test_a_part_of_a_batch_has_the_same_ids_and_is_reused_by_the_rest(tmp_path: 
     assert (whole["executed"], whole["reused"], whole["selected"]) == (4, 4, None)
 
 
+@pytest.mark.integration
 def test_statistics_of_a_part_have_no_experiment_without_runs(tmp_path: Path) -> None:
     folder = make(tmp_path / "project")
     run(folder, "population_size=1,2,4", "--only", "population_size=4")
@@ -102,6 +104,7 @@ def test_statistics_of_a_part_have_no_experiment_without_runs(tmp_path: Path) ->
     assert sql(folder, "SELECT DISTINCT population_size AS p FROM swarm") == [{"p": 4}]
 
 
+@pytest.mark.integration
 def test_the_summary_names_the_part(tmp_path: Path) -> None:
     folder = make(tmp_path / "project")
     done = quick(folder, "run", "population_size.Log8", "--only", "population_size>4", "--no-figures")
@@ -111,6 +114,7 @@ def test_the_summary_names_the_part(tmp_path: Path) -> None:
     assert (again.returncode, "8 runs: 0 executed, 2 reused, 6 left out\n" in again.stdout) == (0, True)
 
 
+@pytest.mark.integration
 def test_runs_that_failed_outside_of_the_part_do_not_fail_it(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator="import sys\nsys.exit('count=\"1\"' in open(sys.argv[1]).read())\n")
     assert quick(folder, "run", "population_size=1,2", "--no-figures").returncode == 1

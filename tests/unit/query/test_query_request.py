@@ -17,6 +17,7 @@ def project(tmp_path: Path) -> Path:
     return projects.make(tmp_path / "project")
 
 
+@pytest.mark.integration
 def test_run_accepts_the_json_that_a_dry_run_printed(project: Path) -> None:
     asked = ("run", "population_size=1,2", "noise=0.5", "--runs", "1", "--set", "/arena/@size=20")
     printed = quick(project, *asked, "-n", "--json").stdout
@@ -41,6 +42,7 @@ def test_a_file_whose_batch_has_changed_is_reported(project: Path) -> None:
     assert "the project has changed since" in done.stderr
 
 
+@pytest.mark.integration
 def test_the_request_of_a_recorded_batch_gives_the_same_batch(project: Path) -> None:
     opened = sierra.open(project)
     batch = opened.run("noise=0.5", runs=1, sets=[("/arena/@size", "20")], figures=False).batch

@@ -107,6 +107,7 @@ def test_pheromone_covers_more_than_a_random_walk() -> None:
     assert final("coverage", controller="pheromone", **asked) > 1.15 * final("coverage", **asked)
 
 
+@pytest.mark.integration
 def test_clutter_reduces_coverage() -> None:
     asked = {"population_size": 8, "controller": "pheromone"}
     assert final("coverage", scenario="cluttered", **asked) < 0.95 * final("coverage", **asked)

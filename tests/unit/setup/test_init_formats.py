@@ -56,6 +56,7 @@ def settings(folder: Path) -> dict[str, Any]:
     return tomllib.loads((folder / "sierra.toml").read_text())
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("ending", PARSE)
 def test_a_template_of_each_format_is_found_and_what_is_written_runs(tmp_path: Path, ending: str) -> None:
     folder = make(tmp_path / "project", ending)
@@ -74,6 +75,7 @@ def test_a_template_of_each_format_is_found_and_what_is_written_runs(tmp_path: P
     assert found[0]["n"] >= summary["runs"]  # the variable and the seed have an effect
 
 
+@pytest.mark.integration
 def test_a_tried_run_is_shown_and_described_in_comments(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "json")
     done = quick(folder, "init", "-y", *GIVEN)
@@ -172,6 +174,7 @@ def test_several_possible_templates_are_named(tmp_path: Path) -> None:
     assert "several files could be the template (map.yaml, world.json); give the template with --template FILE" in done.stderr
 
 
+@pytest.mark.integration
 def test_the_format_of_a_file_with_another_ending_is_named(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "ini")
     (folder / "world.ini").rename(folder / "world.conf")

@@ -282,6 +282,7 @@ def test_every_controller_and_scenario_can_be_expanded(new: Path, controller: st
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.integration
 def test_a_converted_project_runs_with_a_program_called_argos3(new: Path, tmp_path: Path) -> None:
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin" / "argos3").write_text(ARGOS)
@@ -300,6 +301,7 @@ def test_a_converted_project_runs_with_a_program_called_argos3(new: Path, tmp_pa
     assert "collected_data_energy_summary" in drawn.stdout
 
 
+@pytest.mark.integration
 def test_the_input_is_what_the_old_project_meant(new: Path) -> None:
     projects.run(with_program(new), "population_size=3", "--scenario", "LowBlockCount.20x10x2", "--runs", "1")
     (row,) = projects.sql(new, "SELECT input FROM copy")

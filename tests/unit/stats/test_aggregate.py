@@ -626,6 +626,7 @@ def test_contradictory_options_of_the_stats_command_are_refused(simulated: Any) 
         assert complaint in asked.stderr
 
 
+@pytest.mark.integration
 def test_statistics_in_python_accept_times_and_contain_the_note(simulated: Any) -> None:
     project = sierra.open(simulated.folder)
     table = project.statistics(None, "swarm", "v", measure=None, times="carry")

@@ -184,6 +184,7 @@ def test_programs_are_recorded_once(tmp_path: Path) -> None:
     assert {row["c"] for row in rows} == {1}
 
 
+@pytest.mark.integration
 def test_a_project_in_a_folder_that_git_ignores_is_outside_git(tmp_path: Path) -> None:
     subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
     (tmp_path / ".gitignore").write_text("/demo/\n")

@@ -63,6 +63,7 @@ def test_numbers_and_texts_of_all_batches_are_in_separate_columns(two: tuple[Pro
     assert project.sql("SELECT avg(v) AS m FROM t").column(0).to_pylist() == pytest.approx([(1037.5 + 100007.5) / 5])
 
 
+@pytest.mark.integration
 def test_a_note_reports_a_column_of_mixed_types(two: tuple[Project, list[str]]) -> None:
     project, (numbers, _) = two
     told = "note: column 'v' of t has numbers in some runs and other values in others; the other values are in 'v_text'\n"

@@ -94,6 +94,7 @@ def test_every_shipped_format_is_checked() -> None:
     assert {*MADE, *EXTRA, FILE_FORMAT} == {*READERS.shipped, FILE_FORMAT}
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", MADE)
 def test_shipped_reader_passes_the_suite(tmp_path: Path, kind: str) -> None:
     make, form = MADE[kind]
@@ -102,6 +103,7 @@ def test_shipped_reader_passes_the_suite(tmp_path: Path, kind: str) -> None:
     conformance.check(kind, tables, [*damaged, gzip.compress(b"x")], tmp_path, form=form)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("form", [Form(comment="#"), Form(na=("NA",))])
 def test_reader_of_text_as_found_passes_the_suite(tmp_path: Path, form: Form) -> None:
     conformance.check("csv", {lines(table): table for table in TABLES}, [b"t,v\n1\n"], tmp_path, form=form)

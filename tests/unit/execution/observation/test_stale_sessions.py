@@ -36,6 +36,7 @@ def root(request: pytest.FixtureRequest, tmp_path: Path, require: Callable[..., 
 QUERY = "population_size=1,2"
 
 
+@pytest.mark.integration
 def test_a_changed_file_executes_all_runs_again(root: Path) -> None:
     library = root.parent / "library"
     assert projects.run(root, QUERY)[0]["executed"] == 4
@@ -48,6 +49,7 @@ def test_a_changed_file_executes_all_runs_again(root: Path) -> None:
     assert projects.run(root, QUERY)[0]["executed"] == 0
 
 
+@pytest.mark.integration
 def test_a_changed_file_that_git_ignores_executes_the_runs_of_a_commit_again(root: Path) -> None:
     """A commit's runs are executed in a checkout, and yet read this file in the project's folder."""
     library = root / "library"
@@ -65,6 +67,7 @@ def test_a_changed_file_that_git_ignores_executes_the_runs_of_a_commit_again(roo
     assert projects.sql(root, VALUES) == [{"value": 2}]
 
 
+@pytest.mark.integration
 def test_a_file_that_comes_into_existence_executes_all_runs_again(root: Path) -> None:
     projects.run(root, QUERY)
     (root.parent / "library" / "extra").write_text("5")
@@ -72,6 +75,7 @@ def test_a_file_that_comes_into_existence_executes_all_runs_again(root: Path) ->
     assert projects.sql(root, VALUES) == [{"value": 6}]
 
 
+@pytest.mark.integration
 def test_executions_count_again_once_the_file_is_restored(root: Path) -> None:
     library = root.parent / "library"
     projects.run(root, QUERY)
@@ -87,6 +91,7 @@ def test_executions_count_again_once_the_file_is_restored(root: Path) -> None:
     assert projects.sql(root, VALUES) == [{"value": 2}]
 
 
+@pytest.mark.integration
 def test_new_runs_are_never_mixed_with_stale_ones(root: Path) -> None:
     projects.run(root, QUERY)
     (root.parent / "library" / "factor").write_text("2")
@@ -131,6 +136,7 @@ print("tick,value", *(f"{tick},1" for tick in range(3)), sep="\\n", file=open("s
 """
 
 
+@pytest.mark.integration
 def test_runs_that_use_a_gpu_depend_on_it_and_its_driver(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (root / "sim.py").write_text(LIKE_A_GPU_PROGRAM)
     (root.parent / "library" / "libcuda.so.1").touch()
