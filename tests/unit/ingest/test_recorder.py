@@ -55,12 +55,16 @@ def make(tmp_path: Path) -> Make:
     """Make a project whose simulator is these lines of Python, which can use `seed`, `n`, `k`, `good` and `write`."""
 
     def make(lines: str, toml: str = "") -> Project:
-        (tmp_path / "sierra.toml").write_text(TOML + toml)
-        (tmp_path / "t.xml").write_text('<e seed="0" n="0" k="0"/>')
-        (tmp_path / "sim.py").write_text(SIM + textwrap.dedent(lines))
-        return sierra.open(tmp_path)
+        return written(tmp_path, lines, toml)
 
     return make
+
+
+def written(folder: Path, lines: str, toml: str = "") -> Project:
+    (folder / "sierra.toml").write_text(TOML + toml)
+    (folder / "t.xml").write_text('<e seed="0" n="0" k="0"/>')
+    (folder / "sim.py").write_text(SIM + textwrap.dedent(lines))
+    return sierra.open(folder)
 
 
 def run(project: Project, query: str = "n=1", **options: Any) -> Summary:
@@ -302,16 +306,33 @@ FAULTS = {
 }
 
 
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> tuple[Project, Summary]:
+    """A batch with an experiment for each of FAULTS: n is its position, and run number 2 has the fault."""
+    cases = "".join(
+        f"{'elif' if place else 'if'} n == {place} and seed == {seeds(4)[2]}:\n    {lines}\n"
+        for place, (lines, _) in enumerate(FAULTS.values())
+    )
+    project = written(tmp_path_factory.mktemp("faulty"), f"{cases}else:\n    write(good)")
+    return project, run(project, f"n={','.join(map(str, range(len(FAULTS))))}")
+
+
+def test_one_faulty_run_of_each_experiment_fails(faulty: tuple[Project, Summary]) -> None:
+    _, summary = faulty
+    assert (summary.failed, summary.missing) == (len(FAULTS), 0)
+
+
 @pytest.mark.parametrize("fault", FAULTS)
-def test_one_faulty_run_is_detected_and_its_fault_is_reported(make: Make, fault: str) -> None:
-    lines, said = FAULTS[fault]
-    project = make(f"if k and seed == BAD:\n    {lines}\nelse:\n    write(good)".replace("BAD", str(seeds(4)[2])))
-    summary = run(project, "k=1")
-    assert (summary.failed, summary.missing) == (1, 0)
-    [failure] = summary.failures
-    assert (failure.status, failure.number) == ("mismatch", 2)
-    assert said in failure.reason
-    assert project.sql("SELECT count(DISTINCT number), count(*) FROM out").to_pylist() == [
+def test_one_faulty_run_is_detected_and_its_fault_is_reported(faulty: tuple[Project, Summary], fault: str) -> None:
+    project, _ = faulty
+    place = list(FAULTS).index(fault)
+    [failure] = project.sql(
+        "SELECT number, status, reason FROM executions JOIN batch_runs USING (run) WHERE status <> 'ok' AND ordinal = $place",
+        place=place,
+    ).to_pylist()
+    assert (failure["status"], failure["number"]) == ("mismatch", 2)
+    assert FAULTS[fault][1] in failure["reason"]
+    assert project.sql(f"SELECT count(DISTINCT number), count(*) FROM out WHERE n = {place}").to_pylist() == [
         {"count(DISTINCT number)": 3, "count_star()": 9}
     ]
 
