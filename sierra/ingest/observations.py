@@ -51,10 +51,9 @@ class Observed:
 
 def observed(result: Result) -> Observed | None:
     """Return the records of an execution; None if it was not observed."""
-    record = Path(result.directory, OBSERVED)
-    if not (result.observed and record.is_file()):
+    found = _record(result)
+    if found is None:
         return None
-    found = cast("_Observed", read_record(record))
     files = [(_text(name), use, sha256, size) for name, use, sha256, size in found["files"]]
     identity = file_set(files)
     lists = (list(map(_text, texts)) for texts in (found["notes"], found["distributions"]))
@@ -67,6 +66,12 @@ def observed(result: Result) -> Observed | None:
     )
 
 
+def _record(result: Result) -> _Observed | None:
+    """Return what the worker observed; None if it observed nothing, or the folder of an interrupted run is gone."""
+    record = Path(result.directory, OBSERVED)
+    return cast("_Observed", read_record(record)) if result.observed and record.is_file() else None
+
+
 def file_set(files: Iterable[tuple[str, str, str | None, int | None]]) -> str:
     """Return the id of a set of files: a hash of their names, uses and SHA-256."""
     return digest("files", {"files": sorted({(name, use, sha256 or "") for name, use, sha256, _ in files})})
@@ -75,9 +80,9 @@ def file_set(files: Iterable[tuple[str, str, str | None, int | None]]) -> str:
 def written(result: Result) -> tuple[str, ...]:
     """Return the names of all files that an execution is known to have written, but not among its outputs."""
     own = tuple(map(_text, result.elsewhere))
-    if not result.observed:
+    found = _record(result)
+    if found is None:
         return own
-    found = cast("_Observed", read_record(Path(result.directory, OBSERVED)))
     return (*own, *(_text(name) for name, use in found["written"] if use == WRITTEN))
 
 
