@@ -109,7 +109,7 @@ def test_changed_code_with_equal_results_reports_results_as_the_same(make_either
     before = ask(root)
     (root / "sim.py").write_text(projects.SIMULATOR + "# more\n")
     said = diff(root, before, ask(root))
-    assert kinds(said) == ["source"]
+    assert kinds(said) == ["source"], lines(said, "files")
     assert "results" in said["same"]
     assert "commit" not in said["same"]
 
