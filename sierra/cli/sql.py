@@ -68,7 +68,7 @@ def sql(
       sierra sql "DESCRIBE executions"
       sierra sql -b 774d "SELECT noise, avg(coverage) FROM swarm GROUP BY 1"
       sierra sql "FROM runs" --format parquet -o runs.parquet
-      sierra sql -b 774d "FROM distances"     # a table that [tables.distances] in sierra.toml makes by SQL
+      sierra sql -b 774d "FROM distances"    # made by [tables.distances]
       sierra sql - < snapshot.sql
     """
     from sierra.cli.open_project import project

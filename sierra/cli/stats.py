@@ -127,7 +127,7 @@ def stats(
     Examples:
       sierra stats swarm coverage
       sierra stats swarm coverage -b 774d --format latex -o coverage.tex
-      sierra stats distances distance         # of a table that [tables.distances] in sierra.toml makes by SQL
+      sierra stats distances distance        # made by [tables.distances]
       sierra stats swarm coverage --measure time_to --threshold 0.5
       sierra stats swarm coverage --measure time_to --threshold 0.5 --times own
       sierra stats swarm coverage --statistic median,q90

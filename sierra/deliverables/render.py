@@ -427,7 +427,7 @@ class _Gallery:
             try:
                 self._coverage(output)
             except SierraError as error:
-                doubled = type(error) is UsageError
+                doubled = type(error) is UsageError and output.files < 2
                 hint = suggest_tables.of_means(self._frame, output, self.time(output)) if doubled else ""
                 notes.append(f"no figure of output {output.name!r}: {error}{hint}")
                 continue

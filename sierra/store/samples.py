@@ -381,8 +381,7 @@ class Frame:
             self._loaded.add("# variables")
         rows = f'(SELECT d.* FROM {data} d JOIN "# variables" v ON v."# ordinal" = d."# experiment" WHERE (\n{where}\n))'
         try:
-            if ";" in where:
-                raise SqlError("a condition has no ;")
+            self.check_condition(where)
             self._snapshot.run(f"EXPLAIN SELECT * FROM {rows}")
         except SqlError as error:
             raise UsageError(f"where = {where!r}: {error}") from error

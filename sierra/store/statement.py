@@ -86,10 +86,10 @@ def check_condition(connection: DuckDBPyConnection, text: str) -> None:
     whole = f"SELECT 1 WHERE (\n{text}\n)"
     answer = _json(connection, "json_serialize_sql", whole)
     if answer.get("error") or not _is_condition(answer):
-        raise SqlError(f"{text!r} is no SQL condition: {answer.get('error_message', 'there is more than a condition')}")
+        raise SqlError(f"it is no SQL condition: {answer.get('error_message', 'there is more than a condition')}")
     found = used(connection, whole)
     if named := [*found.tables.values(), *found.schemas]:
-        raise SqlError(f"{text!r}: a condition uses columns only, not the table {named[0]!r}; use a derived table")
+        raise SqlError(f"a condition uses columns only, not the table {named[0]!r}; use a derived table")
     check_repeatable(connection, found)
 
 
