@@ -114,11 +114,18 @@ def test_a_figure_can_have_its_own_statement_and_its_files_contain_all_sql(recor
         "wrong", "SELECT run, now() AS m FROM ends"
     )
     (root / "sierra.toml").write_text(projects.CONFIG + f"[tables.ends]\nsql = '{ENDS}'\n" + own)
-    done = projects.quick(root, "figures", sierra.open(root).batches[0].batch)
+    batch = sierra.open(root).batches[0].batch
+    done = projects.quick(root, "figures", batch)
     assert "figure wrong: sql: now() gives another value each time" in done.stderr
     [svg] = root.glob("figures/*/own.svg")
     text = svg.read_text()
     assert text.index(f"[tables.ends]\n{ENDS.split(' >')[0]}") < text.index("-- sql\nSELECT run, 2 * most AS m FROM ends")
+    asked = projects.quick(root, "figures", batch, "--check")
+    assert asked.returncode == 0, asked.stdout + asked.stderr
+    config = root / "sierra.toml"
+    config.write_text(config.read_text().replace("max(coverage) AS most", "min(coverage) AS most"))
+    asked = projects.quick(root, "figures", batch, "--check")
+    assert (asked.returncode, "the store has other data now" in asked.stdout + asked.stderr) == (1, True)
 
 
 def test_a_condition_uses_columns_only(root: Path) -> None:
