@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from sierra.config import find_project
 from sierra.errors import Missing, NotFound, UsageError
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sierra.containers.images.image import Image
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
+    from sierra.deliverables.comparison import Compared
     from sierra.deliverables.record import Checked, ShownDeliverable
     from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.list_batches import ListedBatch
@@ -880,6 +881,103 @@ class Project:
         from sierra.deliverables import paper_tables
 
         return paper_tables.text(self._loaded, self.store, statistics.arrow, format, caption, label)
+
+    def compare(
+        self,
+        *words: str,
+        by: Sequence[str] = (),
+        groups: Sequence[str] = (),
+        column: str = "",
+        table: str = "",
+        measure: Literal["final", "mean", "time_to"] | None = None,
+        threshold: float | None = None,
+        paired: bool | Literal["auto"] = "auto",
+        against: str | None = None,
+        margin: float | None = None,
+        alpha: float = 0.05,
+    ) -> Compared:
+        """Compare groups of runs: tests, effect sizes, intervals, and a paragraph of text with the conclusions.
+
+        `words` are batches: prefixes of ids or names of queries in `sierra.toml`, also as `LABEL=PREFIX`. With one batch
+        (default: the batch requested last), `by` is the variable whose values are compared; with several variables, the
+        comparison is factorial. The other arguments are the keys of `[comparisons.NAME]`. Raises NotFound, UsageError, and
+        SierraError if there is nothing to compare.
+
+        >>> pair = project.compare(summary.batch, by=["population_size"]).pairs[0]
+        >>> pair.first, pair.second, pair.verdict.value
+        ('population_size=1', 'population_size=2', 'too few runs')
+        """
+        given = {
+            "by": tuple(by),
+            "groups": tuple(groups),
+            "column": column,
+            "table": table,
+            "measure": measure,
+            "threshold": threshold,
+            "paired": paired,
+            "against": against,
+            "margin": margin,
+            "alpha": alpha,
+        }
+        return self._compared(words, given)
+
+    def compare_declared(self, name: str, batch: str | None = None) -> Compared:
+        """Make a comparison that `sierra.toml` declares in `[comparisons.NAME]`.
+
+        `batch` is the batch within which values are compared (default: the batch requested last). Raises the errors of
+        `compare`, and NotFound for an unknown name.
+
+        >>> project.compare_declared("noise")
+        Traceback (most recent call last):
+        sierra.errors.NotFound: ...
+        """
+        from sierra.util.text import like
+
+        declared = self.config.comparisons
+        if name not in declared:
+            raise NotFound(f"sierra.toml has no [comparisons.{name}]; {like(name, list(declared))}")
+        asked = declared[name]
+        within = bool(asked.by) or not asked.groups
+        if batch is not None and not within:
+            raise UsageError(f"[comparisons.{name}] names its batches in groups; leave out the batch")
+        words = ((batch,) if batch else ()) if within else asked.groups
+        return self._compared(words, asked.model_dump() | ({} if within else {"groups": ()}), name)
+
+    def _compared(self, words: Sequence[str], given: Mapping[str, object], name: str = "") -> Compared:
+        from sierra.config.deliverable_tables import Comparison
+        from sierra.config.validate import options
+        from sierra.deliverables import comparison
+
+        asked = options(Comparison, {key: value for key, value in given.items() if value is not None}, "the comparison")
+        named = [self._labelled_batch(word) for word in words] or [("", self.batch())]
+        if len({batch for _, batch in named}) < len(named):
+            raise UsageError("a batch cannot be compared with itself; name other batches, or one batch and --by VARIABLE")
+        found = comparison.labels(self._loaded, self.store, [batch for _, batch in named])
+        labels = [label or proposed for (label, _), proposed in zip(named, found, strict=True)]
+        if twice := next((label for label in labels if labels.count(label) > 1), None):
+            raise UsageError(f"two groups have the name {twice!r}; give them different ones: LABEL=HASH")
+        batches = {label: batch for label, (_, batch) in zip(labels, named, strict=True)}
+        return comparison.compare(self._loaded, self.store, name, batches, asked)
+
+    def _labelled_batch(self, word: str) -> tuple[str, str]:
+        """Return the label ("" for none) and the batch of a word: `LABEL=PREFIX`, `PREFIX`, or the same with a query's name."""
+        label, equals, rest = word.rpartition("=")
+        if equals and not label:
+            raise UsageError(f"{word!r} has no label before =; write LABEL=HASH")
+        if rest in self.config.queries:
+            return label or rest, self._asked((rest,), None)
+        return label, self.batch(rest)
+
+    def draw_comparison(self, compared: Compared) -> list[Path]:
+        """Draw the figure of a comparison; return the files.
+
+        >>> compared = project.compare(summary.batch, by=["population_size"])
+        >>> sorted({path.suffix for path in project.draw_comparison(compared)})
+        ['.pdf', '.png', '.svg']
+        """
+        from sierra.deliverables import comparison
+
+        return comparison.draw(compared, self.paths)
 
     def batch(self, prefix: str | None = None, *, target: str | None = None) -> str:
         """Return the id of a batch from a prefix; without one, that of the batch requested last, for `target` if it is given.

@@ -27,6 +27,7 @@ COMMANDS = {
     "cancel": "sierra.cli.cancel:cancel",
     "replay": "sierra.cli.replay:replay",
     "diff": "sierra.cli.diff:diff",
+    "compare": "sierra.cli.compare:compare",
     "why": "sierra.cli.why:why",
     "ls": "sierra.cli.ls:ls",
     "show": "sierra.cli.show:show",

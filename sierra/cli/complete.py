@@ -99,6 +99,11 @@ def figures(incomplete: str) -> list[str]:
     return _named("figures", incomplete)
 
 
+def comparisons(incomplete: str) -> list[str]:
+    """Return the names of the comparisons and queries in `sierra.toml`, and prefixes of batches' ids."""
+    return [*_named("comparisons", incomplete), *_named("queries", incomplete), *batches(incomplete)]
+
+
 def runners(incomplete: str) -> list[str]:
     """Return the names of runners."""
     return sorted({*_named("runners", incomplete), *_beginning(("local", "slurm", "pbs"), incomplete)})

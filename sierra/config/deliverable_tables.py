@@ -1,4 +1,4 @@
-"""Tables of `sierra.toml` about deliverables: derived tables, the limits on their SQL, figures."""
+"""Tables of `sierra.toml` about deliverables: derived tables, the limits on their SQL, figures, comparisons."""
 
 from __future__ import annotations
 
@@ -143,3 +143,50 @@ class Figure(Table):
     def own(self) -> RawTable:
         """Return the keys that only this kind has, as they are written."""
         return self.model_extra or {}
+
+
+def _as_list(value: object) -> object:
+    return (value,) if isinstance(value, str) else value
+
+
+class Comparison(Table):
+    """One comparison of groups of runs, for `sierra compare NAME`."""
+
+    groups: Annotated[tuple[str, ...], BeforeValidator(_as_list, json_schema_input_type=Words)] = Field(
+        (),
+        description="with `by`: the values to compare, the first one first; default: all. Without `by`: two or more batches, "
+        "each as the name of a query in `queries` or the prefix of an id, or as `LABEL=` and one of these",
+    )
+    by: Annotated[tuple[str, ...], BeforeValidator(_as_list, json_schema_input_type=Words)] = Field(
+        (),
+        description="the variable whose values are compared within one batch; several: a factorial comparison, with main "
+        "effects and interactions; default: the batch's only variable",
+    )
+    table: str = Field("", description="name of the output; may be omitted if only one has the column")
+    column: str = Field("", description="column; may be omitted if there is only one")
+    measure: Literal["final", "mean", "time_to"] | None = Field(
+        None,
+        description="how a run is reduced to one number: its last value, its mean over time, or the time until `threshold`; "
+        "default: `final`, or `mean` in a table of events",
+    )
+    threshold: Finite | None = Field(
+        None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"
+    )
+    paired: bool | Literal["auto"] = Field(
+        "auto", description="whether runs with the same seed are compared as pairs; `auto`: if their values are correlated"
+    )
+    against: str | None = Field(
+        None, description="the group that all others are compared with; default: each group is compared with each other one"
+    )
+    margin: Positive | None = Field(
+        None, description="the largest difference that does not matter, in the column's unit: also test for equivalence"
+    )
+    alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
+        0.05, description="significance level: the greatest probability of finding any difference that does not exist"
+    )
+
+    @model_validator(mode="after")
+    def _fitting(self) -> Comparison:
+        if (self.measure == "time_to") != (self.threshold is not None):
+            raise ValueError('measure "time_to" and "threshold" must be used together')
+        return self

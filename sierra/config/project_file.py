@@ -20,7 +20,7 @@ from sierra.config import forbidden_directives as directives
 from sierra.config import group_names, targets
 from sierra.config.change_tables import NO_CHANGE, OWN_PLACEHOLDERS, ChangeTable, Group, Seed, Variable, set_to
 from sierra.config.cluster_table import ClusterTable, check_directives
-from sierra.config.deliverable_tables import DerivedTable, Figure, SqlLimits
+from sierra.config.deliverable_tables import Comparison, DerivedTable, Figure, SqlLimits
 from sierra.config.execution_tables import (
     BuildTable,
     Container,
@@ -190,6 +190,9 @@ class Project(Table):
     tables: Mapping[Name, DerivedTable] = Field(default_factory=dict, description="derived tables, by name")
     sql: SqlLimits = SqlLimits()
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
+    comparisons: Mapping[Name, Comparison] = Field(
+        default_factory=dict, description="comparisons of groups of runs, by name, for `sierra compare`"
+    )
     platforms: Mapping[str, RawTable] = Field(default_factory=dict, description="options of platforms, by name")
     runners: Mapping[str, RawTable] = Field(
         default_factory=dict, description="clusters for `--on`, by name: `slurm`, `pbs`, or your own name with a `scheduler`"

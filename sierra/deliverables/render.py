@@ -30,6 +30,7 @@ from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.stats import survival
+from sierra.stats.comparison.model import RunValue
 from sierra.stats.selection import Selection
 from sierra.store.derived_tables import Definition
 from sierra.store.layout import ProjectPaths
@@ -41,7 +42,7 @@ from sierra.store.store import Store
 from sierra.store.union_files import TEXT
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
-from sierra.util.text import like
+from sierra.util.text import counted, like
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -216,6 +217,75 @@ def statistics(
             "sierra:statistics": json.dumps(about, ensure_ascii=False),
         }
         return _with_axes(table, frame).replace_schema_metadata(metadata)
+
+
+@dataclass(frozen=True, slots=True)
+class RunTable:
+    """The runs of a batch as one number each."""
+
+    output: str
+    column: str
+    measure: str
+    threshold: float | None
+    unit: str
+    axes: tuple[str, ...]
+    cells: Mapping[int, Mapping[str, Value]]
+    """The values of the axes for each experiment, by its position in the batch."""
+    labelled: Mapping[int, Mapping[str, Value]]
+    """The same with the labels of controllers and scenarios instead of their names."""
+    values: Mapping[int, tuple[RunValue, ...]]
+    """The runs with a finite value, by the position of their experiment."""
+    planned: Mapping[int, int]
+    """The number of requested runs of each experiment."""
+    notes: tuple[str, ...]
+
+    def shown(self, ordinal: int) -> dict[str, Value]:
+        """Return the values of the axes in an experiment, as a reader sees them."""
+        return {name: self.labelled[ordinal][name] for name in self.axes}
+
+
+def values_of_runs(
+    project: LoadedProject,
+    store: Store,
+    batch: str,
+    output: str,
+    column: str,
+    measure: str | None,
+    threshold: float | None = None,
+) -> RunTable:
+    """Return the runs of a batch, each reduced to one number by a measure (None: `AUTO`).
+
+    Without `output` and `column`, it is the only numeric column. Raises NotFound, UsageError.
+    """
+    _check_reduction(measure, threshold, None)
+    with Frame(store, batch) as frame:
+        gallery = _Gallery(project, store, frame, only={output} if output else frame.names)
+        found = gallery.output(Figure(table=output, column=(column,) if column else ()))
+        chosen = column or gallery.only_column(found)
+        samples = gallery.column(Figure(table=found.name, column=(chosen,)))
+        measure = measure or ("mean" if gallery.takes_mean(found) else "final")
+        rows = stats.values_of_runs(samples.frame, measure, threshold).to_pylist()
+        seeds = frame.seeds()
+        values: dict[int, list[RunValue]] = {ordinal: [] for ordinal in gallery.planned}
+        for row in rows:
+            value = row["last"] if row["never"] else row["value"]
+            if value is not None and isfinite(value):
+                seed = seeds[row["experiment"], row["run"]]
+                values[row["experiment"]].append(RunValue(seed, float(value), not row["never"]))
+        untimed = [f"{counted(samples.coverage.untimed, 'row')} without a time left out"] if samples.coverage.untimed else []
+        return RunTable(
+            output=found.name,
+            column=chosen,
+            measure=measure,
+            threshold=threshold,
+            unit=gallery.unit(found, gallery.time(found) if measure == "time_to" else chosen),
+            axes=tuple(axis.name for axis in frame.axes()),
+            cells=frame.cells(),
+            labelled=gallery.cells,
+            values={ordinal: tuple(runs) for ordinal, runs in values.items()},
+            planned=gallery.planned,
+            notes=(*gallery.target_notes, *gallery.declared_notes, *gallery.time_notes.values(), *untimed),
+        )
 
 
 def _tables(figures: Mapping[str, Figure], name: str | None) -> Container[str] | None:
@@ -443,6 +513,23 @@ class _Gallery:
             self._frame.derive(Definition(table, statement, "sql"))
             self._outputs |= {output.name: output for output in self._frame.outputs({table})}
         return table
+
+    @property
+    def cells(self) -> Mapping[int, Mapping[str, Value]]:
+        """Return the values of the axes for each experiment, with the labels of controllers and scenarios."""
+        return self._cells
+
+    def only_column(self, output: OutputTable) -> str:
+        """Return the only numeric column of an output that is not its time. Raises UsageError if there are several."""
+        columns = [column for column in output.columns if column != self.time(output)]
+        if len(columns) != 1:
+            raise UsageError(f"name the column; output {output.name!r} has {', '.join(columns) or 'no numeric column'}")
+        return columns[0]
+
+    def unit(self, output: OutputTable, column: str) -> str:
+        """Return the declared unit of a column; "" if there is none."""
+        declared = self._config.outputs.get(output.name)
+        return declared.units.get(column, "") if declared else ""
 
     def column(self, figure: Figure) -> stats.Samples:
         """Return the samples of the one column that a figure names."""

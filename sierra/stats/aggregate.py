@@ -276,6 +276,12 @@ class Samples:
         return selection.complete(table) if selection else table, _documented(text, most, **params)
 
 
+def values_of_runs(frame: Frame, measure: str, threshold: float | None = None) -> pa.Table:
+    """Return a value for each run: `experiment`, `run`, `value` (NULL: none), `never`, `last` (the time of its last value)."""
+    text = f"WITH observations AS (\n{_file(f'measures/{measure}')})\n{_file('values_of_runs')}"
+    return frame.sql(text, **_used(text, threshold=threshold))
+
+
 def reduced(frame: Frame, measure: str, threshold: float | None = None) -> pa.Table:
     """Return the finite values that the runs are reduced to: `experiment`, `run`, `value`."""
     text = (

@@ -7,6 +7,7 @@ $XDG_STATE_HOME/sierra/             crash reports; the history of the SQL prompt
 PROJECT/sierra.toml
 PROJECT/sierra.lock                 the images that image names stand for; committed with the project
 PROJECT/figures/<batch>/            figures, and the mark .drawn; what they show is recorded in the table deliverables
+PROJECT/figures/comparisons/        figures of comparisons
 PROJECT/.sierra/files               hashes of the project's files outside git; rebuilt if it is missing
 PROJECT/.sierra/format              the version of the store's format
 PROJECT/.sierra/id                  the store's id; see sierra.store.ownership_marks
@@ -50,6 +51,7 @@ WORK = "work"
 FIGURES = "figures"
 DRAWN = ".drawn"
 """The mark of a folder that SIERRA draws figures to, so that it does not count as source."""
+COMPARISONS = "comparisons"
 
 RUN_STDOUT = "stdout"
 RUN_STDERR = "stderr"

@@ -152,6 +152,11 @@ class Frame:
             for row in table.to_pylist()
         }
 
+    def seeds(self) -> dict[tuple[int, str], int]:
+        """Return the seed of each run, by the position of its experiment and its id."""
+        rows = self._snapshot.run("SELECT ordinal, run, seed FROM batch_runs WHERE batch = $b", {"b": self.batch})
+        return {(ordinal, run): seed for ordinal, run, seed in rows}
+
     def counts(self) -> dict[int, tuple[int, int]]:
         """Return by experiment position how many runs have an effective execution, and how many runs there are."""
         rows = self._snapshot.run(

@@ -13,7 +13,7 @@ The first `draw` loads matplotlib. Figures use its object interface and ignore t
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -103,9 +103,18 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
     if drawing.name.startswith(".") or not drawing.name or Path(drawing.name).name != drawing.name:
         raise UsageError(f"{drawing.name!r} cannot be the name of a figure's files")
     check(drawing)
+    return _write(rendered(drawing), drawing, folder)
+
+
+def save(figure: matplotlib.figure.Figure, drawing: Drawing, folder: Path) -> tuple[Path, ...]:
+    """Write a figure that is drawn already, with the name, the formats and the metadata of `drawing`. Return the paths."""
+    return _write([(ending, _bytes(figure, ending, drawing)) for ending in drawing.formats], drawing, folder)
+
+
+def _write(files: Iterable[tuple[Format, bytes]], drawing: Drawing, folder: Path) -> tuple[Path, ...]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return tuple(write_whole(folder / f"{drawing.name}.{ending}", data) for ending, data in rendered(drawing))
+        return tuple(write_whole(folder / f"{drawing.name}.{ending}", data) for ending, data in files)
     except OSError as error:
         raise Missing(f"{folder}: cannot write figure {drawing.name}: {error.strerror}") from error
 

@@ -1,0 +1,200 @@
+"""`sierra compare`: compare groups of runs by tests."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from sierra.cli import complete
+from sierra.cli.figures import from_here
+from sierra.cli.output import note, print_json
+from sierra.cli.sql import Format, Printable, write
+from sierra.cli.stats import Measure
+from sierra.errors import UsageError
+
+if TYPE_CHECKING:
+    from sierra.api import Project
+    from sierra.deliverables.comparison import Compared
+
+
+class Pairs(StrEnum):
+    """Whether runs with the same seed are compared as pairs."""
+
+    auto = "auto"
+    yes = "yes"
+    no = "no"
+
+
+MEASURES: dict[Measure, Literal["final", "mean", "time_to"]] = {
+    Measure.final: "final",
+    Measure.mean: "mean",
+    Measure.time_to: "time_to",
+}
+PAIRED: dict[Pairs, bool | Literal["auto"]] = {Pairs.auto: "auto", Pairs.yes: True, Pairs.no: False}
+
+
+def compare(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME | HASH...]",
+            autocompletion=complete.comparisons,
+            help="A comparison in sierra.toml; or batches: ids, prefixes or names of queries, each also as LABEL=HASH "
+            "(default: the last batch).",
+        ),
+    ] = None,
+    by: Annotated[
+        str | None,
+        typer.Option(
+            "--by",
+            metavar="VARIABLE[,VARIABLE...]",
+            help="Within one batch: the variable whose values are compared; several give main effects and interactions.",
+        ),
+    ] = None,
+    groups: Annotated[
+        str | None, typer.Option("--groups", metavar="VALUE,VALUE[,...]", help="With --by: only these values, in this order.")
+    ] = None,
+    against: Annotated[
+        str | None, typer.Option("--against", metavar="GROUP", help="Compare all other groups with this one only.")
+    ] = None,
+    column: Annotated[str, typer.Option("--column", "-c", metavar="COLUMN", help="The column (default: the only one).")] = "",
+    table: Annotated[
+        str, typer.Option("--table", metavar="OUTPUT", help="The output with the column (default: the only one).")
+    ] = "",
+    measure: Annotated[
+        Measure | None,
+        typer.Option("--measure", "-m", help="Value of a run (default: final, its last value; in a table of events, mean)."),
+    ] = None,
+    threshold: Annotated[
+        float | None, typer.Option("--threshold", metavar="X", help="For time_to: the value to reach or exceed.")
+    ] = None,
+    paired: Annotated[
+        Pairs | None, typer.Option("--paired", help="Compare runs with the same seed as pairs (default: if they correlate).")
+    ] = None,
+    margin: Annotated[
+        float | None,
+        typer.Option("--margin", metavar="X", help="Also test whether groups differ by less than X, in the column's unit."),
+    ] = None,
+    alpha: Annotated[
+        float | None, typer.Option("--alpha", metavar="P", help="Significance level of all tests together (default: 0.05).")
+    ] = None,
+    figure: Annotated[
+        bool, typer.Option("--figure/--no-figure", help="Draw the figure of differences (default) or not.")
+    ] = True,
+    format: Annotated[Format, typer.Option("--format", "-f", help="Format of the table of results.")] = Format.table,
+    file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the table to a file.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object with everything instead of text.")] = False,
+) -> None:
+    """Compare groups of runs by tests, with effect sizes and intervals.
+
+    The groups are batches, or the values of a variable in one batch, such as controllers. Prints a table with a row for each
+    test, and a paragraph that can be pasted into a paper; draws a figure of the differences.
+
+    Runs with the same seed are pairs, if that helps. Two groups are compared by Wilcoxon's signed-rank test (pairs) or by the
+    Mann-Whitney test; more groups first by the Friedman test (pairs) or the Kruskal-Wallis test. The p values are corrected for
+    all tests of the report (Holm). A difference is the second group minus the first, as estimated by Hodges and Lehmann. If no
+    difference is shown, groups need not be equal: --margin tests for equivalence.
+
+    \b
+    Examples:
+      sierra compare 518b 722b --column coverage
+      sierra compare slow=518b fast=722b --measure mean --margin 0.05
+      sierra compare --by controller --against CRW
+      sierra compare 518b --by noise,population_size
+      sierra compare 518b 722b --measure time_to --threshold 0.5
+      sierra compare speeds --format markdown
+    """
+    from sierra.cli.open_project import project
+
+    opened = project()
+    given: dict[str, object] = {
+        "--by": by,
+        "--groups": groups,
+        "--against": against,
+        "--column": column,
+        "--table": table,
+        "--measure": measure,
+        "--threshold": threshold,
+        "--paired": paired,
+        "--margin": margin,
+        "--alpha": alpha,
+    }
+    names = list(words or [])
+    if names and names[0] in opened.config.comparisons:
+        if options := [name for name, value in given.items() if value not in (None, "")]:
+            raise UsageError(
+                f"sierra.toml declares the comparison {names[0]!r}; leave out {', '.join(options)}, or change it there"
+            )
+        if len(names) > 2:
+            raise UsageError(f"the comparison {names[0]!r} takes one batch at most, not {len(names) - 1}")
+        found = opened.compare_declared(*names)
+    else:
+        found = opened.compare(
+            *names,
+            by=_list(by),
+            groups=_list(groups),
+            column=column,
+            table=table,
+            measure=MEASURES[measure] if measure else None,
+            threshold=threshold,
+            paired=PAIRED[paired or Pairs.auto],
+            against=against,
+            margin=margin,
+            alpha=0.05 if alpha is None else alpha,
+        )
+    _show(opened, found, Format.json if as_json else format, file, figure=figure, as_json=as_json)
+
+
+def _show(opened: Project, found: Compared, format: Format, file: Path | None, *, figure: bool, as_json: bool) -> None:
+    drawn, refused = _drawn(opened, found) if figure else ([], "")
+    for text in found.notes:
+        note(text)
+    if as_json and file is None:
+        print_json(_answer(found, drawn))
+    else:
+        write(Printable.of_arrow(found.arrow()), format, file)
+        if format is Format.table or file is not None:
+            print(f"\n{found.text}")
+            for path in drawn:
+                print(from_here(path))
+    if refused:
+        note(f"no figure: {refused}")
+
+
+def _drawn(opened: Project, found: Compared) -> tuple[list[Path], str]:
+    """Return the files of the figure, or the reason why there is none."""
+    try:
+        return opened.draw_comparison(found), ""
+    except UsageError as error:
+        return [], str(error)
+
+
+def _answer(found: Compared, drawn: list[Path]) -> dict[str, object]:
+    return {
+        "name": found.name,
+        "batches": found.batches,
+        "table": found.table,
+        "column": found.column,
+        "measure": found.measure,
+        "unit": found.unit,
+        "groups": found.analysis.groups,
+        "alpha": found.analysis.question.alpha,
+        "margin": found.analysis.question.margin,
+        "paired": found.analysis.pairing.paired,
+        "pairing": found.analysis.pairing.reason,
+        "correlation": found.analysis.pairing.correlation,
+        "tests": found.analysis.tests,
+        "omnibus": found.omnibus,
+        "pairs": found.pairs,
+        "effects": found.effects,
+        "text": found.text,
+        "notes": [*found.notes, *found.analysis.notes],
+        "figures": list(map(str, drawn)),
+    }
+
+
+def _list(text: str | None) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()] if text else []

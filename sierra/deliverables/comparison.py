@@ -1,0 +1,342 @@
+"""Compare groups of recorded runs: batches, or the values of variables within one batch.
+
+The groups are compared in *cells*: the combinations of the values of all variables that are not compared. Batches are compared
+in the cells that they have in common.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sierra.config.deliverable_tables import Comparison, Figure
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables.render import RunTable, values_of_runs
+from sierra.errors import NotFound, UsageError
+from sierra.execution import targets
+from sierra.model import Value
+from sierra.stats.comparison.model import Analysis, Cell, Effect, Omnibus, Pair, Question, Sample
+from sierra.store.layout import COMPARISONS, ProjectPaths
+from sierra.store.row_types import BatchRow, SpecRow
+from sierra.store.segments import disk_errors
+from sierra.store.sql_names import column_names
+from sierra.store.store import Store
+from sierra.util.fs import write_whole
+from sierra.util.hashing import short
+from sierra.util.text import like
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+MOST = 20
+"""The largest number of groups that are compared each with each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """The result of a comparison."""
+
+    name: str
+    """The name of its files."""
+    batches: Mapping[str, str]
+    """The id of each batch, by the name of the group; of a single batch, by its short id."""
+    table: str
+    column: str
+    measure: str
+    unit: str
+    analysis: Analysis
+    text: str
+    """The conclusions as a paragraph, for a paper."""
+    notes: tuple[str, ...] = ()
+    """What the reader has to know about the data, besides what the text says."""
+
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """Return the comparisons of two groups."""
+        return self.analysis.pairs
+
+    @property
+    def omnibus(self) -> tuple[Omnibus, ...]:
+        """Return the tests of whether any of more than two groups differs."""
+        return self.analysis.omnibus
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Return the main effects and interactions of a factorial comparison."""
+        return self.analysis.effects
+
+    def arrow(self) -> pa.Table:
+        """Return all results as an Arrow table: a row for each test, the values of the variables first."""
+        import pyarrow as pa
+
+        tests: list[Omnibus | Pair | Effect] = [*self.omnibus, *self.pairs, *self.effects]
+        points = [one.point if not isinstance(one, Effect) else {} for one in tests]
+        rows = [_row(one) for one in tests]
+        variables = list(dict.fromkeys(name for point in points for name in point))
+        shown = [name for name in COLUMNS if any(row.get(name) is not None for row in rows)]
+        values: list[list[object]] = [[point.get(name) for point in points] for name in variables]
+        values += [[row.get(name) for row in rows] for name in shown]
+        names = column_names([*variables, *shown], taken=())
+        return pa.table({name: pa.array(column) for name, column in zip(names, values, strict=True)})
+
+
+COLUMNS = (
+    *("effect", "first", "second", "n_first", "n_second", "never_first", "never_second", "test", "statistic", "df", "df_error"),
+    *("critical_difference", "difference", "low", "high", "a12", "cliffs_delta", "partial_eta_squared"),
+    *("p", "p_adjusted", "p_equivalent", "p_equivalent_adjusted", "verdict"),
+)
+"""The columns of the table of results, after those of the variables; columns without any value are left out."""
+
+
+def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[str, str], asked: Comparison) -> Compared:
+    """Compare batches, by the name of each group; of one batch, the values of `asked.by`. Without a name, the files get one.
+
+    Raises NotFound for an unknown output, column or variable, UsageError for options that do not fit, SierraError if there is
+    nothing to compare.
+    """
+    if len(batches) > 1 and asked.by:
+        raise UsageError("--by compares the values of a variable within one batch; leave it out for several batches")
+    from sierra.stats.comparison.analyse import analyse
+    from sierra.stats.comparison.wording import paragraph
+
+    found = {
+        group: values_of_runs(project, store, batch, asked.table, asked.column, asked.measure, asked.threshold)
+        for group, batch in batches.items()
+    }
+    first = next(iter(found.values()))
+    if len({(one.output, one.measure) for one in found.values()}) > 1:
+        each = ", ".join(f"{group}: {one.measure} of {one.output}" for group, one in found.items())
+        raise UsageError(f"the batches differ in the output or the measure ({each}); name both")
+    factors: tuple[str, ...] = ()
+    if len(found) > 1:
+        cells, notes = _cells_of_batches(found)
+    else:
+        cells, factors, notes = *_cells_within(first, asked), ()
+    groups = cells[0].samples if cells else ()
+    if len(groups) > MOST and asked.against is None and not factors:
+        raise UsageError(
+            f"{len(groups)} groups are too many to compare each with each; name one of them as against (--against)"
+        )
+    question = Question(asked.alpha, asked.margin, asked.paired, _group(asked.against, [one.group for one in groups]))
+    result = analyse(cells, question, factors)
+    subject = _subject(first)
+    words = (*map(short, batches.values()), *asked.by, first.column, first.measure)
+    return Compared(
+        name or re.sub(r"[^\w.-]+", "_", "-".join(words)),
+        dict(batches),
+        first.output,
+        first.column,
+        first.measure,
+        first.unit,
+        result,
+        paragraph(result, subject),
+        (*dict.fromkeys(note for one in found.values() for note in one.notes), *notes, *_differences(store, batches)),
+    )
+
+
+def labels(project: LoadedProject, store: Store, batches: Sequence[str]) -> list[str]:
+    """Return a name for each batch: what differs between them, if one word says it, else the short ids."""
+    rows = {row.batch: row for row in store.select(BatchRow, "SELECT * FROM batches WHERE batch IN $b", b=list(batches))}
+    proposed = (
+        [rows[batch].controller for batch in batches],
+        [rows[batch].scenario for batch in batches],
+        [targets.recorded(store, batch) if project.targets else None for batch in batches],
+    )
+    for names in proposed:
+        told = [name for name in names if name]
+        if len(set(told)) == len(batches):
+            return told
+    return [short(batch) for batch in batches]
+
+
+def _subject(runs: RunTable) -> str:
+    """Return what is compared, in words."""
+    unit = f" [{runs.unit}]" if runs.unit else ""
+    if runs.threshold is not None:
+        return f"the time until {runs.column} reaches {runs.threshold:g}{unit}"
+    words = {"final": "final value of", "mean": "mean of"}
+    return f"the {words.get(runs.measure, runs.measure)} {runs.column}{unit}"
+
+
+def _cells_of_batches(found: Mapping[str, RunTable]) -> tuple[list[Cell], tuple[str, ...]]:
+    """Return the cells that batches have in common, and notes on the others."""
+    axes = {group: tuple(runs.axes) for group, runs in found.items()}
+    (first, names), *others = axes.items()
+    for group, other in others:
+        if set(other) != set(names):
+            lone = sorted(set(names) ^ set(other))[0]
+            raise UsageError(
+                f"the batches have different variables: {lone!r} varies only in {first if lone in names else group}; "
+                "compare batches of the same variables"
+            )
+    places = {
+        group: {tuple(runs.cells[ordinal][name] for name in names): ordinal for ordinal in runs.cells}
+        for group, runs in found.items()
+    }
+    every = dict.fromkeys(point for one in places.values() for point in one)
+    common = [point for point in every if all(point in one for one in places.values())]
+    if not common:
+        raise UsageError("the batches have no experiment with the same values of the variables in common")
+    left = len(every) - len(common)
+    notes = (f"{left} of {len(every)} experiments are not in all batches, and are left out",) if left else ()
+    cells = [
+        Cell(
+            found[first].shown(places[first][point]),
+            tuple(_sample(group, runs, [places[group][point]]) for group, runs in found.items()),
+        )
+        for point in common
+    ]
+    return cells, notes
+
+
+def _cells_within(runs: RunTable, asked: Comparison) -> tuple[list[Cell], tuple[str, ...]]:
+    """Return the cells of one batch, and the factors of a factorial comparison."""
+    by = asked.by or (runs.axes if len(runs.axes) == 1 else ())
+    if not by:
+        has = f"it has the variables {', '.join(runs.axes)}" if runs.axes else "it has no variable"
+        raise UsageError(f"name a second batch, or what to compare within this one by --by VARIABLE; {has}")
+    for name in by:
+        if name not in runs.axes:
+            raise NotFound(f"this batch has no variable {name!r}; {like(name, runs.axes)}")
+    rest = [name for name in runs.axes if name not in by]
+    if len(by) > 1:
+        if rest:
+            raise UsageError(f"a factorial comparison needs all variables of the batch; add {', '.join(rest)} to --by")
+        if asked.groups:
+            raise UsageError("a factorial comparison takes all values of its variables; leave out groups")
+        ordinals = list(runs.cells)
+        samples = tuple(_sample(str(ordinal), runs, [ordinal]) for ordinal in ordinals)
+        return [Cell({}, samples, tuple(tuple(runs.cells[ordinal][name] for name in by) for ordinal in ordinals))], tuple(by)
+    (name,) = by
+    groups = _chosen(name, runs, asked)
+    cells: dict[tuple[Value, ...], dict[str, int]] = {}
+    for ordinal, values in runs.cells.items():
+        cells.setdefault(tuple(values[one] for one in rest), {})[_named(name, runs.shown(ordinal)[name])] = ordinal
+    return [
+        Cell(
+            {one: runs.shown(next(iter(places.values())))[one] for one in rest},
+            tuple(_sample(group, runs, [places[group]]) for group in groups),
+        )
+        for places in cells.values()
+    ], ()
+
+
+def _chosen(name: str, runs: RunTable, asked: Comparison) -> list[str]:
+    """Return the groups within a batch: those that were named, in this order, or else all values of the variable."""
+    every = list(dict.fromkeys(_named(name, runs.shown(ordinal)[name]) for ordinal in runs.cells))
+    chosen = [_group(word, every) or "" for word in asked.groups]
+    if len(set(chosen)) < len(chosen):
+        raise UsageError(f"a group is named twice: {', '.join(asked.groups)}")
+    return chosen or every
+
+
+def _named(variable: str, value: Value) -> str:
+    """Return the name of a group; a number alone says nothing."""
+    return value if isinstance(value, str) else f"{variable}={value:.6g}"
+
+
+def _group(word: str | None, groups: Sequence[str]) -> str | None:
+    """Return the group that a word names: the whole name or, of a number, the value. Raises NotFound."""
+    if word is None:
+        return None
+    found = next((group for group in groups if word in (group, group.partition("=")[2])), None)
+    if found is None:
+        raise NotFound(f"there is no group {word!r}; {like(word, groups)}")
+    return found
+
+
+def _sample(group: str, runs: RunTable, ordinals: Iterable[int]) -> Sample:
+    values = [value for ordinal in ordinals for value in runs.values.get(ordinal, ())]
+    return Sample(group, tuple(values), sum(runs.planned[ordinal] for ordinal in ordinals))
+
+
+def _differences(store: Store, batches: Mapping[str, str]) -> Iterator[str]:
+    """Yield a note on everything that differs between batches, because it may be what makes results differ."""
+    if len(batches) < 2:
+        return
+    ids = list(batches.values())
+    rows = store.select(BatchRow, "SELECT * FROM batches WHERE batch IN $b", b=ids)
+    specs = {row.spec: row for row in store.select(SpecRow, "SELECT * FROM specs WHERE spec IN $s", s=[r.spec for r in rows])}
+    facts = [
+        {
+            **{
+                name: getattr(row, name)
+                for name in ("controller", "scenario", "overrides", "platform", "base_seed", "template")
+            },
+            "content of the template": row.template_sha256,
+            **{field: getattr(specs[row.spec], field) for field in SPEC if row.spec in specs},
+        }
+        for row in rows
+    ]
+    names = {"overrides": "--set", "base_seed": "base seed", "shared_files": "shared files", "around": "services"}
+    found = [names.get(name, name) for name in facts[0] if any(one.get(name) != facts[0][name] for one in facts)]
+    if found:
+        one, other = next(combinations(map(short, ids), 2))
+        yield f"the batches differ in {', '.join(found)}; for details: sierra diff {one} {other}"
+
+
+FACTS = ("controller", "scenario", "overrides", "platform", "base_seed", "template")
+SPEC = ("command", "variables", "source", "image", "host_access", "shared_files", "around")
+"""The columns of batches and of specs that are compared."""
+
+
+def _row(one: Pair | Omnibus | Effect) -> dict[str, object]:
+    """Return the values of one row of the table of results, by column."""
+    row = {name: getattr(one, name) for name in COLUMNS if hasattr(one, name)}
+    match one:
+        case Pair():
+            never = {} if one.never_first + one.never_second else {"never_first": None, "never_second": None}
+            return row | never | {"cliffs_delta": one.delta, "verdict": one.verdict.value}
+        case Omnibus():
+            return row | {"first": "all groups", "n_first": one.n}
+        case Effect():
+            return row | {"effect": one.name, "test": "aligned ranks", "statistic": one.f, "partial_eta_squared": one.eta}
+
+
+def draw(compared: Compared, paths: ProjectPaths) -> list[Path]:
+    """Draw the figure of a comparison in three formats; return the files. Raises UsageError if there is nothing to draw."""
+    from sierra.deliverables.figures import drawing, style
+    from sierra.deliverables.figures.forest import forest
+
+    drawn = drawing.Drawing(
+        name=compared.name,
+        figure=Figure(),
+        axes=(),
+        cells={},
+        tables={"": compared.arrow()},
+        note=_caption(compared),
+        sql=f"-- comparison of {', '.join(compared.batches.values())}",
+        batch=next(iter(compared.batches.values())),
+    )
+    with style.applied():
+        figure = forest(compared)
+        style.settle(figure, drawn)
+        return list(drawing.save(figure, drawn, _marked_folder(paths)))
+
+
+def _marked_folder(paths: ProjectPaths) -> Path:
+    """Return the folder of comparisons' figures, with the mark by which it does not count as source."""
+    mark = paths.drawn(COMPARISONS)
+    if not mark.exists():
+        with disk_errors(mark.parent):
+            mark.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(mark, b"Figures of comparisons, drawn by SIERRA.\n")
+    return mark.parent
+
+
+def _caption(compared: Compared) -> str:
+    """Return the small print of the figure."""
+    found = compared.analysis
+    if compared.effects:
+        return f"aligned ranks; {found.pairing.reason}"
+    n = [pair.n_first for pair in compared.pairs] + [pair.n_second for pair in compared.pairs]
+    runs = f"n = {min(n)}" if min(n) == max(n) else f"n = {min(n)}–{max(n)}"
+    if any(pair.a12 is None for pair in compared.pairs):
+        return f"differences of Kaplan-Meier medians, {runs}; filled: different (log-rank test, Holm)"
+    interval = f"Hodges-Lehmann estimates, {100 * (1 - found.question.alpha):.4g} % CI of each"
+    margin = "; shaded: the margin" if found.question.margin is not None else ""
+    return f"{interval}, {runs}{' pairs' if found.pairing.paired else ''}; filled: different (Holm){margin}"

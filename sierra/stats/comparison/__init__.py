@@ -1,0 +1,1 @@
+"""Comparisons of groups of runs: tests, effect sizes, intervals, and the conclusions that they allow."""

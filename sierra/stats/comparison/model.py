@@ -1,0 +1,172 @@
+"""The terms of comparisons: what is compared, and what a comparison finds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+from sierra.model import Value
+
+Paired = bool | Literal["auto"]
+"""Whether runs with the same seed are pairs; `auto`: if they are correlated."""
+
+
+class Verdict(StrEnum):
+    """The conclusion about the difference between two groups."""
+
+    different = "different"
+    equivalent = "equivalent"
+    both = "different, equivalent"
+    """There is a difference, and it is smaller than the margin."""
+    open = "not shown"
+    """Neither a difference nor equivalence was shown. This does not mean that the groups are equal."""
+    too_few = "too few runs"
+    """No result of these tests could have shown anything with this number of runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunValue:
+    """One run as one number."""
+
+    seed: int
+    value: float
+    reached: bool = True
+    """False if the run ended, at time `value`, before it reached the threshold of `time_to`: a censored time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """The runs of one group in one cell."""
+
+    group: str
+    values: tuple[RunValue, ...]
+    planned: int
+    """The number of requested runs; those without a value have failed, are missing or have no finite value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A combination of values of the variables that are not compared, with a sample of each group."""
+
+    point: Mapping[str, Value]
+    samples: tuple[Sample, ...]
+    factors: tuple[tuple[Value, ...], ...] = ()
+    """For a factorial comparison: the values of the factors, for each sample."""
+
+    @property
+    def name(self) -> str:
+        """Return the point in words, as in `population_size = 4`; empty if there is nothing but the groups."""
+        return ", ".join(f"{name} = {value}" for name, value in self.point.items())
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """The options of a comparison."""
+
+    alpha: float = 0.05
+    margin: float | None = None
+    """The largest difference that does not matter, in the column's unit; None: equivalence is not tested."""
+    paired: Paired = "auto"
+    against: str | None = None
+    """The group that all others are compared with; None: each group is compared with each other one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """The comparison of two groups in one cell: `second` minus `first`.
+
+    p values are those of one test; the adjusted ones are corrected for all tests of the report (Holm).
+    """
+
+    point: Mapping[str, Value]
+    first: str
+    second: str
+    n_first: int
+    n_second: int
+    test: str
+    difference: float | None
+    """The Hodges-Lehmann estimate of the difference; for censored times, the difference of the Kaplan-Meier medians."""
+    low: float | None
+    """The lower end of the interval of confidence 1 − alpha of the difference; None if n is too small for one."""
+    high: float | None
+    a12: float | None
+    """The probability that a run of `second` has the greater value, plus half of that of equal values (Vargha-Delaney)."""
+    p: float
+    smallest: float
+    """The smallest p value that this test can have with this n."""
+    p_adjusted: float = 1.0
+    p_equivalent: float | None = None
+    """The p value of two one-sided tests (TOST) that the difference lies within the margin."""
+    p_equivalent_adjusted: float | None = None
+    statistic: float | None = None
+    """The statistic of the log-rank test: above 0 if `first` reaches the threshold earlier."""
+    never_first: int = 0
+    """The number of runs of `first` that never reached the threshold."""
+    never_second: int = 0
+    verdict: Verdict = Verdict.open
+
+    @property
+    def delta(self) -> float | None:
+        """Return Cliff's delta: 2 · A12 − 1."""
+        return None if self.a12 is None else 2 * self.a12 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Omnibus:
+    """One test of whether any of more than two groups differs, in one cell."""
+
+    point: Mapping[str, Value]
+    test: str
+    groups: tuple[str, ...]
+    n: int
+    """The number of blocks (paired), or of runs of all groups together."""
+    statistic: float
+    df: int
+    p: float
+    mean_ranks: tuple[float, ...]
+    """The mean rank of each group; the highest values have the highest ranks."""
+    critical_difference: float | None
+    """Mean ranks that differ by more are different, by Nemenyi's test at level alpha; None if the runs are not paired."""
+    p_adjusted: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A main effect or an interaction in a factorial design, by an analysis of variance of aligned ranks."""
+
+    name: str
+    f: float
+    df: int
+    df_error: int
+    p: float
+    eta: float
+    """Partial eta squared: the share of the rank variance that the other effects do not explain and this one does."""
+    p_adjusted: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """Whether runs were compared as pairs, and why."""
+
+    paired: bool
+    reason: str
+    correlation: float | None = None
+    """The mean rank correlation (Spearman) of the groups over common seeds; None if there is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """The result of all tests of one report."""
+
+    groups: tuple[str, ...]
+    question: Question
+    pairing: Pairing
+    pairs: tuple[Pair, ...] = ()
+    omnibus: tuple[Omnibus, ...] = ()
+    effects: tuple[Effect, ...] = ()
+    tests: int = 0
+    """The number of tests that the p values are corrected for."""
+    notes: tuple[str, ...] = ()
+    """What is not in the numbers: runs without a value, pairs that were left out, cells that lack a group."""

@@ -1,0 +1,158 @@
+"""Tests by ranks: SciPy's, and those that SciPy lacks.
+
+- Wilcoxon's signed-rank test, with Pratt's treatment of pairs that are equal; exact for up to 200 pairs, with ties too.
+- The test of Mann and Whitney; exact for up to 80 values of both samples together, with ties too.
+- The tests of Friedman, and of Kruskal and Wallis, for more than two groups.
+- Dunn's test after that of Kruskal and Wallis (Dunn 1964, Technometrics 6: 241-252).
+- Nemenyi's critical difference of mean ranks (Demšar 2006, J. Mach. Learn. Res. 7: 1-30).
+- The log-rank test, for censored times.
+- Holm's correction for several tests (Holm 1979, Scand. J. Stat. 6: 65-70).
+
+Values that differ by rounding only are ties: see `rounded`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from sierra.stats.comparison import rank_distributions
+from sierra.stats.comparison.model import RunValue
+
+Floats = npt.NDArray[np.float64]
+Side = Literal["two-sided", "less", "greater"]
+
+DIGITS = 12
+"""The number of digits, relative to the largest value, in which values must differ."""
+
+
+def rounded(values: Floats, scale: float | None = None) -> Floats:
+    """Return values without their last digits, which are rounding errors. `scale` is the size of the data."""
+    largest = float(np.abs(values).max(initial=0.0)) if scale is None else scale
+    if not 0 < largest < 1e290:
+        return values
+    digits = DIGITS - math.ceil(math.log10(largest))
+    return np.round(values, digits) if abs(digits) < 290 else values
+
+
+def signed_rank(differences: Floats, side: Side = "two-sided") -> float:
+    """Return the p value of Wilcoxon's signed-rank test of n differences of pairs."""
+    some = differences != 0
+    if not some.any():
+        return 1.0
+    if len(differences) > rank_distributions.PAIRS:
+        return float(stats.wilcoxon(differences, zero_method="pratt", alternative=side, method="asymptotic").pvalue)
+    ranks = rank_distributions.doubled(stats.rankdata(np.abs(differences)))
+    return _tail(rank_distributions.of_signs(ranks[some]), int(ranks[differences > 0].sum()), side)
+
+
+def rank_sum(first: Floats, second: Floats, side: Side = "two-sided") -> float:
+    """Return the p value of the test of Mann and Whitney; with `greater`, of whether the values of `second` are greater."""
+    if np.ptp(np.concatenate((first, second))) == 0:
+        return 1.0
+    if len(first) + len(second) > rank_distributions.VALUES:
+        return float(stats.mannwhitneyu(second, first, alternative=side, method="asymptotic").pvalue)
+    ranks = rank_distributions.doubled(stats.rankdata(np.concatenate((first, second))))
+    return _tail(rank_distributions.of_choices(ranks, len(second)), int(ranks[len(first) :].sum()), side)
+
+
+def _tail(sums: Floats, found: int, side: Side) -> float:
+    """Return the probability of the found sum and of all that are more extreme."""
+    less, greater = float(sums[: found + 1].sum()), float(sums[found:].sum())
+    return min(1.0, {"less": less, "greater": greater, "two-sided": 2 * min(less, greater)}[side])
+
+
+def smallest_signed_rank(n: int) -> float:
+    """Return the smallest two-sided p value that n pairs can give."""
+    return min(1.0, 2.0 ** (1 - n))
+
+
+def smallest_rank_sum(first: int, second: int) -> float:
+    """Return the smallest two-sided p value that two samples of these sizes can give."""
+    return min(1.0, 2 / math.comb(first + second, first))
+
+
+def friedman(blocks: Floats) -> tuple[float, float]:
+    """Return the statistic and the p value of Friedman's test; a row for each block, a column for each group."""
+    if np.all(blocks == blocks[:, :1]):
+        return 0.0, 1.0
+    found = stats.friedmanchisquare(*blocks.T)
+    return float(found.statistic), float(found.pvalue)
+
+
+def kruskal(groups: Sequence[Floats]) -> tuple[float, float]:
+    """Return the statistic and the p value of the test of Kruskal and Wallis."""
+    if np.ptp(np.concatenate(groups)) == 0:
+        return 0.0, 1.0
+    found = stats.kruskal(*groups)
+    return float(found.statistic), float(found.pvalue)
+
+
+def mean_ranks(groups: Sequence[Floats]) -> list[float]:
+    """Return the mean rank of each group among the values of all groups."""
+    ranks = stats.rankdata(np.concatenate(groups))
+    return [float(part.mean()) for part in np.split(ranks, np.cumsum([len(group) for group in groups])[:-1])]
+
+
+def mean_ranks_in_blocks(blocks: Floats) -> list[float]:
+    """Return the mean of the ranks of each group within its blocks."""
+    means: list[float] = stats.rankdata(blocks, axis=1).mean(axis=0).tolist()
+    return means
+
+
+def dunn(groups: Sequence[Floats], one: int, other: int) -> float:
+    """Return the p value of Dunn's test of two of the groups; it is not corrected for other tests."""
+    values = np.concatenate(groups)
+    n = len(values)
+    _, ties = np.unique(values, return_counts=True)
+    variance = n * (n + 1) / 12 - float((ties.astype(float) ** 3 - ties).sum()) / (12 * (n - 1))
+    if variance <= 0:
+        return 1.0
+    means = mean_ranks(groups)
+    error = math.sqrt(variance * (1 / len(groups[one]) + 1 / len(groups[other])))
+    return float(2 * stats.norm.sf(abs(means[one] - means[other]) / error))
+
+
+@cache
+def critical_difference(groups: int, blocks: int, alpha: float) -> float:
+    """Return the difference of mean ranks from which on Nemenyi's test finds groups different."""
+    return float(stats.studentized_range.ppf(1 - alpha, groups, np.inf)) * math.sqrt(groups * (groups + 1) / (12 * blocks))
+
+
+def log_rank(first: Sequence[RunValue], second: Sequence[RunValue]) -> tuple[float, float]:
+    """Return the statistic (above 0: `first` is earlier) and the p value of the log-rank test of censored times.
+
+    They are 0 and 1 if no run of either group reached the threshold.
+    """
+    if not any(run.reached for run in (*first, *second)):
+        return 0.0, 1.0
+    found = stats.logrank(_censored(first), _censored(second))
+    return float(found.statistic), float(found.pvalue)
+
+
+def median_time(runs: Sequence[RunValue]) -> float | None:
+    """Return the Kaplan-Meier median of censored times; None if fewer than half of the runs reached the threshold."""
+    curve = stats.ecdf(_censored(runs)).sf
+    below = np.flatnonzero(curve.probabilities <= 0.5 + 1e-12)
+    return float(curve.quantiles[below[0]]) if len(below) else None
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Return p values that are corrected for the number of tests, in the order of `p`."""
+    order = sorted(range(len(p)), key=lambda place: p[place])
+    adjusted, worst = [1.0] * len(p), 0.0
+    for rank, place in enumerate(order):
+        worst = max(worst, min(1.0, p[place] * (len(p) - rank)))
+        adjusted[place] = worst
+    return adjusted
+
+
+def _censored(runs: Sequence[RunValue]) -> stats.CensoredData:
+    reached = [run.value for run in runs if run.reached]
+    return stats.CensoredData(uncensored=reached, right=[run.value for run in runs if not run.reached])

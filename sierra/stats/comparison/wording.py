@@ -1,0 +1,153 @@
+"""A comparison as a paragraph of text, which can be pasted into a paper."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+
+from sierra.model import Value
+from sierra.stats.comparison.effect_sizes import magnitude
+from sierra.stats.comparison.model import Analysis, Effect, Omnibus, Pair, Verdict
+from sierra.util.text import counted
+
+SENTENCES = 8
+"""The largest number of pairs with a sentence each; more pairs are counted."""
+
+
+def paragraph(result: Analysis, subject: str) -> str:
+    """Return the text: what was compared, how, and each conclusion. `subject` is the compared quantity, in words."""
+    return " ".join((_opening(result, subject), *_findings(result), *_method(result), *_left_out(result)))
+
+
+def number(value: float) -> str:
+    """Return a number with three significant digits."""
+    return f"{value:.3g}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")
+
+
+def p_value(value: float) -> str:
+    """Return a p value as papers write it."""
+    return "p < 0.001" if value < 0.001 else f"p = {value:.2g}"
+
+
+def interval(pair: Pair, alpha: float) -> str:
+    """Return the estimate of a difference and its interval."""
+    if pair.difference is None:
+        return "the median time of a group is not known"
+    name = "difference of the median times" if pair.a12 is None else "median difference"
+    if pair.low is None or pair.high is None:
+        return f"{name} {number(pair.difference)}"
+    return f"{name} {number(pair.difference)}, {_level(alpha)} CI [{number(pair.low)}, {number(pair.high)}]"
+
+
+def _level(alpha: float) -> str:
+    return f"{100 * (1 - alpha):.4g} %"
+
+
+def _opening(result: Analysis, subject: str) -> str:
+    if result.effects:
+        factors = [effect.name for effect in result.effects if "×" not in effect.name]
+        return f"The effects of {_and(factors)} on {subject} were tested."
+    groups = _and(result.groups) if len(result.groups) <= 6 else f"{len(result.groups)} groups"
+    cells = len(dict.fromkeys(tuple(pair.point.items()) for pair in result.pairs))
+    where = f" in {counted(cells, 'experiment')}" if cells > 1 else ""
+    return _sentence(f"{subject} was compared between {groups}{where}")
+
+
+def _findings(result: Analysis) -> Iterator[str]:
+    yield _pairing(result)
+    yield from map(_effect, result.effects)
+    yield from (_omnibus(one, result) for one in result.omnibus[:SENTENCES])
+    if len(result.omnibus) > SENTENCES:
+        yield f"The other {counted(len(result.omnibus) - SENTENCES, 'omnibus test')} are in the table."
+    if len(result.pairs) <= SENTENCES:
+        yield from (_pair(pair, result) for pair in result.pairs)
+        return
+    counts = Counter(pair.verdict for pair in result.pairs)
+    shown = ", ".join(f"{verdict.value}: {counts[verdict]}" for verdict in Verdict if counts[verdict])
+    yield f"The verdicts of the {len(result.pairs)} comparisons of two groups are: {shown}."
+
+
+def _pairing(result: Analysis) -> str:
+    reason, r = result.pairing.reason, result.pairing.correlation
+    if r is not None:
+        within = f"mean rank correlation {r:.2f})"
+        reason = f"{reason[:-1]}, {within}" if reason.endswith(")") else f"{reason} ({within}"
+    return _sentence(reason)
+
+
+def _effect(effect: Effect) -> str:
+    kind = "interaction" if "×" in effect.name else "main effect"
+    found = f"F({effect.df}, {effect.df_error}) = {number(effect.f)}, {p_value(effect.p_adjusted)}"
+    return f"The {kind} of {effect.name}: {found}, partial η² = {effect.eta:.2f}."
+
+
+def _omnibus(one: Omnibus, result: Analysis) -> str:
+    differ = "at least one group differs" if one.p_adjusted <= result.question.alpha else "no difference was shown"
+    critical = ""
+    if one.critical_difference is not None:
+        critical = f"; critical difference of mean ranks {number(one.critical_difference)}"
+    found = f"χ²({one.df}) = {number(one.statistic)}, n = {one.n}, {p_value(one.p_adjusted)}"
+    return _sentence(f"{_at(one.point)}{differ} ({one.test}, {found}{critical})")
+
+
+def _pair(pair: Pair, result: Analysis) -> str:
+    alpha = result.question.alpha
+    n = f"n = {pair.n_first}" if pair.n_first == pair.n_second else f"n = {pair.n_first} and {pair.n_second}"
+    pairs = f"{n} pairs" if result.pairing.paired else n
+    size = "" if pair.a12 is None else f", A12 = {pair.a12:.2f} ({magnitude(pair.a12)})"
+    found = f"{interval(pair, alpha)}; {pair.test}, {pairs}, {p_value(pair.p_adjusted)}{size}"
+    if pair.never_first + pair.never_second:
+        found += f"; not reached by {pair.never_first} runs of {pair.first} and {pair.never_second} of {pair.second}"
+    if pair.p_equivalent_adjusted is not None and result.question.margin is not None:
+        found += f"; TOST with margin {number(result.question.margin)}: {p_value(pair.p_equivalent_adjusted)}"
+    text = f"{_at(pair.point)}{_conclusion(pair, result)} ({found})"
+    return f"{text}." if text.startswith(pair.second) else _sentence(text)
+
+
+def _conclusion(pair: Pair, result: Analysis) -> str:
+    margin = "" if result.question.margin is None else number(result.question.margin)
+    match pair.verdict:
+        case Verdict.different:
+            return f"{pair.second} {_direction(pair)} than {pair.first}"
+        case Verdict.both:
+            return f"{pair.second} {_direction(pair)} than {pair.first}, but by less than {margin}"
+        case Verdict.equivalent:
+            return f"{pair.second} and {pair.first} are equivalent within ±{margin}"
+        case Verdict.too_few:
+            return f"n is too small for any verdict on {pair.first} and {pair.second} at alpha = {result.question.alpha:g}"
+        case Verdict.open:
+            missing = "difference" if result.question.margin is None else "difference and no equivalence"
+            return f"no {missing} of {pair.first} and {pair.second} was shown"
+
+
+def _direction(pair: Pair) -> str:
+    if pair.statistic is not None:
+        return "reaches the threshold later" if pair.statistic > 0 else "reaches the threshold earlier"
+    return "is greater" if (pair.difference or (pair.a12 or 0.0) - 0.5) > 0 else "is less"
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _method(result: Analysis) -> Iterator[str]:
+    if any(pair.a12 is not None for pair in result.pairs):
+        yield "Differences are Hodges-Lehmann estimates of the second group minus the first."
+    if result.effects:
+        yield "The tests are analyses of variance of aligned ranks."
+    if result.tests > 1:
+        yield f"The p values are corrected for {result.tests} tests (Holm)."
+
+
+def _left_out(result: Analysis) -> Iterator[str]:
+    yield from map(_sentence, result.notes)
+
+
+def _at(point: Mapping[str, Value]) -> str:
+    """Return the beginning of a sentence about a point; empty for the only point."""
+    values = ", ".join(f"{name} = {value}" for name, value in point.items())
+    return f"For {values}, " if values else ""
+
+
+def _and(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))

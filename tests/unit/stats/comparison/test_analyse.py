@@ -1,0 +1,275 @@
+"""A report finds what is there, seldom what is not, and says what it cannot know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from sierra.errors import SierraError, UsageError
+from sierra.stats.comparison.analyse import analyse
+from sierra.stats.comparison.model import Analysis, Cell, Question, RunValue, Sample, Verdict
+from sierra.stats.comparison.wording import paragraph
+
+ASK = Question()
+
+
+def sample(group: str, values: Sequence[float], *, first: int = 1, planned: int | None = None) -> Sample:
+    """Return a sample whose runs have the seeds first, first + 1, …; a run without a value is None."""
+    runs = tuple(RunValue(first + k, float(value)) for k, value in enumerate(values) if value is not None)
+    return Sample(group, runs, len(values) if planned is None else planned)
+
+
+def cell(**groups: Sequence[float]) -> Cell:
+    return Cell({}, tuple(sample(name, values) for name, values in groups.items()))
+
+
+def times(group: str, values: Sequence[float], *, end: float) -> Sample:
+    """Return a sample of times that are censored at `end`."""
+    runs = tuple(RunValue(k, min(value, end), value < end) for k, value in enumerate(values))
+    return Sample(group, runs, len(runs))
+
+
+def text(result: Analysis) -> str:
+    return paragraph(result, "the final coverage")
+
+
+def common(seed: int, n: int, *effects: float, shared: float = 3.0) -> Cell:
+    """Return groups whose runs with the same seed share a part; each group has an effect."""
+    rng = np.random.default_rng(seed)
+    part = shared * rng.normal(size=n)
+    return cell(**{f"g{k}": (part + rng.normal(size=n) + effect).tolist() for k, effect in enumerate(effects)})
+
+
+def test_pairs_show_a_difference_that_groups_without_pairs_do_not_show() -> None:
+    groups = common(1, 30, 0, 1)
+    paired, unpaired = (analyse([groups], replace(ASK, paired=paired)) for paired in (True, False))
+    assert analyse([groups], ASK).pairs == paired.pairs
+    assert paired.pairing.correlation is not None
+    assert paired.pairing.correlation > 0.5
+    assert paired.pairs[0].verdict is Verdict.different
+    assert unpaired.pairs[0].verdict is Verdict.open
+    assert paired.pairs[0].test == "Wilcoxon signed-rank test"
+    assert unpaired.pairs[0].test == "Mann-Whitney test"
+    assert "Runs with the same seed are pairs (common random numbers, mean rank correlation 0." in text(analyse([groups], ASK))
+
+
+def test_pairs_that_do_not_help_are_not_used() -> None:
+    result = analyse([cell(a=[1, 2, 3, 4, 5, 6, 7, 8], b=[3, 7, 1, 5, 8, 2, 4, 6])], ASK)
+    assert result.pairing.correlation is not None
+    assert abs(result.pairing.correlation) < 0.25
+    assert result.pairing.paired is (result.pairing.correlation > 0)
+    result = analyse([cell(a=[1, 2, 3, 4, 5, 6, 7, 8], b=[5, 4, 8, 3, 2, 7, 1, 6])], ASK)
+    assert not result.pairing.paired
+    assert "not correlated, so they are not compared as pairs" in text(result)
+
+
+def test_a_clearly_negative_correlation_keeps_the_pairs() -> None:
+    """Runs with common seeds depend on each other; a test for independent samples would find differences too often."""
+    values = np.arange(20.0)
+    result = analyse([cell(a=values.tolist(), b=(-values).tolist())], ASK)
+    assert result.pairing.paired
+    assert "negative correlation" in result.pairing.reason
+
+
+def test_seeds_that_are_not_common_make_no_pairs() -> None:
+    groups = (sample("a", [1, 2, 3, 4]), sample("b", [1, 2, 3, 4], first=100))
+    assert not analyse([Cell({}, groups)], ASK).pairing.paired
+    with pytest.raises(UsageError, match="no seeds in common"):
+        analyse([Cell({}, groups)], replace(ASK, paired=True))
+
+
+def test_few_common_seeds_do_not_replace_all_other_runs() -> None:
+    groups = (sample("a", range(10)), sample("b", range(10), first=8))
+    result = analyse([Cell({}, groups)], ASK)
+    assert not result.pairing.paired
+    assert result.pairs[0].n_first == 10
+
+
+def test_runs_without_a_value_are_counted_with_their_partners() -> None:
+    groups = Cell({}, (sample("a", range(10)), sample("b", [None, *range(2, 10), None])))
+    result = analyse([groups], ASK)
+    assert result.pairs[0].n_first == result.pairs[0].n_second == 8
+    assert "2 of 20 runs have no value, because they failed, are missing or wrote no finite value: 2 of b" in result.notes
+    assert "2 runs left out, because another group has no value for the same seed" in result.notes
+    unpaired = analyse([groups], replace(ASK, paired=False))
+    assert (unpaired.pairs[0].n_first, unpaired.pairs[0].n_second) == (10, 8)
+    assert "the groups have unequal numbers of runs: 8 to 10" in unpaired.notes
+
+
+def test_a_cell_without_values_of_a_group_is_left_out_and_named() -> None:
+    empty = Cell({"size": 4}, (sample("a", range(6)), sample("b", [], planned=6)))
+    full = replace(common(2, 8, 0, 1), point={"size": 2})
+    renamed = replace(full, samples=tuple(replace(one, group=name) for one, name in zip(full.samples, "ab", strict=True)))
+    result = analyse([renamed, empty], ASK)
+    assert [pair.point for pair in result.pairs] == [{"size": 2}]
+    assert "size = 4 left out: no value of b" in result.notes
+    with pytest.raises(SierraError, match="no comparison is possible: no value of b"):
+        analyse([empty], ASK)
+
+
+def test_five_pairs_are_too_few_for_any_verdict() -> None:
+    result = analyse([cell(a=[1, 2, 3, 4, 5], b=[11, 12, 13, 14, 15.5])], replace(ASK, paired=True))
+    assert result.pairs[0].p == pytest.approx(0.0625)
+    assert result.pairs[0].verdict is Verdict.too_few
+    assert "N is too small for any verdict on a and b at alpha = 0.05" in text(result)
+    assert "A verdict at alpha = 0.05 over 1 test needs 6 pairs or more" in text(result)
+
+
+def test_many_tests_need_more_runs_for_a_verdict() -> None:
+    cells = [replace(common(k, 7, 0, 9), point={"k": k}) for k in range(5)]
+    assert {pair.verdict for pair in analyse(cells[:1], ASK).pairs} == {Verdict.different}
+    result = analyse(cells, ASK)
+    assert {pair.verdict for pair in result.pairs} == {Verdict.too_few}
+    assert result.notes == ("a verdict at alpha = 0.05 over 5 tests needs 8 pairs or more",)
+
+
+def test_a_difference_that_is_not_shown_is_not_equality() -> None:
+    groups = common(4, 12, 0, 0)
+    assert analyse([groups], ASK).pairs[0].verdict is Verdict.open
+    assert "equivalent" not in text(analyse([groups], ASK))
+    assert analyse([groups], replace(ASK, margin=0.01)).pairs[0].verdict is Verdict.open
+    assert analyse([groups], replace(ASK, margin=50)).pairs[0].verdict is Verdict.equivalent
+    assert "equivalent within ±50" in text(analyse([groups], replace(ASK, margin=50)))
+
+
+@pytest.mark.parametrize("paired", [True, False])
+def test_a_difference_below_the_margin_is_both_different_and_equivalent(paired: bool) -> None:
+    result = analyse([common(5, 30, 0, 2, shared=0.1)], replace(ASK, margin=9, paired=paired))
+    assert result.pairs[0].verdict is Verdict.both
+    assert "g1 is greater than g0, but by less than 9" in text(result)
+
+
+@pytest.mark.parametrize("paired", [True, False])
+def test_equal_runs_are_equivalent_and_not_different(paired: bool) -> None:
+    result = analyse([cell(a=[2.5] * 9, b=[2.5] * 9)], replace(ASK, margin=0.1, paired=paired))
+    assert (result.pairs[0].difference, result.pairs[0].p, result.pairs[0].verdict) == (0, 1, Verdict.equivalent)
+
+
+@pytest.mark.parametrize(("paired", "omnibus", "post"), [(True, "Friedman", "Wilcoxon"), (False, "Kruskal-Wallis", "Dunn's")])
+def test_more_groups_get_an_omnibus_test_and_a_test_of_each_two(paired: bool, omnibus: str, post: str) -> None:
+    result = analyse([common(6, 25, 0, 0, 4)], replace(ASK, paired=paired))
+    assert result.omnibus[0].test == f"{omnibus} test"
+    assert all(pair.test.startswith(post) for pair in result.pairs)
+    verdicts = {(pair.first, pair.second): pair.verdict for pair in result.pairs}
+    assert verdicts == {
+        ("g0", "g1"): Verdict.open,
+        ("g0", "g2"): Verdict.different,
+        ("g1", "g2"): Verdict.different,
+    }
+    assert result.tests == 4
+    assert (result.omnibus[0].critical_difference is not None) is paired
+    assert result.omnibus[0].mean_ranks[2] > max(result.omnibus[0].mean_ranks[:2])
+
+
+def test_no_two_groups_differ_without_the_omnibus_test() -> None:
+    for seed in range(20):
+        result = analyse([common(seed, 8, 0, 0.5, 1.1)], ASK)
+        if result.omnibus[0].p_adjusted > 0.05:
+            assert all(pair.verdict is not Verdict.different for pair in result.pairs)
+
+
+def test_groups_can_be_compared_with_one_of_them_only() -> None:
+    result = analyse([common(7, 20, 0, 1, 2)], replace(ASK, against="g1"))
+    assert [(pair.first, pair.second) for pair in result.pairs] == [("g1", "g0"), ("g1", "g2")]
+    assert [np.sign(pair.difference) for pair in result.pairs] == [-1, 1]
+    with pytest.raises(UsageError, match="there is no group 'g7' to compare with; the groups are g0, g1, g2"):
+        analyse([common(7, 20, 0, 1, 2)], replace(ASK, against="g7"))
+
+
+def test_censored_times_are_not_dropped() -> None:
+    fast, slow = times("fast", [3, 4, 5, 6, 7, 8, 5.5, 4.5], end=10), times("slow", [9, 99, 99, 8, 99, 99, 7.5, 99], end=10)
+    result = analyse([Cell({}, (fast, slow))], ASK)
+    pair = result.pairs[0]
+    assert (pair.test, pair.n_second, pair.never_second, pair.verdict) == ("log-rank test", 8, 5, Verdict.different)
+    assert pair.difference is None
+    assert "slow reaches the threshold later than fast" in text(result)
+    assert "not reached by 0 runs of fast and 5 of slow" in text(result)
+    for wrong, reason in ((replace(ASK, margin=1), "equivalence"), (replace(ASK, paired=True), "as pairs")):
+        with pytest.raises(UsageError, match=reason):
+            analyse([Cell({}, (fast, slow))], wrong)
+
+
+def test_times_that_all_runs_reached_are_compared_as_other_values() -> None:
+    fast, slow = times("fast", range(3, 12), end=99), times("slow", range(4, 13), end=99)
+    assert analyse([Cell({}, (fast, slow))], ASK).pairs[0].test == "Wilcoxon signed-rank test"
+
+
+def test_invalid_options_are_refused() -> None:
+    for wrong, reason in (
+        (replace(ASK, alpha=0.7), "alpha must be above 0 and below 0.5, not 0.7"),
+        (replace(ASK, margin=-1), "the margin must be a number above 0, not -1"),
+    ):
+        with pytest.raises(UsageError, match=reason):
+            analyse([common(1, 5, 0, 1)], wrong)
+    with pytest.raises(UsageError, match="two groups or more, not 1"):
+        analyse([cell(a=[1, 2])], ASK)
+
+
+def factorial(seed: int, n: int, effect: float) -> Cell:
+    """Return a design of two factors with two values each, of which only the first has an effect."""
+    rng = np.random.default_rng(seed)
+    points = [(a, b) for a in (0, 1) for b in (0, 1)]
+    part = rng.normal(size=n)
+    samples = tuple(sample(str(k), part + rng.normal(size=n) + effect * a) for k, (a, _) in enumerate(points))
+    return Cell({}, samples, tuple(points))
+
+
+@pytest.mark.parametrize("paired", [True, False])
+def test_factorial_designs_give_main_effects_and_interactions(paired: bool) -> None:
+    result = analyse([factorial(1, 15, 3)], replace(ASK, paired=paired), ("speed", "noise"))
+    shown = {effect.name: effect.p_adjusted <= 0.05 for effect in result.effects}
+    assert shown == {"speed": True, "noise": False, "speed × noise": False}
+    assert result.tests == 3
+    assert "The main effect of speed: F(1, " in text(result)
+
+
+def test_many_pairs_are_counted_in_the_text() -> None:
+    cells = [replace(common(k, 20, 0, 5 * (k % 2)), point={"k": k}) for k in range(12)]
+    assert "The verdicts of the 12 comparisons of two groups are: different: 6, not shown: 6." in text(analyse(cells, ASK))
+
+
+def wrong_findings(seed: int, groups: int, n: int, *, shared: float) -> bool:
+    """Return whether a report of two cells finds a difference where there is none."""
+    cells = [replace(common(2 * seed + k, n, *[0.0] * groups, shared=shared), point={"k": k}) for k in range(2)]
+    result = analyse(cells, ASK)
+    return any(one.p_adjusted <= 0.05 for one in (*result.pairs, *result.omnibus))
+
+
+def wrong_effects(seed: int, n: int) -> bool:
+    result = analyse([factorial(seed, n, 0)], ASK, ("a", "b"))
+    return any(effect.p_adjusted <= 0.05 for effect in result.effects)
+
+
+DESIGNS = {
+    "pairs": partial(wrong_findings, groups=2, n=10, shared=2.0),
+    "independent seeds": partial(wrong_findings, groups=2, n=10, shared=0.0),
+    "three groups of pairs": partial(wrong_findings, groups=3, n=9, shared=2.0),
+    "three independent groups": partial(wrong_findings, groups=3, n=8, shared=0.0),
+    "factorial": partial(wrong_effects, n=6),
+}
+
+
+@pytest.mark.parametrize(
+    "simulations",
+    [
+        pytest.param(100, marks=pytest.mark.integration, id="quick"),
+        pytest.param(2000, marks=pytest.mark.nightly, id="precise"),
+    ],
+)
+@pytest.mark.parametrize("design", DESIGNS)
+def test_without_any_difference_at_most_5_percent_of_the_reports_find_one(design: str, simulations: int) -> None:
+    """Up to the error of the simulation: three standard deviations."""
+    wrong = sum(DESIGNS[design](seed) for seed in range(simulations))
+    assert wrong <= simulations * 0.05 + 3 * (simulations * 0.05 * 0.95) ** 0.5
+
+
+def test_the_order_of_groups_changes_signs_only() -> None:
+    groups = common(9, 15, 0, 1)
+    there, back = (analyse([replace(groups, samples=order)], ASK).pairs[0] for order in (groups.samples, groups.samples[::-1]))
+    assert (there.p, there.difference, there.a12) == pytest.approx((back.p, -(back.difference or 0), 1 - (back.a12 or 0)))
+    assert all(a != b for a, b in combinations((there.first, there.second), 2))
