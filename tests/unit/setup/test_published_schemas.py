@@ -85,6 +85,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "queries": "QueryTable",
         "tables": "DerivedTable",
         "figures": "Figure",
+        "comparisons": "Comparison",
         "runners": "ClusterTable",
         "services": "ServiceTable",
     }

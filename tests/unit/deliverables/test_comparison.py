@@ -1,0 +1,178 @@
+"""`sierra compare` compares batches and values of variables, and says what it cannot compare."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from tests import projects, stores
+
+pytestmark = pytest.mark.integration
+
+CONFIG = (
+    projects.CONFIG
+    + """
+[queries.quiet]
+criteria = ["population_size=1,2"]
+runs = 8
+
+[comparisons.sizes]
+by = "population_size"
+column = "coverage"
+margin = 5
+
+[comparisons.batches]
+groups = ["calm=quiet", "quiet"]
+"""
+)
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    """Return a project with two batches of 8 runs in 2 experiments each, and their ids; tests only read its store."""
+    root = projects.make(tmp_path_factory.mktemp("compared") / "project", CONFIG)
+    project = sierra.open(root)
+    batches = [project.run("population_size=1,2", runs=8, sets=sets, figures=False).batch for sets in ((), [("//noise", "0.2")])]
+    return root, *batches
+
+
+def answer(root: Path, *words: str) -> dict[str, Any]:
+    done = projects.quick(root, "compare", *words, "--json", "--no-figure")
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def refusal(root: Path, *words: str) -> tuple[int, str]:
+    done = projects.quick(root, "compare", *words)
+    assert done.stdout == ""
+    return done.returncode, done.stderr
+
+
+def test_batches_are_compared_in_each_experiment(compared: tuple[Path, str, str]) -> None:
+    root, quiet, noisy = compared
+    found = answer(root, f"quiet={quiet[:8]}", f"noisy={noisy[:8]}")
+    assert found["batches"] == {"quiet": quiet, "noisy": noisy}
+    assert found["paired"]
+    assert [pair["point"] for pair in found["pairs"]] == [{"population_size": 1}, {"population_size": 2}]
+    seeds = projects.sql(root, f"SELECT DISTINCT number, seed FROM batch_runs WHERE batch = '{quiet}' ORDER BY number")
+    differences = sorted(0.1 * (row["seed"] % 100) for row in seeds)
+    for pair in found["pairs"]:
+        assert (pair["first"], pair["second"], pair["verdict"]) == ("quiet", "noisy", "different")
+        assert differences[0] <= pair["low"] <= pair["difference"] <= pair["high"] <= differences[-1]
+        assert pair["p"] == pytest.approx(2 / 2**8)
+        assert pair["p_adjusted"] == pytest.approx(2 * pair["p"])
+    assert any("the batches differ in --set; for details: sierra diff" in note for note in found["notes"])
+
+
+def test_the_values_of_a_variable_are_compared_within_a_batch(compared: tuple[Path, str, str]) -> None:
+    root, quiet, _ = compared
+    (pair,) = answer(root, quiet[:8], "--by", "population_size")["pairs"]
+    assert (pair["first"], pair["second"]) == ("population_size=1", "population_size=2")
+    assert pair["difference"] == pytest.approx(4)
+    (back,) = answer(root, quiet[:8], "--groups", "2,1")["pairs"]
+    assert (back["first"], back["difference"]) == ("population_size=2", pytest.approx(-4))
+    (against,) = answer(root, quiet[:8], "--against", "2", "--paired", "no")["pairs"]
+    assert (against["first"], against["test"]) == ("population_size=2", "Mann-Whitney test")
+
+
+def test_the_table_the_text_and_the_figure_are_made(compared: tuple[Path, str, str], tmp_path: Path) -> None:
+    root = stores.copy(compared[0], tmp_path / "project")
+    done = projects.quick(root, "compare", f"a={compared[1][:8]}", f"b={compared[2][:8]}")
+    header, one, _, empty, text, *files = done.stdout.splitlines()
+    assert header.split()[:3] == ["population_size", "first", "second"]
+    assert one.endswith("different")
+    assert empty == ""
+    assert text.startswith("The final value of coverage was compared between a and b in 2 experiments.")
+    assert "The p values are corrected for 2 tests (Holm)." in text
+    assert [Path(file).suffix for file in files] == [".png", ".pdf", ".svg"]
+    before = [(root / file).read_bytes() for file in files]
+    assert compared[1].encode() in before[0]
+    assert compared[2].encode() in before[0]
+    projects.quick(root, "compare", f"a={compared[1][:8]}", f"b={compared[2][:8]}")
+    assert [(root / file).read_bytes() for file in files] == before, "the same data give the same bytes"
+
+
+def test_a_table_of_another_format_is_nothing_but_the_table(compared: tuple[Path, str, str]) -> None:
+    root, quiet, noisy = compared
+    words = ("compare", quiet[:8], noisy[:8], "--no-figure")
+    assert projects.quick(root, *words, "--format", "markdown").stdout.startswith("| population_size | first |")
+    rows = projects.quick(root, *words, "--format", "csv").stdout.splitlines()
+    assert len(rows) == 3
+    assert rows[0].endswith("p,p_adjusted,verdict")
+
+
+def test_declared_comparisons_have_names(compared: tuple[Path, str, str]) -> None:
+    root, quiet, _ = compared
+    found = answer(root, "sizes", quiet[:8])
+    assert (found["name"], found["margin"]) == ("sizes", 5)
+    assert found["pairs"][0]["verdict"] == "different, equivalent"
+    message = "sierra: sierra.toml declares the comparison 'sizes'; leave out --alpha, or change it there\n"
+    assert refusal(root, "sizes", "--alpha", "0.01") == (2, message)
+    code, said = refusal(root, "batches")
+    assert (code, "a batch cannot be compared with itself" in said) == (2, True)
+
+
+def test_the_python_api_returns_the_same(compared: tuple[Path, str, str]) -> None:
+    root, quiet, noisy = compared
+    found = sierra.open(root).compare(quiet, noisy, measure="mean", margin=100)
+    assert [pair.verdict.value for pair in found.pairs] == ["different, equivalent"] * 2
+    table = found.arrow()
+    assert table.column("population_size").to_pylist() == [1, 2]
+    assert table.column("difference").to_pylist() == [pair.difference for pair in found.pairs]
+    assert found.measure == "mean"
+
+
+def test_times_until_a_threshold_are_censored(compared: tuple[Path, str, str]) -> None:
+    root, quiet, _ = compared
+    (pair,) = answer(root, quiet[:8], "--measure", "time_to", "--threshold", "13.5")["pairs"]
+    seeds = projects.sql(root, f"SELECT DISTINCT seed FROM batch_runs WHERE batch = '{quiet}'")
+    late = [sum(4 * count + 0.1 * (row["seed"] % 100) < 13.5 for row in seeds) for count in (1, 2)]
+    assert pair["test"] == "log-rank test"
+    assert [pair["never_first"], pair["never_second"]] == late
+    assert late[0] > late[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("{quiet}", "{quiet}"), "a batch cannot be compared with itself; name other batches, or one batch and --by VARIABLE"),
+        (("{quiet}", "--by", "nois"), "this batch has no variable 'nois'; it has population_size"),
+        (("{quiet}", "--column", "covrage"), "no output has 'covrage' as numeric columns (sierra sql 'SHOW TABLES')"),
+        (("{quiet}", "--measure", "time_to"), 'measure "time_to" and "threshold" must be used together'),
+        (("{quiet}", "--margin", "-1"), "margin"),
+        (("{quiet}", "--alpha", "2"), "alpha"),
+        (("{quiet}", "--against", "7"), "there is no group '7'; it has population_size=1, population_size=2"),
+        (("{quiet}", "--groups", "1,1"), "a group is named twice: 1, 1"),
+        (("x={quiet}", "x={noisy}"), "two groups have the name 'x'; give them different ones: LABEL=HASH"),
+        (("{quiet}", "{noisy}", "--by", "population_size"), "--by compares the values of a variable within one batch"),
+        (("={quiet}", "{noisy}"), "has no label before =; write LABEL=HASH"),
+        (("nothing",), "nothing"),
+    ],
+)
+def test_what_cannot_be_compared_is_one_line(compared: tuple[Path, str, str], words: tuple[str, ...], message: str) -> None:
+    root, quiet, noisy = compared
+    code, said = refusal(root, *(word.format(quiet=quiet[:8], noisy=noisy[:8]) for word in words))
+    assert code == 2
+    assert message in said
+    assert said.count("\n") == 1
+
+
+def test_batches_of_different_variables_are_refused(recorded: Path) -> None:
+    sizes, _, noise = [row["batch"] for row in projects.sql(recorded, "SELECT batch FROM batches ORDER BY lamport")]
+    code, said = refusal(recorded, sizes[:8], noise[:8], "--column", "coverage")
+    assert code == 2
+    assert "the batches have different variables: " in said
+    assert "varies only in" in said
+
+
+def test_experiments_that_only_one_batch_has_are_left_out_and_counted(recorded: Path) -> None:
+    first, second, _ = [row["batch"] for row in projects.sql(recorded, "SELECT batch FROM batches ORDER BY lamport")]
+    found = answer(recorded, first[:8], second[:8], "--column", "coverage")
+    assert [pair["point"] for pair in found["pairs"]] == [{"population_size": 2}]
+    assert "2 of 3 experiments are not in all batches, and are left out" in found["notes"]
+    assert found["pairs"][0]["verdict"] == "too few runs"
