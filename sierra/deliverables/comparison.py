@@ -155,9 +155,9 @@ def labels(project: LoadedProject, store: Store, batches: Sequence[str]) -> list
 
 def _subject(runs: RunTable) -> str:
     """Return what is compared, in words."""
-    unit = f" [{runs.unit}]" if runs.unit else ""
+    unit = f" [{runs.unit}]" if runs.unit not in ("", "1") else ""
     if runs.threshold is not None:
-        return f"the time until {runs.column} reaches {runs.threshold:g}{unit}"
+        return f"the time{unit} until {runs.column} reaches {runs.threshold:g}"
     words = {"final": "final value of", "mean": "mean of"}
     return f"the {words.get(runs.measure, runs.measure)} {runs.column}{unit}"
 
@@ -289,7 +289,7 @@ def _row(one: Pair | Omnibus | Effect) -> dict[str, object]:
     row = {name: getattr(one, name) for name in COLUMNS if hasattr(one, name)}
     match one:
         case Pair():
-            never = {} if one.never_first + one.never_second else {"never_first": None, "never_second": None}
+            never = {} if one.statistic is not None else {"never_first": None, "never_second": None}
             return row | never | {"cliffs_delta": one.delta, "verdict": one.verdict.value}
         case Omnibus():
             return row | {"first": "all groups", "n_first": one.n}
