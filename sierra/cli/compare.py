@@ -71,6 +71,9 @@ def compare(
     threshold: Annotated[
         float | None, typer.Option("--threshold", metavar="X", help="For time_to: the value to reach or exceed.")
     ] = None,
+    over_time: Annotated[
+        bool, typer.Option("--over-time", help="Draw the difference over time; test the mean of each run over time.")
+    ] = False,
     paired: Annotated[
         Pairs | None, typer.Option("--paired", help="Compare runs with the same seed as pairs (default: if they correlate).")
     ] = None,
@@ -105,6 +108,7 @@ def compare(
       sierra compare --by controller --against CRW
       sierra compare 518b --by noise,population_size
       sierra compare 518b 722b --measure time_to --threshold 0.5
+      sierra compare slow=518b fast=722b --over-time
       sierra compare speeds --format markdown
     """
     from sierra.cli.open_project import project
@@ -118,6 +122,7 @@ def compare(
         "--table": table,
         "--measure": measure,
         "--threshold": threshold,
+        "--over-time": over_time or None,
         "--paired": paired,
         "--margin": margin,
         "--alpha": alpha,
@@ -140,6 +145,7 @@ def compare(
             table=table,
             measure=MEASURES[measure] if measure else None,
             threshold=threshold,
+            over_time=over_time,
             paired=PAIRED[paired or Pairs.auto],
             against=against,
             margin=margin,

@@ -172,6 +172,11 @@ class Comparison(Table):
     threshold: Finite | None = Field(
         None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"
     )
+    over_time: bool = Field(
+        False,
+        description="draw the difference over time, with its interval at each time, which is no test; what is tested is "
+        "the mean of each run over time",
+    )
     paired: bool | Literal["auto"] = Field(
         "auto", description="whether runs with the same seed are compared as pairs; `auto`: if their values are correlated"
     )
@@ -189,4 +194,6 @@ class Comparison(Table):
     def _fitting(self) -> Comparison:
         if (self.measure == "time_to") != (self.threshold is not None):
             raise ValueError('measure "time_to" and "threshold" must be used together')
+        if self.over_time and self.measure not in (None, "mean"):
+            raise ValueError(f'"over_time" tests the mean over time, not measure {self.measure!r}')
         return self

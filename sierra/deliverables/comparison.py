@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import Comparison, Figure
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables.render import RunTable, values_of_runs
+from sierra.deliverables.render import RunSeries, RunTable, runs_over_time, values_of_runs
 from sierra.errors import NotFound, UsageError
 from sierra.execution import targets
 from sierra.model import Value
@@ -31,6 +31,8 @@ from sierra.util.text import like
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from sierra.stats.comparison.over_time import Band
 
 MOST = 20
 """The largest number of groups that are compared each with each."""
@@ -53,6 +55,10 @@ class Compared:
     """The conclusions as a paragraph, for a paper."""
     notes: tuple[str, ...] = ()
     """What the reader has to know about the data, besides what the text says."""
+    bands: tuple[Band, ...] = ()
+    """The differences over time, if they were requested."""
+    time: str = ""
+    """The name of the time, with its unit."""
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
@@ -103,8 +109,9 @@ def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[st
     from sierra.stats.comparison.analyse import analyse
     from sierra.stats.comparison.wording import paragraph
 
+    measure = "mean" if asked.over_time else asked.measure
     found = {
-        group: values_of_runs(project, store, batch, asked.table, asked.column, asked.measure, asked.threshold)
+        group: values_of_runs(project, store, batch, asked.table, asked.column, measure, asked.threshold)
         for group, batch in batches.items()
     }
     first = next(iter(found.values()))
@@ -123,8 +130,11 @@ def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[st
         )
     question = Question(asked.alpha, asked.margin, asked.paired, _group(asked.against, [one.group for one in groups]))
     result = analyse(cells, question, factors)
+    if factors and asked.over_time:
+        raise UsageError("main effects and interactions cannot be computed over time; leave out --over-time")
+    time, bands = _bands(project, store, batches, first, cells, result) if asked.over_time else ("", ())
     subject = _subject(first)
-    words = (*map(short, batches.values()), *asked.by, first.column, first.measure)
+    words = (*map(short, batches.values()), *asked.by, first.column, "over_time" if asked.over_time else first.measure)
     return Compared(
         name or re.sub(r"[^\w.-]+", "_", "-".join(words)),
         dict(batches),
@@ -135,7 +145,35 @@ def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[st
         result,
         paragraph(result, subject),
         (*dict.fromkeys(note for one in found.values() for note in one.notes), *notes, *_differences(store, batches)),
+        bands,
+        time,
     )
+
+
+def _bands(
+    project: LoadedProject, store: Store, batches: Mapping[str, str], runs: RunTable, cells: Sequence[Cell], result: Analysis
+) -> tuple[str, tuple[Band, ...]]:
+    """Return the name of the time, and the difference over time for each pair of the result."""
+    import numpy as np
+
+    from sierra.stats.comparison import over_time
+
+    series: dict[str, RunSeries] = {}
+    for group, batch in batches.items():
+        grid = next(iter(series.values())).times if series else None
+        series[group] = runs_over_time(project, store, batch, runs.output, runs.column, grid)
+    first = next(iter(series.values()))
+    samples = {(*cell.point.items(), sample.group): sample for cell in cells for sample in cell.samples}
+    compute = over_time.of_pairs if result.pairing.paired else over_time.of_samples
+    bands = []
+    for pair in result.pairs:
+        before, after = (
+            series.get(group, first).values[samples[(*pair.point.items(), group)].experiment]
+            for group in (pair.first, pair.second)
+        )
+        numbers = compute(before, after, result.question.alpha)
+        bands.append(over_time.Band(pair.point, pair.first, pair.second, np.array(first.times), *numbers))
+    return first.time, tuple(bands)
 
 
 def labels(project: LoadedProject, store: Store, batches: Sequence[str]) -> list[str]:
@@ -251,7 +289,7 @@ def _group(word: str | None, groups: Sequence[str]) -> str | None:
 
 def _sample(group: str, runs: RunTable, ordinals: Iterable[int]) -> Sample:
     values = [value for ordinal in ordinals for value in runs.values.get(ordinal, ())]
-    return Sample(group, tuple(values), sum(runs.planned[ordinal] for ordinal in ordinals))
+    return Sample(group, tuple(values), sum(runs.planned[ordinal] for ordinal in ordinals), next(iter(ordinals)))
 
 
 def _differences(store: Store, batches: Mapping[str, str]) -> Iterator[str]:
@@ -337,6 +375,9 @@ def _caption(compared: Compared) -> str:
     runs = f"n = {min(n)}" if min(n) == max(n) else f"n = {min(n)}–{max(n)}"
     if any(pair.a12 is None for pair in compared.pairs):
         return f"differences of Kaplan-Meier medians, {runs}; filled: different (log-rank test, Holm)"
+    if compared.bands:
+        pairs = " pairs" if found.pairing.paired else ""
+        return f"mean difference, {100 * (1 - found.question.alpha):.4g} % CI at each time (no test), {runs}{pairs}"
     interval = f"Hodges-Lehmann estimates, {100 * (1 - found.question.alpha):.4g} % CI of each"
     margin = "; shaded: the margin" if found.question.margin is not None else ""
     return f"{interval}, {runs}{' pairs' if found.pairing.paired else ''}; filled: different (Holm){margin}"

@@ -47,6 +47,8 @@ from sierra.util.text import counted, like
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from sierra.stats.comparison.rank_distributions import Floats
+
 MEASURES = ("final", "mean", "time_to")
 AUTO = "auto"
 """Stands for `final`, and for `mean` in tables of events, whose last rows say nothing about the others."""
@@ -286,6 +288,44 @@ def values_of_runs(
             planned=gallery.planned,
             notes=(*gallery.target_notes, *gallery.declared_notes, *gallery.time_notes.values(), *untimed),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class RunSeries:
+    """The runs of a batch over time."""
+
+    time: str
+    """The name of the time column with its unit."""
+    times: list[float]
+    values: Mapping[int, Mapping[int, Floats]]
+    """The values at these times, by the position of the experiment and by seed; NaN where a run has none."""
+
+
+def runs_over_time(
+    project: LoadedProject, store: Store, batch: str, output: str, column: str, grid: list[float] | None
+) -> RunSeries:
+    """Return the runs of a batch at common times, which `grid` may give. Raises UsageError for an output without a time."""
+    import numpy as np
+
+    with Frame(store, batch) as frame:
+        gallery = _Gallery(project, store, frame, only={output})
+        found = gallery.output(Figure(table=output, column=(column,)))
+        time = gallery.time(found)
+        if not time or found.rows < 2:
+            raise UsageError(
+                f"output {output!r} has no time, so it cannot be compared over time; see time in [outputs.{output}]"
+            )
+        rows, times = gallery.column(Figure(table=output, column=(column,))).runs_over_time(grid)
+        places = np.searchsorted(np.array(times), rows.column("t").to_numpy())
+        seeds = frame.seeds()
+        values: dict[int, dict[int, Floats]] = {ordinal: {} for ordinal in gallery.planned}
+        runs = zip(rows.column("experiment").to_pylist(), rows.column("run").to_pylist(), strict=True)
+        numbers = rows.column("value").to_numpy(zero_copy_only=False).astype(float)
+        for (ordinal, run), place, number in zip(runs, places.tolist(), numbers.tolist(), strict=True):
+            series = values[ordinal].setdefault(seeds[ordinal, run], np.full(len(times), np.nan))
+            series[place] = number
+        unit = gallery.unit(found, time)
+        return RunSeries(f"{time} [{unit}]" if unit else time, times, values)
 
 
 def _tables(figures: Mapping[str, Figure], name: str | None) -> Container[str] | None:

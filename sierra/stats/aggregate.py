@@ -249,6 +249,14 @@ class Samples:
         text = statement(_file("resample"), "group_by_time", statistics)
         return self._run(text, statistics, rate=self.rate and not linear, grid=list(grid), linear=linear)
 
+    def runs_over_time(self, grid: Sequence[float] | None = None) -> tuple[pa.Table, list[float]]:
+        """Return the runs' values at common times, and these times: `experiment`, `run`, `number`, `t`, `value`.
+
+        Last values are carried forward. The times are those of `grid`, or those of `at_times`.
+        """
+        times = list(grid or self._common_times())
+        return self.frame.sql(_file("resample") + "\nORDER BY ALL", grid=times, linear=False), times
+
     def _common_times(self) -> list[float]:
         """Return the times of a common axis, in ascending order.
 

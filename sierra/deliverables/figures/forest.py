@@ -1,4 +1,4 @@
-"""The figure of a comparison: differences with their intervals, one below the other; or the sizes of effects."""
+"""The figure of a comparison: differences with their intervals, one below the other or over time; or the sizes of effects."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from sierra.deliverables.figures import style
+from sierra.deliverables.figures.timeseries import PANELS
 from sierra.errors import UsageError
 from sierra.stats.comparison.model import Effect, Pair, Verdict
 
 if TYPE_CHECKING:
     from sierra.deliverables.comparison import Compared
+    from sierra.stats.comparison.over_time import Band
 
 ROW = 0.17
 """The height of a row in inches."""
@@ -31,6 +33,8 @@ def forest(compared: Compared) -> Figure:
     """
     if compared.effects:
         return _effects(compared.effects)
+    if compared.bands:
+        return _over_time(compared)
     pairs = [pair for pair in compared.pairs if pair.difference is not None]
     if not pairs:
         raise UsageError("no difference of two groups is known, so there is nothing to draw")
@@ -51,6 +55,21 @@ def _mark(plot: Axes, place: int, pair: Pair) -> None:
         plot.plot([pair.low, pair.high], [place, place], color=colour, linewidth=1.2)
     face = colour if pair.verdict in FILLED else "white"
     plot.plot([pair.difference or 0.0], [place], "o", color=colour, markerfacecolor=face, markersize=4)
+
+
+def _over_time(compared: Compared) -> Figure:
+    """Draw the difference over time with its interval, a panel for each pair of groups."""
+    if len(compared.bands) > PANELS:
+        raise UsageError(f"the figure needs {len(compared.bands)} panels, but at most {PANELS} are possible")
+    figure, plots = style.panels(len(compared.bands))
+    for plot, band in zip(plots, compared.bands, strict=True):
+        plot.axhline(0, color="#333333", linewidth=0.8, linestyle=":")
+        plot.plot(band.times, band.mean, color=style.NAMED[0])
+        plot.fill_between(band.times, band.low, band.high, color=style.NAMED[0], alpha=0.2, linewidth=0)
+        style.title(plot, _name(band))
+    unit = f" [{compared.unit}]" if compared.unit else ""
+    style.outer_labels(plots, compared.time, f"difference of {compared.column}{unit}")
+    return figure
 
 
 def _effects(effects: Sequence[Effect]) -> Figure:
@@ -75,6 +94,6 @@ def _rows(names: Sequence[str]) -> tuple[Figure, Axes]:
     return figure, plot
 
 
-def _name(pair: Pair) -> str:
+def _name(pair: Pair | Band) -> str:
     where = ", ".join(f"{name}={style.named(value, 16)}" for name, value in pair.point.items())
     return style.shortened(f"{where}: {pair.second} − {pair.first}" if where else f"{pair.second} − {pair.first}", 44)

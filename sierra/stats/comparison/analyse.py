@@ -24,6 +24,8 @@ from sierra.stats.comparison.rank_tests import Floats
 from sierra.util.text import counted
 
 SIGNED, RANKS, DUNN, LOG_RANK = "Wilcoxon signed-rank test", "Mann-Whitney test", "Dunn's test", "log-rank test"
+LARGEST = 1e150
+"""The largest number that can be compared: squares of larger ones overflow."""
 
 
 def analyse(cells: Sequence[Cell], question: Question, factors: Sequence[str] = ()) -> Analysis:
@@ -63,6 +65,9 @@ def _check(cells: Sequence[Cell], question: Question, factors: Sequence[str]) ->
     groups = [sample.group for sample in cells[0].samples] if cells else []
     if len(groups) < 2:
         raise UsageError(f"a comparison needs two groups or more, not {len(groups)}")
+    largest = max((abs(run.value) for cell in cells for one in cell.samples for run in one.values), default=0.0)
+    if largest > LARGEST:
+        raise SierraError(f"{largest:.3g} is too large to be compared; let runs write it in a larger unit")
     if question.against is not None and question.against not in groups:
         raise UsageError(f"there is no group {question.against!r} to compare with; the groups are {', '.join(groups)}")
     if not _is_censored(cells):

@@ -44,6 +44,8 @@ class Sample:
     values: tuple[RunValue, ...]
     planned: int
     """The number of requested runs; those without a value have failed, are missing or have no finite value."""
+    experiment: int = 0
+    """The position of the experiment in its batch."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -128,12 +128,13 @@ def critical_difference(groups: int, blocks: int, alpha: float) -> float:
 def log_rank(first: Sequence[RunValue], second: Sequence[RunValue]) -> tuple[float, float]:
     """Return the statistic (above 0: `first` is earlier) and the p value of the log-rank test of censored times.
 
-    They are 0 and 1 if no run of either group reached the threshold.
+    They are 0 and 1 if the times cannot differ, for example because no run of either group reached the threshold.
     """
     if not any(run.reached for run in (*first, *second)):
         return 0.0, 1.0
-    found = stats.logrank(_censored(first), _censored(second))
-    return float(found.statistic), float(found.pvalue)
+    with np.errstate(invalid="ignore", divide="ignore"):  # no variance: at each time all runs that are left ended
+        found = stats.logrank(_censored(first), _censored(second))
+    return (float(found.statistic), float(found.pvalue)) if np.isfinite(found.statistic) else (0.0, 1.0)
 
 
 def median_time(runs: Sequence[RunValue]) -> float | None:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 import sierra
+from sierra.errors import UsageError
 from tests import projects, stores
 
 pytestmark = pytest.mark.integration
@@ -36,7 +37,9 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
     """Return a project with two batches of 8 runs in 2 experiments each, and their ids; tests only read its store."""
     root = projects.make(tmp_path_factory.mktemp("compared") / "project", CONFIG)
     project = sierra.open(root)
-    batches = [project.run("population_size=1,2", runs=8, sets=sets, figures=False).batch for sets in ((), [("//noise", "0.2")])]
+    batches = [
+        project.run("population_size=1,2", runs=8, sets=sets, figures=False).batch for sets in ((), [("//noise", "0.2")])
+    ]
     return root, *batches
 
 
@@ -135,6 +138,17 @@ def test_times_until_a_threshold_are_censored(compared: tuple[Path, str, str]) -
     assert pair["test"] == "log-rank test"
     assert [pair["never_first"], pair["never_second"]] == late
     assert late[0] > late[1]
+
+
+def test_the_difference_over_time_has_an_interval_at_each_time_and_one_test(compared: tuple[Path, str, str]) -> None:
+    root, quiet, noisy = compared
+    found = sierra.open(root).compare(quiet, noisy, column="coverage", over_time=True)
+    assert (found.measure, found.time, len(found.bands), found.analysis.tests) == ("mean", "tick", 2, 2)
+    for band, pair in zip(found.bands, found.pairs, strict=True):
+        assert band.times.tolist() == [0, 1, 2, 3, 4]
+        assert band.low[0] < pair.difference < band.high[0], "the noise of a run is the same at all times"
+    with pytest.raises(UsageError, match="over_time"):
+        sierra.open(root).compare(quiet, noisy, over_time=True, measure="final")
 
 
 @pytest.mark.parametrize(

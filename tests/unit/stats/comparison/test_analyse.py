@@ -210,6 +210,15 @@ def test_invalid_options_are_refused() -> None:
         analyse([cell(a=[1, 2])], ASK)
 
 
+def test_extreme_data_give_p_values_or_one_line() -> None:
+    one = analyse([cell(a=[1], b=[2])], ASK)
+    assert (one.pairs[0].p, one.pairs[0].verdict, one.pairs[0].low) == (1.0, Verdict.too_few, None)
+    ended = Cell({}, (times("a", [3], end=10), times("b", [4], end=10), times("c", [99], end=10)))
+    assert all(0 <= pair.p <= 1 for pair in analyse([ended], ASK).pairs)
+    with pytest.raises(SierraError, match=r"1e\+200 is too large to be compared"):
+        analyse([cell(a=[1, 2], b=[1e200, 3])], ASK)
+
+
 def factorial(seed: int, n: int, effect: float) -> Cell:
     """Return a design of two factors with two values each, of which only the first has an effect."""
     rng = np.random.default_rng(seed)
