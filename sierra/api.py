@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from sierra.containers.images.listing import Known
     from sierra.deliverables.comparison import Compared
     from sierra.deliverables.record import Checked, ShownDeliverable
+    from sierra.deliverables.sample_size import RunsNeeded
     from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.list_batches import ListedBatch
     from sierra.execution.observer import Observer
@@ -969,6 +970,28 @@ class Project:
         if rest in self.config.queries:
             return label or rest, self._asked((rest,), None)
         return label, self.batch(rest)
+
+    def runs_needed(
+        self,
+        prefix: str | None = None,
+        *,
+        half_width: float,
+        column: str = "",
+        table: str = "",
+        measure: Literal["final", "mean", "time_to"] | None = None,
+        threshold: float | None = None,
+    ) -> RunsNeeded:
+        """Return how many runs each experiment needs for a 95 % interval of mean ± `half_width`, with a batch as the pilot.
+
+        Raises NotFound, UsageError, and SierraError if no experiment has two runs.
+
+        >>> project.runs_needed(summary.batch, half_width=100).runs
+        4
+        """
+        from sierra.deliverables import sample_size
+
+        batch = self.batch(prefix)
+        return sample_size.runs_needed(self._loaded, self.store, batch, half_width, table, column, measure, threshold)
 
     def draw_comparison(self, compared: Compared) -> list[Path]:
         """Draw the figure of a comparison; return the files.

@@ -28,6 +28,7 @@ COMMANDS = {
     "replay": "sierra.cli.replay:replay",
     "diff": "sierra.cli.diff:diff",
     "compare": "sierra.cli.compare:compare",
+    "plan-n": "sierra.cli.plan_n:plan_n",
     "why": "sierra.cli.why:why",
     "ls": "sierra.cli.ls:ls",
     "show": "sierra.cli.show:show",

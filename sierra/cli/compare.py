@@ -12,7 +12,7 @@ from sierra.cli import complete
 from sierra.cli.figures import from_here
 from sierra.cli.output import note, print_json
 from sierra.cli.sql import Format, Printable, write
-from sierra.cli.stats import Measure
+from sierra.cli.stats import MEASURES, Measure
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:
@@ -28,11 +28,6 @@ class Pairs(StrEnum):
     no = "no"
 
 
-MEASURES: dict[Measure, Literal["final", "mean", "time_to"]] = {
-    Measure.final: "final",
-    Measure.mean: "mean",
-    Measure.time_to: "time_to",
-}
 PAIRED: dict[Pairs, bool | Literal["auto"]] = {Pairs.auto: "auto", Pairs.yes: True, Pairs.no: False}
 
 

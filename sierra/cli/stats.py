@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -21,6 +21,14 @@ class Measure(StrEnum):
     final = "final"
     mean = "mean"
     time_to = "time_to"
+
+
+MEASURES: dict[Measure, Literal["final", "mean", "time_to"]] = {
+    Measure.final: "final",
+    Measure.mean: "mean",
+    Measure.time_to: "time_to",
+}
+"""The measures as the Python API names them."""
 
 
 class Times(StrEnum):

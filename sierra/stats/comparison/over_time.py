@@ -1,7 +1,7 @@
 """The difference of two groups over time: its mean and interval at each time.
 
 The interval is Student's: of the differences of pairs, or of two samples with unequal variances (Welch 1947, Biometrika 34:
-28-35). It holds at each time by itself. At 500 times, some of these intervals miss zero although there is no difference; so they
+28-35). It holds at each time by itself. At 500 times, some of these intervals miss zero although there is no difference. They
 are no tests. The test of a comparison over time is that of each run's mean over time.
 """
 

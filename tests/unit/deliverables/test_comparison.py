@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import statistics
 from pathlib import Path
 from typing import Any
 
@@ -190,3 +191,32 @@ def test_experiments_that_only_one_batch_has_are_left_out_and_counted(recorded: 
     assert [pair["point"] for pair in found["pairs"]] == [{"population_size": 2}]
     assert "2 of 3 experiments are not in all batches, and are left out" in found["notes"]
     assert found["pairs"][0]["verdict"] == "too few runs"
+
+
+def test_a_pilot_says_how_many_runs_are_needed(compared: tuple[Path, str, str]) -> None:
+    root, quiet, _ = compared
+    done = projects.quick(root, "plan-n", quiet[:8], "--half-width", "1", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)["experiments"]
+    seeds = [row["seed"] for row in projects.sql(root, f"SELECT DISTINCT number, seed FROM batch_runs WHERE batch = '{quiet}'")]
+    sd = statistics.stdev(0.1 * (seed % 100) for seed in seeds)
+    assert [one["sd"] for one in found] == pytest.approx([sd, sd])
+    assert all(one["pilot"] == 8 and one["runs"] < one["safe_runs"] for one in found)
+    shown = projects.quick(root, "plan-n", quiet[:8], "-w", "1").stdout
+    assert shown.endswith(f"for final coverage ± 1: --runs {found[0]['safe_runs']}\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (("-w", "0"), 2, "the half-width of an interval must be a number above 0, not 0"),
+        (("-w", "1", "--measure", "time_to", "--threshold", "13.5"), 2, "some runs never reached the threshold"),
+        ((), 2, "missing option '--half-width'"),
+    ],
+)
+def test_a_pilot_without_an_answer_is_one_line(
+    compared: tuple[Path, str, str], words: tuple[str, ...], code: int, message: str
+) -> None:
+    done = projects.quick(compared[0], "plan-n", compared[1][:8], *words)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (code, "", 1)
+    assert message in done.stderr
