@@ -986,7 +986,7 @@ class Project:
         Raises NotFound, UsageError, and SierraError if no experiment has two runs.
 
         >>> project.runs_needed(summary.batch, half_width=100).runs
-        4
+        2
         """
         from sierra.deliverables import sample_size
 
