@@ -231,6 +231,10 @@ FIGURES = Kind(
         "trajectories": f"{_KINDS}.arena:Trajectories",
         "density": f"{_KINDS}.arena:Density",
         "matrix": f"{_KINDS}.arena:Matrix",
+        "confusion": f"{_KINDS}.classifiers:Confusion",
+        "roc": f"{_KINDS}.classifiers:Roc",
+        "pr": f"{_KINDS}.classifiers:Pr",
+        "risk_coverage": f"{_KINDS}.classifiers:RiskCoverage",
     },
 )
 """Kinds of figures. Their options are in the table of each figure that has this `kind`."""

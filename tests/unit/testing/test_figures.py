@@ -21,6 +21,12 @@ def matrices(experiment: int, run: int, row: int) -> conformance.Row:
     return {"row": float(row // 4), "place": float(row % 4), "heat": conformance.numbers(experiment, run, row)["energy"]}
 
 
+def guesses(experiment: int, run: int, row: int) -> conformance.Row:
+    truth = (run + row // 2) % 2
+    score = truth * 0.3 + float(conformance.numbers(experiment, run, row)["distance"] or 0) % 0.7
+    return {"truth": "ab"[truth], "guess": "ab"[score > 0.5], "score": score, "loss": float((score > 0.5) != truth)}
+
+
 KINDS: dict[str, tuple[RawTable, conformance.Values, tuple[Axis, ...]]] = {
     "timeseries": ({}, conformance.numbers, ONE),
     "summary": ({}, conformance.numbers, TWO),
@@ -37,6 +43,10 @@ KINDS: dict[str, tuple[RawTable, conformance.Values, tuple[Axis, ...]]] = {
     "trajectories": ({"column": ("energy", "distance")}, conformance.numbers, ONE),
     "density": ({"column": ("energy", "distance")}, conformance.numbers, TWO),
     "matrix": ({"column": ("row", "place", "heat")}, matrices, TWO),
+    "confusion": ({"column": ("truth", "guess")}, guesses, ONE),
+    "roc": ({"column": ("truth", "score"), "positive": "b"}, guesses, TWO),
+    "pr": ({"column": ("truth", "score"), "positive": "b"}, guesses, ONE),
+    "risk_coverage": ({"column": ("loss", "score")}, guesses, TWO),
     "pareto": ({"column": ("energy", "distance"), "better": ("high", "low")}, conformance.numbers, TWO),
 }
 

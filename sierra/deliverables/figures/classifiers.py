@@ -1,0 +1,221 @@
+"""Figures of classifiers, with runs as samples: confusion matrices, ROC, precision over recall, risk over coverage.
+
+Each run gives one matrix or one curve. The figure shows their mean and its 95 % interval of Student's t over the runs. To join
+the rows of all runs first would weigh runs by their number of rows, and would make intervals too narrow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+
+from sierra.deliverables.figures import facets, style
+from sierra.deliverables.figures.style import Floats
+from sierra.errors import SierraError, UsageError
+from sierra.stats import student_t
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+GRID = np.linspace(0, 1, 201)
+CATEGORIES = 20
+LEGIBLE = 8
+Curve = Callable[["pa.Table"], "tuple[Floats, float] | None"]
+"""The values of one run's curve at GRID, and one number that sums it up; None if the run has no curve."""
+
+
+def confusion(drawing: Drawing) -> Figure:
+    """Draw the matrix of each experiment in a panel."""
+    names = _categories(drawing)
+    if len(names) > CATEGORIES:
+        raise UsageError(f"there are {len(names)} categories, but at most {CATEGORIES} can be drawn; use where")
+    parts = _experiments(drawing.rows["counts"])
+    if len(parts) > facets.MOST:
+        raise UsageError(f"the figure needs {len(parts)} panels, but at most {facets.MOST} are possible; use where")
+    figure, plots = style.panels(len(parts))
+    for plot, (ordinal, part) in zip(plots, parts.items(), strict=True):
+        center, half = mean_of([rates(run, names) for run in _runs(part)])
+        plot.pcolormesh(
+            np.arange(len(names) + 1) - 0.5,
+            np.arange(len(names) + 1) - 0.5,
+            np.ma.masked_invalid(center),
+            vmin=0,
+            vmax=1,
+            cmap=colormaps["Blues"],
+            edgecolors="white",
+            linewidth=0.5,
+        )
+        small = len(names) <= (LEGIBLE if len(parts) == 1 else 4)
+        for (row, place), value in np.ndenumerate(center):
+            if small and np.isfinite(value):
+                around = f"\n±{half[row, place]:.2f}" if np.isfinite(half[row, place]) else ""
+                colour = "white" if value > 0.6 else "black"
+                plot.text(place, row, f"{value:.2f}{around}", ha="center", va="center", fontsize=6, color=colour)
+        shown = [style.named(name, 10) for name in names]
+        plot.set_xticks(range(len(names)), shown, rotation=90 if sum(map(len, shown)) > 24 else 0)
+        plot.set_yticks(range(len(names)), shown)
+        plot.set_ylim(len(names) - 0.5, -0.5)
+        plot.grid(visible=False)
+        style.title(plot, style.point(drawing, drawing.axes, ordinal))
+    truth, predicted = (style.label(name) for name in drawing.figure.columns)
+    style.outer_labels(plots, drawing.figure.xlabel or predicted, drawing.figure.ylabel or truth)
+    return figure
+
+
+def rates(run: pa.Table, names: list[str]) -> Floats:
+    """Return the parts of each true category (rows) that were taken for each category (columns); NaN for an absent one."""
+    counts = np.zeros((len(names), len(names)))
+    for row in run.to_pylist():
+        counts[names.index(row["truth"]), names.index(row["predicted"])] += row["count"]
+    totals = counts.sum(axis=1, keepdims=True)
+    parts: Floats = np.divide(counts, totals, out=np.full_like(counts, np.nan), where=totals > 0)
+    return parts
+
+
+def accuracy(run: pa.Table) -> float:
+    rows = run.to_pylist()
+    right = sum(row["count"] for row in rows if row["truth"] == row["predicted"])
+    return float(right / sum(row["count"] for row in rows))
+
+
+def roc(drawing: Drawing) -> Figure:
+    """Draw the true-positive rate over the false-positive rate."""
+    return _curves(drawing, roc_of, "false-positive rate", "true-positive rate", "AUC", diagonal=True)
+
+
+def precision_recall(drawing: Drawing) -> Figure:
+    """Draw the precision over the recall."""
+    return _curves(drawing, precision_of, "recall", "precision", "AP", diagonal=False)
+
+
+def risk_coverage(drawing: Drawing) -> Figure:
+    """Draw the mean loss over the part of the rows that are kept."""
+    loss = style.label(drawing.figure.columns[0], drawing.units.get(drawing.figure.columns[0], ""))
+    return _curves(drawing, risk_of, "coverage", f"mean {loss}", "AURC", diagonal=False)
+
+
+def roc_of(run: pa.Table) -> tuple[Floats, float] | None:
+    """Return the curve of one run, with straight lines through equal scores, and the area under it."""
+    positive, count = style.column(run, "positive"), style.column(run, "count")
+    negative = count - positive
+    if not positive.sum() or not negative.sum():
+        return None
+    true = np.concatenate(([0.0], np.cumsum(positive) / positive.sum()))
+    false = np.concatenate(([0.0], np.cumsum(negative) / negative.sum()))
+    last = np.append(np.diff(false) > 0, True)  # of equal false-positive rates, the highest true-positive rate
+    return np.interp(GRID, false[last], true[last]), float(np.trapezoid(true, false))
+
+
+def precision_of(run: pa.Table) -> tuple[Floats, float] | None:
+    """Return the precision at each recall, and the average precision: Σ (Rₖ − Rₖ₋₁) · Pₖ."""
+    positive, count = style.column(run, "positive"), style.column(run, "count")
+    if not positive.sum():
+        return None
+    recall, precision = np.cumsum(positive) / positive.sum(), np.cumsum(positive) / np.cumsum(count)
+    at = np.minimum(np.searchsorted(recall, GRID - 1e-12), len(recall) - 1)
+    return precision[at], float((np.diff(recall, prepend=0.0) * precision).sum())
+
+
+def risk_of(run: pa.Table) -> tuple[Floats, float] | None:
+    """Return the mean loss of the rows with the highest scores, for each part of the rows, and its mean over all parts."""
+    loss, count = style.column(run, "loss"), style.column(run, "count")
+    coverage, risk = np.cumsum(count) / count.sum(), np.cumsum(loss) / np.cumsum(count)
+    at = np.minimum(np.searchsorted(coverage, GRID - 1e-12), len(coverage) - 1)
+    return risk[at], float((np.diff(coverage, prepend=0.0) * risk).sum())
+
+
+def mean_of(samples: list[Floats]) -> tuple[Floats, Floats]:
+    """Return the mean of the runs at each place, and half of its 95 % interval: NaN for fewer than two runs."""
+    every = np.array(samples, dtype=float)
+    known = np.isfinite(every)
+    n = known.sum(axis=0)
+    filled = np.where(known, every, 0.0)
+    center = np.divide(filled.sum(axis=0), n, out=np.full(n.shape, np.nan), where=n > 0)
+    squares = np.where(known, (every - center) ** 2, 0.0).sum(axis=0)
+    t = np.array([np.nan, np.nan, *student_t.quantiles(0.975, max(1, len(samples) - 1))])[n]
+    half = t * np.sqrt(np.divide(squares, n * (n - 1.0), out=np.full(n.shape, np.nan), where=n > 1))
+    return center, half
+
+
+def notes_on_confusion(drawing: Drawing) -> list[str]:
+    """Return the accuracy of each experiment, and notes on rows that are left out."""
+    notes = []
+    for part in _experiments(drawing.rows["counts"]).values():
+        center, half = mean_of([np.array(accuracy(run)) for run in _runs(part)])
+        notes.append(f"{float(center):.3f}" + (f" ± {float(half):.3f}" if np.isfinite(half) else ""))
+    shown = ", ".join(notes[:6]) + (" …" if len(notes) > 6 else "")
+    return [f"accuracy {shown}", *left_out_rows(drawing, drawing.rows["counts"])]
+
+
+def notes_on_curves(drawing: Drawing) -> list[str]:
+    """Return notes on runs without a curve, and on rows that are left out."""
+    runs = [run for part in _experiments(drawing.rows["scores"]).values() for run in _runs(part)]
+    of = {"roc": roc_of, "pr": precision_of}[drawing.figure.kind]
+    none = sum(of(run) is None for run in runs)
+    if none == len(runs):
+        raise SierraError("no run has positive and negative rows; the key `positive` says which value is positive")
+    absent = [f"{none} of {len(runs)} runs without positive or negative rows left out"] if none else []
+    return [*absent, *left_out_rows(drawing, drawing.rows["scores"])]
+
+
+def left_out_rows(drawing: Drawing, table: pa.Table) -> list[str]:
+    """Return a note on the rows without a value."""
+    missing = drawing.rows["all"].column("count")[0].as_py() - int(table.column("count").to_numpy().sum())
+    return [f"{missing} rows without a value left out"] if missing else []
+
+
+def _curves(drawing: Drawing, of: Curve, xlabel: str, ylabel: str, summed: str, *, diagonal: bool) -> Figure:
+    """Draw the mean of the runs' curves of each experiment with its band."""
+    within = facets.panels(drawing, over_first=False)
+    looks = style.looks(within.groups)
+    entries = [style.named(value) for value in within.groups.values]
+    for panel in within.panels:
+        for ordinal, part in _experiments(panel.drawing.rows["scores"]).items():
+            found = [curve for run in _runs(part) if (curve := of(run)) is not None]
+            if not found:
+                continue
+            place = within.group(panel.drawing, ordinal)
+            look = looks[place]
+            look.pop("marker", None)
+            center, half = mean_of([curve for curve, _ in found])
+            panel.plot.plot(GRID, center, **look)
+            panel.plot.fill_between(GRID, center - half, center + half, facecolor=look["color"], alpha=0.18, linewidth=0)
+            area, around = mean_of([np.array(number) for _, number in found])
+            if len(within.panels) == 1:
+                entries[place] += f" ({summed} {float(area):.3f}" + (f" ± {float(around):.3f})" if np.isfinite(around) else ")")
+        if diagonal:
+            panel.plot.plot([0, 1], [0, 1], color="#999999", linewidth=0.6, linestyle=":")
+        panel.plot.set_xlim(-0.01, 1.01)
+        if summed != "AURC":
+            panel.plot.set_ylim(-0.01, 1.02)
+    style.outer_labels(within.plots, drawing.figure.xlabel or xlabel, drawing.figure.ylabel or ylabel)
+    for look in looks:
+        look.pop("marker", None)
+    style.legend(within.figure, within.plots, within.groups, entries, looks)
+    return within.figure
+
+
+def _categories(drawing: Drawing) -> list[str]:
+    """Return all categories: numbers in their order, else names in alphabetical order."""
+    table = drawing.rows["counts"]
+    names = {*table.column("truth").to_pylist(), *table.column("predicted").to_pylist()}
+    try:
+        return sorted(names, key=float)
+    except ValueError:
+        return sorted(names)
+
+
+def _experiments(table: pa.Table) -> dict[int, pa.Table]:
+    ordinals = table.column("experiment").to_numpy()
+    return {int(ordinal): table.filter(ordinals == ordinal) for ordinal in np.unique(ordinals)}
+
+
+def _runs(table: pa.Table) -> list[pa.Table]:
+    runs = np.array(table.column("run").to_pylist())
+    return [table.filter(runs == run) for run in dict.fromkeys(runs.tolist())]
