@@ -67,14 +67,15 @@ class Figure(Table):
 
     kind: Annotated[str, Field(min_length=1)] = Field(
         "timeseries",
-        description="`timeseries`: lines over time; `summary`, `box`, `violin`: points, boxes or violins over the first "
-        "variable; `heatmap`: a map of two variables; `stacked`: areas; or a plug-in",
+        description="over time: `timeseries`, `stacked`; over variables: `summary`, `bar`, `box`, `violin`, `strip`, `heatmap`; "
+        "distributions of runs: `ecdf`, `histogram`, `ridge`; two columns of runs: `scatter`, `pareto`; rows: `trajectories`, "
+        "`density`, `matrix`, `confusion`, `roc`, `pr`, `risk_coverage`; or a plug-in",
     )
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one output")
     sql: str = Field("", description="a SELECT statement whose rows are drawn instead of a `table`, as in `[tables.NAME]`")
     columns: Annotated[
         tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
-    ] = Field((), alias="column", description="column (for `stacked`: columns)")
+    ] = Field((), alias="column", description="column, or the columns that the kind needs")
     times: Literal["own", "carry", "linear"] | None = Field(
         None,
         description="times of values drawn over time: `own`: each run's own times; `carry`, `linear`: common times, with the "
