@@ -67,7 +67,8 @@ class Figure(Table):
 
     kind: Annotated[str, Field(min_length=1)] = Field(
         "timeseries",
-        description="over time: `timeseries`, `stacked`; over variables: `summary`, `bar`, `box`, `violin`, `strip`, `heatmap`; "
+        description="over time: `timeseries`, `stacked`; over variables: `summary`, `bar`, `box`, `violin`, `strip`, "
+        "`heatmap`; "
         "distributions of runs: `ecdf`, `histogram`, `ridge`; two columns of runs: `scatter`, `pareto`; rows: `trajectories`, "
         "`density`, `matrix`, `confusion`, `roc`, `pr`, `risk_coverage`; or a plug-in",
     )

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from sierra.config.deliverable_tables import Figure
+from sierra.config.plugin_registry import FIGURES
 from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.record import Content, origin_of
 from sierra.errors import Missing, SierraError, UsageError
@@ -91,7 +92,8 @@ class Drawing:
         if self.targets:
             definition["targets"] = list(self.targets)
         batches = tuple(self.targets.values()) or (self.batch,)
-        made_by = (f"sierra-experiments=={__version__}", f"matplotlib=={version('matplotlib')}")
+        made_by: tuple[str, ...] = (f"sierra-experiments=={__version__}", f"matplotlib=={version('matplotlib')}")
+        made_by += FIGURES.packages(self.figure.kind)
         return Content("figure", self.name, batches, definition, self.sql, self.data, made_by)
 
 
