@@ -16,6 +16,7 @@ from sierra.errors import UsageError
 from sierra.store.samples import Frame
 from sierra.store.store import Store
 from sierra.templates.base import of_bytes
+from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -42,7 +43,7 @@ def in_seconds(table: pa.Table, per_second: Mapping[int, float]) -> pa.Table:
     import pyarrow as pa
 
     divisors = np.array([per_second[ordinal] for ordinal in table.column("experiment").to_pylist()], dtype=float)
-    seconds = table.column("t").to_numpy() / divisors
+    seconds = numpy_of(table.column("t")) / divisors
     return table.set_column(table.column_names.index("t"), "t", pa.array(seconds))
 
 

@@ -33,6 +33,7 @@ from sierra.stats import student_t
 from sierra.stats.base import LEVEL, Parameter
 from sierra.stats.needs import Needs
 from sierra.stats.order_statistics import ranks
+from sierra.util.arrow_columns import numpy_of
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
@@ -193,7 +194,7 @@ def compute(
 def default_figures(table: str, columns: Iterable[str], axes: Sequence[Axis], *, series: bool) -> dict[str, Figure]:
     """Return the default figures of an output by name. `series`: whether there is something to show over time."""
     kinds = ["timeseries"] if series else []
-    kinds.append("heatmap" if len(axes) == 2 else "summary")
+    kinds += ["heatmap", "summary"] if len(axes) == 2 else ["summary"]
     return {
         f"{table}_{column}_{kind}": Figure.model_validate({"kind": kind, "table": table, "column": column})
         for column in columns
@@ -266,7 +267,7 @@ class Samples:
 
         first, last = self.coverage.first, self.coverage.last
         even = np.linspace(first, last, max(2, min(self.coverage.most, GRID)))
-        own = self.frame.sql("SELECT DISTINCT t FROM samples WHERE isfinite(t) ORDER BY t").column("t").to_numpy()
+        own = numpy_of(self.frame.sql("SELECT DISTINCT t FROM samples WHERE isfinite(t) ORDER BY t").column("t"))
         after = np.clip(np.searchsorted(own, even), 1, max(1, len(own) - 1))
         near = np.where(even - own[after - 1] < own[after % len(own)] - even, own[after - 1], own[after % len(own)])
         close = np.abs(near - even) <= 1e-9 * (last - first)
@@ -395,7 +396,7 @@ def _note(
 ) -> list[str]:
     """Return notes for the reader: what is shown, n, and everything that is not in the numbers."""
     tables = list(tables)
-    counts = [table.column("n").to_numpy() for table in tables]
+    counts = [numpy_of(table.column("n")) for table in tables]
     low, high = int(min(n.min() for n in counts)), int(max(n.max() for n in counts))
     shown = needs.shows or _shown(figure, several=high > 1, rate=any(map(is_rate, tables)))
     runs = f"n = {low}–{high}" if low < high else f"n = {low}"
@@ -474,12 +475,12 @@ def _marked(needs: Needs, table: pa.Table) -> str:
     """Return how a figure marks the experiments of which some runs, or all, never reached the threshold."""
     if "never" not in table.column_names:
         return ""
-    late = table.column("never").to_numpy() > 0
-    reached = table.column("n").to_numpy() > 0
+    late = numpy_of(table.column("never")) > 0
+    reached = numpy_of(table.column("n")) > 0
     some = [f"{needs.some}: not in all runs"] if needs.some and (late & reached).any() else []
     none = [f"{needs.none}: in none"] if (late & ~reached).any() else []
     return f" ({', '.join([*some, *none])})" if some or none else ""
 
 
 def _total(table: pa.Table, column: str) -> int:
-    return int(table.column(column).to_numpy().sum())
+    return int(numpy_of(table.column(column)).sum())

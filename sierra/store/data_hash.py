@@ -23,6 +23,8 @@ import struct
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from sierra.util.arrow_columns import filled
+
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
@@ -63,7 +65,7 @@ class _Column:
         kind = values.type
         if types.is_dictionary(kind):
             values, kind = values.dictionary_decode(), kind.value_type
-        self.present = values.is_valid().to_numpy(zero_copy_only=False).astype("int64")
+        self.present = filled(values.is_valid().cast(pa.int64()), 0)
         self.texts: Sequence[bytes] = ()
         if types.is_floating(kind):
             self.type, self.keys = "float", _bits(values)
@@ -101,7 +103,7 @@ def _bits(values: pa.Array) -> Keys:
     import numpy as np
     import pyarrow as pa
 
-    floats = values.cast(pa.float64()).fill_null(0.0).to_numpy(zero_copy_only=False).copy()
+    floats = filled(values.cast(pa.float64()), 0.0).copy()
     bits: Keys = floats.view(np.int64)
     bits[np.isnan(floats)] = NAN
     return bits

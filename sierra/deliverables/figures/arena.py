@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from sierra.deliverables.figures import style
 from sierra.errors import SierraError, UsageError
+from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -59,7 +60,7 @@ def density(drawing: Drawing) -> Figure:
     maps = {}
     for ordinal, rows in _by_experiment(table).items():
         counts = np.zeros((high, wide))
-        counts[rows.column("j").to_numpy(), rows.column("i").to_numpy()] = rows.column("count").to_numpy()
+        counts[numpy_of(rows.column("j")), numpy_of(rows.column("i"))] = numpy_of(rows.column("count"))
         maps[ordinal] = np.where(counts > 0, counts / counts.sum() * 100, np.nan)
     edges = first["x0"] + np.arange(wide + 1.0) * cell, first["y0"] + np.arange(high + 1.0) * cell
     return _maps(drawing, table, maps, edges, "rows in a cell [%]", aspect=1.0)
@@ -92,7 +93,7 @@ def notes_on_paths(drawing: Drawing, run: int) -> list[str]:
     bad = int((~(np.isfinite(style.column(table, "x")) & np.isfinite(style.column(table, "y")))).sum())
     if bad == table.num_rows:
         raise SierraError("there is no value to draw")
-    lost = len(drawing.cells) - len(np.unique(table.column("experiment").to_numpy()))
+    lost = len(drawing.cells) - len(np.unique(numpy_of(table.column("experiment"))))
     return [
         *([f"each {every}th point and the last"] if every > 1 else []),
         *([f"{bad} of {table.num_rows} points without a place left out"] if bad else []),
@@ -103,7 +104,7 @@ def notes_on_paths(drawing: Drawing, run: int) -> list[str]:
 def notes_on_cells(drawing: Drawing) -> list[str]:
     """Return notes on rows that are not in a cell."""
     (counts,) = drawing.rows["counts"].to_pylist()
-    inside = int(drawing.rows["cells"].column("count").to_numpy().sum())
+    inside = int(numpy_of(drawing.rows["cells"].column("count")).sum())
     return [
         f"{drawing.rows['cells'].column('cell')[0].as_py():.3g} wide cells",
         *(["log scale: cells without a row are white"] if drawing.figure.log_y else []),
@@ -184,5 +185,5 @@ def _label(drawing: Drawing, plots: list[Axes]) -> None:
 
 
 def _by_experiment(table: pa.Table) -> dict[int, pa.Table]:
-    ordinals = table.column("experiment").to_numpy()
+    ordinals = numpy_of(table.column("experiment"))
     return {int(ordinal): table.filter(ordinals == ordinal) for ordinal in np.unique(ordinals)}

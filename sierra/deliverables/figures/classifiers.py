@@ -17,6 +17,7 @@ from sierra.deliverables.figures import facets, style
 from sierra.deliverables.figures.style import Floats
 from sierra.errors import SierraError, UsageError
 from sierra.stats import student_t
+from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -166,7 +167,7 @@ def notes_on_curves(drawing: Drawing) -> list[str]:
 
 def left_out_rows(drawing: Drawing, table: pa.Table) -> list[str]:
     """Return a note on the rows without a value."""
-    missing = drawing.rows["all"].column("count")[0].as_py() - int(table.column("count").to_numpy().sum())
+    missing = drawing.rows["all"].column("count")[0].as_py() - int(numpy_of(table.column("count")).sum())
     return [f"{missing} rows without a value left out"] if missing else []
 
 
@@ -212,7 +213,7 @@ def _categories(drawing: Drawing) -> list[str]:
 
 
 def _experiments(table: pa.Table) -> dict[int, pa.Table]:
-    ordinals = table.column("experiment").to_numpy()
+    ordinals = numpy_of(table.column("experiment"))
     return {int(ordinal): table.filter(ordinals == ordinal) for ordinal in np.unique(ordinals)}
 
 

@@ -13,6 +13,7 @@ from sierra.deliverables.figures.facets import Panels
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.deliverables.figures.timeseries import with_n
 from sierra.errors import UsageError
+from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
@@ -103,7 +104,7 @@ def runs(drawing: Drawing) -> Mapping[int, Floats]:
     """Return the values of the runs by experiment, in ascending order; experiments without a value are not in it."""
     if drawing.runs is None:
         raise TypeError(f"a {drawing.figure.kind} figure needs the values of its runs")
-    ordinals = drawing.runs.column("experiment").to_numpy()
+    ordinals = numpy_of(drawing.runs.column("experiment"))
     values = style.column(drawing.runs, "value")
     return {int(ordinal): np.sort(values[ordinals == ordinal]) for ordinal in np.unique(ordinals)}
 

@@ -26,6 +26,7 @@ from sierra.deliverables.record import Content, origin_of
 from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Axis, Value
 from sierra.store.data_hash import data_hash
+from sierra.util.arrow_columns import numpy_of
 from sierra.util.fs import write_whole
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView
@@ -123,7 +124,7 @@ def _write(files: Iterable[tuple[Format, bytes]], drawing: Drawing, folder: Path
 
 def check(drawing: Drawing) -> None:
     """Raise SierraError if there is nothing to draw, or a number is so large that no axis can be divided."""
-    counted = [table for table in drawing.tables.values() if table.num_rows and table.column("n").to_numpy().any()]
+    counted = [table for table in drawing.tables.values() if table.num_rows and numpy_of(table.column("n")).any()]
     if drawing.rows and not next(iter(drawing.rows.values())).num_rows:
         raise SierraError("there is no value to draw: no row is what the keys of the figure ask for")
     if not counted and not drawing.rows:
@@ -135,7 +136,7 @@ def _check_size(drawing: Drawing) -> None:
     import numpy as np
 
     tables = [*drawing.tables.values(), *([drawing.runs] if drawing.runs is not None else []), *drawing.rows.values()]
-    columns = [column.to_numpy() for table in tables for column in table.columns]
+    columns = [numpy_of(column) for table in tables for column in table.columns]
     numbers = [np.abs(column[np.isfinite(column)]) for column in columns if column.dtype.kind == "f"]
     largest = max((float(column.max(initial=0.0)) for column in numbers), default=0.0)
     if largest > LARGEST:

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from sierra.deliverables.figures import style
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
+from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -106,4 +107,4 @@ def _rows(table: pa.Table, ordinals: list[int]) -> pa.Table:
     """Return the rows of some experiments; all rows, if the table does not name experiments."""
     if "experiment" not in table.column_names:
         return table
-    return table.filter(np.isin(table.column("experiment").to_numpy(), ordinals))
+    return table.filter(np.isin(numpy_of(table.column("experiment")), ordinals))

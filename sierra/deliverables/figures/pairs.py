@@ -18,6 +18,7 @@ from sierra.deliverables.figures.facets import Panel, Panels
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import UsageError
 from sierra.stats import student_t
+from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
@@ -130,7 +131,7 @@ def _left_out(drawing: Drawing, fit: str) -> list[str]:
         raise TypeError("a scatter figure needs the values of its runs")
     x, y = style.column(drawing.runs, "value"), style.column(drawing.runs, "value_2")
     bad = int((~_usable(drawing, x, y, fit)).sum())
-    most = max(int(table.column("n").to_numpy().sum()) for table in drawing.tables.values())
+    most = max(int(numpy_of(table.column("n")).sum()) for table in drawing.tables.values())
     single = [f"{most - len(x)} runs without both values left out"] if most > len(x) else []
     return [*single, *([f"log scale: {bad} of {len(x)} runs not above 0 left out"] if bad else [])]
 

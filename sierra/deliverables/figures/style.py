@@ -36,6 +36,7 @@ from matplotlib.typing import ColorType, LineStyleType, RcKeyType
 from sierra.config.deliverable_tables import Figure as FigureTable
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
+from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -501,7 +502,7 @@ def drawable(values: npt.ArrayLike, drawing: Drawing) -> Floats:
 
 def column(table: pa.Table, name: str) -> Floats:
     """Return a column of a pyarrow table as numpy floats; NULL becomes NaN."""
-    values: Floats = table.column(name).to_numpy().astype(float, copy=False)
+    values: Floats = numpy_of(table.column(name)).astype(float, copy=False)
     return values
 
 

@@ -20,6 +20,7 @@ from sierra.deliverables.figures.facets import Panel, Panels
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.deliverables.figures.timeseries import value_of, with_n
 from sierra.model import Axis
+from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
@@ -246,7 +247,7 @@ def _dodge(place: int, count: int) -> float:
 def _runs(drawing: Drawing) -> dict[int, Floats]:
     if drawing.runs is None:
         raise TypeError(f"a {drawing.figure.kind} figure needs the values of its runs")
-    ordinals = drawing.runs.column("experiment").to_numpy()
+    ordinals = numpy_of(drawing.runs.column("experiment"))
     values = style.column(drawing.runs, "value")
     return {int(ordinal): values[ordinals == ordinal] for ordinal in np.unique(ordinals)}
 

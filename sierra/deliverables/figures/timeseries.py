@@ -17,6 +17,7 @@ from sierra.deliverables.figures import axis_limits, bands, style
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
+from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -44,7 +45,7 @@ def timeseries(drawing: Drawing) -> Figure:
         plot = plots[rest.index(rest_of(drawing, ordinal))]
         _line(plot, drawing, table.slice(rows.start, rows.stop - rows.start), look[value])
         place = first.values.index(value)
-        highest[place] = max(highest[place], int(np.max(table.column("n").to_numpy()[rows])))
+        highest[place] = max(highest[place], int(np.max(numpy_of(table.column("n"))[rows])))
     center = style.column(table, bands.columns(drawing.figure)[0])
     for plot, values in zip(plots, rest, strict=True):
         style.scale_y(plot, drawing, float(np.nanmin(center)), float(np.nanmax(center)))
@@ -73,7 +74,7 @@ def stacked(drawing: Drawing) -> Figure:
 
 def by_experiment(table: pa.Table) -> dict[int, slice]:
     """Return the slice of each experiment's rows in a table that is sorted by experiment."""
-    ordinals, starts = np.unique(table.column("experiment").to_numpy(), return_index=True)
+    ordinals, starts = np.unique(numpy_of(table.column("experiment")), return_index=True)
     stops = [*starts[1:], table.num_rows]
     return {int(o): slice(int(a), int(b)) for o, a, b in zip(ordinals, starts, stops, strict=True)}
 

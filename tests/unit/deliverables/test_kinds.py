@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
@@ -245,3 +247,17 @@ def test_a_density_counts_the_rows_beyond_its_limits(batch: Path) -> None:
     png = draw(batch, *POSES, 'kind = "density"', "bins = 10", "xlim = [0, 3]", "ylim = [-2, 2]", 'where = "noise = 0.1"')
     assert "; 0.4 wide cells; " in said(png)
     assert " rows beyond the limits left out" in said(png)
+
+
+@pytest.mark.integration
+def test_default_figures_of_two_variables_are_maps_and_summaries_without_pandas_and_seaborn(batch: Path) -> None:
+    (batch / "sierra.toml").write_text(projects.CONFIG)
+    code = (
+        "import sys, sierra; from pathlib import Path; "
+        "drawn = sierra.open(Path(sys.argv[1])).figures(sys.argv[2], 'swarm_energy_' + sys.argv[3]); "
+        "print(len(drawn), [name for name in ('pandas', 'seaborn', 'networkx') if name in sys.modules])"
+    )
+    for kind in ("timeseries", "heatmap", "summary"):
+        words = [sys.executable, "-c", code, str(batch), batch_of(batch), kind]
+        done = subprocess.run(words, capture_output=True, text=True, check=True)
+        assert done.stdout == "3 []\n"

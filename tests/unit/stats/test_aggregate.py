@@ -493,7 +493,7 @@ def test_a_heatmap_of_one_variable_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("axes", "series", "expected"),
-    [(1, True, ["timeseries", "summary"]), (1, False, ["summary"]), (2, True, ["timeseries", "heatmap"])],
+    [(1, True, ["timeseries", "summary"]), (1, False, ["summary"]), (2, True, ["timeseries", "heatmap", "summary"])],
 )
 def test_default_figures_of_a_column_depend_on_the_axes_of_the_batch(axes: int, series: bool, expected: list[str]) -> None:
     found = stats.default_figures("robots", ["energy"], AXIS * axes, series=series)
