@@ -94,7 +94,7 @@ def _whole(values: pa.Array) -> Keys:
     """Return whole numbers, times or flags as numbers of 64 bits; those of missing values are 0."""
     import pyarrow as pa
 
-    keys: Keys = values.cast(pa.int64()).fill_null(0).to_numpy(zero_copy_only=False)
+    keys: Keys = filled(values.cast(pa.int64()), 0)
     return keys
 
 
