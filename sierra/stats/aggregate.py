@@ -455,7 +455,7 @@ def may_be_rate(table: pa.Table) -> bool:
     if is_rate(table) or not {"mean", "sd", "min", "max"} <= set(table.column_names):
         return False
     n, mean, sd, low, high = (
-        table.column(name).to_numpy(zero_copy_only=False).astype(float)[table.column("n").to_numpy() > 0]
+        numpy_of(table.column(name)).astype(float)[numpy_of(table.column("n")) > 0]
         for name in ("n", "mean", "sd", "min", "max")
     )
     if not len(n) or low.min() != 0 or high.max() != 1:
