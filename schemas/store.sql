@@ -437,7 +437,7 @@ CREATE TABLE deliverables (
     "deliverable" VARCHAR,  -- hash of all columns below except made and lamport
     "batch" VARCHAR,  -- the batch that it was made for
     "batches" VARCHAR[],  -- the batches whose data it shows
-    "kind" VARCHAR,  -- figure or table
+    "kind" VARCHAR,  -- figure or comparison
     "name" VARCHAR,  -- its name
     "definition" VARCHAR,  -- what it shows and how, with labels, units and notes, as JSON
     "sql" VARCHAR,  -- the SQL that computed its data

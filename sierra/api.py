@@ -470,9 +470,9 @@ class Project:
         >>> project.deliverable(project.figures(summary.batch)[0]).problem is None
         True
         """
-        from sierra.deliverables import render
+        from sierra.deliverables import check
 
-        return render.find(self._loaded, self.store, Path(file))
+        return check.find(self._loaded, self.store, Path(file))
 
     def _session(self, prefix: str) -> ShownSession | None:
         """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""
@@ -810,9 +810,9 @@ class Project:
         >>> {checked.problem for checked in project.check_figures(summary.batch)}
         {None}
         """
-        from sierra.deliverables import render
+        from sierra.deliverables import check
 
-        return render.check(self._loaded, self.store, self.batch(prefix))
+        return check.check(self._loaded, self.store, self.batch(prefix))
 
     def draw_together(
         self, targets: Sequence[str], prefix: str | None = None, name: str | None = None
@@ -1002,7 +1002,7 @@ class Project:
         """
         from sierra.deliverables import comparison
 
-        return comparison.draw(compared, self.paths)
+        return comparison.draw(compared, self.store, self.paths)
 
     def batch(self, prefix: str | None = None, *, target: str | None = None) -> str:
         """Return the id of a batch from a prefix; without one, that of the batch requested last, for `target` if it is given.

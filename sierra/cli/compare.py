@@ -13,7 +13,7 @@ from sierra.cli.figures import from_here
 from sierra.cli.output import note, print_json
 from sierra.cli.sql import Format, Printable, write
 from sierra.cli.stats import MEASURES, Measure
-from sierra.errors import UsageError
+from sierra.errors import Missing, UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
@@ -169,7 +169,7 @@ def _drawn(opened: Project, found: Compared) -> tuple[list[Path], str]:
     """Return the files of the figure, or the reason why there is none."""
     try:
         return opened.draw_comparison(found), ""
-    except UsageError as error:
+    except (UsageError, Missing) as error:
         return [], str(error)
 
 

@@ -94,7 +94,10 @@ def _print_deliverable(shown: ShownDeliverable, *, long: bool, as_json: bool) ->
     for name in ("sql", "problem"):
         record.pop(name)
     _print_record(record, long=long)
-    print(f"\nsql:\n{readable(shown.row.sql)}\n")
+    print("\nsql:")
+    for line in shown.row.sql.splitlines():
+        print(f"  {readable(line)}")
+    print()
     print(f"state: {readable(shown.problem or 'follows from the store')}")
 
 

@@ -6,34 +6,40 @@ in the cells that they have in common.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import Comparison, Figure
 from sierra.config.project_file import LoadedProject
+from sierra.deliverables.record import Content, Recorder
 from sierra.deliverables.render import RunSeries, RunTable, runs_over_time, values_of_runs
 from sierra.errors import NotFound, UsageError
 from sierra.execution import targets
 from sierra.model import Value
 from sierra.stats.comparison.model import Analysis, Cell, Effect, Omnibus, Pair, Question, Sample
 from sierra.store.layout import COMPARISONS, ProjectPaths
-from sierra.store.row_types import BatchRow, SpecRow
+from sierra.store.row_types import BatchRow, DeliverableRow, SpecRow
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
 from sierra.util.fs import write_whole
 from sierra.util.hashing import short
+from sierra.util.json_types import JsonView
 from sierra.util.text import like
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from sierra.deliverables.figures.drawing import Drawing
     from sierra.stats.comparison.over_time import Band
 
+KIND = "comparison"
+"""The kind of the records of comparisons, among deliverables."""
 MOST = 20
 """The largest number of groups that are compared each with each."""
 
@@ -53,6 +59,8 @@ class Compared:
     analysis: Analysis
     text: str
     """The conclusions as a paragraph, for a paper."""
+    asked: Comparison
+    """The options of the comparison."""
     notes: tuple[str, ...] = ()
     """What the reader has to know about the data, besides what the text says."""
     bands: tuple[Band, ...] = ()
@@ -144,6 +152,7 @@ def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[st
         first.unit,
         result,
         paragraph(result, subject),
+        asked,
         (*dict.fromkeys(note for one in found.values() for note in one.notes), *notes, *_differences(store, batches)),
         bands,
         time,
@@ -335,25 +344,62 @@ def _row(one: Pair | Omnibus | Effect) -> dict[str, object]:
             return row | {"effect": one.name, "test": "aligned ranks", "statistic": one.f, "partial_eta_squared": one.eta}
 
 
-def draw(compared: Compared, paths: ProjectPaths) -> list[Path]:
-    """Draw the figure of a comparison in three formats; return the files. Raises UsageError if there is nothing to draw."""
+def draw(compared: Compared, store: Store, paths: ProjectPaths) -> list[Path]:
+    """Draw the figure of a comparison in three formats, and record it; return the files.
+
+    Raises UsageError if there is nothing to draw, Missing if the store cannot be written.
+    """
     from sierra.deliverables.figures import drawing, style
     from sierra.deliverables.figures.forest import forest
 
-    drawn = drawing.Drawing(
+    drawn = _drawing(compared)
+    with style.applied():
+        figure = forest(compared)
+        style.settle(figure, drawn)
+        files = drawing.save(figure, drawn, _marked_folder(paths))
+    recorder = Recorder(store, paths.root, drawn.batch)
+    recorder.add(_content(compared, drawn), files)
+    recorder.close()
+    return list(files)
+
+
+def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+    """Return the content of a recorded comparison by its definition and the data that the store has now."""
+    definition = json.loads(row.definition)
+    asked = Comparison.model_validate(definition["comparison"])
+    batches = dict(zip(definition["groups"], row.batches, strict=True))
+    compared = compare(project, store, row.name, batches, asked)
+    return _content(compared, _drawing(compared))
+
+
+def _content(compared: Compared, drawn: Drawing) -> Content:
+    definition: dict[str, JsonView] = {
+        "comparison": compared.asked.model_dump(mode="json"),
+        "groups": list(compared.batches),
+        "note": drawn.note,
+        "formats": drawn.formats,
+    }
+    return replace(drawn.content(), kind=KIND, batches=tuple(compared.batches.values()), definition=definition)
+
+
+def _drawing(compared: Compared) -> Drawing:
+    """Return the data and the small print of the figure of a comparison."""
+    import pyarrow as pa
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+    bands = [{name: getattr(band, name) for name in ("times", "mean", "low", "high")} for band in compared.bands]
+    return Drawing(
         name=compared.name,
         figure=Figure(),
         axes=(),
         cells={},
         tables={"": compared.arrow()},
+        rows={str(place): pa.table(band) for place, band in enumerate(bands)},
         note=_caption(compared),
         sql=f"-- comparison of {', '.join(compared.batches.values())}",
         batch=next(iter(compared.batches.values())),
     )
-    with style.applied():
-        figure = forest(compared)
-        style.settle(figure, drawn)
-        return list(drawing.save(figure, drawn, _marked_folder(paths)))
 
 
 def _marked_folder(paths: ProjectPaths) -> Path:

@@ -11,7 +11,6 @@ import re
 from collections.abc import Container, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,10 +20,10 @@ from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
 from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import overlay, record, seconds, suggest_tables
+from sierra.deliverables import overlay, seconds, suggest_tables
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.figures.gather import Batch, gather
-from sierra.deliverables.record import Checked, Content, Recorder, ShownDeliverable, checked
+from sierra.deliverables.record import Content, Recorder
 from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
@@ -84,18 +83,8 @@ def figures(
     return drawn, notes
 
 
-def check(project: LoadedProject, store: Store, batch: str) -> list[Checked]:
-    """Return whether each recorded deliverable of a batch still follows from the store, in the order of their names."""
-    return list(checked(store, project.root, batch, partial(_again, project, store)))
-
-
-def find(project: LoadedProject, store: Store, file: Path) -> ShownDeliverable:
-    """Return the record of a file that SIERRA made. Raises NotFound."""
-    return record.find(store, project.root, file, partial(_again, project, store))
-
-
-def _again(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
-    """Return the content of a recorded deliverable by its definition and the data that the store has now."""
+def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+    """Return the content of a recorded figure by its definition and the data that the store has now."""
     definition = json.loads(row.definition)
     figure = Figure.model_validate(definition["figure"])
     if named := overlay.targets_of(definition):

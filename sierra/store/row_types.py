@@ -550,7 +550,7 @@ class DeliverableRow(NamedTuple):
     deliverable: Annotated[str, "hash of all columns below except made and lamport"]
     batch: Annotated[str, "the batch that it was made for"]
     batches: Annotated[list[str], "the batches whose data it shows"]
-    kind: Annotated[str, "figure or table"]
+    kind: Annotated[str, "figure or comparison"]
     name: Annotated[str, "its name"]
     definition: Annotated[str, "what it shows and how, with labels, units and notes, as JSON"]
     sql: Annotated[str, "the SQL that computed its data"]

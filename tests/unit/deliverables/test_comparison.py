@@ -221,3 +221,23 @@ def test_a_pilot_without_an_answer_is_one_line(
     done = projects.quick(compared[0], "plan-n", compared[1][:8], *words)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (code, "", 1)
     assert message in done.stderr
+
+
+@pytest.mark.parametrize("words", [(), ("--over-time",)])
+def test_the_figure_is_recorded_and_follows_from_the_store_until_data_change(
+    compared: tuple[Path, str, str], tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    made, first, second = compared
+    root = stores.copy(made, tmp_path / "project")
+    done = projects.quick(root, "compare", f"old={first}", f"new={second}", "--column", "coverage", *words)
+    assert done.returncode == 0, done.stderr
+    figure = max(root.glob("figures/comparisons/*.pdf"), key=lambda path: path.stat().st_mtime)
+    shown = json.loads(projects.quick(root, "show", str(figure), "--json").stdout)
+    assert (shown["deliverable_kind"], shown["batches"], shown["problem"]) == ("comparison", [first, second], None)
+    assert shown["definition"]["groups"] == ["old", "new"]
+    assert "follows from the store" in projects.quick(root, "figures", first, "--check").stdout
+    (execution,) = sierra.open(root).sql("SELECT min(execution) AS e FROM effective WHERE batch = $b", b=second).column("e")
+    assert projects.quick(root, "rm", execution.as_py(), "--yes").returncode == 0
+    checked = projects.quick(root, "figures", first, "--check")
+    assert checked.returncode == 1
+    assert f"{figure.stem}: the store has other data now" in checked.stdout
