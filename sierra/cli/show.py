@@ -42,9 +42,9 @@ def show(
     long: Long = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show a batch, experiment, run, execution or session, or what a figure's file shows.
+    """Show a record, or what a figure's file shows.
 
-    For a batch and a session, this includes the path of the log file, which lists the events while runs executed. For a file
+    A record is a batch, experiment, run, execution or session. For a batch and a session, this includes the path of the log file, which lists the events while runs executed. For a file
     that SIERRA made, it includes the SQL and whether the store would still give the same data.
 
     \b

@@ -47,7 +47,7 @@ def complaint_if_shipped(figure: Figure) -> str:
 
 
 def _nearest(name: str, known: list[str], kind: str) -> str:
-    close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
+    close = difflib.get_close_matches(name, known, 1, cutoff=0.6)
     if close:
         return f"; did you mean {close[0]!r}?"
     return f"; {f'keys of kind {kind!r}' if kind else 'known'} are {', '.join(known)}"

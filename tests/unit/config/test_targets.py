@@ -107,6 +107,7 @@ ASKING = (
     "store",
     "tables",
     "sql",
+    "comparisons",
 )
 OWN_TARGETS = ("target", "targets", "variables", "controllers", "scenarios", "seed")
 
