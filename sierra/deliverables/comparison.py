@@ -282,8 +282,11 @@ def _chosen(name: str, runs: RunTable, asked: Comparison) -> list[str]:
 
 
 def _named(variable: str, value: Value) -> str:
-    """Return the name of a group; a number alone says nothing."""
-    return value if isinstance(value, str) else f"{variable}={value:.6g}"
+    """Return the name of a group; a number alone says nothing. Different numbers have different names."""
+    if isinstance(value, str):
+        return value
+    short_form = f"{value:.6g}"
+    return f"{variable}={short_form if isinstance(value, float) and float(short_form) == value else repr(value)}"
 
 
 def _group(word: str | None, groups: Sequence[str]) -> str | None:

@@ -84,6 +84,19 @@ def test_the_values_of_a_variable_are_compared_within_a_batch(compared: tuple[Pa
     assert (against["first"], against["test"]) == ("population_size=2", "Mann-Whitney test")
 
 
+def test_values_that_differ_in_late_digits_are_different_groups(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", CONFIG)
+    sierra.open(root).run("population_size=1000001,1000002,5", runs=2, figures=False)
+    pairs = answer(root, "--by", "population_size")["pairs"]
+    names = [f"population_size={value}" for value in (1000001, 1000002, 5)]
+    assert [(pair["first"], pair["second"]) for pair in pairs] == [
+        (names[0], names[1]),
+        (names[0], names[2]),
+        (names[1], names[2]),
+    ]
+    assert pairs[0]["difference"] == pytest.approx(4)
+
+
 def test_the_table_the_text_and_the_figure_are_made(compared: tuple[Path, str, str], tmp_path: Path) -> None:
     root = stores.copy(compared[0], tmp_path / "project")
     done = projects.quick(root, "compare", f"a={compared[1][:8]}", f"b={compared[2][:8]}")
