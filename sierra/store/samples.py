@@ -371,6 +371,19 @@ class Frame:
         self._snapshot.run("DROP VIEW IF EXISTS data")
         self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {t}::DOUBLE AS "# t" FROM {self._rows(table, where)}')
 
+    def experiments_with(self, table: str, where: str) -> set[int]:
+        """Return the positions of the experiments that a condition does not exclude by the values of their variables.
+
+        So an experiment whose runs have all failed is found too.
+        """
+        self._rows(table, where)
+        none = f"(SELECT * FROM {identifier('data ' + table)} LIMIT 0)"
+        rows = self._snapshot.run(
+            f'SELECT v."# ordinal" FROM "# variables" v LEFT JOIN {none} d ON v."# ordinal" = d."# experiment" '
+            f"WHERE (\n{where}\n) IS DISTINCT FROM false"
+        )
+        return {ordinal for (ordinal,) in rows}
+
     def _rows(self, table: str, where: str) -> str:
         """Return the relation of the rows of an output that fulfil a condition. Raises UsageError for an invalid one."""
         data = identifier("data " + table)

@@ -198,6 +198,16 @@ def test_where_chooses_rows_by_columns_and_variables(batch: Path) -> None:
     assert said(png).endswith("; only rows where population_size > 1")
 
 
+@pytest.mark.integration
+def test_a_condition_does_not_hide_experiments_whose_runs_all_failed(tmp_path: Path) -> None:
+    simulator = projects.SIMULATOR + "sys.exit(count == 4)\n"
+    root = projects.make(tmp_path / "project", simulator=simulator)
+    assert projects.quick(root, "run", "population_size=1,2,4", "--runs", "3", "--no-figures").returncode == 1
+    missing = said(draw(root, *COVERAGE, 'kind = "box"', 'where = "population_size > 1 AND tick >= 0"'))
+    assert "; 3 of 6 runs missing; only rows where" in missing
+    assert "missing" not in said(draw(root, *COVERAGE, 'kind = "box"', 'where = "population_size < 4"'))
+
+
 @pytest.mark.parametrize(
     ("where", "complaint"),
     [
