@@ -312,8 +312,10 @@ def number(value: float, digits: int = 6) -> str:
 
 
 def named(value: Value, limit: int = 28) -> str:
-    """Return a value of an axis, as a tick or an entry in a legend."""
-    return shortened(value, limit) if isinstance(value, str) else number(value)
+    """Return a value of an axis, as a tick or an entry in a legend. A whole number has all of its digits."""
+    if isinstance(value, str):
+        return shortened(value, limit)
+    return number(value, 6 if value % 1 or float(f"{value:.6g}") == value else 17)
 
 
 def shortened(text: str, limit: int) -> str:
@@ -442,7 +444,7 @@ def scale_values(plot: Axes, axis: Axis, *, log: bool, margin: float = 0.04) -> 
     if log or geometric(axis.values) or len(values) <= 6:
         ticks = [values[k] for k in thinned(len(values), 11)]
         plot.xaxis.set_major_locator(FixedLocator(ticks))
-        plot.xaxis.set_major_formatter(_table({tick: number(tick) for tick in ticks}))
+        plot.xaxis.set_major_formatter(_table({tick: named(tick) for tick in ticks}))
         plot.xaxis.set_minor_locator(NullLocator())
 
 

@@ -199,6 +199,14 @@ def test_where_chooses_rows_by_columns_and_variables(batch: Path) -> None:
 
 
 @pytest.mark.integration
+def test_large_whole_numbers_have_all_digits(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project")
+    assert projects.quick(root, "run", "population_size=1000001,1000002,2000000", "--runs", "2", "--no-figures").returncode == 0
+    assert {"1000001", "1000002", "2e6"} <= set(words(draw(root, *COVERAGE, 'kind = "bar"')))
+    assert {"1000001", "1000002", "2e6"} <= set(words(draw(root, *COVERAGE, 'kind = "summary"')))
+
+
+@pytest.mark.integration
 def test_a_condition_does_not_hide_experiments_whose_runs_all_failed(tmp_path: Path) -> None:
     simulator = projects.SIMULATOR + "sys.exit(count == 4)\n"
     root = projects.make(tmp_path / "project", simulator=simulator)
