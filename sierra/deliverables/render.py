@@ -588,10 +588,11 @@ class _Gallery:
         batch = Batch(self._axes, self._cells, self.planned, self._frame.batch)
         seen = self._coverage(output, several=True)
         if figure.where:
-            seen = source.coverage(columns[0])
             asked = self._frame.experiments_with(output.name, figure.where)
-            planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked or ordinal in seen.runs}
-            batch = replace(batch.of_experiments(seen.runs), planned=planned)
+            failed = asked.difference(seen.runs)
+            seen = source.coverage(columns[0])
+            planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
+            batch = replace(batch.of_experiments(failed.union(seen.runs)), planned=planned)
         made = gather(name, figure, columns, batch, source, seen, self.rates(output))
         declared = self._config.declared(output.name)
         units = dict(declared.units) if declared else {}
