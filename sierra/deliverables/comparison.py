@@ -251,7 +251,7 @@ def _cells_within(runs: RunTable, asked: Comparison) -> tuple[list[Cell], tuple[
             raise NotFound(f"this batch has no variable {name!r}; {like(name, runs.axes)}")
     rest = [name for name in runs.axes if name not in by]
     if len(by) > 1:
-        if rest:
+        if rest := [name for name in rest if len({values[name] for values in runs.cells.values()}) > 1]:
             raise UsageError(f"a factorial comparison needs all variables of the batch; add {', '.join(rest)} to --by")
         if asked.groups:
             raise UsageError("a factorial comparison takes all values of its variables; leave out groups")

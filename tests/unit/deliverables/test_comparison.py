@@ -97,6 +97,14 @@ def test_values_that_differ_in_late_digits_are_different_groups(tmp_path: Path) 
     assert pairs[0]["difference"] == pytest.approx(4)
 
 
+def test_a_variable_with_one_value_is_no_factor(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", CONFIG.replace("[variables]", '[variables]\nsize = "/arena/@size"'))
+    sierra.open(root).run("population_size=1,2", "noise=0.1,0.2", "size=10", runs=3, figures=False)
+    assert len(answer(root, "--by", "population_size,noise")["effects"]) == 3
+    status, said = refusal(root, "--by", "population_size,size")
+    assert (status, "add noise to --by" in said) == (2, True)
+
+
 def test_the_table_the_text_and_the_figure_are_made(compared: tuple[Path, str, str], tmp_path: Path) -> None:
     root = stores.copy(compared[0], tmp_path / "project")
     done = projects.quick(root, "compare", f"a={compared[1][:8]}", f"b={compared[2][:8]}")
