@@ -557,7 +557,7 @@ class _Gallery:
 
     def unit(self, output: OutputTable, column: str) -> str:
         """Return the declared unit of a column; "" if there is none."""
-        declared = self._config.outputs.get(output.name)
+        declared = self._config.declared(output.name)
         return declared.units.get(column, "") if declared else ""
 
     def column(self, figure: Figure) -> stats.Samples:

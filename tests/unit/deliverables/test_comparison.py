@@ -27,6 +27,10 @@ by = "population_size"
 column = "coverage"
 margin = 5
 
+[tables.peaks]
+sql = "SELECT run, max(coverage) AS peak FROM swarm GROUP BY run"
+units = { peak = "m" }
+
 [comparisons.batches]
 groups = ["calm=quiet", "quiet"]
 """
@@ -95,6 +99,12 @@ def test_values_that_differ_in_late_digits_are_different_groups(tmp_path: Path) 
         (names[1], names[2]),
     ]
     assert pairs[0]["difference"] == pytest.approx(4)
+
+
+def test_the_unit_of_a_derived_table_is_said(compared: tuple[Path, str, str]) -> None:
+    root, quiet, _ = compared
+    found = answer(root, quiet[:8], "--by", "population_size", "--table", "peaks", "--column", "peak")
+    assert found["text"].startswith("The final value of peak [m] was compared")
 
 
 def test_a_variable_with_one_value_is_no_factor(tmp_path: Path) -> None:
