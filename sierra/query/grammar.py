@@ -44,6 +44,8 @@ DIGITS = 40
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ITEM = re.compile(r"(?=[.-]*[A-Za-z0-9_])[A-Za-z0-9_.-]+")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+_DOTS = re.compile(r"([+-]?[0-9]+(?:\.[0-9]+)?)\.{2,3}([+-]?[0-9]+(?:\.[0-9]+)?)")
+"""A range as other languages write it; as a name, it would be one value."""
 _WHOLE = re.compile(r"[+-]?[0-9]+")
 _LEADING_ZERO = re.compile(r"[+-]?0[0-9]")
 _ALMOST_NUMBER = re.compile(
@@ -161,6 +163,9 @@ def value(word: str) -> Value:
         return _float(word)
     if _ALMOST_NUMBER.fullmatch(word):
         raise QueryError(_almost(word))
+    if ends := _DOTS.fullmatch(word):
+        start, end = ends.groups()
+        raise QueryError(f"{_shown(word)} is not a range; use {start}:{end}:COUNT, or a list of values: {start},{end}")
     if not _ITEM.fullmatch(word):
         raise QueryError(f"{_shown(word)} is not a value; use a number, or a name of letters, digits, _ - and .")
     return word

@@ -238,6 +238,8 @@ def test_a_long_invalid_text_is_refused_quickly(text: str) -> None:
         ("v=1,2,1", "'v=1,2,1': 1 is listed twice; use it once"),
         ("v=1,1.0", "'v=1,1.0': 1.0 is listed twice; use it once"),
         ("v=low,low", "'v=low,low': 'low' is listed twice; use it once"),
+        ("v=1..10", "'v=1..10': '1..10' is not a range; use 1:10:COUNT, or a list of values: 1,10"),
+        ("v=a,0.5...2", "'v=a,0.5...2': '0.5...2' is not a range; use 0.5:2:COUNT, or a list of values: 0.5,2"),
         ("v=..", "'v=..': '..' is not a value; use a number, or a name of letters, digits, _ - and ."),
         ("v=1,", "'v=1,': '' is not a value; use a number, or a name of letters, digits, _ - and ."),
         ("v=0:1", "'v=0:1': a range needs from, to and a count; use v=0:1:5"),
