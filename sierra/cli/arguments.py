@@ -2,11 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from enum import StrEnum
+from typing import Annotated, Literal
 
 import typer
 
 from sierra.cli import complete
+
+
+class Measure(StrEnum):
+    """The measure that reduces a run to one value."""
+
+    final = "final"
+    mean = "mean"
+    time_to = "time_to"
+
+
+MEASURES: dict[Measure, Literal["final", "mean", "time_to"]] = {
+    Measure.final: "final",
+    Measure.mean: "mean",
+    Measure.time_to: "time_to",
+}
+"""The measures as the Python API names them."""
+
 
 ShownId = Annotated[
     str,
@@ -91,3 +109,12 @@ Long = Annotated[bool, typer.Option("--long", help="Show full ids, and do not sh
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 AsJsonList = Annotated[bool, typer.Option("--json", help="Print a JSON list instead of text.")]
+OneColumn = Annotated[str, typer.Option("--column", "-c", metavar="COLUMN", help="The column (default: the only one).")]
+OneOutput = Annotated[
+    str, typer.Option("--table", metavar="OUTPUT", help="The output with the column (default: the only one).")
+]
+MeasureOfRun = Annotated[
+    Measure | None,
+    typer.Option("--measure", "-m", help="Value of a run (default: final, its last value; in a table of events, mean)."),
+]
+Threshold = Annotated[float | None, typer.Option("--threshold", metavar="X", help="For time_to: the value to reach or exceed.")]

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from sierra.cli import complete
+from sierra.cli.arguments import MEASURES, MeasureOfRun, OneColumn, OneOutput, Threshold
 from sierra.cli.figures import from_here
 from sierra.cli.output import note, print_json
 from sierra.cli.sql import Format, Printable, write
-from sierra.cli.stats import MEASURES, Measure
 from sierra.errors import Missing, UsageError
 
 if TYPE_CHECKING:
@@ -55,17 +55,10 @@ def compare(
     against: Annotated[
         str | None, typer.Option("--against", metavar="GROUP", help="Compare all other groups with this one only.")
     ] = None,
-    column: Annotated[str, typer.Option("--column", "-c", metavar="COLUMN", help="The column (default: the only one).")] = "",
-    table: Annotated[
-        str, typer.Option("--table", metavar="OUTPUT", help="The output with the column (default: the only one).")
-    ] = "",
-    measure: Annotated[
-        Measure | None,
-        typer.Option("--measure", "-m", help="Value of a run (default: final, its last value; in a table of events, mean)."),
-    ] = None,
-    threshold: Annotated[
-        float | None, typer.Option("--threshold", metavar="X", help="For time_to: the value to reach or exceed.")
-    ] = None,
+    column: OneColumn = "",
+    table: OneOutput = "",
+    measure: MeasureOfRun = None,
+    threshold: Threshold = None,
     over_time: Annotated[
         bool, typer.Option("--over-time", help="Draw the difference over time; test the mean of each run over time.")
     ] = False,

@@ -7,9 +7,9 @@ from typing import Annotated
 import typer
 
 from sierra.cli import complete
+from sierra.cli.arguments import MEASURES, MeasureOfRun, OneColumn, OneOutput, Threshold
 from sierra.cli.output import note, print_json
 from sierra.cli.sql import Format, Printable, write
-from sierra.cli.stats import MEASURES, Measure
 
 
 def plan_n(
@@ -22,17 +22,10 @@ def plan_n(
     half_width: Annotated[
         float, typer.Option("--half-width", "-w", metavar="W", help="Half of the interval's width, in the column's unit.")
     ] = ...,  # type: ignore[assignment]
-    column: Annotated[str, typer.Option("--column", "-c", metavar="COLUMN", help="The column (default: the only one).")] = "",
-    table: Annotated[
-        str, typer.Option("--table", metavar="OUTPUT", help="The output with the column (default: the only one).")
-    ] = "",
-    measure: Annotated[
-        Measure | None,
-        typer.Option("--measure", "-m", help="Value of a run (default: final, its last value; in a table of events, mean)."),
-    ] = None,
-    threshold: Annotated[
-        float | None, typer.Option("--threshold", metavar="X", help="For time_to: the value to reach or exceed.")
-    ] = None,
+    column: OneColumn = "",
+    table: OneOutput = "",
+    measure: MeasureOfRun = None,
+    threshold: Threshold = None,
     format: Annotated[Format, typer.Option("--format", "-f", help="Output format.")] = Format.table,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:

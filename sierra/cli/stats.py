@@ -5,30 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from sierra.cli import complete
-from sierra.cli.arguments import TargetOfBatch
+from sierra.cli.arguments import Measure, MeasureOfRun, TargetOfBatch, Threshold
 from sierra.cli.sql import Format, Printable, write, write_text
 from sierra.errors import UsageError
-
-
-class Measure(StrEnum):
-    """The measure that reduces a run to one value."""
-
-    final = "final"
-    mean = "mean"
-    time_to = "time_to"
-
-
-MEASURES: dict[Measure, Literal["final", "mean", "time_to"]] = {
-    Measure.final: "final",
-    Measure.mean: "mean",
-    Measure.time_to: "time_to",
-}
-"""The measures as the Python API names them."""
 
 
 class Times(StrEnum):
@@ -84,13 +68,8 @@ def stats(
         ),
     ] = None,
     target: TargetOfBatch = None,
-    measure: Annotated[
-        Measure | None,
-        typer.Option("--measure", "-m", help="Value of a run (default: final, its last value; in a table of events, mean)."),
-    ] = None,
-    threshold: Annotated[
-        float | None, typer.Option("--threshold", metavar="X", help="For time_to: the value to reach or exceed.")
-    ] = None,
+    measure: MeasureOfRun = None,
+    threshold: Threshold = None,
     times: Annotated[
         Times | None,
         typer.Option(
