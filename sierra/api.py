@@ -863,11 +863,13 @@ class Project:
         >>> project.statistics(summary.batch, "swarm", "coverage", measure="mean").column("n").to_pylist()
         [2, 2]
         """
-        from sierra.deliverables import render
+        from sierra.deliverables import run_statistics
         from sierra.store.public_result import Result
 
         batch = self.batch(prefix)
-        return Result(render.statistics(self._loaded, self.store, batch, output, column, measure, threshold, times, statistics))
+        return Result(
+            run_statistics.statistics(self._loaded, self.store, batch, output, column, measure, threshold, times, statistics)
+        )
 
     def paper_table(self, statistics: Result, format: str = "latex", *, caption: str = "", label: str = "") -> str:
         """Return statistics as the text of a table for papers: `latex` (with booktabs), `markdown` or `html`.

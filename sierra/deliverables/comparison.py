@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from sierra.config.deliverable_tables import Comparison, Figure
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.record import Content, Recorder
-from sierra.deliverables.render import RunSeries, RunTable, runs_over_time, values_of_runs
+from sierra.deliverables.run_statistics import RunSeries, RunTable, runs_over_time, values_of_runs
 from sierra.errors import NotFound, UsageError
 from sierra.execution import targets
 from sierra.model import Value

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables.render import values_of_runs
+from sierra.deliverables.run_statistics import values_of_runs
 from sierra.errors import SierraError, UsageError
 from sierra.model import Value
 from sierra.stats import sample_size

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import render
+from sierra.deliverables import run_statistics
 from sierra.errors import SierraError
 from sierra.explain.diff.load_sides import Side
 from sierra.explain.diff.model import ARROW, Difference, Note, changed, shown
@@ -266,7 +266,7 @@ def _is_time(column: str, declared: str | None) -> bool:
 
 def _means(project: LoadedProject, store: Store, side: Side, output: str, column: str) -> dict[int, Mean]:
     """Return the statistics of a column by the experiment's place."""
-    table = render.statistics(project, store, side.batch.batch, output, column, "final")
+    table = run_statistics.statistics(project, store, side.batch.batch, output, column, "final")
     names = _names(table, "experiment", "n", "mean", "sd", "low", "high", "interval")
     rows = zip(*(table.column(name).to_pylist() for name in names), strict=True)
     return {

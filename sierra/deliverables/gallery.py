@@ -1,0 +1,360 @@
+"""The data of one batch for its deliverables: outputs with their times, labels of axes, default figures.
+
+The project adds labels and units to what SQL computes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from sierra.config import figure_options
+from sierra.config.deliverable_tables import Figure
+from sierra.config.group_names import resolve
+from sierra.config.output_tables import Output
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables import seconds, suggest_tables
+from sierra.deliverables.figures.drawing import Drawing
+from sierra.deliverables.figures.gather import Batch, gather
+from sierra.errors import NotFound, SierraError, UsageError
+from sierra.execution import targets
+from sierra.model import Axis, Value
+from sierra.stats import aggregate as stats
+from sierra.store.derived_tables import Definition
+from sierra.store.samples import MIXED, Column, Frame, NoRuns, OutputTable, names_time
+from sierra.store.store import Store
+from sierra.store.union_files import TEXT
+from sierra.util.hashing import sha256, short
+from sierra.util.text import like
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+ONE_FILE = "file in [outputs.{}] can name one of them"
+AT_MOST = 16
+"""The largest number of default figures of one batch; others are reported, and drawn on request."""
+
+
+def _tables(figures: Mapping[str, Figure], name: str | None) -> Container[str] | None:
+    """Return the tables that figures are drawn from: all figures, or the one called `name`; None if it may be any table."""
+    wanted = [figure for called, figure in figures.items() if name in (None, called)]
+    known = wanted and all(figure.table or figure.sql for figure in wanted)
+    return {figure.table for figure in wanted} if known else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Output:
+    """One output of a batch, as a source of figures."""
+
+    frame: Frame
+    output: OutputTable
+    time: str
+    where: str = ""
+
+    def check(self, columns: Sequence[str], *, numeric: bool) -> None:
+        for column in columns:
+            if numeric and column in self.output.mixed:
+                raise UsageError(
+                    f"column {column!r} of output {self.output.name!r} {MIXED}; see {column + TEXT!r} in sierra sql"
+                )
+            known = self.output.columns if numeric else self.output.all_columns
+            if column not in known:
+                what = "numeric column" if numeric else "column"
+                raise NotFound(f"output {self.output.name!r} has no {what} {column!r}; it has {', '.join(known)}")
+
+    def samples(self, column: str) -> Column:
+        return Column(self.frame, self.output.name, column, self.time, self.where)
+
+    def coverage(self, column: str) -> stats.Coverage:
+        """Return the amount of data that fulfils `where`. Raises SierraError if there is none."""
+        (row,) = self.rows("SELECT count(*) AS count FROM data").to_pylist()
+        if not row["count"]:
+            raise SierraError(f"no row of output {self.output.name!r} fulfils where = {self.where!r}")
+        return stats.coverage(self.samples(column), several=True)
+
+    def rows(self, statement: str) -> pa.Table:
+        self.frame.data(self.output.name, self.time, self.where)
+        return self.frame.sql(statement)
+
+
+class Gallery:
+    """The data that the figures of one batch share."""
+
+    def __init__(
+        self,
+        project: LoadedProject,
+        store: Store,
+        frame: Frame,
+        target: str | None = None,
+        *,
+        name: str | None = None,
+        only: Container[str] | None = None,
+    ) -> None:
+        """`target`: the project is the one for this target; by default, it is that of the batch's last request.
+
+        `name`: the only figure that is wanted. `only`: the outputs and derived tables that are needed; default: all.
+        """
+        own = target is not None
+        target = target or (targets.recorded(store, frame.batch) if project.targets else None)
+        self.target_notes = [f"target {target}"] if target else []
+        """The target that the batch was requested for; its declarations are used."""
+        self.declared_notes = () if own else targets.notes(project, store, frame.batch)
+        """A note if the declarations are those of another target."""
+        self._config = project.config if own else targets.of_batch(project, store, frame.batch).config
+        self._store = store
+        self._frame = frame
+        self._outputs = {output.name: output for output in frame.outputs(only or _tables(self._config.figures, name))}
+        self._shown: dict[str, Mapping[Value, Value]] = {}
+        self._axes = tuple(map(self._labelled, frame.axes()))
+        self._cells = {ordinal: self._with_labels(values) for ordinal, values in frame.cells().items()}
+        self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
+        self._seen: dict[str, stats.Coverage] = {}
+        self._times: dict[str, str] = {}
+        self.time_notes: dict[str, str] = {}
+        """Notes by output, if its time column is neither declared nor known by its name: what is used instead."""
+
+    def wanted(self, name: str | None) -> tuple[Mapping[str, Figure], list[str]]:
+        """Return the figures to draw, by name, and notes about them."""
+        declared = self._config.figures
+        figure_options.check(declared)
+        found, notes = (dict(declared), []) if declared else self._default()
+        if name is not None:
+            everything = {**self._default()[0], **declared}
+            if name not in everything:
+                raise NotFound(f"this batch has no figure {name!r}; its figures: {', '.join(everything) or 'none'}")
+            return {name: everything[name]}, []
+        if not declared and len(found) > AT_MOST:
+            kept = self._best(found)
+            left = [name for name in found if name not in kept]
+            return kept, [*notes, f"{len(left)} more figures can be drawn, for example: sierra figures HASH {left[0]}"]
+        return found, notes
+
+    def _best(self, figures: Mapping[str, Figure]) -> dict[str, Figure]:
+        """Return as many figures as are drawn by default: those of columns that differ most between experiments."""
+        columns: dict[str, dict[str, None]] = {}
+        for figure in figures.values():
+            columns.setdefault(figure.table, {}).update(dict.fromkeys(figure.columns))
+        shares = {table: self._frame.differing(table, list(names)) for table, names in columns.items()}
+        share = {
+            name: max((shares[figure.table].get(column, 0.0) for column in figure.columns), default=0.0)
+            for name, figure in figures.items()
+        }
+        best = set(sorted(figures, key=lambda name: -share[name])[:AT_MOST])
+        return {name: figure for name, figure in figures.items() if name in best}
+
+    def _default(self) -> tuple[dict[str, Figure], list[str]]:
+        """Return the default figures that fit each output; and notes on outputs and columns without one, and why."""
+        found: dict[str, Figure] = {}
+        problems = self._frame.problems
+        notes = [f"no figure of table {name!r}: {error}" for name, error in problems.items() if not isinstance(error, NoRuns)]
+        notes += (
+            []
+            if self._outputs or problems
+            else ["no run wrote a table, so there is no figure; see: sierra sql 'FROM artifacts'"]
+        )
+        for output in self._outputs.values():
+            time = self.time(output)
+            columns = [column for column in output.columns if column != time]
+            notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
+            notes += suggest_tables.notes(self._frame, output)
+            try:
+                self._coverage(output)
+            except SierraError as error:
+                doubled = type(error) is UsageError and output.files < 2
+                hint = suggest_tables.of_means(self._frame, output, self.time(output)) if doubled else ""
+                notes.append(f"no figure of output {output.name!r}: {error}{hint}")
+                continue
+            series = output.rows > 1 and not self.takes_mean(output)
+            proposed = stats.default_figures(output.name, columns, self._axes, series=series)
+            found |= {_file_name(name, found): figure for name, figure in proposed.items()}
+        return found, notes
+
+    def _from_sql(self, statement: str) -> str:
+        """Return the name of the derived table that the own statement of a figure makes."""
+        table = f"sql {short(sha256(statement.encode()))}"
+        if table not in self._frame.names:
+            self._frame.derive(Definition(table, statement, "sql"))
+            self._outputs |= {output.name: output for output in self._frame.outputs({table})}
+        return table
+
+    @property
+    def cells(self) -> Mapping[int, Mapping[str, Value]]:
+        """Return the values of the axes for each experiment, with the labels of controllers and scenarios."""
+        return self._cells
+
+    def only_column(self, output: OutputTable) -> str:
+        """Return the only numeric column of an output that is not its time. Raises UsageError if there are several."""
+        columns = [column for column in output.columns if column != self.time(output)]
+        if len(columns) != 1:
+            raise UsageError(f"name the column; output {output.name!r} has {', '.join(columns) or 'no numeric column'}")
+        return columns[0]
+
+    def unit(self, output: OutputTable, column: str) -> str:
+        """Return the declared unit of a column; "" if there is none."""
+        declared = self._config.declared(output.name)
+        return declared.units.get(column, "") if declared else ""
+
+    def column(self, figure: Figure) -> stats.Samples:
+        """Return the samples of the one column that a figure names."""
+        output = self.output(figure)
+        (column,) = figure.columns
+        source = _Output(self._frame, output, self.time(output))
+        source.check(figure.columns, numeric=True)
+        return stats.Samples(source.samples(column), self._coverage(output), column in self.rates(output))
+
+    def rates(self, output: OutputTable) -> tuple[str, ...]:
+        """Return the columns whose values 0 and 1 are a rate: those of flags, and those that are declared."""
+        declared = self._config.declared(output.name)
+        rates = declared.rates if isinstance(declared, Output) else ()
+        if unknown := [column for column in rates if column not in output.all_columns]:
+            where = f"[outputs.{output.name}] rates"
+            raise NotFound(f"{where}: no column {unknown[0]!r}; {like(unknown[0], output.all_columns)}")
+        return (*output.flags, *rates)
+
+    def drawing(self, name: str, figure: Figure) -> Drawing:
+        """Return the computed content of a figure."""
+        output = self.output(figure)
+        if "measure" not in figure.model_fields_set and figure.kind != "timeseries" and self.takes_mean(output):
+            figure = figure.model_copy(update={"measure": "mean"})
+        time = self.time(output)
+        columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
+        source = _Output(self._frame, output, time, figure.where)
+        batch = Batch(self._axes, self._cells, self.planned, self._frame.batch)
+        seen = self._coverage(output, several=True)
+        if figure.where:
+            asked = self._frame.experiments_with(output.name, figure.where)
+            failed = asked.difference(seen.runs)
+            seen = source.coverage(columns[0])
+            planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
+            batch = replace(batch.of_experiments(failed.union(seen.runs)), planned=planned)
+        made = gather(name, figure, columns, batch, source, seen, self.rates(output))
+        declared = self._config.declared(output.name)
+        units = dict(declared.units) if declared else {}
+        tables, note = made.tables, made.note
+        if (
+            isinstance(declared, Output)
+            and declared.ticks_per_second is not None
+            and all("t" in table.column_names for table in tables.values())
+        ):
+            per_second = seconds.rates(declared.ticks_per_second, self._config, self._store, self._frame)
+            tables = {column: seconds.in_seconds(table, per_second) for column, table in tables.items()}
+            note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
+            units[time] = "s"
+        note = "; ".join(filter(None, (*self.target_notes, note)))
+        sql = "\n\n".join(filter(None, (self._frame.statements(output.name), made.sql)))
+        return replace(made, tables=tables, note=note, sql=sql, time=time or "row", units=units)
+
+    def time(self, output: OutputTable) -> str:
+        """Return the name of the time column; "" if there is none.
+
+        It is the declared column; else the first, if its name is that of a time; else one that increases alike in all runs.
+        """
+        if output.name not in self._times:
+            self._times[output.name] = self._time(output)
+        return self._times[output.name]
+
+    def _time(self, output: OutputTable) -> str:
+        declared = self._config.declared(output.name)
+        if declared and declared.time:
+            return declared.time
+        first = output.all_columns[0] if output.all_columns else ""
+        if names_time(first) and first in output.columns:
+            return first
+        found = self._frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
+        if found is None:
+            if declared is None and output.rows > 1:
+                self.time_notes[output.name] = (
+                    f"output {output.name!r} has no time column: row numbers are used instead, because no column increases"
+                    f' equally in all runs (to name one, set time = "COLUMN" in [outputs.{output.name}])'
+                )
+            return ""
+        self.time_notes[output.name] = (
+            f"{found!r} is used as the time of output {output.name!r}, because it increases equally in all runs"
+            f' (to name another, set time = "COLUMN" in [outputs.{output.name}])'
+        )
+        return found
+
+    def _coverage(self, output: OutputTable, *, several: bool = False) -> stats.Coverage:
+        """Return the amount of data. Raises UsageError for several rows at the same time of a run, unless `several`."""
+        if output.name not in self._seen:
+            if not output.columns:
+                raise NotFound("it has no numeric column")
+            time = self.time(output)
+            column = next((c for c in output.columns if c != time), output.columns[0])
+            self._seen[output.name] = stats.coverage(Column(self._frame, output.name, column, time), several=True)
+        if not several:
+            try:
+                stats.check_times(self._seen[output.name])
+            except UsageError as error:
+                if output.files < 2:
+                    raise
+                raise UsageError(
+                    f"{error}. A run has {output.files} files of this output: {ONE_FILE.format(output.name)}"
+                ) from error
+        return self._seen[output.name]
+
+    def takes_mean(self, output: OutputTable) -> bool:
+        """Return whether runs count by the mean of an output's rows, and note it: it has no time, but a row for each event."""
+        if (output.fewest == output.rows and not output.unordered) or output.rows < 2 or self.time(output):
+            return False
+        if output.unordered:
+            self.time_notes[output.name] = (
+                f"the mean of each run's rows of table {output.name!r} is taken: it has no time column, and its SQL does not "
+                f"order the rows (set time in [tables.{output.name}], or add ORDER BY to its SQL)"
+            )
+            return True
+        self.time_notes[output.name] = (
+            f"output {output.name!r} has no time column, and its runs have {output.fewest} to {output.rows} rows: the mean "
+            f"of each run's rows is taken, not the last row (set time in [outputs.{output.name}] if rows follow each other "
+            "in time)"
+        )
+        return True
+
+    def output(self, figure: Figure) -> OutputTable:
+        """Return the output that a figure names, or the only one with its columns. Raises NotFound."""
+        if name := self._from_sql(figure.sql) if figure.sql else figure.table:
+            if name in self._frame.problems:
+                raise self._frame.problems[name]
+            if name not in self._outputs:
+                raise NotFound(f"this batch has no output {name!r}; its outputs: {', '.join(self._frame.names) or 'none'}")
+            return self._outputs[name]
+        having = [o for o in self._outputs.values() if all(column in o.columns for column in figure.columns)]
+        having = [o for o in having if o.name in self._frame.written] or having
+        if self._outputs and not having:
+            raise NotFound(
+                f"no output has {' and '.join(map(repr, figure.columns))} as numeric columns (sierra sql 'SHOW TABLES')"
+            )
+        if len(having) != 1:
+            raise NotFound(
+                f"name the output of the figure: set table to one of {', '.join(self._outputs) or '(none was written)'}"
+            )
+        return having[0]
+
+    def _labelled(self, axis: Axis) -> Axis:
+        variable = self._config.variables.get(axis.name)
+        if variable:
+            return replace(axis, label=variable.label, unit=variable.unit)
+        labels = self._labels(axis)
+        self._shown[axis.name] = labels
+        return replace(axis, values=tuple(labels.get(value, value) for value in axis.values))
+
+    def _labels(self, axis: Axis) -> Mapping[Value, Value]:
+        """Return the labels of controllers or scenarios, by their names; none for labels that do not tell the values apart."""
+        groups = {"controller": self._config.controllers, "scenario": self._config.scenarios}.get(axis.name, {})
+        labels: dict[Value, Value] = {}
+        for value in axis.values:
+            found = resolve(str(value), groups)
+            labels[value] = (groups[found[0].declared[-1]].label if len(found) == 1 else "") or value
+        shared = {label for label in labels.values() if list(labels.values()).count(label) > 1}
+        return {value: label for value, label in labels.items() if label not in shared}
+
+    def _with_labels(self, values: Mapping[str, Value]) -> Mapping[str, Value]:
+        return {name: self._shown.get(name, {}).get(value, value) for name, value in values.items()}
+
+
+def _file_name(name: str, taken: Mapping[str, Figure]) -> str:
+    """Return a file name for a figure that is valid on all systems and not taken."""
+    plain = re.sub(r"[^\w.-]+", "_", name).strip("_.") or "figure"
+    return next(free for free in (plain, *(f"{plain}_{n}" for n in range(2, len(taken) + 3))) if free not in taken)

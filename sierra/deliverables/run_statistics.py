@@ -1,0 +1,266 @@
+"""Statistics over the runs of a batch, and the values of its runs, with the project's labels and units."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from sierra.config.deliverable_tables import Figure
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables.gallery import Gallery
+from sierra.errors import UsageError
+from sierra.model import Value
+from sierra.stats import aggregate as stats
+from sierra.stats import survival
+from sierra.stats.comparison.model import RunValue
+from sierra.stats.selection import Selection
+from sierra.store.samples import Frame
+from sierra.store.sql_names import column_names
+from sierra.store.store import Store
+from sierra.util.text import counted
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from sierra.stats.comparison.rank_distributions import Floats
+
+MEASURES = ("final", "mean", "time_to")
+AUTO = "auto"
+"""Stands for `final`, and for `mean` in tables of events, whose last rows say nothing about the others."""
+
+
+def statistics(
+    project: LoadedProject,
+    store: Store,
+    batch: str,
+    output: str,
+    column: str,
+    measure: str | None,
+    threshold: float | None = None,
+    times: str | None = None,
+    chosen: Sequence[str] = (),
+) -> pa.Table:
+    """Return statistics of one column, as `sierra.api.Project.statistics` does, with the values of the axes.
+
+    The columns are `experiment`, one for each axis, and those of the statistics. If an axis has the name of another column,
+    that column gets a `_` after its name, as outputs' columns do in SQL. The schema's metadata hold the statement
+    (`sierra:sql`) and notes for the reader (`sierra:note`). Raises NotFound, UsageError.
+    """
+    _check_reduction("final" if measure == AUTO else measure, threshold, times)
+    of_times = [name for name in chosen if name in survival.STATISTICS] if chosen else list(survival.STATISTICS)
+    if chosen and of_times and measure != "time_to":
+        raise UsageError(f"statistic {of_times[0]!r} is one of times until a threshold; it needs the measure time_to")
+    if chosen and measure == "time_to" and times is not None:
+        raise UsageError("the Kaplan-Meier curve (time_to at own times) has no statistics to choose, and no table for papers")
+    others = [name for name in chosen if name not in survival.STATISTICS]
+    selection = Selection.of(others, project.config.statistics) if chosen else None
+    wanted = stats.STATISTICS if selection is None else selection
+    with Frame(store, batch) as frame:
+        gallery = Gallery(project, store, frame, only={output})
+        figure = Figure(table=output, column=(column,))
+        samples = gallery.column(figure)
+        if measure == AUTO:
+            measure = "mean" if gallery.takes_mean(gallery.output(figure)) else "final"
+        curves: dict[int, tuple[survival.Step, ...]] = {}
+        notes: list[str] = []
+        if measure == "time_to" and threshold is not None:
+            curves = {place: survival.curve(runs) for place, runs in survival.times(samples.frame, threshold).items()}
+        if measure == "time_to" and times is not None:
+            table, text, notes = survival.curves_table(curves), survival.statement(), notes
+        elif measure is None:
+            table, text, notes = samples.at_times(times or "own", wanted)
+        else:
+            (table, text), notes = samples.by_experiment(measure, wanted, threshold), notes
+        if curves and times is None:
+            table = survival.with_statistics(table, curves, of_times)
+            notes += _about_times(curves, of_times, others=bool(others) or not chosen)
+        if selection:
+            notes += selection.notes(table)
+        if not selection or "mean" in chosen:
+            notes += _about_rates(table, column, output, asked=samples.rate and measure != "time_to")
+        notes = [
+            *gallery.target_notes,
+            *gallery.declared_notes,
+            *gallery.time_notes.values(),
+            *stats.left_out([] if "remaining" in table.column_names else [table], samples.coverage, gallery.planned, threshold),
+            *notes,
+        ]
+        text = "\n\n".join(filter(None, (frame.statements(output), text)))
+        about = {
+            "axes": [axis.name for axis in frame.axes()],
+            "statistics": list(dict.fromkeys(chosen)),
+            "output": output,
+            "column": column,
+            "time": gallery.time(gallery.output(figure)) or "row",
+            "threshold": threshold,
+        }
+        metadata = {
+            "sierra:batch": batch,
+            "sierra:sql": text,
+            "sierra:note": "; ".join(notes),
+            "sierra:statistics": json.dumps(about, ensure_ascii=False),
+        }
+        return _with_axes(table, frame).replace_schema_metadata(metadata)
+
+
+@dataclass(frozen=True, slots=True)
+class RunTable:
+    """The runs of a batch as one number each."""
+
+    output: str
+    column: str
+    measure: str
+    threshold: float | None
+    unit: str
+    axes: tuple[str, ...]
+    cells: Mapping[int, Mapping[str, Value]]
+    """The values of the axes for each experiment, by its position in the batch."""
+    labelled: Mapping[int, Mapping[str, Value]]
+    """The same with the labels of controllers and scenarios instead of their names."""
+    values: Mapping[int, tuple[RunValue, ...]]
+    """The runs with a finite value, by the position of their experiment."""
+    planned: Mapping[int, int]
+    """The number of requested runs of each experiment."""
+    notes: tuple[str, ...]
+
+    def shown(self, ordinal: int) -> dict[str, Value]:
+        """Return the values of the axes in an experiment, as a reader sees them."""
+        return {name: self.labelled[ordinal][name] for name in self.axes}
+
+
+def values_of_runs(
+    project: LoadedProject,
+    store: Store,
+    batch: str,
+    output: str,
+    column: str,
+    measure: str | None,
+    threshold: float | None = None,
+) -> RunTable:
+    """Return the runs of a batch, each reduced to one number by a measure (None: `AUTO`).
+
+    Without `output` and `column`, it is the only numeric column. Raises NotFound, UsageError.
+    """
+    _check_reduction(measure, threshold, None)
+    with Frame(store, batch) as frame:
+        gallery = Gallery(project, store, frame, only={output} if output else frame.names)
+        found = gallery.output(Figure(table=output, column=(column,) if column else ()))
+        chosen = column or gallery.only_column(found)
+        samples = gallery.column(Figure(table=found.name, column=(chosen,)))
+        measure = measure or ("mean" if gallery.takes_mean(found) else "final")
+        rows = stats.values_of_runs(samples.frame, measure, threshold).to_pylist()
+        seeds = frame.seeds()
+        values: dict[int, list[RunValue]] = {ordinal: [] for ordinal in gallery.planned}
+        for row in rows:
+            value = row["last"] if row["never"] else row["value"]
+            if value is not None and isfinite(value):
+                seed = seeds[row["experiment"], row["run"]]
+                values[row["experiment"]].append(RunValue(seed, float(value), not row["never"]))
+        untimed = [f"{counted(samples.coverage.untimed, 'row')} without a time left out"] if samples.coverage.untimed else []
+        return RunTable(
+            output=found.name,
+            column=chosen,
+            measure=measure,
+            threshold=threshold,
+            unit=gallery.unit(found, gallery.time(found) if measure == "time_to" else chosen),
+            axes=tuple(axis.name for axis in frame.axes()),
+            cells=frame.cells(),
+            labelled=gallery.cells,
+            values={ordinal: tuple(runs) for ordinal, runs in values.items()},
+            planned=gallery.planned,
+            notes=(*gallery.target_notes, *gallery.declared_notes, *gallery.time_notes.values(), *untimed),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RunSeries:
+    """The runs of a batch over time."""
+
+    time: str
+    """The name of the time column with its unit."""
+    times: list[float]
+    values: Mapping[int, Mapping[int, Floats]]
+    """The values at these times, by the position of the experiment and by seed; NaN where a run has none."""
+
+
+def runs_over_time(
+    project: LoadedProject, store: Store, batch: str, output: str, column: str, grid: list[float] | None
+) -> RunSeries:
+    """Return the runs of a batch at common times, which `grid` may give. Raises UsageError for an output without a time."""
+    import numpy as np
+
+    with Frame(store, batch) as frame:
+        gallery = Gallery(project, store, frame, only={output})
+        found = gallery.output(Figure(table=output, column=(column,)))
+        time = gallery.time(found)
+        if not time or found.rows < 2:
+            raise UsageError(
+                f"output {output!r} has no time, so it cannot be compared over time; see time in [outputs.{output}]"
+            )
+        rows, times = gallery.column(Figure(table=output, column=(column,))).runs_over_time(grid)
+        places = np.searchsorted(np.array(times), rows.column("t").to_numpy())
+        seeds = frame.seeds()
+        values: dict[int, dict[int, Floats]] = {ordinal: {} for ordinal in gallery.planned}
+        runs = zip(rows.column("experiment").to_pylist(), rows.column("run").to_pylist(), strict=True)
+        numbers = rows.column("value").to_numpy(zero_copy_only=False).astype(float)
+        for (ordinal, run), place, number in zip(runs, places.tolist(), numbers.tolist(), strict=True):
+            series = values[ordinal].setdefault(seeds[ordinal, run], np.full(len(times), np.nan))
+            series[place] = number
+        unit = gallery.unit(found, time)
+        return RunSeries(f"{time} [{unit}]" if unit else time, times, values)
+
+
+def _about_times(curves: Mapping[int, Sequence[survival.Step]], of_times: Sequence[str], *, others: bool) -> list[str]:
+    """Return notes on which runs the statistics of times count."""
+    notes = []
+    censored = sum(step.censored for steps in curves.values() for step in steps)
+    if censored and others:
+        notes.append(
+            f"mean, median and all others except {' and '.join(survival.STATISTICS)} are those of the runs that reached it"
+        )
+    if censored and "restricted_mean" in of_times:
+        notes.append(f"restricted_mean is the mean time up to {survival.horizon(curves.values()):.12g}")
+    return notes
+
+
+def _about_rates(table: pa.Table, column: str, output: str, *, asked: bool) -> list[str]:
+    """Return notes on the kind of interval if the values are 0 and 1. `asked`: whether the column is one of a rate."""
+    if stats.is_rate(table):
+        return [f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate"]
+    if asked and any(n > 1 for n in table.column("n").to_pylist()):
+        return [f"not all values of {column} are 0 or 1: low and high are Student's t interval, not that of a rate"]
+    if not stats.may_be_rate(table):
+        return []
+    return [
+        f"all values of {column} are 0 or 1, but it may be a count: low and high are Student's t interval"
+        f' (for the interval of a rate, set rates = ["{column}"] in [outputs.{output}])'
+    ]
+
+
+def _check_reduction(measure: str | None, threshold: float | None, times: str | None) -> None:
+    if measure is not None and measure not in MEASURES:
+        raise UsageError(f"unknown measure {measure!r}; known are {', '.join(MEASURES)}, or None for statistics at each time")
+    if (measure == "time_to") != (threshold is not None):
+        raise UsageError("measure 'time_to' needs a threshold, for example threshold = 0.9; no other measure has one")
+    if threshold is not None and not isfinite(threshold):
+        raise UsageError(f"a threshold must be a finite number, not {threshold}")
+    if measure is not None and times is not None and (measure, times) != ("time_to", "own"):
+        raise UsageError(
+            f"times {times!r} needs statistics at each time, but a measure ({measure!r}) gives one value for all times"
+        )
+
+
+def _with_axes(table: pa.Table, frame: Frame) -> pa.Table:
+    """Return the statistics with the values of the axes after `experiment`."""
+    import pyarrow as pa
+
+    axes, cells = frame.axes(), frame.cells()
+    table = table.rename_columns(column_names(table.column_names, taken=[axis.name for axis in axes]))
+    ordinals = table.column(0).to_pylist()
+    for place, axis in enumerate(axes):
+        values = [cells[ordinal][axis.name] for ordinal in ordinals]
+        table = table.add_column(1 + place, axis.name, pa.array(values))
+    return table
