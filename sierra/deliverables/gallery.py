@@ -72,7 +72,7 @@ class _Output:
         (row,) = self.rows("SELECT count(*) AS count FROM data").to_pylist()
         if not row["count"]:
             raise SierraError(f"no row of output {self.output.name!r} fulfils where = {self.where!r}")
-        return stats.coverage(self.samples(column), several=True)
+        return replace(stats.coverage(self.samples(column), several=True), selected=True)
 
     def rows(self, statement: str) -> pa.Table:
         self.frame.data(self.output.name, self.time, self.where)
@@ -283,7 +283,8 @@ class Gallery:
                 raise NotFound("it has no numeric column")
             time = self.time(output)
             column = next((c for c in output.columns if c != time), output.columns[0])
-            self._seen[output.name] = stats.coverage(Column(self._frame, output.name, column, time), several=True)
+            seen = stats.coverage(Column(self._frame, output.name, column, time), several=True)
+            self._seen[output.name] = replace(seen, selected=output.name not in self._frame.written)
         if not several:
             try:
                 stats.check_times(self._seen[output.name])

@@ -103,6 +103,8 @@ class Coverage:
     last: float
     untimed: int
     """The number of rows whose time is not a finite number; they are left out."""
+    selected: bool = False
+    """True if a condition or a statement chose the rows, so that a successful run may have none."""
     doubled: int = 0
     """The number of runs with more than one row at the same time, for which statistics over runs are not defined."""
 
@@ -415,7 +417,7 @@ def left_out(
     wanted = sum((planned or {}).values())
     absent = sum(max(0, count - seen.runs.get(experiment, 0)) for experiment, count in (planned or {}).items())
     if absent:
-        notes.append(f"{absent} of {counted(wanted, 'run')} missing")
+        notes.append(f"{absent} of {counted(wanted, 'run')} missing{' or without such rows' if seen.selected else ''}")
     for name, what in (("missing", "missing value"), ("infinite", "infinite value")):
         if count := sum(_total(table, name) for table in tables):
             notes.append(f"{counted(count, what)} left out")

@@ -20,6 +20,7 @@ TABLES = {
     "lost": "SELECT tick, avg(coverage) AS m FROM swarm GROUP BY tick",
     "foreign": "SELECT upper(run) AS run, coverage FROM swarm",
     "nobody": "SELECT NULL AS run, 1 AS v FROM swarm",
+    "first": "SELECT run, coverage FROM swarm WHERE run = (SELECT min(run) FROM swarm)",
     "empty": "SELECT run, coverage FROM swarm WHERE tick > 99",
     "twice": "SELECT run, tick, coverage FROM swarm, range(2)",
     "wrong": "SELECT run, covrage FROM swarm",
@@ -55,6 +56,12 @@ def test_a_flag_is_a_rate_with_the_interval_of_a_rate(root: Path) -> None:
         0 <= low <= mean <= high <= 1
         for low, mean, high in zip(*(rates.column(c).to_pylist() for c in ("low", "mean", "high")), strict=True)
     )
+
+
+def test_runs_without_rows_are_not_only_called_missing(root: Path) -> None:
+    project = sierra.open(root)
+    found = project.statistics(project.batches[0].batch, "first", "coverage")
+    assert "3 of 4 runs missing or without such rows" in found.arrow.schema.metadata[b"sierra:note"].decode()
 
 
 def test_unordered_rows_without_a_time_count_by_their_mean(root: Path) -> None:
