@@ -125,6 +125,8 @@ class RunTable:
     planned: Mapping[int, int]
     """The number of requested runs of each experiment."""
     notes: tuple[str, ...]
+    rate: bool = False
+    """True if the values 0 and 1 of the column are a rate."""
 
     def shown(self, ordinal: int) -> dict[str, Value]:
         """Return the values of the axes in an experiment, as a reader sees them."""
@@ -172,6 +174,7 @@ def values_of_runs(
             values={ordinal: tuple(runs) for ordinal, runs in values.items()},
             planned=gallery.planned,
             notes=(*gallery.target_notes, *gallery.declared_notes, *gallery.time_notes.values(), *untimed),
+            rate=samples.rate and measure != "time_to",
         )
 
 

@@ -31,7 +31,7 @@ class Needed:
     runs: int | None
     """The number of runs for the interval, if this is the true standard deviation; None: more than ten million."""
     safe_runs: int | None
-    """The number of runs that is enough with a probability of 80 %, because the standard deviation of a pilot is uncertain."""
+    """The number of runs that is enough with a probability of 80 %, because what a pilot shows is uncertain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,17 +78,27 @@ def runs_needed(
         raise UsageError(f"the half-width of an interval must be a number above 0, not {half_width:g}")
     runs = values_of_runs(project, store, batch, table, column, measure, threshold)
     found, notes = [], list(runs.notes)
+    rate = runs.rate and all(run.value in (0, 1) for values in runs.values.values() for run in values)
+    if rate:
+        notes.append("the interval is Wilson's, because the column is a rate")
     for ordinal, values in runs.values.items():
         if any(not run.reached for run in values):
             raise UsageError("some runs never reached the threshold; the mean of their times is not known")
         if len(values) < 2:
             notes.append(f"experiment {ordinal} has {len(values)} runs with a value, but two or more are needed")
             continue
-        sd = statistics.stdev(run.value for run in values)
-        safe = sample_size.runs_needed(sample_size.upper_sd(sd, len(values)), half_width)
-        found.append(Needed(runs.shown(ordinal), len(values), sd, sample_size.runs_needed(sd, half_width), safe))
+        numbers = [run.value for run in values]
+        sd = statistics.stdev(numbers)
+        if rate:
+            mean = statistics.fmean(numbers)
+            enough = sample_size.runs_for_rate(mean, half_width)
+            safe = sample_size.runs_for_rate(sample_size.doubtful_rate(mean, len(numbers)), half_width)
+        else:
+            enough = sample_size.runs_needed(sd, half_width)
+            safe = sample_size.runs_needed(sample_size.upper_sd(sd, len(numbers)), half_width)
+        found.append(Needed(runs.shown(ordinal), len(numbers), sd, enough, safe))
     if not found:
         raise SierraError("no experiment of this batch has two or more runs with a value")
-    if any(one.sd == 0 for one in found):
+    if not rate and any(one.sd == 0 for one in found):
         notes.append("all runs of an experiment have the same value; if that is by chance, more runs are needed than shown")
     return RunsNeeded(runs.output, runs.column, runs.measure, half_width, tuple(found), tuple(notes))

@@ -6,11 +6,16 @@ there is a second answer, with the upper limit of s that is not exceeded with th
 Stat. Med. 14: 1933-1940):
 
     s · √((m − 1) / χ²),    χ²: the quantile for 1 − ASSURANCE and m − 1 degrees of freedom
+
+The interval of a rate is Wilson's, whose half-width depends on n and the rate: it is the widest at a rate of 0.5. There, the
+second answer is that for the rate nearest to 0.5 that the pilot does not exclude with the same probability.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from statistics import NormalDist
 
 from sierra.stats import student_t
 
@@ -21,10 +26,29 @@ MOST = 10**7
 
 def runs_needed(sd: float, half_width: float, level: float = 0.95) -> int | None:
     """Return the smallest n of at least 2 with t·sd/√n ≤ half_width; None if it is above `MOST`."""
+    return _smallest(lambda n: student_t.quantile((1 + level) / 2, n - 1) * sd / math.sqrt(n) <= half_width)
 
-    def fits(n: int) -> bool:
-        return student_t.quantile((1 + level) / 2, n - 1) * sd / math.sqrt(n) <= half_width
 
+def runs_for_rate(rate: float, half_width: float, level: float = 0.95) -> int | None:
+    """Return the smallest n of at least 2 for which Wilson's interval of this rate has the half-width; None if above `MOST`."""
+    z = NormalDist().inv_cdf((1 + level) / 2)
+    return _smallest(lambda n: _wilson(rate, n, z)[1] <= half_width)
+
+
+def doubtful_rate(rate: float, n: int) -> float:
+    """Return the rate nearest to 0.5 that n runs do not exclude: the end of Wilson's one-sided interval (`ASSURANCE`)."""
+    center, half = _wilson(rate, n, NormalDist().inv_cdf(ASSURANCE))
+    return min(max(center + half, rate), 0.5) if rate <= 0.5 else max(min(center - half, rate), 0.5)
+
+
+def _wilson(rate: float, n: int, z: float) -> tuple[float, float]:
+    """Return the center and the half-width of Wilson's interval."""
+    scale = 1 + z * z / n
+    return (rate + z * z / (2 * n)) / scale, z * math.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n)) / scale
+
+
+def _smallest(fits: Callable[[int], bool]) -> int | None:
+    """Return the smallest n of at least 2 that fits, as all larger ones do; None if it is above `MOST`."""
     low, high = 1, 2
     while not fits(high):
         if high >= MOST:
