@@ -313,8 +313,9 @@ def _scratch(git: Git) -> Iterator[Path]:
     try:
         folder.mkdir(exist_ok=True)
         for old in folder.glob("*.tmp*"):
-            if old.stat().st_mtime < time.time() - ABANDONED_S:
-                old.unlink(missing_ok=True)
+            with contextlib.suppress(FileNotFoundError):  # another process has removed its own
+                if old.stat().st_mtime < time.time() - ABANDONED_S:
+                    old.unlink()
         path = folder / f"{uuid4().hex}.tmp"
         path.touch()
         path.unlink()
