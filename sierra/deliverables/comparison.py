@@ -313,10 +313,7 @@ def _differences(store: Store, batches: Mapping[str, str]) -> Iterator[str]:
     specs = {row.spec: row for row in store.select(SpecRow, "SELECT * FROM specs WHERE spec IN $s", s=[r.spec for r in rows])}
     facts = [
         {
-            **{
-                name: getattr(row, name)
-                for name in ("controller", "scenario", "overrides", "platform", "base_seed", "template")
-            },
+            **{name: getattr(row, name) for name in FACTS},
             "content of the template": row.template_sha256,
             **{field: getattr(specs[row.spec], field) for field in SPEC if row.spec in specs},
         }

@@ -20,7 +20,6 @@ from sierra.stats.selection import Selection
 from sierra.store.samples import Frame
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
-from sierra.util.text import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -69,11 +68,11 @@ def statistics(
         if measure == "time_to" and threshold is not None:
             curves = {place: survival.curve(runs) for place, runs in survival.times(samples.frame, threshold).items()}
         if measure == "time_to" and times is not None:
-            table, text, notes = survival.curves_table(curves), survival.statement(), notes
+            table, text = survival.curves_table(curves), survival.statement()
         elif measure is None:
             table, text, notes = samples.at_times(times or "own", wanted)
         else:
-            (table, text), notes = samples.by_experiment(measure, wanted, threshold), notes
+            table, text = samples.by_experiment(measure, wanted, threshold)
         if curves and times is None:
             table = survival.with_statistics(table, curves, of_times)
             notes += _about_times(curves, of_times, others=bool(others) or not chosen)
@@ -161,7 +160,7 @@ def values_of_runs(
             if value is not None and isfinite(value):
                 seed = seeds[row["experiment"], row["run"]]
                 values[row["experiment"]].append(RunValue(seed, float(value), not row["never"]))
-        untimed = [f"{counted(samples.coverage.untimed, 'row')} without a time left out"] if samples.coverage.untimed else []
+        untimed = stats.left_out((), samples.coverage)
         return RunTable(
             output=found.name,
             column=chosen,

@@ -12,7 +12,7 @@ from sierra.config.plugin_registry import NoOptions
 from sierra.deliverables.figures.base import Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
-from sierra.store.sql_names import identifier
+from sierra.store.sql_names import identifier, quote
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -71,7 +71,7 @@ class Roc:
     def needs(self, request: Request) -> Needs:
         truth, score = _two(request, "the truth and the score")
         return Needs(
-            rows=_scores(f"{identifier(truth)}::VARCHAR = {_text(self._positive)}", score),
+            rows=_scores(f"{identifier(truth)}::VARCHAR = {quote(self._positive)}", score),
             columns=2,
             numeric=False,
             shows="mean of the curves of the runs, 95 % CI of the mean at each place",
@@ -136,10 +136,6 @@ def _two(request: Request, what: str) -> tuple[str, str]:
         raise UsageError(f"a {request.figure.kind} figure needs two columns, {what}, not {len(request.columns)}")
     first, second = request.columns
     return first, second
-
-
-def _text(value: str) -> str:
-    return "'" + value.replace("'", "''") + "'"
 
 
 def _scores(positive: str, score: str) -> dict[str, str]:
