@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 from sierra.config.deliverable_tables import Figure
 from sierra.config.field_types import Table
+from sierra.config.plugin_registry import FIGURES, NoOptions
 from sierra.model import Axis
 from sierra.stats.needs import Needs
 
@@ -67,9 +68,21 @@ class FigureKind(Protocol):
         """Draw the data. Raises UsageError, in one line, if they do not suit the kind."""
 
 
+class PlainKind:
+    """The parts of a kind that has no options and adds nothing to the small print."""
+
+    contract = 1
+    Options: ClassVar[type[Table]] = NoOptions
+
+    def __init__(self, options: Table) -> None:
+        del options
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        del drawing
+        return ()
+
+
 def kind_of(figure: Figure) -> FigureKind:
     """Return the kind of a figure, made with its options. Raises ConfigError, PluginError."""
-    from sierra.config.plugin_registry import FIGURES
-
     made: FigureKind = FIGURES.make(figure.kind, {figure.kind: figure.own})
     return made

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.config.plugin_registry import NoOptions
-from sierra.deliverables.figures.base import Request
+from sierra.deliverables.figures.base import PlainKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 from sierra.store.sql_names import identifier, quote
@@ -22,15 +21,10 @@ if TYPE_CHECKING:
 CURVE = frozenset({"series", "facet", "palette", "labels", "xlim", "ylim"})
 
 
-class Confusion:
+class Confusion(PlainKind):
     """How often each true category was taken for each category, from two columns: the truth and the prediction."""
 
-    contract = 1
-    Options: ClassVar[type[Table]] = NoOptions
     uses: ClassVar[frozenset[str]] = frozenset()
-
-    def __init__(self, options: Table) -> None:
-        del options
 
     def needs(self, request: Request) -> Needs:
         truth, predicted = (f"{identifier(name)}::VARCHAR" for name in _two(request, "the truth and the prediction"))
@@ -97,15 +91,10 @@ class Pr(Roc):
         return precision_recall(drawing)
 
 
-class RiskCoverage:
+class RiskCoverage(PlainKind):
     """The mean loss of the part of the rows with the highest confidence, from two columns: the loss and the confidence."""
 
-    contract = 1
-    Options: ClassVar[type[Table]] = NoOptions
     uses: ClassVar[frozenset[str]] = CURVE
-
-    def __init__(self, options: Table) -> None:
-        del options
 
     def needs(self, request: Request) -> Needs:
         loss, confidence = (f"{identifier(name)}::DOUBLE" for name in _two(request, "the loss and the confidence"))

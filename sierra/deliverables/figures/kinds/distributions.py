@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.config.plugin_registry import NoOptions
-from sierra.deliverables.figures.base import PLOT, Request
+from sierra.deliverables.figures.base import PLOT, PlainKind, Request
 from sierra.stats.needs import Needs
 
 if TYPE_CHECKING:
@@ -82,15 +81,10 @@ class Histogram:
         return histogram(drawing, self._options.bins, density=self._options.density)
 
 
-class Ridge:
+class Ridge(PlainKind):
     """The density of the runs of each experiment, one above the other."""
 
-    contract = 1
-    Options: ClassVar[type[Table]] = NoOptions
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet", "xlim", "palette", "labels"})
-
-    def __init__(self, options: Table) -> None:
-        del options
 
     def needs(self, request: Request) -> Needs:
         return Needs(("median",), runs=True, shows="density of the runs, line: median, each tick a run")

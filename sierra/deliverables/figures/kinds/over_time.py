@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
-from sierra.config.field_types import Table
-from sierra.config.plugin_registry import NoOptions
 from sierra.deliverables.figures import bands
-from sierra.deliverables.figures.base import PLOT, Request
+from sierra.deliverables.figures.base import PLOT, PlainKind, Request
 from sierra.stats.aggregate import CENTERS
 from sierra.stats.needs import Needs
 
@@ -21,15 +19,10 @@ MOST_PANELS = 9
 """The largest number of experiments that stacked areas over time have a panel each for."""
 
 
-class Timeseries:
+class Timeseries(PlainKind):
     """Lines over time, each with its band."""
 
-    contract = 1
-    Options: ClassVar[type[Table]] = NoOptions
     uses: ClassVar[frozenset[str]] = frozenset({"times", "center", "band", "series", "facet"}) | PLOT
-
-    def __init__(self, options: Table) -> None:
-        del options
 
     def needs(self, request: Request) -> Needs:
         return Needs(bands.statistics(request.figure), over="time", shows=bands.words(request.figure))
@@ -45,24 +38,16 @@ class Timeseries:
         return timeseries(drawing)
 
 
-class Stacked:
+class Stacked(PlainKind):
     """Stacked areas of several columns: over time in a panel for each experiment, else over the first variable."""
 
-    contract = 1
-    Options: ClassVar[type[Table]] = NoOptions
     uses: ClassVar[frozenset[str]] = frozenset({"times", "measure", "center", "x"}) | PLOT - {"log_y"}
-
-    def __init__(self, options: Table) -> None:
-        del options
 
     def needs(self, request: Request) -> Needs:
         timed = request.rows > 1 and (request.experiments <= MOST_PANELS or not request.axes)
         center, _ = CENTERS[request.figure.center]
         shows = bands.NAMES[request.figure.center]
         return Needs((center,), "time" if timed else "experiments", columns=None, shows=shows)
-
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        return ()
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         from sierra.deliverables.figures.timeseries import stacked

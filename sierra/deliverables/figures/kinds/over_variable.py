@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
-from sierra.config.field_types import Table
-from sierra.config.plugin_registry import NoOptions
 from sierra.deliverables.figures import bands
-from sierra.deliverables.figures.base import PLOT, Request
+from sierra.deliverables.figures.base import PLOT, PlainKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 
@@ -23,15 +21,10 @@ SIDE_BY_SIDE = PLOT - NO_LOG_X - {"log_y"}
 BOX = ("median", "whiskers")
 
 
-class Summary:
+class Summary(PlainKind):
     """Points with intervals over the first variable, with a series for each combination of the others."""
 
-    contract = 1
-    Options: ClassVar[type[Table]] = NoOptions
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "x", "series", "facet"}) | PLOT
-
-    def __init__(self, options: Table) -> None:
-        del options
 
     def needs(self, request: Request) -> Needs:
         return Needs(bands.statistics(request.figure), some="hollow", shows=bands.words(request.figure))
@@ -47,15 +40,10 @@ class Summary:
         return summary(drawing)
 
 
-class Box:
+class Box(PlainKind):
     """Boxes over the first variable: median, quartiles, whiskers, and the runs beyond them."""
 
-    contract = 1
-    Options: ClassVar[type[Table]] = NoOptions
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "x", "series", "facet"}) | PLOT - NO_LOG_X
-
-    def __init__(self, options: Table) -> None:
-        del options
 
     def needs(self, request: Request) -> Needs:
         return Needs(BOX, runs=True, shows="median, quartiles, whiskers to at most 1.5 IQR")
@@ -95,21 +83,13 @@ class Strip(Box):
         return strip(drawing)
 
 
-class Bar:
+class Bar(PlainKind):
     """Bars over the first variable, with intervals; side by side for the values of the others."""
 
-    contract = 1
-    Options: ClassVar[type[Table]] = NoOptions
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "x", "series", "facet"}) | SIDE_BY_SIDE
-
-    def __init__(self, options: Table) -> None:
-        del options
 
     def needs(self, request: Request) -> Needs:
         return Needs(bands.statistics(request.figure), shows=bands.words(request.figure))
-
-    def notes(self, drawing: Drawing) -> Sequence[str]:
-        return ()
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         from sierra.deliverables.figures.summary import bar
@@ -117,15 +97,10 @@ class Bar:
         return bar(drawing)
 
 
-class Heatmap:
+class Heatmap(PlainKind):
     """A map of colours over two variables."""
 
-    contract = 1
-    Options: ClassVar[type[Table]] = NoOptions
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "x", "series", "log_y", "labels"})
-
-    def __init__(self, options: Table) -> None:
-        del options
 
     def needs(self, request: Request) -> Needs:
         if (count := len(request.axes)) != 2:
