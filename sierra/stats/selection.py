@@ -17,6 +17,7 @@ from sierra.config.field_types import RawTable
 from sierra.config.plugin_registry import STATISTICS
 from sierra.errors import PluginError, UsageError
 from sierra.stats.base import LEVEL, Estimate, Formula, Function, Parameter, Statistic
+from sierra.store.sql_names import quote
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
@@ -86,8 +87,7 @@ class Selection:
         return [*found, *(["x"] if self.functions else [])]
 
     def _method(self, name: str, formula: Formula) -> str:
-        method = self.statistics[name].interval.replace("'", "''")
-        return formula.method or f"CASE WHEN {formula.low} IS NOT NULL THEN '{method}' END"
+        return formula.method or f"CASE WHEN {formula.low} IS NOT NULL THEN {quote(self.statistics[name].interval)} END"
 
     def parameters(self, most: int) -> dict[str, Parameter]:
         """Return the parameters of the formulas. `most` is the largest number of runs of an experiment."""

@@ -55,6 +55,11 @@ class Definition:
     problem: str = ""
     """Why there is no statement: for example, its file does not exist."""
 
+    @property
+    def text(self) -> str:
+        """The statement without the semicolon at its end."""
+        return self.sql.strip().rstrip(";")
+
 
 @dataclass(frozen=True, slots=True)
 class Rules:
@@ -108,12 +113,16 @@ class DerivedTables:
 
     def statements(self, name: str) -> str:
         """Return the statement of a table after those of the tables that it needs, as SQL with comments; "" if it is none."""
+        return "\n\n".join(dict.fromkeys(self._statements(name)))
+
+    def _statements(self, name: str) -> Iterator[str]:
+        """Yield the statements of the tables that a table needs, some several times, and then its own."""
         if name.lower() not in self.definitions:
-            return ""
+            return
         definition = self.definitions[name.lower()]
-        needed = statement.used(self._connection(), definition.sql).tables
-        texts = [text for other in needed if (text := self.statements(other))]
-        return "\n\n".join([*texts, f"-- {definition.origin}\n{definition.sql.strip()}"])
+        for other in statement.used(self._connection(), definition.sql).tables:
+            yield from self._statements(other)
+        yield f"-- {definition.origin}\n{definition.sql.strip()}"
 
     def used_by(self, text: str) -> list[str]:
         """Return the derived tables that a statement names, in lower case; none if it cannot be parsed."""
@@ -156,7 +165,7 @@ class DerivedTables:
         if definition.name.lower() in self._listed:
             self._connection().execute(f"DROP VIEW temp.{identifier(definition.name)}")
             self._listed.remove(definition.name.lower())
-        text = definition.sql.strip().rstrip(";")
+        text = definition.text
         rows = text if ordered else f"SELECT * FROM (\n{text}\n) ORDER BY ALL"
         table = identifier(definition.name)
         with limited(self._connection(), self._rules().limits, definition.origin) as connection:
@@ -170,7 +179,7 @@ class DerivedTables:
             return
         self._prepare(definition, lambda other: self._list(other, self.definitions[other]))
         with _explained(definition.origin):
-            text = definition.sql.strip().rstrip(";")
+            text = definition.text
             self._connection().execute(f"CREATE TEMP VIEW {identifier(definition.name)} AS {text}")
         self._listed.append(name)
 
