@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import comparison, record, render
+from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Checked, Content, ShownDeliverable
 from sierra.store.row_types import DeliverableRow
+from sierra.store.samples import Frame
 from sierra.store.store import Store
 
 
 def check(project: LoadedProject, store: Store, batch: str) -> list[Checked]:
     """Return whether each recorded deliverable of a batch still follows from the store, in the order of kinds and names."""
-    return list(record.checked(store, project.root, batch, partial(_again, project, store)))
+    with Frame(store, batch) as frame:
+        gallery = cache(partial(Gallery, project, store, frame))
+        return list(record.checked(frame, project.root, batch, partial(_again, project, store, shared=gallery)))
 
 
 def find(project: LoadedProject, store: Store, file: Path) -> ShownDeliverable:
@@ -22,7 +27,8 @@ def find(project: LoadedProject, store: Store, file: Path) -> ShownDeliverable:
     return record.find(store, project.root, file, partial(_again, project, store))
 
 
-def _again(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+def _again(project: LoadedProject, store: Store, row: DeliverableRow, shared: Callable[[], Gallery] | None = None) -> Content:
     """Return the content of a deliverable by its recorded definition and the data that the store has now."""
-    make = comparison.content if row.kind == comparison.KIND else render.content
-    return make(project, store, row)
+    if row.kind == comparison.KIND:
+        return comparison.content(project, store, row)
+    return render.content(project, store, row, shared)

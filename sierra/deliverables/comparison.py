@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import Comparison, Figure
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables.record import Content, Recorder
+from sierra.deliverables.record import Content, Recorder, marked_folder
 from sierra.deliverables.run_statistics import RunSeries, RunTable, runs_over_time, values_of_runs
 from sierra.errors import NotFound, UsageError
 from sierra.execution import targets
@@ -24,13 +24,11 @@ from sierra.model import Value
 from sierra.stats.comparison.model import Analysis, Cell, Effect, Omnibus, Pair, Question, Sample
 from sierra.store.layout import COMPARISONS, ProjectPaths
 from sierra.store.row_types import BatchRow, DeliverableRow, SpecRow
-from sierra.store.segments import disk_errors
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
-from sierra.util.fs import write_whole
 from sierra.util.hashing import short
 from sierra.util.json_types import JsonView
-from sierra.util.text import like
+from sierra.util.text import like, n_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -356,7 +354,7 @@ def draw(compared: Compared, store: Store, paths: ProjectPaths) -> list[Path]:
     with style.applied():
         figure = forest(compared)
         style.settle(figure, drawn)
-        files = drawing.save(figure, drawn, _marked_folder(paths))
+        files = drawing.save(figure, drawn, marked_folder(paths.drawn(COMPARISONS), "Figures of comparisons, drawn by SIERRA."))
     recorder = Recorder(store, paths.root, drawn.batch)
     recorder.add(_content(compared, drawn), files)
     recorder.close()
@@ -402,23 +400,12 @@ def _drawing(compared: Compared) -> Drawing:
     )
 
 
-def _marked_folder(paths: ProjectPaths) -> Path:
-    """Return the folder of comparisons' figures, with the mark by which it does not count as source."""
-    mark = paths.drawn(COMPARISONS)
-    if not mark.exists():
-        with disk_errors(mark.parent):
-            mark.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(mark, b"Figures of comparisons, drawn by SIERRA.\n")
-    return mark.parent
-
-
 def _caption(compared: Compared) -> str:
     """Return the small print of the figure."""
     found = compared.analysis
     if compared.effects:
         return f"aligned ranks; {found.pairing.reason}"
-    n = [pair.n_first for pair in compared.pairs] + [pair.n_second for pair in compared.pairs]
-    runs = f"n = {min(n)}" if min(n) == max(n) else f"n = {min(n)}–{max(n)}"
+    runs = n_of(n for pair in compared.pairs for n in (pair.n_first, pair.n_second))
     if any(pair.a12 is None for pair in compared.pairs):
         return f"differences of Kaplan-Meier medians, {runs}; filled: different (log-rank test, Holm)"
     if compared.bands:

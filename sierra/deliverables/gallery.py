@@ -104,11 +104,12 @@ class Gallery:
         """A note if the declarations are those of another target."""
         self._config = project.config if own else targets.of_batch(project, store, frame.batch).config
         self._store = store
-        self._frame = frame
+        self.frame = frame
         self._outputs = {output.name: output for output in frame.outputs(only or _tables(self._config.figures, name))}
         self._shown: dict[str, Mapping[Value, Value]] = {}
         self._axes = tuple(map(self._labelled, frame.axes()))
-        self._cells = {ordinal: self._with_labels(values) for ordinal, values in frame.cells().items()}
+        self.cells = {ordinal: self._with_labels(values) for ordinal, values in frame.cells().items()}
+        """The values of the axes for each experiment, with the labels of controllers and scenarios."""
         self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
         self._seen: dict[str, stats.Coverage] = {}
         self._times: dict[str, str] = {}
@@ -136,7 +137,7 @@ class Gallery:
         columns: dict[str, dict[str, None]] = {}
         for figure in figures.values():
             columns.setdefault(figure.table, {}).update(dict.fromkeys(figure.columns))
-        shares = {table: self._frame.differing(table, list(names)) for table, names in columns.items()}
+        shares = {table: self.frame.differing(table, list(names)) for table, names in columns.items()}
         share = {
             name: max((shares[figure.table].get(column, 0.0) for column in figure.columns), default=0.0)
             for name, figure in figures.items()
@@ -147,7 +148,7 @@ class Gallery:
     def _default(self) -> tuple[dict[str, Figure], list[str]]:
         """Return the default figures that fit each output; and notes on outputs and columns without one, and why."""
         found: dict[str, Figure] = {}
-        problems = self._frame.problems
+        problems = self.frame.problems
         notes = [f"no figure of table {name!r}: {error}" for name, error in problems.items() if not isinstance(error, NoRuns)]
         notes += (
             []
@@ -158,12 +159,12 @@ class Gallery:
             time = self.time(output)
             columns = [column for column in output.columns if column != time]
             notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
-            notes += suggest_tables.notes(self._frame, output)
+            notes += suggest_tables.notes(self.frame, output)
             try:
                 self._coverage(output)
             except SierraError as error:
                 doubled = type(error) is UsageError and output.files < 2
-                hint = suggest_tables.of_means(self._frame, output, self.time(output)) if doubled else ""
+                hint = suggest_tables.of_means(self.frame, output, self.time(output)) if doubled else ""
                 notes.append(f"no figure of output {output.name!r}: {error}{hint}")
                 continue
             series = output.rows > 1 and not self.takes_mean(output)
@@ -174,15 +175,15 @@ class Gallery:
     def _from_sql(self, statement: str) -> str:
         """Return the name of the derived table that the own statement of a figure makes."""
         table = f"sql {short(sha256(statement.encode()))}"
-        if table not in self._frame.names:
-            self._frame.derive(Definition(table, statement, "sql"))
-            self._outputs |= {output.name: output for output in self._frame.outputs({table})}
+        if table not in self.frame.names:
+            self.frame.derive(Definition(table, statement, "sql"))
+            self._outputs |= {output.name: output for output in self.frame.outputs({table})}
         return table
 
     @property
-    def cells(self) -> Mapping[int, Mapping[str, Value]]:
-        """Return the values of the axes for each experiment, with the labels of controllers and scenarios."""
-        return self._cells
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the reader on the target, the declarations and the times that are used."""
+        return (*self.target_notes, *self.declared_notes, *self.time_notes.values())
 
     def only_column(self, output: OutputTable) -> str:
         """Return the only numeric column of an output that is not its time. Raises UsageError if there are several."""
@@ -200,7 +201,7 @@ class Gallery:
         """Return the samples of the one column that a figure names."""
         output = self.output(figure)
         (column,) = figure.columns
-        source = _Output(self._frame, output, self.time(output))
+        source = _Output(self.frame, output, self.time(output))
         source.check(figure.columns, numeric=True)
         return stats.Samples(source.samples(column), self._coverage(output), column in self.rates(output))
 
@@ -220,11 +221,11 @@ class Gallery:
             figure = figure.model_copy(update={"measure": "mean"})
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
-        source = _Output(self._frame, output, time, figure.where)
-        batch = Batch(self._axes, self._cells, self.planned, self._frame.batch)
+        source = _Output(self.frame, output, time, figure.where)
+        batch = Batch(self._axes, self.cells, self.planned, self.frame.batch)
         seen = self._coverage(output, several=True)
         if figure.where:
-            asked = self._frame.experiments_with(output.name, figure.where)
+            asked = self.frame.experiments_with(output.name, figure.where)
             failed = asked.difference(seen.runs)
             seen = source.coverage(columns[0])
             planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
@@ -238,12 +239,12 @@ class Gallery:
             and declared.ticks_per_second is not None
             and all("t" in table.column_names for table in tables.values())
         ):
-            per_second = seconds.rates(declared.ticks_per_second, self._config, self._store, self._frame)
+            per_second = seconds.rates(declared.ticks_per_second, self._config, self._store, self.frame)
             tables = {column: seconds.in_seconds(table, per_second) for column, table in tables.items()}
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
         note = "; ".join(filter(None, (*self.target_notes, note)))
-        sql = "\n\n".join(filter(None, (self._frame.statements(output.name), made.sql)))
+        sql = "\n\n".join(filter(None, (self.frame.statements(output.name), made.sql)))
         return replace(made, tables=tables, note=note, sql=sql, time=time or "row", units=units)
 
     def time(self, output: OutputTable) -> str:
@@ -262,7 +263,7 @@ class Gallery:
         first = output.all_columns[0] if output.all_columns else ""
         if names_time(first) and first in output.columns:
             return first
-        found = self._frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
+        found = self.frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
         if found is None:
             if declared is None and output.rows > 1:
                 self.time_notes[output.name] = (
@@ -283,8 +284,8 @@ class Gallery:
                 raise NotFound("it has no numeric column")
             time = self.time(output)
             column = next((c for c in output.columns if c != time), output.columns[0])
-            seen = stats.coverage(Column(self._frame, output.name, column, time), several=True)
-            self._seen[output.name] = replace(seen, selected=output.name not in self._frame.written)
+            seen = stats.coverage(Column(self.frame, output.name, column, time), several=True)
+            self._seen[output.name] = replace(seen, selected=output.name not in self.frame.written)
         if not several:
             try:
                 stats.check_times(self._seen[output.name])
@@ -316,13 +317,13 @@ class Gallery:
     def output(self, figure: Figure) -> OutputTable:
         """Return the output that a figure names, or the only one with its columns. Raises NotFound."""
         if name := self._from_sql(figure.sql) if figure.sql else figure.table:
-            if name in self._frame.problems:
-                raise self._frame.problems[name]
+            if name in self.frame.problems:
+                raise self.frame.problems[name]
             if name not in self._outputs:
-                raise NotFound(f"this batch has no output {name!r}; its outputs: {', '.join(self._frame.names) or 'none'}")
+                raise NotFound(f"this batch has no output {name!r}; its outputs: {', '.join(self.frame.names) or 'none'}")
             return self._outputs[name]
         having = [o for o in self._outputs.values() if all(column in o.columns for column in figure.columns)]
-        having = [o for o in having if o.name in self._frame.written] or having
+        having = [o for o in having if o.name in self.frame.written] or having
         if self._outputs and not having:
             raise NotFound(
                 f"no output has {' and '.join(map(repr, figure.columns))} as numeric columns (sierra sql 'SHOW TABLES')"

@@ -18,10 +18,13 @@ from typing import ClassVar
 from sierra.errors import Missing, NotFound, SierraError
 from sierra.execution.sessions import Session
 from sierra.store import deliverable_records
+from sierra.store.deliverable_records import Source
 from sierra.store.lamport_clock import stamp
 from sierra.store.row_types import DeliverableRow
+from sierra.store.samples import Frame
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
+from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, sha256_file, short
 from sierra.util.json_types import JsonView
 from sierra.version import __version__
@@ -46,9 +49,10 @@ class Content:
 class Recorder:
     """The records of a batch's deliverables. New ones are written to the store when it is closed."""
 
-    def __init__(self, store: Store, root: Path, batch: str) -> None:
+    def __init__(self, store: Store, root: Path, batch: str, frame: Frame | None = None) -> None:
+        """`frame`: a state of the store that is open already, to read the last records from."""
         self._store, self._root, self._batch = store, root, batch
-        self._latest = {(row.kind, row.name): row for row in deliverable_records.latest(store, batch)}
+        self._latest = {(row.kind, row.name): row for row in deliverable_records.latest(frame or store, batch)}
         self._new: list[DeliverableRow] = []
 
     def made(self, content: Content) -> tuple[Path, ...] | None:
@@ -101,6 +105,15 @@ class Recorder:
         return row._replace(deliverable=deliverable_records.deliverable_id(row))
 
 
+def marked_folder(mark: Path, content: str) -> Path:
+    """Return the folder of a mark file, which is made unless it exists: with it, the folder does not count as source."""
+    if not mark.exists():
+        with disk_errors(mark.parent):
+            mark.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(mark, f"{content}\n".encode())
+    return mark.parent
+
+
 ORIGIN = re.compile(rb"sierra (\S{1,40}) batch ([0-9a-f]{64}) data ([0-9a-f]{64})")
 """The line of `origin_of` in a file."""
 FIND = "SELECT * FROM deliverables WHERE list_contains(sha256s, $sha256) ORDER BY lamport DESC, made DESC LIMIT 1"
@@ -113,16 +126,16 @@ def origin_of(batch: str, data: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """Whether a recorded deliverable still follows from the store."""
+    """A recorded deliverable, and the reason if it no longer follows from the store."""
 
     kind: str
     name: str
     files: tuple[str, ...]
     problem: str | None
-    """Why it does not, in one line; None if it does."""
+    """The reason, in one line; None if it follows."""
 
 
-def checked(store: Store, root: Path, batch: str, again: Callable[[DeliverableRow], Content]) -> Iterator[Checked]:
+def checked(store: Source, root: Path, batch: str, again: Callable[[DeliverableRow], Content]) -> Iterator[Checked]:
     """Yield each recorded deliverable of a batch with its state; `again` computes its content from the store as it is now."""
     for row in deliverable_records.latest(store, batch):
         yield Checked(row.kind, row.name, tuple(row.files), _problem(row, root, again))

@@ -16,14 +16,12 @@ from sierra.config.project_file import LoadedProject
 from sierra.deliverables import overlay
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.record import Content, Recorder
+from sierra.deliverables.record import Content, Recorder, marked_folder
 from sierra.errors import Missing, SierraError
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
-from sierra.store.segments import disk_errors
 from sierra.store.store import Store
-from sierra.util.fs import write_whole
 from sierra.util.hashing import short
 
 
@@ -38,7 +36,7 @@ def figures(
     with Frame(store, batch) as frame:
         gallery = Gallery(project, store, frame, name=name)
         wanted, notes = gallery.wanted(name)
-        drawer = _Drawer(store, project.root, batch, again=again)
+        drawer = _Drawer(store, project.root, frame, again=again)
         drawn, failed = _draw_each(drawer, wanted, gallery.drawing, strict=name is not None)
         notes += (*failed, *gallery.declared_notes, *gallery.time_notes.values())
     notes += drawer.close()
@@ -63,14 +61,19 @@ def _draw_each(
     return drawn, failed
 
 
-def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
-    """Return the content of a recorded figure by its definition and the data that the store has now."""
+def content(project: LoadedProject, store: Store, row: DeliverableRow, shared: Callable[[], Gallery] | None = None) -> Content:
+    """Return the content of a recorded figure by its definition and the data that the store has now.
+
+    `shared` returns the data of the batch if they serve several figures; by default, only those of this figure are read.
+    """
     definition = json.loads(row.definition)
     figure = Figure.model_validate(definition["figure"])
     if named := overlay.targets_of(definition):
         with ExitStack() as frames:
             batches = overlay.batches_of(named, row.batches)
             return _overlay(_galleries(project, store, batches, frames), row.name, figure).content()
+    if shared:
+        return shared().drawing(row.name, figure).content()
     with Frame(store, row.batch) as frame:
         only = {figure.table} if figure.table or figure.sql else None
         return Gallery(project, store, frame, only=only).drawing(row.name, figure).content()
@@ -87,7 +90,7 @@ def overlaid(
         galleries = _galleries(project, store, batches, frames)
         first, *others = galleries.values()
         wanted, notes = first.wanted(name)
-        drawer = _Drawer(store, project.root, *batches.values(), again=True)
+        drawer = _Drawer(store, project.root, first.frame, *(one.frame.batch for one in others), again=True)
 
         def drawing(called: str, found: Figure) -> Drawing:
             figure = overlay.fitting(found, declared=bool(project.config.figures))
@@ -115,10 +118,10 @@ def _overlay(galleries: Mapping[str, Gallery], name: str, figure: Figure) -> Dra
 class _Drawer:
     """The writer of figures' files, which records them. Without `again`, it skips figures that it would only write again."""
 
-    def __init__(self, store: Store, root: Path, batch: str, *others: str, again: bool) -> None:
+    def __init__(self, store: Store, root: Path, frame: Frame, *others: str, again: bool) -> None:
         """`others`: further batches that the figures show."""
-        self._recorder = Recorder(store, root, batch)
-        self._mark = ProjectPaths(root).drawn("-".join(map(short, (batch, *others))))
+        self._recorder = Recorder(store, root, frame.batch, frame)
+        self._mark = ProjectPaths(root).drawn("-".join(map(short, (frame.batch, *others))))
         self._again = again
 
     def draw(self, drawing: Drawing) -> tuple[Path, ...]:
@@ -126,11 +129,7 @@ class _Drawer:
         content = drawing.content()
         files = None if self._again else self._recorder.made(content)
         if files is None:
-            if not self._mark.exists():
-                with disk_errors(self._mark.parent):
-                    self._mark.parent.mkdir(parents=True, exist_ok=True)
-                    write_whole(self._mark, b"Figures drawn by SIERRA: see the table deliverables.\n")
-            files = draw(drawing, self._mark.parent)
+            files = draw(drawing, marked_folder(self._mark, "Figures drawn by SIERRA: see the table deliverables."))
             self._recorder.add(content, files)
         return files
 

@@ -81,9 +81,7 @@ def statistics(
         if not selection or "mean" in chosen:
             notes += _about_rates(table, column, output, asked=samples.rate and measure != "time_to")
         notes = [
-            *gallery.target_notes,
-            *gallery.declared_notes,
-            *gallery.time_notes.values(),
+            *gallery.notes,
             *stats.left_out([] if "remaining" in table.column_names else [table], samples.coverage, gallery.planned, threshold),
             *notes,
         ]
@@ -172,7 +170,7 @@ def values_of_runs(
             labelled=gallery.cells,
             values={ordinal: tuple(runs) for ordinal, runs in values.items()},
             planned=gallery.planned,
-            notes=(*gallery.target_notes, *gallery.declared_notes, *gallery.time_notes.values(), *untimed),
+            notes=(*gallery.notes, *untimed),
             rate=samples.rate and measure != "time_to",
         )
 

@@ -34,7 +34,7 @@ from sierra.stats.base import LEVEL, Parameter
 from sierra.stats.needs import Needs
 from sierra.stats.order_statistics import ranks
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.text import counted
+from sierra.util.text import counted, n_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -399,10 +399,9 @@ def _note(
     """Return notes for the reader: what is shown, n, and everything that is not in the numbers."""
     tables = list(tables)
     counts = [numpy_of(table.column("n")) for table in tables]
-    low, high = int(min(n.min() for n in counts)), int(max(n.max() for n in counts))
-    shown = needs.shows or _shown(figure, several=high > 1, rate=any(map(is_rate, tables)))
-    runs = f"n = {low}–{high}" if low < high else f"n = {low}"
-    return [f"{shown}, {runs}", *left_out(tables, seen, planned, figure.threshold, _marked(needs, tables[0]))]
+    ends = [int(end) for n in counts for end in (n.min(), n.max())]
+    shown = needs.shows or _shown(figure, several=max(ends) > 1, rate=any(map(is_rate, tables)))
+    return [f"{shown}, {n_of(ends)}", *left_out(tables, seen, planned, figure.threshold, _marked(needs, tables[0]))]
 
 
 def left_out(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
+from sierra.store.row_mapper import R
 from sierra.store.row_types import DeliverableRow
-from sierra.store.store import Store
 from sierra.util.hashing import digest
 
 IDENTIFYING = tuple(name for name in DeliverableRow._fields if name not in ("deliverable", "made", "lamport"))
@@ -19,6 +21,13 @@ def deliverable_id(row: DeliverableRow) -> str:
     return digest("deliverable", {name: getattr(row, name) for name in IDENTIFYING})
 
 
-def latest(store: Store, batch: str) -> list[DeliverableRow]:
+class Source(Protocol):
+    """The store, or one state of it."""
+
+    def select(self, kind: type[R], text: str, **parameters: object) -> list[R]:
+        """Return the rows of one statement as instances of a row class."""
+
+
+def latest(store: Source, batch: str) -> list[DeliverableRow]:
     """Return the last record of each deliverable of a batch."""
     return store.select(DeliverableRow, f"SELECT * {LATEST}", b=batch)

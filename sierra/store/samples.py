@@ -16,9 +16,10 @@ from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, Usa
 from sierra.model import Axis, Value
 from sierra.store.derived_tables import Definition, Made
 from sierra.store.duckdb_messages import explain
+from sierra.store.row_mapper import R
 from sierra.store.schema import RECORDED
 from sierra.store.segments import is_first_part
-from sierra.store.sql_names import identifier, quote
+from sierra.store.sql_names import column_names, identifier, quote
 from sierra.store.sql_result import NUMBER
 from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
@@ -76,6 +77,8 @@ class Frame:
         self.batch = batch
         self._snapshot: Snapshot = store.snapshot(batch)
         self._loaded: set[str] = set()
+        self._checked: set[tuple[str, str]] = set()
+        """The tables and conditions of valid pairs."""
         self._relations: dict[str, Relation] = {}
         self.problems: dict[str, SierraError] = {}
         """Why derived tables cannot be used for statistics, by name; known after `outputs`."""
@@ -284,9 +287,7 @@ class Frame:
         A time increases from row to row. It also has the same values in all runs, as far as each run goes. At least two runs
         are needed, because in a single run any increasing column would qualify.
         """
-        if table not in self._loaded:
-            self._load(table, self._files[table])
-        data = identifier("data " + table)
+        data = self._data(table)
         grows = [column for column in columns if column in self._growing(data, columns)]
         return next(
             (column for column in grows if self._snapshot.run(ALIKE.format(column=identifier(column), data=data))), None
@@ -314,13 +315,12 @@ class Frame:
         """Return by column which part of the variance of the runs' means is between experiments: 0 is nothing, 1 is all."""
         if not columns:
             return {}
-        if table not in self._loaded:
-            self._load(table, self._files[table])
+        data = self._data(table)
         names = [(f"c{number}", identifier(column)) for number, column in enumerate(columns)]
         means = ", ".join(f"avg({column}::DOUBLE) FILTER (isfinite({column}::DOUBLE)) AS {name}" for name, column in names)
         parts = ", ".join(f"avg({name}) AS m{name}, coalesce(var_pop({name}), 0) AS v{name}" for name, _ in names)
         shares = ", ".join(f"var_pop(m{name}) / nullif(var_pop(m{name}) + avg(v{name}), 0)" for name, _ in names)
-        of_runs = f'SELECT "# experiment" AS e, run, {means} FROM {identifier("data " + table)} GROUP BY ALL'
+        of_runs = f'SELECT "# experiment" AS e, run, {means} FROM {data} GROUP BY ALL'
         [found] = self._snapshot.run(f"SELECT {shares} FROM (SELECT e, {parts} FROM ({of_runs}) GROUP BY e)")
         known = zip(columns, found, strict=True)  # the variance of very large numbers is not finite
         return {column: share if share is not None and isfinite(share) else 0.0 for column, share in known}
@@ -330,15 +330,10 @@ class Frame:
 
         `where` is a condition on the columns of the output and on variables; rows without it do not count.
         """
-        files = self._files.get(table)
-        if files is None:
-            raise NotFound(f"no output {table!r} in this batch; it has {', '.join(sorted(self._files)) or 'none'}")
-        if column in _mixed(self._relation(table, files)):
+        data = self._data(table)
+        if column in _mixed(self._relation(table, self._files[table])):
             raise NotFound(f"column {column!r} of output {table!r} {MIXED}")
-        if table not in self._loaded:
-            self._load(table, files)
-        described = self._snapshot.run(f"DESCRIBE {identifier('data ' + table)}")
-        known = [row[0] for row in described if row[0] not in ("# experiment", "# number", "# place")]
+        known = self._columns(data)
         if column.lower() not in map(str.lower, known):
             raise NotFound(f"output {table!r} has no column {column!r}; {like(column, known)}")
         if time and time.lower() not in map(str.lower, known):
@@ -362,14 +357,10 @@ class Frame:
         It also has the number of the experiment `"# experiment"`, of the run `"# number"`, of the row in its run `"# place"`,
         and the time `"# t"`.
         """
-        files = self._files.get(table)
-        if files is None:
-            raise NotFound(f"no output {table!r} in this batch; it has {', '.join(sorted(self._files)) or 'none'}")
-        if table not in self._loaded:
-            self._load(table, files)
+        rows = self._rows(table, where)
         t = identifier(time) if time else '"# place"'
         self._snapshot.run("DROP VIEW IF EXISTS data")
-        self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {t}::DOUBLE AS "# t" FROM {self._rows(table, where)}')
+        self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {t}::DOUBLE AS "# t" FROM {rows}')
 
     def experiments_with(self, table: str, where: str) -> set[int]:
         """Return the positions of the experiments that a condition does not exclude by the values of their variables.
@@ -377,7 +368,8 @@ class Frame:
         So an experiment whose runs have all failed is found too.
         """
         self._rows(table, where)
-        none = f"(SELECT * FROM {identifier('data ' + table)} LIMIT 0)"
+        data = self._data(table)
+        none = f"(SELECT *{_renaming(self._named_like_variables(data))} FROM {data} LIMIT 0)"
         rows = self._snapshot.run(
             f'SELECT v."# ordinal" FROM "# variables" v LEFT JOIN {none} d ON v."# ordinal" = d."# experiment" '
             f"WHERE (\n{where}\n) IS DISTINCT FROM false"
@@ -385,10 +377,30 @@ class Frame:
         return {ordinal for (ordinal,) in rows}
 
     def _rows(self, table: str, where: str) -> str:
-        """Return the relation of the rows of an output that fulfil a condition. Raises UsageError for an invalid one."""
-        data = identifier("data " + table)
+        """Return the relation of the rows of an output that fulfil a condition. Raises UsageError for an invalid one.
+
+        In the condition, a name that a variable and a column share is the variable; the column's name gets a `_`, as in SQL.
+        """
+        data = self._data(table)
         if not where:
             return data
+        shared = self._named_like_variables(data)
+        chosen = (
+            f"SELECT d.* FROM (SELECT *{_renaming(shared)} FROM {data}) d "
+            f'JOIN "# variables" v ON v."# ordinal" = d."# experiment" WHERE (\n{where}\n)'
+        )
+        rows = f"(SELECT *{_renaming({new: old for old, new in shared.items()})} FROM ({chosen}))"
+        if (table, where) not in self._checked:
+            try:
+                self.check_condition(where)
+                self._snapshot.run(f"EXPLAIN SELECT * FROM {rows}")
+            except SqlError as error:
+                raise UsageError(f"where = {where!r}: {error}") from error
+            self._checked.add((table, where))
+        return rows
+
+    def _named_like_variables(self, data: str) -> dict[str, str]:
+        """Return the columns of a relation that have the name of a variable, and their names in conditions: with a `_`."""
         if "# variables" not in self._loaded:
             fixed = ", ".join(identifier(column.name) for column in RECORDED["experiments"].columns)
             self._snapshot.run(
@@ -397,20 +409,27 @@ class Frame:
                 {"b": self.batch},
             )
             self._loaded.add("# variables")
-        rows = f'(SELECT d.* FROM {data} d JOIN "# variables" v ON v."# ordinal" = d."# experiment" WHERE (\n{where}\n))'
-        try:
-            self.check_condition(where)
-            self._snapshot.run(f"EXPLAIN SELECT * FROM {rows}")
-        except SqlError as error:
-            raise UsageError(f"where = {where!r}: {error}") from error
-        return rows
+        columns = self._columns(data)
+        names = column_names(columns, taken=self._columns('"# variables"'))
+        return {old: new for old, new in zip(columns, names, strict=True) if old != new}
+
+    def _columns(self, relation: str) -> list[str]:
+        return [name for name, *_ in self._snapshot.run(f"DESCRIBE {relation}") if not name.startswith("# ")]
+
+    def _data(self, table: str) -> str:
+        """Return the relation of the rows of an output, which is loaded when it is first used. Raises NotFound."""
+        if table not in self._files:
+            raise NotFound(f"no output {table!r} in this batch; it has {', '.join(self.names) or 'none'}")
+        if table not in self._loaded:
+            self._load(table, self._files[table])
+            self._loaded.add(table)
+        return identifier("data " + table)
 
     def _load(self, table: str, files: list[str]) -> None:
         source, run = self._relation(table, files), self._snapshot.run
         data, rows = identifier("data " + table), identifier("rows " + table)
         if not files:
             run(LOAD.format(data=data, table=identifier(table)))
-            self._loaded.add(table)
             return
         keys = ("execution", "file") if "file" in source.types else ("execution",)
         own = ", ".join(f"o.{key}" for key in keys)
@@ -425,18 +444,18 @@ class Frame:
             f"FROM {source.sql} o JOIN spans s ON {' AND '.join(f'o.{key} = s.{key}' for key in keys)}"
         )
         run(f"CREATE TEMP VIEW {data} AS SELECT * REPLACE (run::VARCHAR AS run) FROM {rows}")
-        self._loaded.add(table)
 
     def most_frequent(self, table: str, column: str) -> str | None:
         """Return the most frequent text in a column of an output, of several the first; None if there is none."""
-        if table not in self._loaded:
-            self._load(table, self._files[table])
         name = identifier(column)
         rows = self._snapshot.run(
-            f"SELECT {name} FROM {identifier('data ' + table)} WHERE {name} IS NOT NULL GROUP BY ALL "
-            "ORDER BY count(*) DESC, 1 LIMIT 1"
+            f"SELECT {name} FROM {self._data(table)} WHERE {name} IS NOT NULL GROUP BY ALL ORDER BY count(*) DESC, 1 LIMIT 1"
         )
         return next((str(value) for (value,) in rows), None)
+
+    def select(self, kind: type[R], text: str, **parameters: object) -> list[R]:
+        """Return the rows of one statement on the tables of the store as instances of a row class. Raises SqlError."""
+        return self._snapshot.select(kind, text, **parameters)
 
     def sql(self, text: str, **parameters: object) -> pa.Table:
         """Return the result of a statement on `samples`. Raises SqlError."""
@@ -474,6 +493,12 @@ SELECT 1 FROM (SELECT count(DISTINCT run) AS runs FROM {data}) WHERE runs > 1 AN
     HAVING min({column}) <> max({column}) OR count({column}) < count(*)
 )
 """
+
+
+def _renaming(names: Mapping[str, str]) -> str:
+    """Return the clause after `*` that gives columns other names."""
+    pairs = (f"{identifier(old)} AS {identifier(new)}" for old, new in names.items())
+    return f" RENAME ({', '.join(pairs)})" if names else ""
 
 
 def _pairs(columns: Sequence[str]) -> list[tuple[str, str]]:

@@ -17,6 +17,12 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+def n_of(counts: Iterable[int]) -> str:
+    """Return the smallest and the largest of some numbers of runs: "n = 5", "n = 3–5"."""
+    low, high = min(every := list(counts)), max(every)
+    return f"n = {low}–{high}" if low < high else f"n = {low}"
+
+
 def one_line(text: object) -> str:
     """Return a text on one line, with control characters escaped."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))

@@ -14,7 +14,7 @@ from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.stats.needs import Needs
-from sierra.util.text import like
+from sierra.util.text import like, n_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -126,6 +126,4 @@ def _label(value: Value, labels: Mapping[str, str]) -> Value:
 
 def _note(needs: Needs, seen: stats.Coverage, planned: Mapping[int, int]) -> str:
     """Return the small print of a figure that has no statistics: what it shows, n, and the runs that are not in it."""
-    low, high = min(seen.runs.values()), max(seen.runs.values())
-    runs = f"n = {low}–{high}" if low < high else f"n = {low}"
-    return "; ".join([", ".join(filter(None, (needs.shows, runs))), *stats.left_out((), seen, planned)])
+    return "; ".join([", ".join(filter(None, (needs.shows, n_of(seen.runs.values())))), *stats.left_out((), seen, planned)])

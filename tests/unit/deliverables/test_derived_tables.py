@@ -13,6 +13,7 @@ from sierra.store.samples import Frame
 from tests import projects, stores
 
 ENDS = "SELECT run, max(coverage) AS most, max(coverage) > 5 AS good FROM swarm GROUP BY run"
+COUNTS = "SELECT experiment, count(*) AS n FROM samples GROUP BY ALL"
 TABLES = {
     "ends": ENDS,
     "halves": "SELECT run, population_size, tick, coverage / 2 AS half FROM swarm",
@@ -142,6 +143,16 @@ def test_a_figure_can_have_its_own_statement_and_its_files_contain_all_sql(recor
     config.write_text(config.read_text().replace("max(coverage) AS most", "min(coverage) AS most"))
     asked = projects.quick(root, "figures", batch, "--check")
     assert (asked.returncode, "the store has other data now" in asked.stdout + asked.stderr) == (1, True)
+
+
+def test_a_name_that_a_column_and_a_variable_share_is_the_variable_in_conditions(root: Path) -> None:
+    project = sierra.open(root)
+    with Frame(project.store, project.batches[0].batch) as frame:
+        frame.samples("halves", "half", "tick", "population_size > 1 AND population_size_ > 1")
+        counts = {row["experiment"]: row["n"] for row in frame.sql(COUNTS).to_pylist()}
+        assert (list(counts), frame.experiments_with("halves", "population_size > 1")) == ([1], {1})
+        frame.data("halves", "tick", "population_size > 1")
+        assert "population_size" in frame.sql("FROM data").column_names
 
 
 def test_a_condition_uses_columns_only(root: Path) -> None:
