@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Pairs(StrEnum):
-    """Whether runs with the same seed are compared as pairs."""
+    """The choices for runs with the same seed: pairs, independent, or pairs if that helps."""
 
     auto = "auto"
     yes = "yes"

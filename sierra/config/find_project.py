@@ -13,7 +13,7 @@ from sierra.errors import ConfigError, Missing
 from sierra.store.layout import CONFIG, PYPROJECT, STORE
 
 WITHOUT_STORE = (".gitignore", "try")
-"""What a tried run leaves in the folder of a store."""
+"""The contents of a store's folder that make no store: `sierra try` leaves them."""
 
 
 class ProjectFolder(NamedTuple):

@@ -60,7 +60,7 @@ class Compared:
     asked: Comparison
     """The options of the comparison."""
     notes: tuple[str, ...] = ()
-    """What the reader has to know about the data, besides what the text says."""
+    """Notes on the data for the reader, which the text does not contain."""
     bands: tuple[Band, ...] = ()
     """The differences over time, if they were requested."""
     time: str = ""

@@ -26,7 +26,7 @@ TARGET = "target"
 
 
 class _Request(NamedTuple):
-    """What batches of one query have in common."""
+    """The parts of a request that batches of one query have in common."""
 
     query: str
     controller: str | None

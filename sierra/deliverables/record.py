@@ -38,7 +38,7 @@ class Content:
     name: str
     batches: tuple[str, ...]
     definition: Mapping[str, JsonView]
-    """What it shows and how: also labels, units, notes and formats."""
+    """The content and the look: also labels, units, notes and formats."""
     sql: str
     data: str
     """The hash of the data."""

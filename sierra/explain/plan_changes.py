@@ -16,7 +16,7 @@ class Aspect(StrEnum):
     """A value that `--set` sets; `name` has it as XPATH=VALUE."""
     COMMAND = "command"
     AROUND = "around"
-    """What is executed around the command; `name` is `before`, `after` or `service NAME`."""
+    """A command that is executed around the main one; `name` is `before`, `after` or `service NAME`."""
     VARIABLE = "variable"
     """A declared variable; `name` is its name."""
     PLATFORM = "platform"

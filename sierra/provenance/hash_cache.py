@@ -32,7 +32,7 @@ class HashCache:
     def __init__(self) -> None:
         self._cache = Cache(user_digests(), MAX_ENTRIES)
         self._folders: dict[str, bool] = {}
-        """Whether folders are in a virtual environment of Python."""
+        """Answers by folder: true if it is in a virtual environment of Python."""
 
     def of(self, path: str) -> str:
         """Return the SHA-256 of a file's content. Raises Missing if the file cannot be read."""

@@ -11,7 +11,7 @@ Over = Literal["experiments", "time"]
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What SQL computes for a figure."""
+    """The data that SQL computes for a figure."""
 
     statistics: tuple[str, ...] = ()
     """Names of statistics of each column, over the runs of each experiment; those that they use are added."""
@@ -30,7 +30,7 @@ class Needs:
     numeric: bool = True
     """False if the columns may hold text."""
     shows: str = ""
-    """What the marks are, for the small print; empty: the center and its interval."""
+    """The meaning of the marks, for the small print; empty: the center and its interval."""
     some: str = ""
     """The mark of an experiment of which some runs never reached the threshold, as in `hollow`."""
     none: str = "△"

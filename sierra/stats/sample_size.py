@@ -1,4 +1,4 @@
-"""How many runs an interval of a certain width needs, from the standard deviation of a pilot.
+"""The number of runs that an interval of a certain width needs, from the standard deviation of a pilot.
 
 The interval of the mean of n runs has the half-width t·s/√n, with Student's t quantile for n − 1 degrees of freedom. The
 standard deviation s of a pilot of m runs is itself uncertain: about half of all pilots show a smaller one than the true one. So

@@ -32,7 +32,7 @@ OWN_NAMES = frozenset(("samples", "wanted", "membership", "these"))
 """Names of temporary tables that statistics use."""
 SETTINGS = ("threads", "disabled_optimizers", "memory_limit", "max_temp_directory_size", "TimeZone")
 ON_DISK = 4
-"""How many times the limit on memory may be written to the disk. Tables that were made before count too."""
+"""The largest amount written to the disk, as a multiple of the limit on memory. Tables that were made before count too."""
 SHARE_OF_MEMORY = 0.8
 """The largest part of the machine's memory that a statement may use, whatever the limit is."""
 

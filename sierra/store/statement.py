@@ -1,4 +1,4 @@
-"""What an SQL statement uses: tables, functions, samples. DuckDB's own parser finds them; nothing is guessed from the text."""
+"""Find the tables, functions and samples that an SQL statement uses, by DuckDB's own parser: nothing is guessed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HARMLESS = frozenset(("error",))
 
 @dataclass(slots=True)
 class Used:
-    """What one statement uses. Names are in lower case, without schemas."""
+    """The tables and functions that one statement uses. Names are in lower case, without schemas."""
 
     tables: dict[str, str] = field(default_factory=dict)
     """Tables after FROM, except those that the statement itself defines (WITH), as they are spelled."""

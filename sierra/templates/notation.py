@@ -57,7 +57,7 @@ class Node:
     entries: list[Span] = field(default_factory=list)
     """The places of its keys with their values: what is removed with it."""
     style: str = ""
-    """How the format writes it, for example between which brackets; the format knows the meaning."""
+    """The notation, for example the kind of brackets; the format knows the meaning."""
     why: str = ""
     """Why it cannot be set; empty if it can."""
 

@@ -36,7 +36,7 @@ class Spot:
 
 @dataclass(frozen=True, slots=True)
 class Edit:
-    """What stands in a spot, and the value that it is read as; None for an attribute that does not exist yet."""
+    """The text in a spot, and the value that it is read as; None for an attribute that does not exist yet."""
 
     spot: Spot
     token: str

@@ -35,7 +35,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """What figures of one batch share."""
+    """The variables and experiments of one batch, which its figures share."""
 
     axes: tuple[Axis, ...]
     cells: Mapping[int, Mapping[str, Value]]

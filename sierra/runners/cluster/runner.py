@@ -77,7 +77,7 @@ PROGRAMS = (
     *(Path(str(one.__file__)) for one in (worker, array_task, machine)),
     *(Path(worker.__file__).with_name(name) for name in (worker.TRACER, worker.CONDUCTOR)),
 )
-"""What nodes execute: each is one file without SIERRA."""
+"""The programs that nodes execute: each is one file without SIERRA."""
 RELAUNCHED = "launch failed"
 """Text in the scheduler's reason for a job that could not be started, though it can. Such a job is submitted again."""
 

@@ -43,7 +43,7 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class OldProject:
-    """What is read of an old project."""
+    """The parts of an old project that are read."""
 
     root: Path
     """The folder that was given."""

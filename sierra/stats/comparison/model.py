@@ -10,7 +10,7 @@ from typing import Literal
 from sierra.model import Value
 
 Paired = bool | Literal["auto"]
-"""Whether runs with the same seed are pairs; `auto`: if they are correlated."""
+"""The choices for runs with the same seed: they are pairs or not; `auto`: pairs if they are correlated."""
 
 
 class Verdict(StrEnum):
@@ -150,7 +150,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class Pairing:
-    """Whether runs were compared as pairs, and why."""
+    """The decision on comparing runs as pairs, and its reason."""
 
     paired: bool
     reason: str
@@ -171,4 +171,4 @@ class Analysis:
     tests: int = 0
     """The number of tests that the p values are corrected for."""
     notes: tuple[str, ...] = ()
-    """What is not in the numbers: runs without a value, pairs that were left out, cells that lack a group."""
+    """Notes on data that are not in the numbers: runs without a value, pairs that were left out, cells that lack a group."""

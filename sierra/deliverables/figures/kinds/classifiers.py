@@ -22,7 +22,7 @@ CURVE = frozenset({"series", "facet", "palette", "labels", "xlim", "ylim"})
 
 
 class Confusion(PlainKind):
-    """How often each true category was taken for each category, from two columns: the truth and the prediction."""
+    """The share of each true category that was predicted as each category, from two columns: the truth and the prediction."""
 
     uses: ClassVar[frozenset[str]] = frozenset()
 
