@@ -118,7 +118,7 @@ def paper_table(
             ends = zip(columns[name], columns[f"{name}_low"], columns[f"{name}_high"], strict=True)
             shown[header] = [None if value is None else rounded(value, low, high) for value, low, high in ends]
         else:
-            shown[header] = [_plain(value) for value in columns[name]]
+            shown[header] = _plain(columns[name])
     n = f"n = {counts[0]}" if len(set(counts)) == 1 else ""
     if counts and not n:
         shown["n"] = [str(count) for count in counts]
@@ -131,11 +131,13 @@ def paper_table(
     return PaperTable(tuple(shown), rows, note, caption, label, frozenset(texts))
 
 
-def _plain(value: object) -> str:
-    """Return a value of a variable as text."""
-    if isinstance(value, float):
-        return f"{value:.12g}".replace("-", "−")
-    return str(value).replace("-", "−") if isinstance(value, int) and not isinstance(value, bool) else str(value)
+def _plain(values: Sequence[object]) -> list[Cell]:
+    """Return the values of a variable as text, with as many digits as it takes to tell them apart."""
+    texts = [f"{value:.12g}" if isinstance(value, float) else str(value) for value in values]
+    if len(set(texts)) < len(set(values)):
+        texts = [repr(value) if isinstance(value, float) else str(value) for value in values]
+    numbers = (isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    return [text.replace("-", "−") if number else text for text, number in zip(texts, numbers, strict=True)]
 
 
 def _intervals(methods: Mapping[str, Sequence[str]]) -> str:

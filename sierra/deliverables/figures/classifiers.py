@@ -58,7 +58,7 @@ def confusion(drawing: Drawing) -> Figure:
                 around = f"\n±{half[row, place]:.2f}" if np.isfinite(half[row, place]) else ""
                 colour = "white" if value > 0.6 else "black"
                 plot.text(place, row, f"{value:.2f}{around}", ha="center", va="center", fontsize=6, color=colour)
-        shown = [style.named(name, 10) for name in names]
+        shown = style.names(names, 10)
         plot.set_xticks(range(len(names)), shown, rotation=90 if sum(map(len, shown)) > 24 else 0)
         plot.set_yticks(range(len(names)), shown)
         plot.set_ylim(len(names) - 0.5, -0.5)
@@ -175,7 +175,7 @@ def _curves(drawing: Drawing, of: Curve, xlabel: str, ylabel: str, summed: str, 
     """Draw the mean of the runs' curves of each experiment with its band."""
     within = facets.panels(drawing, over_first=False)
     looks = style.looks(within.groups)
-    entries = [style.named(value) for value in within.groups.values]
+    entries = style.names(within.groups.values)
     for panel in within.panels:
         for ordinal, part in _experiments(panel.drawing.rows["scores"]).items():
             found = [curve for run in _runs(part) if (curve := of(run)) is not None]

@@ -93,7 +93,7 @@ def ridge(drawing: Drawing) -> Figure:
                 panel.plot.plot(x, y, color=colour, linewidth=0.8, zorder=above)
             panel.plot.plot(values, np.full(len(values), base), "|", color=colour, markersize=3, alpha=0.6, zorder=above)
             panel.plot.plot([np.median(values)] * 2, [base, base + 0.35], color=colour, linewidth=1.4, zorder=above)
-        names = [style.named(value, 22) for value in within.groups.values]
+        names = style.names(within.groups.values, 22)
         panel.plot.set_yticks(range(count - 1, -1, -1), names)
         panel.plot.set_ylim(-0.25, count - 1 + OVERLAP + 0.15)
     style.outer_labels(within.plots, _value_label(drawing), drawing.figure.ylabel or style.axis_label(within.groups))
@@ -176,5 +176,5 @@ def _frame(drawing: Drawing, within: Panels, looks: list[Look], ylabel: str) -> 
     for ordinal, values in runs(drawing).items():
         place = within.group(drawing, ordinal)
         counts[place] = max(counts[place], len(values))
-    entries = with_n([style.named(value) for value in within.groups.values], counts)
+    entries = with_n(style.names(within.groups.values), counts)
     style.legend(within.figure, within.plots, within.groups, entries, looks)

@@ -89,7 +89,9 @@ def _joined(axes: tuple[Axis, ...], combinations: list[tuple[Value, ...]]) -> Ax
     if len(axes) == 1:
         return replace(axes[0], values=tuple(value for (value,) in combinations))
     label = ", ".join(style.axis_label(axis) for axis in axes)
-    return Axis(label, tuple(", ".join(style.named(value, 12) for value in values) for values in combinations), label=label)
+    words = [dict(zip(axis.values, style.names(axis.values, 12), strict=True)) for axis in axes]
+    names = (", ".join(known[value] for known, value in zip(words, values, strict=True)) for values in combinations)
+    return Axis(label, tuple(names), label=label)
 
 
 def _only(drawing: Drawing, ordinals: list[int]) -> Drawing:

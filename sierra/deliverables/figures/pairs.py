@@ -165,6 +165,6 @@ def _frame(drawing: Drawing, within: Panels, looks: list[Look]) -> None:
     measure = drawing.figure.measure
     names = [style.label(f"{measure} {column}", drawing.units.get(column, "")) for column in (first, second)]
     style.outer_labels(within.plots, drawing.figure.xlabel or names[0], drawing.figure.ylabel or names[1])
-    entries = [style.named(value) for value in within.groups.values]
+    entries = style.names(within.groups.values)
     marks = [look | Look(linestyle="none") if "marker" in look else look for look in looks]
     style.legend(within.figure, within.plots, within.groups, entries, marks)

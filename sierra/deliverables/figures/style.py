@@ -284,9 +284,11 @@ def axis_label(axis: Axis) -> str:
 
 def point(drawing: Drawing, axes: Sequence[Axis], ordinal: int) -> str:
     """Return the title of a panel: an experiment's values on some axes."""
-    names = (f"{axis.label or axis.name.replace('_', ' ')} = {named(drawing.cells[ordinal][axis.name], 16)}" for axis in axes)
-    units = (f" {axis.unit}" if axis.unit else "" for axis in axes)
-    return shortened(", ".join(name + unit for name, unit in zip(names, units, strict=True)), 90)
+    words = []
+    for axis in axes:
+        value = dict(zip(axis.values, names(axis.values, 16), strict=True))[drawing.cells[ordinal][axis.name]]
+        words.append(f"{axis.label or axis.name.replace('_', ' ')} = {value}{f' {axis.unit}' if axis.unit else ''}")
+    return shortened(", ".join(words), 90)
 
 
 def value_label(drawing: Drawing) -> str:
@@ -311,11 +313,21 @@ def number(value: float, digits: int = 6) -> str:
     return f"{value:.{digits}g}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-").replace("-", "−")
 
 
-def named(value: Value, limit: int = 28) -> str:
-    """Return a value of an axis, as a tick or an entry in a legend. A whole number has all of its digits."""
+def names(values: Sequence[Value], limit: int = 28) -> list[str]:
+    """Return the values of an axis as ticks or entries in a legend: short, but as long as it takes to tell them apart."""
+    found: list[str] = []
+    for longer in range(12):
+        found = [named(value, limit + 8 * longer, 6 + longer) for value in values]
+        if len(set(found)) == len(set(values)):
+            break
+    return found
+
+
+def named(value: Value, limit: int = 28, digits: int = 6) -> str:
+    """Return a value of an axis in short. A whole number has all of its digits."""
     if isinstance(value, str):
         return shortened(value, limit)
-    return number(value, 6 if value % 1 or float(f"{value:.6g}") == value else 17)
+    return number(value, digits if value % 1 or float(f"{value:.6g}") == value else 17)
 
 
 def shortened(text: str, limit: int) -> str:
@@ -444,19 +456,19 @@ def scale_values(plot: Axes, axis: Axis, *, log: bool, margin: float = 0.04) -> 
     if log or geometric(axis.values) or len(values) <= 6:
         ticks = [values[k] for k in thinned(len(values), 11)]
         plot.xaxis.set_major_locator(FixedLocator(ticks))
-        plot.xaxis.set_major_formatter(_table({tick: named(tick) for tick in ticks}))
+        plot.xaxis.set_major_formatter(_table(dict(zip(ticks, names(ticks), strict=True))))
         plot.xaxis.set_minor_locator(NullLocator())
 
 
 def side_by_side(plot: Axes, axis: Axis, *, most: int = 20) -> None:
     """Give each value one place, at 0, 1, 2, …; rotate long names."""
-    names = [named(value, 22) for value in axis.values]
-    shown = thinned(len(names), most)
-    plot.set_xlim(-0.6, len(names) - 0.4)
-    turned = sum(len(names[k]) + 2 for k in shown) > 44
+    words = names(axis.values, 22)
+    shown = thinned(len(words), most)
+    plot.set_xlim(-0.6, len(words) - 0.4)
+    turned = sum(len(words[k]) + 2 for k in shown) > 44
     plot.set_xticks(
         shown,
-        [names[k] for k in shown],
+        [words[k] for k in shown],
         rotation=(90 if len(shown) > 12 else 35) if turned else 0,
         ha=("center" if len(shown) > 12 else "right") if turned else "center",
         rotation_mode="anchor" if turned and len(shown) <= 12 else "default",
@@ -465,7 +477,7 @@ def side_by_side(plot: Axes, axis: Axis, *, most: int = 20) -> None:
     if turned:
         figure, _ = _panel(plot)
         figure.set_figheight(
-            figure.get_figheight() + 0.045 * min(22, max(len(names[k]) for k in shown)) * (1 if len(shown) > 12 else 0.6)
+            figure.get_figheight() + 0.045 * min(22, max(len(words[k]) for k in shown)) * (1 if len(shown) > 12 else 0.6)
         )
 
 

@@ -264,5 +264,5 @@ def _frame(drawing: Drawing, within: Panels, looks: list[Look], lowest: float, h
     for ordinal, n in zip(table.column("experiment").to_pylist(), table.column("n").to_pylist(), strict=True):
         place = within.group(whole, ordinal)
         counts[place] = max(counts[place], n)
-    entries = with_n([style.named(value) for value in within.groups.values], counts)
+    entries = with_n(style.names(within.groups.values), counts)
     style.legend(within.figure, within.plots, within.groups, entries, looks)

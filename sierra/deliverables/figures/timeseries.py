@@ -53,7 +53,7 @@ def timeseries(drawing: Drawing) -> Figure:
         style.scale_time(plot, drawing, float(style.column(table, "t")[0]))
         style.title(plot, _others_of(drawing, values))
     style.outer_labels(plots, style.time_label(drawing), style.value_label(drawing))
-    entries = with_n([style.named(value) for value in first.values], highest)
+    entries = with_n(style.names(first.values), highest)
     style.legend(figure, plots, first, entries, looks)
     return figure
 
@@ -200,6 +200,6 @@ def _labelled(figure: Figure, plots: Sequence[Axes], drawing: Drawing, xlabel: s
     plots[0].set_ylim(bottom=0)
     total = style.label("sum", drawing.units.get(next(iter(drawing.tables)), ""))
     style.outer_labels(plots, xlabel, drawing.figure.ylabel or total)
-    names = [style.named(name.replace("_", " ")) for name in drawing.tables]
+    names = style.names([name.replace("_", " ") for name in drawing.tables])
     style.place_legend(figure, [Patch(color=colour) for colour in _stack_colours(len(names))], names)
     return figure

@@ -265,6 +265,15 @@ def test_thirty_numeric_values_get_a_colour_bar_and_thirty_names_get_a_legend() 
     assert "scenario_28" in said(drawing(axes=(names,)))
 
 
+def test_values_that_look_alike_in_short_have_longer_names() -> None:
+    close = Axis("gain", (0.1000001, 0.1000002, 0.5))
+    assert {"0.1000001", "0.1000002", "0.5"} <= set(said(drawing("box", (close,))).splitlines())
+    long = [f"a controller with a very long name and {middle} in the middle of its name" for middle in ("one", "two")]
+    words = flowing(drawing("box", (Axis("controller", tuple(long)),)))
+    assert "one" in words
+    assert "two" in words
+
+
 def test_values_in_geometric_progression_get_a_log_axis() -> None:
     from sierra.deliverables.figures import style, summary
 
