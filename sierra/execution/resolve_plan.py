@@ -580,6 +580,10 @@ def _check_names(project: LoadedProject) -> None:
             raise ConfigError(
                 f"{project.file}: variable {name!r}: the store itself has a column of that name; use another name"
             )
+        if name in GROUPED:
+            raise ConfigError(
+                f"{project.file}: variable {name!r}: {name}s are not values but sets of changes; declare each in [{name}s.NAME]"
+            )
     root = ProjectPaths(project.root)
     if root.store.exists() and not root.store.is_dir():
         raise Missing(f"{root.store} is a file, but the store must be a folder with this path")

@@ -69,6 +69,14 @@ def test_a_confusion_matrix_weighs_runs_and_not_rows() -> None:
     assert "accuracy 0.750 ± 3.177" in noted(drawing).note
 
 
+def test_flags_are_a_truth_without_more_words() -> None:
+    def score(experiment: int, run: int, row: int) -> Row:
+        return {"truth": row % 2 == 0, "score": float(row % 3)}
+
+    drawing = Trial("roc", {"column": ("truth", "score")}, score, ()).drawing()
+    assert sum(drawing.rows["scores"].column("positive").to_pylist()) > 0
+
+
 def test_a_wrong_positive_value_is_said() -> None:
     def score(experiment: int, run: int, row: int) -> Row:
         return {"truth": "ab"[row % 2], "score": float(row)}

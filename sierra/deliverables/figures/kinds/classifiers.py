@@ -49,7 +49,9 @@ class Confusion(PlainKind):
 class CurveOptions(Table):
     """Figures of kinds `roc` and `pr`."""
 
-    positive: str = Field("1", description="value of the first column, as text, that makes a row positive")
+    positive: str | None = Field(
+        None, description="value of the first column, as text, that makes a row positive; by default `1` or `true`"
+    )
 
 
 class Roc:
@@ -60,12 +62,12 @@ class Roc:
     uses: ClassVar[frozenset[str]] = CURVE
 
     def __init__(self, options: CurveOptions) -> None:
-        self._positive = options.positive
+        self._positive = (options.positive,) if options.positive is not None else ("1", "true")
 
     def needs(self, request: Request) -> Needs:
         truth, score = _two(request, "the truth and the score")
         return Needs(
-            rows=_scores(f"{identifier(truth)}::VARCHAR = {quote(self._positive)}", score),
+            rows=_scores(f"{identifier(truth)}::VARCHAR IN ({', '.join(map(quote, self._positive))})", score),
             columns=2,
             numeric=False,
             shows="mean of the curves of the runs, 95 % CI of the mean at each place",
