@@ -55,7 +55,7 @@ def estimate(
         return Estimate(None)
     if len(x) < smallest:
         return Estimate(value)
-    if x[0] == x[-1]:
+    if x.min() == x.max():
         return Estimate(value, value, value)
     low, high = _interval(function, x, options, method)
     if not (isfinite(low) and isfinite(high)):

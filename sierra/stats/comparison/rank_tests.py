@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from sierra.stats import survival
 from sierra.stats.comparison import rank_distributions
 from sierra.stats.comparison.model import RunValue
 
@@ -139,9 +140,7 @@ def log_rank(first: Sequence[RunValue], second: Sequence[RunValue]) -> tuple[flo
 
 def median_time(runs: Sequence[RunValue]) -> float | None:
     """Return the Kaplan-Meier median of censored times; None if fewer than half of the runs reached the threshold."""
-    curve = stats.ecdf(_censored(runs)).sf
-    below = np.flatnonzero(curve.probabilities <= 0.5 + 1e-12)
-    return float(curve.quantiles[below[0]]) if len(below) else None
+    return survival.median(survival.curve(survival.Time(run.value, run.reached) for run in runs)).value
 
 
 def holm(p: Sequence[float]) -> list[float]:

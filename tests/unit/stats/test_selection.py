@@ -14,6 +14,7 @@ import scipy.stats
 
 import sierra
 from sierra.errors import UsageError
+from sierra.stats.bootstrap import BootstrapOptions, estimate
 from sierra.stats.order_statistics import ranks, smallest
 from sierra.stats.selection import Selection
 from tests.samples import Memory, samples
@@ -158,6 +159,13 @@ def test_statistics_over_time_have_a_row_for_each_time() -> None:
     assert table["median_low"].to_pylist() == [0, 100, 200]
     assert table["iqr"].to_pylist() == [2.5] * 3
     assert "-- $median_rank: rank of the lower end" in text
+
+
+def test_a_bootstrap_does_not_depend_on_the_order_of_the_values() -> None:
+    values = [3.0, 1.0, 9.0, 4.0, 8.0, 6.0, 2.0, 7.0, 5.0, 3.0]
+    unsorted = estimate(np.median, values, BootstrapOptions())
+    assert unsorted.low is not None
+    assert unsorted.low < unsorted.value < unsorted.high
 
 
 def test_a_bootstrap_for_too_many_times_is_refused() -> None:

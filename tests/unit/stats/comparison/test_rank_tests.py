@@ -102,6 +102,10 @@ def test_the_median_time_is_unknown_if_fewer_than_half_of_the_runs_reached_the_t
     assert rank_tests.log_rank(runs[2:], runs[2:]) == (0.0, 1.0)
 
 
+def test_the_median_of_an_even_number_of_times_is_the_middle_of_two_as_in_statistics() -> None:
+    assert rank_tests.median_time([RunValue(seed, float(seed), True) for seed in (1, 2, 4, 9)]) == 3
+
+
 def test_rounding_errors_are_ties() -> None:
     differences = np.array([0.3 - 0.2, 0.2 - 0.1, 0.1 - 0.2])
     assert len(np.unique(np.abs(differences))) == 2
