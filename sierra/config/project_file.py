@@ -35,6 +35,7 @@ from sierra.config.execution_tables import (
 from sierra.config.field_types import Commands, GroupName, InProject, Name, RawTable, Scalar, Table, Words, as_words
 from sierra.config.find_project import ProjectFolder, find, settings
 from sierra.config.output_tables import Equivalence, Output, Success, file_once
+from sierra.config.package_table import Package
 from sierra.config.validate import options
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.store.layout import CONFIG, PYPROJECT
@@ -193,6 +194,7 @@ class Project(Table):
     comparisons: Mapping[Name, Comparison] = Field(
         default_factory=dict, description="comparisons of groups of runs, by name, for `sierra compare`"
     )
+    package: Package = Package()
     platforms: Mapping[str, RawTable] = Field(default_factory=dict, description="options of platforms, by name")
     runners: Mapping[str, RawTable] = Field(
         default_factory=dict, description="clusters for `--on`, by name: `slurm`, `pbs`, or your own name with a `scheduler`"

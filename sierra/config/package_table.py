@@ -1,0 +1,143 @@
+"""The table `[package]` of `sierra.toml`: the description of a reproduction package, from which all metadata files are made."""
+
+from __future__ import annotations
+
+import re
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, StringConstraints
+
+from sierra.config.field_types import Table
+
+Relation = Literal[
+    "isSupplementTo",
+    "isCitedBy",
+    "cites",
+    "isDerivedFrom",
+    "isNewVersionOf",
+    "isPreviousVersionOf",
+    "isPartOf",
+    "hasPart",
+    "isDocumentedBy",
+    "documents",
+    "isReferencedBy",
+    "references",
+    "requires",
+    "isSourceOf",
+]
+"""Relations of DataCite and Zenodo between this package (first) and the other object."""
+DOI = re.compile(r"10\.\d{4,9}/\S+")
+Line = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, pattern=r"^[^\r\n]*$")]
+Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+Address = Annotated[str, StringConstraints(pattern=r"^https?://[^\s/]+\S*$")]
+
+
+def _orcid(text: str) -> str:
+    """Return the sixteen digits of an ORCID, whose last one is a checksum (ISO 7064, MOD 11-2)."""
+    digits = text.removeprefix("https://orcid.org/")
+    if not re.fullmatch(r"\d{4}-\d{4}-\d{4}-\d{3}[\dX]", digits):
+        raise ValueError(f"{text!r} should be an ORCID, as 0000-0002-1825-0097")
+    total = 0
+    for digit in digits.replace("-", "")[:-1]:
+        total = (total + int(digit)) * 2
+    if "0123456789X"[(12 - total % 11) % 11] != digits[-1]:
+        raise ValueError(f"{text!r} is no ORCID: its last digit does not fit the others")
+    return digits
+
+
+def _ror(text: str) -> str:
+    """Return the address of an organization in the Research Organization Registry."""
+    name = text.removeprefix("https://ror.org/")
+    if not re.fullmatch(r"0[a-hj-km-np-tv-z0-9]{6}[0-9]{2}", name):
+        raise ValueError(f"{text!r} should be a ROR id, as https://ror.org/017zqws13")
+    return f"https://ror.org/{name}"
+
+
+def _licence(text: str) -> str:
+    """Return a licence expression in SPDX's spelling."""
+    from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
+
+    try:
+        return str(canonicalize_license_expression(text))
+    except InvalidLicenseExpression as error:
+        raise ValueError(f"{text!r} should be an SPDX licence, as MIT or CC-BY-4.0: {error}") from error
+
+
+def _identifier(text: str) -> str:
+    """Return a DOI without its resolver, or an address."""
+    doi = re.sub(r"^(https?://(dx\.)?doi\.org/|doi:)", "", text, flags=re.IGNORECASE)
+    if not DOI.fullmatch(doi) and not re.fullmatch(r"https?://\S+", text):
+        raise ValueError(f"{text!r} should be a DOI, as 10.5555/12345678, or an address")
+    return doi if DOI.fullmatch(doi) else text
+
+
+def _moment(value: object) -> object:
+    """Return the text of a date that TOML has parsed."""
+    return value.isoformat() if hasattr(value, "isoformat") else value
+
+
+def _date(text: str) -> str:
+    try:
+        datetime.fromisoformat(text)
+    except ValueError as error:
+        raise ValueError(f"{text!r} should be a date, as 2026-11-23") from error
+    return text
+
+
+class Author(Table):
+    """A person who made the package."""
+
+    name: Line = Field(description="the name, as `Jane Doe` or `Doe, Jane`")
+    orcid: Annotated[str, AfterValidator(_orcid)] | None = Field(None, description="ORCID, as 0000-0002-1825-0097")
+    affiliation: Line | None = Field(None, description="name of the organization")
+    ror: Annotated[str, AfterValidator(_ror)] | None = Field(
+        None, description="the organization in the Research Organization Registry, as https://ror.org/017zqws13"
+    )
+
+    @property
+    def given(self) -> str:
+        """The given names; "" if the name has one word."""
+        last, comma, first = self.name.partition(",")
+        return first.strip() if comma else " ".join(last.split()[:-1])
+
+    @property
+    def family(self) -> str:
+        last, comma, _ = self.name.partition(",")
+        return last.strip() if comma else last.split()[-1]
+
+
+class Related(Table):
+    """Another object to which the package belongs, for example the paper."""
+
+    identifier: Annotated[str, AfterValidator(_identifier)] = Field(description="DOI, as 10.5555/12345678, or address")
+    relation: Relation = Field("isSupplementTo", description="relation of the package to it, as Zenodo and DataCite name them")
+
+
+class ExternalData(Table):
+    """Data that the runs need, and that are not in the package."""
+
+    name: Line = Field(description="the file's path in the project")
+    url: Address = Field(description="address to download it from")
+    sha256: Sha256 = Field(description="its SHA-256, as 64 digits")
+    description: str = Field("", description="what it is, and its licence")
+
+
+class Package(Table):
+    """The description of reproduction packages, from which CITATION.cff, .zenodo.json and codemeta.json are made."""
+
+    title: Line | None = Field(None, description="title of the package")
+    description: str = Field("", description="what the package contains, in a few sentences")
+    authors: tuple[Author, ...] = Field((), description="authors, in the order of the paper")
+    license: Annotated[str, AfterValidator(_licence)] | None = Field(None, description="SPDX licence, as MIT or CC-BY-4.0")
+    keywords: tuple[Line, ...] = Field((), description="keywords")
+    version: Line | None = Field(None, description="version of the package; default: none")
+    date: Annotated[str, BeforeValidator(_moment), AfterValidator(_date)] | None = Field(
+        None, description="date of publication, as 2026-11-23; default: the date of the newest packed record"
+    )
+    doi: Annotated[str, AfterValidator(_identifier)] | None = Field(
+        None, description="DOI of the package itself, once it has one"
+    )
+    repository: Address | None = Field(None, description="address of the project's repository")
+    related: tuple[Related, ...] = Field((), description="the paper and other related objects")
+    data: tuple[ExternalData, ...] = Field((), description="data that the runs need, and that the package does not contain")

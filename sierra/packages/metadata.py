@@ -1,0 +1,223 @@
+"""The metadata files of a package, all made from `[package]` in `sierra.toml`.
+
+CITATION.cff      Citation File Format 1.2.0
+.zenodo.json      the metadata of a deposit, as Zenodo's REST API names them
+codemeta.json     CodeMeta 3.0
+
+A project may have such files of its own. They are packed as they are, after `differences` has compared them with `[package]`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from sierra.config.package_table import DOI, Author, Package
+from sierra.errors import ConfigError
+
+CITATION, ZENODO, CODEMETA = "CITATION.cff", ".zenodo.json", "codemeta.json"
+NEEDED = ("title", "authors", "license")
+"""The keys without which nobody may cite or use a package."""
+LARGEST = 1 << 20
+"""The largest number of bytes of a project's own metadata file."""
+DATED = 10
+"""The number of characters of a date without its time."""
+
+
+def lacking(package: Package) -> list[str]:
+    """Return the keys of `[package]` that every package needs, and that are not there."""
+    return [name for name in NEEDED if not getattr(package, name)]
+
+
+def files(package: Package, date: str) -> dict[str, bytes]:
+    """Return the content of all metadata files, by name. `date`: in ISO 8601, used unless `[package]` has one.
+
+    Raises ConfigError if `[package]` lacks what every package needs.
+    """
+    if names := lacking(package):
+        raise ConfigError(f"[package] in sierra.toml needs {', '.join(names)}")
+    return {name: make(package, package.date or date) for name, make in MAKERS.items()}
+
+
+def citation(package: Package, date: str) -> bytes:
+    """Return the content of CITATION.cff."""
+    import yaml
+
+    identifiers = [
+        {"type": "doi" if DOI.fullmatch(one.identifier) else "url", "value": one.identifier, "description": one.relation}
+        for one in package.related
+    ]
+    found: dict[str, Any] = {
+        "cff-version": "1.2.0",
+        "message": "If you use this package, please cite it as below.",
+        "type": "dataset",
+        "title": package.title,
+        "abstract": package.description.strip(),
+        "authors": [
+            _present(
+                {
+                    "family-names": one.family,
+                    "given-names": one.given,
+                    "orcid": one.orcid and f"https://orcid.org/{one.orcid}",
+                    "affiliation": one.affiliation,
+                }
+            )
+            for one in package.authors
+        ],
+        "license": package.license,
+        "keywords": list(package.keywords),
+        "version": package.version,
+        "date-released": date[:DATED],
+        "doi": package.doi,
+        "repository-code": package.repository,
+        "identifiers": identifiers,
+    }
+    text: str = yaml.safe_dump(_present(found), sort_keys=False, allow_unicode=True, width=100)
+    return text.encode()
+
+
+def zenodo(package: Package, date: str) -> bytes:
+    """Return the content of .zenodo.json."""
+    creators = [
+        _present({"name": _inverted(one), "orcid": one.orcid, "affiliation": one.affiliation}) for one in package.authors
+    ]
+    related = [
+        _present(
+            {
+                "relation": one.relation,
+                "identifier": one.identifier,
+                "resource_type": "publication-article" if one.relation == "isSupplementTo" else "",
+            }
+        )
+        for one in package.related
+    ]
+    found = {
+        "title": package.title,
+        "upload_type": "dataset",
+        "description": package.description.strip() or package.title,
+        "creators": creators,
+        "license": (package.license or "").lower(),
+        "keywords": list(package.keywords),
+        "version": package.version,
+        "publication_date": date[:DATED],
+        "related_identifiers": related,
+    }
+    return _json(_present(found))
+
+
+def codemeta(package: Package, date: str) -> bytes:
+    """Return the content of codemeta.json."""
+    authors = [
+        _present(
+            {
+                "@type": "Person",
+                "@id": one.orcid and f"https://orcid.org/{one.orcid}",
+                "givenName": one.given,
+                "familyName": one.family,
+                "affiliation": one.affiliation and _present({"@type": "Organization", "@id": one.ror, "name": one.affiliation}),
+            }
+        )
+        for one in package.authors
+    ]
+    found = {
+        "@context": "https://w3id.org/codemeta/3.0",
+        "@type": "SoftwareSourceCode",
+        "name": package.title,
+        "description": package.description.strip(),
+        "author": authors,
+        "license": f"https://spdx.org/licenses/{package.license}",
+        "keywords": list(package.keywords),
+        "version": package.version,
+        "datePublished": date[:DATED],
+        "identifier": package.doi and f"https://doi.org/{package.doi}",
+        "codeRepository": package.repository,
+        "referencePublication": [
+            {"@type": "ScholarlyArticle", "@id": f"https://doi.org/{one.identifier}"}
+            for one in package.related
+            if one.relation == "isSupplementTo" and DOI.fullmatch(one.identifier)
+        ],
+    }
+    return _json(_present(found))
+
+
+MAKERS: Mapping[str, Callable[[Package, str], bytes]] = {CITATION: citation, ZENODO: zenodo, CODEMETA: codemeta}
+
+
+def own(root: Path) -> dict[str, bytes]:
+    """Return the metadata files that a project has itself, by name. Raises ConfigError for a file that is too large."""
+    found = {}
+    for name in MAKERS:
+        path = root / name
+        if path.is_file():
+            if path.stat().st_size > LARGEST:
+                raise ConfigError(f"{path} is too large for a metadata file")
+            found[name] = path.read_bytes()
+    return found
+
+
+def differences(package: Package, files: Mapping[str, bytes]) -> list[str]:
+    """Return one line for each value of a project's own metadata files that is not that of `[package]`."""
+    return [line for name, content in files.items() for line in _differences(package, name, content)]
+
+
+def _differences(package: Package, name: str, content: bytes) -> Iterator[str]:
+    try:
+        found = _parsed(name, content)
+    except ValueError as error:
+        yield f"{name} cannot be read: {str(error).splitlines()[0]}"
+        return
+    made = _parsed(name, MAKERS[name](package, package.date or "1970-01-01"))
+    for key in ("title", "name", "license", "version", "doi", "keywords"):
+        if key in made and key in found and _plain(found[key]) != _plain(made[key]):
+            yield f"{name} has {key} {found[key]!r}, but [package] says {made[key]!r}"
+    for key in ("authors", "creators", "author"):
+        if key in made and (others := _names(found.get(key))) != (ours := _names(made[key])):
+            yield f"{name} names the authors {', '.join(others) or 'nobody'}, but [package] {', '.join(ours)}"
+
+
+def _parsed(name: str, content: bytes) -> dict[str, Any]:
+    """Return the object in a metadata file. Raises ValueError."""
+    import yaml
+
+    try:
+        found = yaml.safe_load(content) if name == CITATION else json.loads(content)
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ValueError(f"it is no YAML: {error}") from error
+    if not isinstance(found, dict):
+        raise ValueError("it is no object")
+    return found
+
+
+def _names(people: object) -> list[str]:
+    """Return the names of people or organizations in any of the three formats, as `family, given`."""
+    listed = people if isinstance(people, list) else [people]
+    found = []
+    for one in listed:
+        if not isinstance(one, dict):
+            continue
+        family = one.get("family-names") or one.get("familyName")
+        given = one.get("given-names") or one.get("givenName")
+        found.append(", ".join(filter(None, (family, given))) if family else str(one.get("name", "")))
+    return found
+
+
+def _plain(value: object) -> object:
+    """Return a value without differences of spelling that mean nothing: case, resolvers, order."""
+    if isinstance(value, list):
+        return sorted(map(str, value))
+    return str(value).lower().removeprefix("https://spdx.org/licenses/").removeprefix("https://doi.org/").strip()
+
+
+def _inverted(author: Author) -> str:
+    return ", ".join(filter(None, (author.family, author.given)))
+
+
+def _present(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields that have a value."""
+    return {name: value for name, value in fields.items() if value}
+
+
+def _json(value: Mapping[str, Any]) -> bytes:
+    return (json.dumps(value, indent=2, ensure_ascii=False) + "\n").encode()

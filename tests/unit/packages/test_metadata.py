@@ -1,0 +1,88 @@
+"""`[package]` is the one source of all metadata files, and a project's own files are compared with it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import yaml
+from pydantic import ValidationError
+
+from sierra.config.package_table import Package
+from sierra.errors import ConfigError
+from sierra.packages import metadata
+
+TABLE = {
+    "title": "Coverage of a swarm",
+    "description": "All runs of the paper.",
+    "authors": [
+        {"name": "Jane Mary Doe", "orcid": "0000-0002-1825-0097", "affiliation": "Example University"},
+        {"name": "van Rossum, Guido"},
+        {"name": "Plato"},
+    ],
+    "license": "cc-by-4.0",
+    "keywords": ["swarm", "robots"],
+    "related": [{"identifier": "https://doi.org/10.5555/12345678"}],
+}
+PACKAGE = Package.model_validate(TABLE)
+
+
+def test_all_files_say_the_same() -> None:
+    made = metadata.files(PACKAGE, "2026-11-23T10:00:00+00:00")
+    citation, zenodo, codemeta = (
+        yaml.safe_load(made["CITATION.cff"]),
+        json.loads(made[".zenodo.json"]),
+        json.loads(made["codemeta.json"]),
+    )
+    assert {citation["title"], zenodo["title"], codemeta["name"]} == {"Coverage of a swarm"}
+    assert [one["name"] for one in zenodo["creators"]] == ["Doe, Jane Mary", "van Rossum, Guido", "Plato"]
+    assert citation["authors"][0] == {
+        "family-names": "Doe",
+        "given-names": "Jane Mary",
+        "orcid": "https://orcid.org/0000-0002-1825-0097",
+        "affiliation": "Example University",
+    }
+    assert (citation["license"], zenodo["license"]) == ("CC-BY-4.0", "cc-by-4.0")
+    assert codemeta["license"] == "https://spdx.org/licenses/CC-BY-4.0"
+    assert {citation["date-released"], zenodo["publication_date"], codemeta["datePublished"]} == {"2026-11-23"}
+    assert citation["identifiers"][0]["value"] == "10.5555/12345678"
+    assert zenodo["related_identifiers"] == [
+        {"relation": "isSupplementTo", "identifier": "10.5555/12345678", "resource_type": "publication-article"}
+    ]
+    assert metadata.differences(PACKAGE, made) == []
+
+
+def test_files_of_the_project_that_say_something_else_are_named() -> None:
+    made = metadata.files(PACKAGE, "2026-11-23")
+    other = metadata.files(Package.model_validate({**TABLE, "title": "Another", "authors": [{"name": "Plato"}]}), "2026-11-23")
+    lines = metadata.differences(PACKAGE, {"CITATION.cff": other["CITATION.cff"], ".zenodo.json": made[".zenodo.json"]})
+    assert lines == [
+        "CITATION.cff has title 'Another', but [package] says 'Coverage of a swarm'",
+        "CITATION.cff names the authors Plato, but [package] Doe, Jane Mary, van Rossum, Guido, Plato",
+    ]
+    for content in (b"[1]", b"{", b"\xff", b"a: [", b"[" * 5000):
+        assert len(metadata.differences(PACKAGE, {"CITATION.cff": content})) == 1
+        assert len(metadata.differences(PACKAGE, {"codemeta.json": content})) == 1
+
+
+def test_a_package_needs_a_title_authors_and_a_licence() -> None:
+    with pytest.raises(ConfigError, match="needs title, authors, license"):
+        metadata.files(Package(), "2026-11-23")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"license": "MTI"}, "SPDX"),
+        ({"authors": [{"name": "Doe", "orcid": "0000-0002-1825-0098"}]}, "last digit does not fit"),
+        ({"authors": [{"name": "Doe", "orcid": "1825"}]}, "should be an ORCID"),
+        ({"authors": [{"name": "Doe", "ror": "https://ror.org/example"}]}, "should be a ROR id"),
+        ({"authors": [{"name": ""}]}, "at least 1 character"),
+        ({"related": [{"identifier": "the paper"}]}, "should be a DOI"),
+        ({"date": "yesterday"}, "should be a date"),
+        ({"data": [{"name": "map.png", "url": "ftp://x", "sha256": "0" * 64}]}, "url"),
+    ],
+)
+def test_wrong_values_are_refused(wrong: dict[str, object], said: str) -> None:
+    with pytest.raises(ValidationError, match=said):
+        Package.model_validate({**TABLE, **wrong})
