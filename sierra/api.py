@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from sierra.maintenance.gc import Collection
     from sierra.maintenance.remove import Removal
     from sierra.maintenance.repair import Repair
+    from sierra.packages.metadata import Metadata
     from sierra.provenance.commits_between import Known as CommitInRepository
     from sierra.provenance.source.share_refs import Shared
     from sierra.query.query_request import QueryRequest
@@ -1028,6 +1029,15 @@ class Project:
             of = f" for target {target!r}" if target else ""
             raise Missing(f"no batch is recorded{of} yet; record one with sierra run")
         return known[-1].batch
+
+    def metadata(self, *, write: bool = False) -> Metadata:
+        """Compare CITATION.cff, .zenodo.json and codemeta.json with `[package]`; with `write`, write those that are not there.
+
+        Raises ConfigError if `[package]` has no title, authors or licence.
+        """
+        from sierra.packages import metadata
+
+        return metadata.compare(self.config.package, self.root, write=write)
 
     def outputs(self, *query: str, target: str | None = None) -> TakenOutputs:
         """Return how a batch's outputs were read: its tables, and the files that became no table, with the reasons.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from datetime import datetime
 from typing import Annotated, Literal
 
@@ -30,7 +31,18 @@ Relation = Literal[
 DOI = re.compile(r"10\.\d{4,9}/\S+")
 Line = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, pattern=r"^[^\r\n]*$")]
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
-Address = Annotated[str, StringConstraints(pattern=r"^https?://[^\s/]+\S*$")]
+OneLine = Annotated[str, StringConstraints(strip_whitespace=True, pattern=r"^[^\r\n]*$")]
+
+
+def _unless_empty(check: Callable[[str], str]) -> AfterValidator:
+    """Return a validator of a text that may be empty."""
+    return AfterValidator(lambda text: check(text) if text else text)
+
+
+def _address(text: str) -> str:
+    if not re.fullmatch(r"https?://[^\s/]+\S*", text):
+        raise ValueError(f"{text!r} should be an address, as https://example.org/data")
+    return text
 
 
 def _orcid(text: str) -> str:
@@ -118,7 +130,7 @@ class ExternalData(Table):
     """Data that the runs need, and that are not in the package."""
 
     name: Line = Field(description="the file's path in the project")
-    url: Address = Field(description="address to download it from")
+    url: Annotated[str, AfterValidator(_address)] = Field(description="address to download it from")
     sha256: Sha256 = Field(description="its SHA-256, as 64 digits")
     description: str = Field("", description="what it is, and its licence")
 
@@ -126,18 +138,16 @@ class ExternalData(Table):
 class Package(Table):
     """The description of reproduction packages, from which CITATION.cff, .zenodo.json and codemeta.json are made."""
 
-    title: Line | None = Field(None, description="title of the package")
+    title: OneLine = Field("", description="title of the package")
     description: str = Field("", description="what the package contains, in a few sentences")
     authors: tuple[Author, ...] = Field((), description="authors, in the order of the paper")
-    license: Annotated[str, AfterValidator(_licence)] | None = Field(None, description="SPDX licence, as MIT or CC-BY-4.0")
+    license: Annotated[str, _unless_empty(_licence)] = Field("", description="SPDX licence, as MIT or CC-BY-4.0")
     keywords: tuple[Line, ...] = Field((), description="keywords")
-    version: Line | None = Field(None, description="version of the package; default: none")
-    date: Annotated[str, BeforeValidator(_moment), AfterValidator(_date)] | None = Field(
-        None, description="date of publication, as 2026-11-23; default: the date of the newest packed record"
+    version: OneLine = Field("", description="version of the package; default: none")
+    date: Annotated[str, BeforeValidator(_moment), _unless_empty(_date)] = Field(
+        "", description="date of publication, as 2026-11-23; default: the date of the newest packed record"
     )
-    doi: Annotated[str, AfterValidator(_identifier)] | None = Field(
-        None, description="DOI of the package itself, once it has one"
-    )
-    repository: Address | None = Field(None, description="address of the project's repository")
+    doi: Annotated[str, _unless_empty(_identifier)] = Field("", description="DOI of the package, once it has one")
+    repository: Annotated[str, _unless_empty(_address)] = Field("", description="address of the project's repository")
     related: tuple[Related, ...] = Field((), description="the paper and other related objects")
     data: tuple[ExternalData, ...] = Field((), description="data that the runs need, and that the package does not contain")

@@ -11,11 +11,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sierra.config.package_table import DOI, Author, Package
 from sierra.errors import ConfigError
+from sierra.store.segments import disk_errors
+from sierra.util.fs import write_whole
 
 CITATION, ZENODO, CODEMETA = "CITATION.cff", ".zenodo.json", "codemeta.json"
 NEEDED = ("title", "authors", "license")
@@ -31,7 +34,37 @@ def lacking(package: Package) -> list[str]:
     return [name for name in NEEDED if not getattr(package, name)]
 
 
-def files(package: Package, date: str) -> dict[str, bytes]:
+@dataclass(frozen=True, slots=True)
+class Metadata:
+    """The metadata files in a project's folder, compared with `[package]`."""
+
+    written: tuple[str, ...]
+    equal: tuple[str, ...]
+    absent: tuple[str, ...]
+    differences: tuple[str, ...]
+    """One line for each value that is not that of `[package]`."""
+
+
+def compare(package: Package, root: Path, *, write: bool) -> Metadata:
+    """Compare the files in a project's folder with `[package]`; with `write`, write those that do not exist.
+
+    Raises ConfigError if `[package]` lacks what every package needs, Missing if a file cannot be written.
+    """
+    made, found = files(package), own(root)
+    absent = tuple(name for name in made if name not in found)
+    for name in absent if write else ():
+        with disk_errors(root):
+            write_whole(root / name, made[name])
+    wrong = {name: differences(package, {name: content}) for name, content in found.items()}
+    return Metadata(
+        written=absent if write else (),
+        equal=tuple(name for name, lines in wrong.items() if not lines),
+        absent=() if write else absent,
+        differences=tuple(line for lines in wrong.values() for line in lines),
+    )
+
+
+def files(package: Package, date: str = "") -> dict[str, bytes]:
     """Return the content of all metadata files, by name. `date`: in ISO 8601, used unless `[package]` has one.
 
     Raises ConfigError if `[package]` lacks what every package needs.
@@ -168,7 +201,7 @@ def _differences(package: Package, name: str, content: bytes) -> Iterator[str]:
     except ValueError as error:
         yield f"{name} cannot be read: {str(error).splitlines()[0]}"
         return
-    made = _parsed(name, MAKERS[name](package, package.date or "1970-01-01"))
+    made = _parsed(name, MAKERS[name](package, package.date or ""))
     for key in ("title", "name", "license", "version", "doi", "keywords"):
         if key in made and key in found and _plain(found[key]) != _plain(made[key]):
             yield f"{name} has {key} {found[key]!r}, but [package] says {made[key]!r}"

@@ -6,7 +6,8 @@ import re
 
 ANYWHERE = re.compile(rb"(?:.*/)?(?:README[^/]*|[^/]+\.md)", re.IGNORECASE | re.DOTALL)
 TOP = re.compile(
-    rb"(?:LICEN[CS]E|COPYING|CITATION|CHANGELOG|CONTRIBUTING|AUTHORS)(?:\.(?:txt|cff|rst|bib))?|docs(?:/.*)?",
+    rb"(?:LICEN[CS]E|COPYING|CITATION|CHANGELOG|CONTRIBUTING|AUTHORS)(?:\.(?:txt|cff|rst|bib))?|codemeta\.json|"
+    rb"\.zenodo\.json|docs(?:/.*)?",
     re.IGNORECASE | re.DOTALL,
 )
 """Names that count as prose in the project's own folder only."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 import yaml
@@ -11,6 +12,7 @@ from pydantic import ValidationError
 from sierra.config.package_table import Package
 from sierra.errors import ConfigError
 from sierra.packages import metadata
+from tests import projects
 
 TABLE = {
     "title": "Coverage of a swarm",
@@ -24,6 +26,12 @@ TABLE = {
     "keywords": ["swarm", "robots"],
     "related": [{"identifier": "https://doi.org/10.5555/12345678"}],
 }
+TOML = """
+[package]
+title = "Coverage of a swarm"
+authors = [{ name = "Jane Doe", orcid = "0000-0002-1825-0097" }]
+license = "MIT"
+"""
 PACKAGE = Package.model_validate(TABLE)
 
 
@@ -86,3 +94,18 @@ def test_a_package_needs_a_title_authors_and_a_licence() -> None:
 def test_wrong_values_are_refused(wrong: dict[str, object], said: str) -> None:
     with pytest.raises(ValidationError, match=said):
         Package.model_validate({**TABLE, **wrong})
+
+
+def test_a_project_gets_its_files_once_and_hears_of_what_differs(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "p", projects.CONFIG + TOML)
+    done = projects.quick(root, "cite", "--write")
+    assert (done.returncode, done.stdout.count(": written")) == (0, 3)
+    again = projects.quick(root, "cite")
+    assert (again.returncode, again.stdout.count("agrees with [package]")) == (0, 3)
+    (root / "sierra.toml").write_text(projects.CONFIG + TOML.replace("Coverage", "Uncovered"))
+    other = projects.quick(root, "cite", "--write")
+    assert (other.returncode, other.stdout.count("but [package] says 'Uncovered of a swarm'")) == (1, 3)
+    assert "Coverage" in (root / "CITATION.cff").read_text()
+    (root / "sierra.toml").write_text(projects.CONFIG)
+    lacking = projects.quick(root, "cite")
+    assert (lacking.returncode, "needs title, authors, license" in lacking.stderr) == (2, True)

@@ -377,7 +377,7 @@ def test_the_advice_for_changed_notes_says_how_to_exclude_them_from_the_source(t
 def test_prose_is_no_source_unless_paths_names_it(tmp_path: Path, git: bool) -> None:
     project = make_project(tmp_path / "p", "sh sim.sh {input}")
     (project.root / "sim.sh").write_text("exit 0\n")
-    for name in ("README", "docs/a.txt", "maps/notes.md", "LICENSE", "CITATION.cff"):
+    for name in ("README", "docs/a.txt", "maps/notes.md", "LICENSE", "CITATION.cff", ".zenodo.json", "codemeta.json"):
         file = project.root / name
         file.parent.mkdir(exist_ok=True)
         file.write_text("before\n")

@@ -1,0 +1,47 @@
+"""`sierra cite`: the files by which archives and people cite a project."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sierra.cli.output import print_json
+
+if TYPE_CHECKING:
+    from sierra.packages.metadata import Metadata
+
+
+def _lines(found: Metadata) -> Iterator[str]:
+    yield from (f"{name}: written" for name in found.written)
+    yield from (f"{name}: agrees with [package]" for name in found.equal)
+    yield from (f"{name}: does not exist; sierra cite --write writes it" for name in found.absent)
+    yield from found.differences
+
+
+def cite(
+    write: Annotated[
+        bool, typer.Option("--write", help="Write the files that the project does not have; never replace one.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
+) -> None:
+    """Make or check the files by which others cite the project.
+
+    They are CITATION.cff, .zenodo.json and codemeta.json. They are compared with [package] in sierra.toml.
+
+    Exits with 1 if a file says something else than [package].
+
+    \b
+    Examples:
+      sierra cite
+      sierra cite --write
+    """
+    from sierra.cli.open_project import project
+
+    found = project().metadata(write=write)
+    if as_json:
+        print_json(found)
+    else:
+        print("\n".join(_lines(found)))
+    raise typer.Exit(1 if found.differences else 0)
