@@ -15,6 +15,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -42,7 +43,7 @@ LARGEST = 1e300
 """The largest number that can be drawn: above it, the distances that axes need overflow."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Drawing:
     """The complete content of one figure.
 
@@ -71,7 +72,7 @@ class Drawing:
     targets: Mapping[str, str] = field(default_factory=dict)
     """The batches of several targets that the figure shows together, by target; `batch` is that of the first."""
 
-    @property
+    @cached_property
     def data(self) -> str:
         """Return the hash of all values that the figure shows."""
         runs = {} if self.runs is None else {"": self.runs}
@@ -111,7 +112,7 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
 
 def save(figure: matplotlib.figure.Figure, drawing: Drawing, folder: Path) -> tuple[Path, ...]:
     """Write a figure that is drawn already, with the name, the formats and the metadata of `drawing`. Return the paths."""
-    return _write([(ending, _bytes(figure, ending, drawing)) for ending in drawing.formats], drawing, folder)
+    return _write([(ending, _bytes(figure, ending, drawing, drawing.data)) for ending in drawing.formats], drawing, folder)
 
 
 def _write(files: Iterable[tuple[Format, bytes]], drawing: Drawing, folder: Path) -> tuple[Path, ...]:
@@ -147,10 +148,10 @@ def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
     """Return the content of the files, by format."""
     from sierra.deliverables.figures import style
 
-    drawing = noted(drawing)
+    shown = noted(drawing)
     with style.applied(drawing.figure):
-        figure = painted(drawing)
-        return [(ending, _bytes(figure, ending, drawing)) for ending in drawing.formats]
+        figure = painted(shown)
+        return [(ending, _bytes(figure, ending, shown, drawing.data)) for ending in drawing.formats]
 
 
 def noted(drawing: Drawing) -> Drawing:
@@ -168,16 +169,17 @@ def painted(drawing: Drawing) -> matplotlib.figure.Figure:
     return figure
 
 
-def _bytes(figure: matplotlib.figure.Figure, ending: Format, drawing: Drawing) -> bytes:
+def _bytes(figure: matplotlib.figure.Figure, ending: Format, drawing: Drawing, data: str) -> bytes:
+    """Return the content of one file; `data` is the hash of the drawing's data."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=ending, metadata=_metadata(ending, drawing))
+    figure.savefig(buffer, format=ending, metadata=_metadata(ending, drawing, data))
     return buffer.getvalue()
 
 
-def _metadata(ending: Format, drawing: Drawing) -> dict[str, str | None]:
+def _metadata(ending: Format, drawing: Drawing, data: str) -> dict[str, str | None]:
     title = _plain(drawing.figure.title or drawing.name)
     sql, note = _plain(drawing.sql), _plain(drawing.note)
-    origin = origin_of(drawing.batch, drawing.data)
+    origin = origin_of(drawing.batch, data)
     match ending:
         case "png":
             return {"Title": title, "Description": note, "sierra": origin, "sierra:sql": sql}
