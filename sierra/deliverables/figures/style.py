@@ -34,6 +34,7 @@ from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, LogLocat
 from matplotlib.typing import ColorType, LineStyleType, RcKeyType
 
 from sierra.config.deliverable_tables import Figure as FigureTable
+from sierra.deliverables.figures import font
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.util.arrow_columns import numpy_of
@@ -154,6 +155,7 @@ def _palette(given: str | tuple[str, ...]) -> tuple[ColorType, ...]:
 
 @contextmanager
 def _settings() -> Iterator[None]:
+    font.register()
     with mpl.rc_context(), warnings.catch_warnings():
         mpl.rcParams.update(_defaults())
         # A character that the font lacks is drawn as a box; the figure is still drawn.

@@ -1,0 +1,62 @@
+"""The font of figures: the letters of DejaVu Sans that figures use most, in a small file.
+
+A PDF file embeds the letters that it uses, and matplotlib reads the complete font to take them from it. With all 6,000 letters
+of DejaVu Sans this takes 0.1 s for each figure; with 1,000 letters, 0.02 s. The letters look the same, and their distances are
+the same. Other letters come from DejaVu Sans itself, which matplotlib brings along.
+
+`python -m sierra.deliverables.figures.font` writes the file again, for example for a new version of matplotlib.
+"""
+
+from __future__ import annotations
+
+import io
+from functools import cache
+from pathlib import Path
+
+from matplotlib import get_data_path
+from matplotlib.font_manager import fontManager
+
+FILE = Path(__file__).with_name("DejaVuSansSubset.ttf")
+FAMILY = "DejaVu Sans Subset"
+WHOLE = "fonts/ttf/DejaVuSans.ttf"
+"""The complete font, in matplotlib's folder of data."""
+LETTERS = (
+    range(0x20, 0x7F),  # ASCII
+    range(0xA0, 0x180),  # Latin with accents
+    range(0x370, 0x400),  # Greek
+    range(0x400, 0x460),  # Cyrillic
+    range(0x2010, 0x2040),  # dashes, quotation marks, …
+    range(0x2070, 0x20A0),  # superscripts and subscripts
+    range(0x2190, 0x2300),  # arrows and mathematics
+)
+FAMILY_NAMES = (1, 4, 16)
+"""The entries of a font's table of names from which matplotlib takes the family."""
+
+
+@cache
+def register() -> None:
+    """Make matplotlib know the font; once for each process."""
+    fontManager.addfont(FILE)
+
+
+def made() -> bytes:
+    """Return the content of the file, from the complete font; with its notices of copyright."""
+    from fontTools import subset
+
+    options = subset.Options(glyph_names=True, layout_features=["*"], name_IDs=["*"], notdef_outline=True)
+    options.drop_tables += ["FFTM"]
+    with subset.load_font(str(Path(get_data_path(), WHOLE)), options) as font:
+        subsetter = subset.Subsetter(options)
+        subsetter.populate(unicodes=[code for codes in LETTERS for code in codes])
+        subsetter.subset(font)
+        font.recalcTimestamp = False
+        for entry in font["name"].names:
+            if entry.nameID in FAMILY_NAMES:
+                entry.string = FAMILY
+        buffer = io.BytesIO()
+        font.save(buffer, reorderTables=False)
+    return buffer.getvalue()
+
+
+if __name__ == "__main__":
+    FILE.write_bytes(made())
