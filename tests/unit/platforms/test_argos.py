@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from fractions import Fraction
@@ -673,7 +674,20 @@ def argos_project(folder: Path, config: str = CONFIG, template: str = TEMPLATE) 
 
 
 def seen(folder: Path, *words: str) -> list[dict[str, Any]]:
-    """Return the inputs of a query's runs, in the order of its experiments."""
+    """Return what is in the inputs of a query's runs; the inputs are written, and no run is executed."""
+    target = folder.with_name("inputs")
+    wrote = projects.quick(folder, "inputs", *words, "--to", str(target))
+    assert wrote.returncode == 0, wrote.stderr + wrote.stdout
+    rows = []
+    for file in target.glob("runs/*/*/input.argos"):
+        subprocess.run([sys.executable, "-S", folder / "sim.py", file], cwd=target, check=True)
+        names, values = (line.split(",") for line in (target / "seen.csv").read_text().splitlines())
+        rows.append(dict(zip(names, map(float, values), strict=True)))
+    return sorted(rows, key=lambda row: (row["robots"], row["x"], row["length"]))
+
+
+def executed(folder: Path, *words: str) -> list[dict[str, Any]]:
+    """Return what was in the inputs of all runs so far, after a query was executed."""
     ran = projects.quick(folder, "run", *words, "--no-figures")
     assert ran.returncode == 0, ran.stderr + ran.stdout
     asked = projects.quick(folder, "sql", "--json", "SELECT x, y, robots, length, walls FROM seen ORDER BY robots, x, length")
@@ -708,15 +722,15 @@ platform = { arena = "10x10" }
 
 def test_a_scenario_sets_options_of_the_platform_for_its_runs(tmp_path: Path) -> None:
     folder = argos_project(tmp_path / "p", LONG)
-    plain = seen(folder, "population_size=20")
+    plain = executed(folder, "population_size=20")
     assert [(row["x"], row["length"]) for row in plain] == [(10, 60)]
-    rows = seen(folder, "population_size=20", "--scenario", "wide")
+    rows = executed(folder, "population_size=20", "--scenario", "wide")
     assert [(row["x"], row["length"], row["walls"]) for row in rows] == [(10, 60, 4), (20, 120, 4)]
     listed = json.loads(projects.quick(folder, "ls", "--json").stdout)
     assert len({one["batch"] for one in listed}) == 2
-    seen(folder, "population_size=20", "--scenario", "same")
+    executed(folder, "population_size=20", "--scenario", "same")
     assert len(json.loads(projects.quick(folder, "ls", "--json").stdout)) == 2, "the options change nothing, so no id"
-    assert [row["length"] for row in seen(folder, "scenario=long,also_long")] == [60, 120, 120, 120]
+    assert [row["length"] for row in executed(folder, "scenario=long,also_long")] == [60, 120, 120, 120]
 
 
 @pytest.mark.parametrize(
