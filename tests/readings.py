@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import pyarrow.parquet as pq
 
 from sierra.config.output_tables import Output
@@ -14,6 +13,7 @@ from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.model import OutputFile
 from sierra.worker import worker
+from tests import samples
 
 
 def shape_of(path: Path, keys: dict[str, Any]) -> Shape:
@@ -36,8 +36,7 @@ def read_file(folder: Path, name: str, content: bytes, **keys: Any) -> tuple[Rea
     target.parent.mkdir(exist_ok=True)
     for old in target.parent.iterdir():
         old.unlink()
-    with duckdb.connect() as connection:
-        reading = read(connection, [Written(str(path), "r0", "e0", *facts)], shape_of(path, keys), target)
+    reading = read(samples.database(2), [Written(str(path), "r0", "e0", *facts)], shape_of(path, keys), target)
     assert path.read_bytes() == content
     rows = [row for part in sorted(target.parent.iterdir()) for row in pq.ParquetFile(part).read().to_pylist()]
     return reading, [{name: row[name] for name in row if name not in ("run", "execution", "file")} for row in rows]

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 import duckdb
 import pyarrow as pa
 
 from sierra.stats import aggregate as stats
+
+
+@cache
+def database(threads: int) -> duckdb.DuckDBPyConnection:
+    """Return an empty database in memory, made once, because opening one takes long. A cursor sees its own tables only."""
+    return duckdb.connect(config={"threads": threads})
 
 
 class Memory:
@@ -26,9 +33,9 @@ class Memory:
                 "value": pa.array(columns[3], pa.float64(), from_pandas=False),
             }
         )
-        self.connection = duckdb.connect(config={"threads": threads})
+        self.connection = database(threads).cursor()
         self.connection.register("given", table)
-        self.connection.execute("CREATE TABLE samples AS SELECT * FROM given")
+        self.connection.execute("CREATE TEMP TABLE samples AS SELECT * FROM given")
 
     def sql(self, text: str, /, **params: Any) -> pa.Table:
         return self.connection.sql(text, params=params).to_arrow_table()

@@ -15,7 +15,9 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sierra.config.field_types import RawTable
 from sierra.config.plugin_registry import READERS
@@ -25,6 +27,9 @@ from sierra.ingest.read import read
 from sierra.model import OutputFile
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 from sierra.worker import worker
+
+if TYPE_CHECKING:
+    from sierra.store.connections import Database
 
 GARBAGE = (b"", b"\0", b"\xff\xfe\x00", b"PAR1", b"{", b"[" * 10_000, b"\n\n\n", bytes(range(256)))
 CUTS = 8
@@ -48,11 +53,16 @@ class Trial:
     """Keys of `[outputs.NAME]` for shipped readers."""
     _count: int = 0
 
+    @cached_property
+    def connection(self) -> Database:
+        """A connection for all files of the trial; recording also reads many files on one."""
+        from sierra.store.connections import connect
+
+        return connect()
+
     def read(self, contents: Sequence[bytes]) -> tuple[Reading, dict[str, list[Row]]]:
         """Read files as recording does; return the result, and the rows by execution in their order."""
         import pyarrow.parquet as pq
-
-        from sierra.store.connections import connect
 
         self._count += 1
         place = self.folder / str(self._count)
@@ -63,8 +73,7 @@ class Trial:
         target = place / "read" / "table.parquet"
         target.parent.mkdir(parents=True)
         shape = Shape(self.name, reader=self._described(), form=self.form)
-        with connect() as connection:
-            reading = read(connection, [_written(path, number) for number, path in enumerate(files)], shape, target)
+        reading = read(self.connection, [_written(path, number) for number, path in enumerate(files)], shape, target)
         for path, content in zip(files, contents, strict=True):
             holds(path.read_bytes() == content, "the reader changes the file")
         rows: dict[str, list[Row]] = {}
@@ -92,8 +101,9 @@ def check(
     `form`: keys of `[outputs.NAME]`, which only shipped readers have.
     """
     trial = Trial(name, tables, damaged, folder, options or {}, form)
-    for claim in CLAIMS:
-        claim(trial)
+    with trial.connection:
+        for claim in CLAIMS:
+            claim(trial)
 
 
 def declares_options(trial: Trial) -> None:

@@ -27,7 +27,7 @@ from sierra.ingest.read import read
 from sierra.ingest.recorder import Recorder
 from sierra.store.samples import Frame
 from sierra.worker import worker
-from tests import projects
+from tests import projects, samples
 
 TOML = """
 template = "t.xml"
@@ -513,20 +513,20 @@ def table(
         files.append(Written(str(path), f"r{number}", f"e{number}", *facts))
     for old in folder.glob("target*.parquet"):
         old.unlink()
-    with duckdb.connect() as connection:
-        reading = read(connection, files, shape or Shape(kind), target)
-        if not any(folder.glob("target*.parquet")):
-            return reading, []
-        source = f"read_parquet('{folder}/target*.parquet', file_row_number = true, union_by_name = true)"
-        found = connection.execute(
-            f"SELECT {columns} FROM {source} WHERE execution LIKE $only ORDER BY run, file_row_number".replace(
-                "* EXCLUDE (run", "* EXCLUDE (file_row_number, run"
-            ),
-            {"only": only},
-        )
-        rows = found.fetchall()
-        head = [tuple(name for name, *_ in found.description or ())] if names else []
-        return reading, [*head, *rows]
+    connection = samples.database(2)
+    reading = read(connection, files, shape or Shape(kind), target)
+    if not any(folder.glob("target*.parquet")):
+        return reading, []
+    source = f"read_parquet('{folder}/target*.parquet', file_row_number = true, union_by_name = true)"
+    found = connection.execute(
+        f"SELECT {columns} FROM {source} WHERE execution LIKE $only ORDER BY run, file_row_number".replace(
+            "* EXCLUDE (run", "* EXCLUDE (file_row_number, run"
+        ),
+        {"only": only},
+    )
+    rows = found.fetchall()
+    head = [tuple(name for name, *_ in found.description or ())] if names else []
+    return reading, [*head, *rows]
 
 
 COLUMNS_BY_N = """
@@ -663,51 +663,65 @@ LOOKS_NUMERIC = "column 'v' of output 'out' is text in 2 runs, so it has no figu
 ONE_COLUMN = "column {!r} of output 'out' is text in 2 runs, so it has no figure: "
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ("t;v\n0;1,5\n1;2,5\n", LOOKS_NUMERIC + "write '1.5' instead of '1,5', with a decimal point"),
-        (
-            "t,v\n0,1.5\n1,2.5\n2,NA\n",
-            LOOKS_NUMERIC + "leave cells without a number empty instead of writing 'NA' (2 such cells)",
-        ),
-        (
-            "t,v\n0,1e5 m\n1,2e5 m\n",
-            LOOKS_NUMERIC + """write '1e5 m' without 'm' ([outputs.out] units = { "v" = "m" } declares the unit)""",
-        ),
-        (
-            "t,v\n0,50%\n1,7.5%\n",
-            LOOKS_NUMERIC + """write '50%' without '%' ([outputs.out] units = { "v" = "%" } declares the unit)""",
-        ),
-        ("t;v\n0;1'234.5\n1;2'000\n", LOOKS_NUMERIC + """write "1'234.5" without separators between digits"""),
-        ("t;v\n0;1_234.5\n1;2_000\n", LOOKS_NUMERIC + "write '1_234.5' without separators between digits"),
-        (
-            "t,v\n0,1.5\n1,n/a\n2,NA\n3,NA\n4,-\n",
-            LOOKS_NUMERIC + "leave cells without a number empty instead of writing '-' (8 such cells)",
-        ),
-        ("t,v\n0,ab\n1,NA\n2,NA\n", None),
-        ("t,my speed\n0,-\n1,2\n2,3\n", LOOKS_NUMERIC.replace("'v'", "'my speed'") + "leave cells without a number"),
-        ("t v\n0 1.5\n", ONE_COLUMN.format("t v") + 'are these several columns? (set delimiter = " " in [outputs.out])'),
-        (
-            "# t v\n0 1.5\n",
-            ONE_COLUMN.format("# t v") + "the first line is a comment; begin with the column names, without '#'",
-        ),
-        (
-            "# a\nt\n0\n1\n2\n",
-            ONE_COLUMN.format("# a") + "the first line is a comment; begin with the column names, without '#'",
-        ),
-        ("t,v\n0,ab\n", None),
-        ("t,v\n0,3ab\n1,4cd\n2,77f\n", None),
-        ("t,v\n0,2020-01-01\n", None),
-        ("t,v\n0,12:30:05\n", None),
-        ("word\nthe\nword\n", None),
-    ],
-)
-def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(
-    make: Make, noted: Callable[[], list[str]], content: str, said: str | None
-) -> None:
-    assert not run(make(f"write({content!r})"), runs=2).failed
-    assert [note[: len(said or "")] for note in noted()] == [said] * (said is not None)
+TEXTS: list[tuple[str, str | None]] = [
+    ("t;v\n0;1,5\n1;2,5\n", LOOKS_NUMERIC + "write '1.5' instead of '1,5', with a decimal point"),
+    (
+        "t,v\n0,1.5\n1,2.5\n2,NA\n",
+        LOOKS_NUMERIC + "leave cells without a number empty instead of writing 'NA' (2 such cells)",
+    ),
+    (
+        "t,v\n0,1e5 m\n1,2e5 m\n",
+        LOOKS_NUMERIC + """write '1e5 m' without 'm' ([outputs.out] units = { "v" = "m" } declares the unit)""",
+    ),
+    (
+        "t,v\n0,50%\n1,7.5%\n",
+        LOOKS_NUMERIC + """write '50%' without '%' ([outputs.out] units = { "v" = "%" } declares the unit)""",
+    ),
+    ("t;v\n0;1'234.5\n1;2'000\n", LOOKS_NUMERIC + """write "1'234.5" without separators between digits"""),
+    ("t;v\n0;1_234.5\n1;2_000\n", LOOKS_NUMERIC + "write '1_234.5' without separators between digits"),
+    (
+        "t,v\n0,1.5\n1,n/a\n2,NA\n3,NA\n4,-\n",
+        LOOKS_NUMERIC + "leave cells without a number empty instead of writing '-' (8 such cells)",
+    ),
+    ("t,v\n0,ab\n1,NA\n2,NA\n", None),
+    ("t,my speed\n0,-\n1,2\n2,3\n", LOOKS_NUMERIC.replace("'v'", "'my speed'") + "leave cells without a number"),
+    ("t v\n0 1.5\n", ONE_COLUMN.format("t v") + 'are these several columns? (set delimiter = " " in [outputs.out])'),
+    (
+        "# t v\n0 1.5\n",
+        ONE_COLUMN.format("# t v") + "the first line is a comment; begin with the column names, without '#'",
+    ),
+    (
+        "# a\nt\n0\n1\n2\n",
+        ONE_COLUMN.format("# a") + "the first line is a comment; begin with the column names, without '#'",
+    ),
+    ("t,v\n0,ab\n", None),
+    ("t,v\n0,3ab\n1,4cd\n2,77f\n", None),
+    ("t,v\n0,2020-01-01\n", None),
+    ("t,v\n0,12:30:05\n", None),
+    ("word\nthe\nword\n", None),
+]
+"""Tables, and the beginning of the note on each."""
+
+
+@pytest.fixture(scope="module")
+def notes_on_texts(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The notes on one batch whose runs write all `TEXTS`, as out0.csv, out1.csv and so on."""
+    lines = f"for place, content in enumerate({[content for content, _ in TEXTS]!r}):\n    write(content, f'out{{place}}.csv')"
+    with pytest.MonkeyPatch.context() as patch:
+        notes = all_notes(patch)
+        assert not run(written(tmp_path_factory.mktemp("texts"), lines), runs=2).failed
+        return notes()
+
+
+@pytest.mark.parametrize("place", range(len(TEXTS)))
+def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(notes_on_texts: list[str], place: int) -> None:
+    said = TEXTS[place][1]
+    found = [
+        note.replace(f"output 'out{place}'", "output 'out'").replace(f"[outputs.out{place}]", "[outputs.out]")
+        for note in notes_on_texts
+        if f"output 'out{place}'" in note
+    ]
+    assert [note[: len(said or "")] for note in found] == [said] * (said is not None)
 
 
 def test_comment_with_as_many_fields_as_the_header_is_noted(make: Make, noted: Callable[[], list[str]]) -> None:
@@ -849,6 +863,10 @@ def test_faults_contain_no_path_of_the_machine(tmp_path: Path) -> None:
 @pytest.fixture
 def noted(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[str]]:
     """Return a function that returns the final notes of the recorders of a session."""
+    return all_notes(monkeypatch)
+
+
+def all_notes(patch: pytest.MonkeyPatch) -> Callable[[], list[str]]:
     recorders: list[Recorder] = []
     made = Recorder.__init__
 
@@ -856,7 +874,7 @@ def noted(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[str]]:
         made(self, *arguments, **options)
         recorders.append(self)
 
-    monkeypatch.setattr(Recorder, "__init__", make)
+    patch.setattr(Recorder, "__init__", make)
     return lambda: [note for recorder in recorders for note in recorder.notes()]
 
 

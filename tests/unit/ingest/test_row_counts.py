@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -20,6 +19,7 @@ from hypothesis import strategies as st
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.worker import worker
+from tests import samples
 from tests.tiers import at_night
 
 CORES = 2
@@ -58,10 +58,8 @@ def read_files(
     target.parent.mkdir(exist_ok=True)
     for old in target.parent.iterdir():
         old.unlink()
-    with duckdb.connect() as connection:
-        connection.execute(f"SET threads = {threads}")
-        described = [written(path, number, counts=counts) for number, path in enumerate(files)]
-        reading = read(connection, described, shape or Shape(kind), target)
+    described = [written(path, number, counts=counts) for number, path in enumerate(files)]
+    reading = read(samples.database(threads), described, shape or Shape(kind), target)
     rows: dict[str, list[Any]] = {}
     for path in sorted(target.parent.iterdir()):
         for row in pq.ParquetFile(path).read().to_pylist():
