@@ -278,13 +278,14 @@ class Samples:
 
     def _run(self, text: str, statistics: Wanted, *, rate: bool, **params: Parameter) -> Statistics:
         most = max(self.coverage.runs.values())
-        params |= {"z": NormalDist().inv_cdf((1 + LEVEL) / 2), "rate": rate}
-        lists: dict[str, Parameter] = {"t": _t(most), "median_rank": ranks(0.5, max(1, most), 1 - LEVEL)[0]}
         selection = _selection(statistics)
+        level = selection.level if selection else LEVEL
+        params |= {"z": NormalDist().inv_cdf((1 + level) / 2), "rate": rate}
+        lists: dict[str, Parameter] = {"t": _t(most, level), "median_rank": ranks(0.5, max(1, most), 1 - level)[0]}
         if selection:
             params |= selection.parameters(most)
         table = self.frame.sql(text, **_used(text, **lists, **params))
-        return selection.complete(table) if selection else table, _documented(text, most, **params)
+        return selection.complete(table) if selection else table, _documented(text, most, level, **params)
 
 
 def values_of_runs(frame: Frame, measure: str, threshold: float | None = None) -> pa.Table:
@@ -331,10 +332,10 @@ def _used(text: str, **params: Parameter) -> dict[str, Parameter]:
     return {name: value for name, value in params.items() if re.search(rf"\${name}\b", _code(text))}
 
 
-def _documented(text: str, most: int, **params: Parameter) -> str:
+def _documented(text: str, most: int, level: float, **params: Parameter) -> str:
     """Return the statement after comments that explain its parameters."""
     texts = {
-        "t": f"quantiles of Student's t, p = {(1 + LEVEL) / 2}, for 1 … {max(1, most - 1)} degrees of freedom",
+        "t": f"quantiles of Student's t, p = {(1 + level) / 2:.10g}, for 1 … {max(1, most - 1)} degrees of freedom",
         "median_rank": f"rank of the lower end of the interval of the median for each n = 1 … {max(1, most)}",
     }
     for name, value in params.items():
@@ -351,9 +352,9 @@ def _explained(name: str, value: Parameter) -> str:
 
 
 @cache
-def _t(most: int) -> list[float]:
+def _t(most: int, level: float) -> list[float]:
     """Return the quantiles for samples of up to `most` values; never empty, so that the list has a type in SQL."""
-    return student_t.quantiles((1 + LEVEL) / 2, max(1, most - 1))
+    return student_t.quantiles((1 + level) / 2, max(1, most - 1))
 
 
 def _ordered(wanted: Iterable[str]) -> tuple[str, ...]:

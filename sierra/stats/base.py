@@ -14,14 +14,14 @@ from typing import Any, ClassVar, Protocol, TypeAlias
 from sierra.config.field_types import Table
 
 LEVEL = 0.95
-"""The confidence of intervals."""
+"""The confidence of intervals, if nothing else is requested."""
 Parameter: TypeAlias = bool | float | str | Sequence[float | None] | None
 """The value of a parameter in SQL."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number with its interval of confidence 95 %; None as ends if there is no interval."""
+    """A number with its interval of confidence; None as ends if there is no interval."""
 
     value: float | None
     low: float | None = None
@@ -55,7 +55,8 @@ class Statistic(Protocol):
 
     - Its values are finite and sorted. There may be none, or one.
     - Without values, its value is None. Without an interval, both ends are None: no interval is better than a wrong one.
-    - The interval has a confidence of 95 %, and contains the value.
+    - The interval contains the value. Its confidence is 95 %, or the `level` that a sequential study asks for: the higher,
+      the wider. A class whose `definition` takes no level works everywhere else.
     - The same values give the same result, to the last bit. A bootstrap has a fixed seed.
     - The result depends on nothing but the values and the options.
     """
@@ -69,5 +70,8 @@ class Statistic(Protocol):
 
     def __init__(self, options: Any, /) -> None: ...
 
-    def definition(self) -> Formula | Function:
-        """Return how it is computed. A formula is faster, above all over time."""
+    def definition(self, level: float = LEVEL) -> Formula | Function:
+        """Return how it is computed, with intervals of this confidence. A formula is faster, above all over time.
+
+        The parameters of shipped formulas (`uses`) have this confidence already.
+        """

@@ -40,6 +40,7 @@ def estimate(
     *,
     method: Literal["BCa", "percentile"] = "BCa",
     smallest: int = 10,
+    level: float = LEVEL,
 ) -> Estimate:
     """Return the statistic and its interval; no interval for fewer than `smallest` values, or if it is not a finite number.
 
@@ -57,13 +58,15 @@ def estimate(
         return Estimate(value)
     if x.min() == x.max():
         return Estimate(value, value, value)
-    low, high = _interval(function, x, options, method)
+    low, high = _interval(function, x, options, method, level)
     if not (isfinite(low) and isfinite(high)):
         return Estimate(value)
     return Estimate(value, min(low, value), max(high, value))
 
 
-def _interval(function: Vectorized, x: npt.NDArray[np.float64], options: BootstrapOptions, method: str) -> tuple[float, float]:
+def _interval(
+    function: Vectorized, x: npt.NDArray[np.float64], options: BootstrapOptions, method: str, level: float
+) -> tuple[float, float]:
     import numpy as np
     from scipy import stats
 
@@ -76,7 +79,7 @@ def _interval(function: Vectorized, x: npt.NDArray[np.float64], options: Bootstr
             batch=max(1, AT_ONCE // len(x)),
             vectorized=True,
             axis=-1,
-            confidence_level=LEVEL,
+            confidence_level=level,
             method=method,
             rng=np.random.default_rng(options.seed),
         ).confidence_interval

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from sierra.config.field_types import Table
-from sierra.stats.base import Estimate, Function
+from sierra.stats.base import LEVEL, Estimate, Function
 from sierra.stats.bootstrap import BootstrapOptions, Vectorized, estimate
 
 Floats = npt.NDArray[np.float64]
@@ -28,11 +29,11 @@ class Resampled:
     def __init__(self, options: BootstrapOptions) -> None:
         self._options = options
 
-    def definition(self) -> Function:
-        return Function(self._estimate)
+    def definition(self, level: float = LEVEL) -> Function:
+        return Function(partial(self._estimate, level))
 
-    def _estimate(self, values: Sequence[float]) -> Estimate:
-        return estimate(type(self).function, values, self._options, method="percentile", smallest=SMALLEST)
+    def _estimate(self, level: float, values: Sequence[float]) -> Estimate:
+        return estimate(type(self).function, values, self._options, method="percentile", smallest=SMALLEST, level=level)
 
 
 def interquartile_range(values: Floats, axis: int = -1) -> Any:

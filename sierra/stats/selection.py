@@ -6,6 +6,7 @@ interval is NULL if there is none, for example because there are too few runs.
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -58,15 +59,17 @@ class Selection:
     """The statistics that were chosen, by name."""
 
     statistics: Mapping[str, Statistic]
+    level: float = LEVEL
+    """The confidence of their intervals."""
 
     @classmethod
-    def of(cls, names: Iterable[str], tables: Mapping[str, RawTable]) -> Selection:
-        """Return the statistics of these names, each once. Raises UsageError."""
-        return cls({name: find(name, tables) for name in dict.fromkeys(names)})
+    def of(cls, names: Iterable[str], tables: Mapping[str, RawTable], level: float = LEVEL) -> Selection:
+        """Return the statistics of these names, each once, with intervals of a confidence. Raises UsageError."""
+        return cls({name: find(name, tables) for name in dict.fromkeys(names)}, level)
 
     @cached_property
     def definitions(self) -> Mapping[str, Formula | Function]:
-        return {name: statistic.definition() for name, statistic in self.statistics.items()}
+        return {name: defined(name, statistic, self.level) for name, statistic in self.statistics.items()}
 
     @property
     def uses(self) -> tuple[str, ...]:
@@ -123,10 +126,17 @@ class Selection:
             if not statistic.interval:
                 found.append(f"{name} has no interval")
             elif lacking:
-                found.append(
-                    f"n is too small for the {LEVEL:.0%} interval of {name} in {counted(lacking, 'row')}".replace("%", " %")
-                )
+                found.append(f"n is too small for the {100 * self.level:.4g} % interval of {name} in {counted(lacking, 'row')}")
         return found
+
+
+def defined(name: str, statistic: Statistic, level: float) -> Formula | Function:
+    """Return how a statistic is computed. Raises UsageError if it has intervals of another confidence only."""
+    if level == LEVEL:
+        return statistic.definition()
+    if "level" not in inspect.signature(statistic.definition).parameters:
+        raise UsageError(f"statistic {name!r} has intervals of 95 % only, and looks need others; see level in its contract")
+    return statistic.definition(level)
 
 
 def _checked(name: str, found: Estimate) -> Estimate:

@@ -20,6 +20,7 @@ often they contain the true value. A bootstrap of fewer values, and BCa for `sd`
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import ClassVar
 
 from sierra.config.field_types import Table
@@ -41,7 +42,7 @@ class InSql:
     def __init__(self, options: Table) -> None:
         pass
 
-    def definition(self) -> Formula:
+    def definition(self, level: float = LEVEL) -> Formula:
         return self.formula
 
 
@@ -90,7 +91,7 @@ class Quantile:
         self._p = p
         self._name = name.replace(".", "_")
 
-    def definition(self) -> Formula:
+    def definition(self, level: float = LEVEL) -> Formula:
         place = f"((n - 1) * ${self._name}_p)"
         below, above = f"x[1 + floor({place})::INTEGER]", f"x[least(n, 2 + floor({place})::INTEGER)]"
         part = f"({place} - floor({place}))"
@@ -99,8 +100,8 @@ class Quantile:
             f"THEN {below} + {part} * ({above} - {below}) ELSE (1 - {part}) * {below} + {part} * {above} END"
         )
         low, high = (f"x[CAST(${self._name}_{end} AS INTEGER[])[n]]" for end in ("low", "high"))
-        return Formula(value, low, high, uses=("n",), parameters=self._parameters)
+        return Formula(value, low, high, uses=("n",), parameters=partial(self._parameters, level))
 
-    def _parameters(self, most: int) -> Mapping[str, Parameter]:
-        low, high = ranks(self._p, max(1, most), 1 - LEVEL)
+    def _parameters(self, level: float, most: int) -> Mapping[str, Parameter]:
+        low, high = ranks(self._p, max(1, most), 1 - level)
         return {f"{self._name}_p": self._p, f"{self._name}_low": low, f"{self._name}_high": high}

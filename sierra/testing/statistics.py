@@ -12,6 +12,7 @@ Python runs with `-O`.
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,7 +22,7 @@ from sierra.config.field_types import RawTable
 from sierra.config.plugin_registry import STATISTICS
 from sierra.stats import aggregate
 from sierra.stats.aggregate import Samples
-from sierra.stats.base import Estimate, Parameter
+from sierra.stats.base import LEVEL, Estimate, Parameter, Statistic
 from sierra.stats.selection import Selection
 from sierra.testing.assertions import holds, says_what_its_options_are
 
@@ -50,10 +51,10 @@ class Trial:
     known: Mapping[Values, float]
     options: RawTable = field(default_factory=dict)
 
-    def estimates(self, groups: Sequence[Values]) -> list[Estimate]:
+    def estimates(self, groups: Sequence[Values], level: float = LEVEL) -> list[Estimate]:
         """Return the statistic of each group, computed as in `sierra stats`; the groups are experiments."""
         rows = [(e, run, value) for e, values in enumerate(groups) for run, value in enumerate(values or (math.nan,))]
-        selection = Selection.of([self.name], {self.name: self.options})
+        selection = Selection.of([self.name], {self.name: self.options}, level)
         with _connected() as connection:
             frame = _Frame(connection, rows)
             table, _ = Samples(frame, aggregate.coverage(frame)).by_experiment("final", selection)
@@ -136,10 +137,24 @@ def is_repeatable(trial: Trial) -> None:
         holds(alone == found, f"{trial.name} of {values[:5]} is {alone} alone, but {found} beside other experiments")
 
 
+def has_wider_intervals_of_higher_confidence(trial: Trial) -> None:
+    """Check that intervals of a higher confidence contain the others, if it has them: looks of a study need them."""
+    made: Statistic = STATISTICS.make(trial.name, {trial.name: trial.options})
+    if "level" not in inspect.signature(made.definition).parameters:
+        return
+    groups = [*trial.known, *OTHERS]
+    for values, usual, wide in zip(groups, trial.estimates(groups), trial.estimates(groups, 0.99), strict=True):
+        holds(usual.value == wide.value, f"{trial.name} of {values[:5]} depends on the confidence of its interval")
+        if None not in (usual.low, usual.high, wide.low, wide.high):
+            inside = wide.low <= usual.low and usual.high <= wide.high  # type: ignore[operator]
+            holds(inside, f"the 99 % interval of {trial.name} of {values[:5]} does not contain that of 95 %")
+
+
 CLAIMS: tuple[Callable[[Trial], None], ...] = (
     declares_options,
     has_the_known_values,
     is_none_without_values,
     has_intervals_around_the_value,
     is_repeatable,
+    has_wider_intervals_of_higher_confidence,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, ClassVar
 
 from pydantic import Field
@@ -26,11 +27,11 @@ class Laggards:
     def __init__(self, options: LaggardsOptions) -> None:
         self._options = options
 
-    def definition(self) -> Function:
-        return Function(self._estimate)
+    def definition(self, level: float = 0.95) -> Function:
+        return Function(partial(self._estimate, level))
 
-    def _estimate(self, values: Sequence[float]) -> Estimate:
-        return bootstrap(self._mean, values, self._options, method="BCa", smallest=20)
+    def _estimate(self, level: float, values: Sequence[float]) -> Estimate:
+        return bootstrap(self._mean, values, self._options, method="BCa", smallest=20, level=level)
 
     def _mean(self, values: Any, axis: int = -1) -> Any:
         import numpy as np

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pyarrow as pa
@@ -14,6 +14,7 @@ import scipy.stats
 
 import sierra
 from sierra.errors import UsageError
+from sierra.stats.base import Formula, Statistic
 from sierra.stats.bootstrap import BootstrapOptions, estimate
 from sierra.stats.order_statistics import ranks, smallest
 from sierra.stats.selection import Selection
@@ -228,3 +229,31 @@ def test_columns_may_have_any_name(simulate: Callable[..., Any]) -> None:
     for column, last in (("first", 8), ("name", 9), ("together", 1)):
         (row,) = json.loads(project.quick("stats", "swarm", column, "--json").stdout)
         assert (row["n"], row["mean"]) == (2, last)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "range"])
+def test_intervals_of_a_higher_confidence_are_those_of_scipy(name: str) -> None:
+    x = np.random.default_rng(3).normal(size=300)
+    frame = Memory((0, number, 0.0, value) for number, value in enumerate(x.tolist()))
+    (wide,) = samples(frame).by_experiment("final", Selection.of([name], {}, 0.99))[0].to_pylist()
+    usual = over_runs(x.tolist(), [name])
+    assert wide[f"{name}_low"] < usual[f"{name}_low"] < wide[name] < usual[f"{name}_high"] < wide[f"{name}_high"]
+    if name == "mean":
+        assert ends(wide, name) == pytest.approx(scipy.stats.t.interval(0.99, 299, x.mean(), scipy.stats.sem(x)))
+    if name == "median":
+        found = scipy.stats.quantile_test(x).confidence_interval(0.99)
+        assert ends(wide, name) == (found.low, found.high)
+
+
+def test_a_statistic_with_intervals_of_95_percent_only_is_refused_for_looks() -> None:
+    class Plain:
+        contract, interval = 1, "t"
+        formula = Formula("x[1]", "x[1]", "x[1]", uses=("n",))
+
+        def definition(self) -> Formula:
+            return self.formula
+
+    plain = cast(Statistic, Plain())
+    assert Selection({"plain": plain}).definitions["plain"] is Plain.formula
+    with pytest.raises(UsageError, match="'plain' has intervals of 95 % only"):
+        _ = Selection({"plain": plain}, 0.99).definitions
