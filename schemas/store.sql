@@ -449,6 +449,49 @@ CREATE TABLE deliverables (
     "lamport" BIGINT  -- position in the logical order, as in sessions
 );
 
+-- Sequential studies: a query, a rule about intervals, and the schedule of looks, recorded before the first look.
+CREATE TABLE studies (
+    "study" VARCHAR,  -- hash of the columns batch, rule, schedule, alpha and correction
+    "batch" VARCHAR,  -- the batch of the first look
+    "query" VARCHAR,  -- the criteria, in full
+    "rule" VARCHAR,  -- when to stop, as in ci(coverage) < 0.02: half of the interval's width, in every experiment
+    "schedule" VARCHAR,  -- the runs per experiment at each look, as a JSON list; fixed before the first look
+    "alpha" DOUBLE,  -- the probability that an interval misses the true value at any of the looks [1]
+    "correction" VARCHAR,  -- the correction for looking: bonferroni (level 1 - alpha / looks at each look)
+    "begun" TIMESTAMP WITH TIME ZONE,  -- when it began
+    "lamport" BIGINT  -- position in the logical order, as in sessions
+);
+
+-- Looks of studies at the data, each with the decision that was made.
+CREATE TABLE looks (
+    "look" VARCHAR,  -- hash of the columns study to reason and of its intervals
+    "study" VARCHAR,  -- the study
+    "number" BIGINT,  -- the look's number in the schedule, from 1
+    "batch" VARCHAR,  -- the batch whose runs it looked at
+    "runs" BIGINT,  -- runs per experiment, also those that failed [1]
+    "level" DOUBLE,  -- confidence of its intervals, corrected for all looks of the schedule [1]
+    "decision" VARCHAR,  -- reached, continue, not reached (at the last look), or stopped (an experiment has no successful run; the look may be repeated)
+    "reason" VARCHAR,  -- the reason, in one line
+    "decided" TIMESTAMP WITH TIME ZONE,  -- when it was made
+    "lamport" BIGINT  -- position in the logical order, as in sessions
+);
+
+-- Intervals that looks saw: one for each condition of the rule and each experiment.
+CREATE TABLE look_intervals (
+    "look" VARCHAR,  -- the look
+    "condition" VARCHAR,  -- the condition, as in the rule
+    "ordinal" BIGINT,  -- the experiment's position in the batch, from 0
+    "n" BIGINT,  -- runs with a value [1]
+    "value" DOUBLE,  -- the statistic, in the column's unit; NULL without a run
+    "low" DOUBLE,  -- lower end of the interval; NULL if there is none
+    "high" DOUBLE,  -- upper end of the interval
+    "method" VARCHAR,  -- the method of the interval; NULL if there is none
+    "half_width" DOUBLE,  -- half of the interval's width
+    "wanted" DOUBLE,  -- the half-width below which the condition holds; NULL if there is none
+    "holds" BOOLEAN,  -- whether the condition holds
+    "needed" BIGINT  -- estimated runs with which it would hold; NULL if it holds, or if there is no estimate [1]
+);
+
 -- Recorded files by the hash of their content, in parts of at most 8 MiB; files that became tables are included unless [store] raw is false.
 CREATE TABLE objects (
     "sha256" VARCHAR,  -- SHA-256 of the whole file

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from sierra.store.export_recorded_files import Listing, Outcome
     from sierra.store.public_result import Result
     from sierra.store.row_types import SourceRow
+    from sierra.studies.study import Outcome as StudyOutcome
 
 
 class Project:
@@ -318,6 +319,64 @@ class Project:
         summary = self._described(replace(summary, notes=(*probed, *summary.notes)))
         return self._drawn(summary) if figures else summary
 
+    def study(
+        self,
+        plan: Plan,
+        *,
+        until: str,
+        max_runs: int,
+        jobs: int | None = None,
+        fail_fast: bool = False,
+        figures: bool = True,
+        observer: Observer | None = None,
+        runner: str | None = None,
+        progress: bool | None = None,
+        planning: Observer | None = None,
+    ) -> StudyOutcome:
+        """Execute a query with more and more runs until its intervals are narrow enough: see `sierra.studies.study`.
+
+        `plan` is the plan of the first look; its number of runs per experiment grows by a factor of 1.5 from look to look, up
+        to `max_runs`. `until` is the rule: see `sierra.query.until`. The rule and the schedule are recorded before the first
+        look, and each look with its decision. The same arguments continue a study, and execute nothing twice. `planning`
+        receives the progress of planning. The other arguments are those of `execute`. Raises the errors of `plan`, and NotFound
+        for a rule that does not fit the runs.
+
+        >>> outcome = project.study(project.plan("population_size=1", runs=3), until="ci(coverage) < 100", max_runs=6)
+        >>> print(outcome.decision, [look.row.runs for look in outcome.looks])
+        reached [3]
+        """
+        from sierra.studies import study
+
+        planned = study.design(self._loaded, plan, until, max_runs)
+        told = observer or _observer(progress)
+
+        def larger(runs: int) -> Plan:
+            request = plan.request.model_copy(update={"runs": runs})
+            return self.resolve(request, engine=plan.engine.name, observer=planning or told)
+
+        def execute(look: Plan) -> Summary:
+            return self.execute(look, jobs=jobs, fail_fast=fail_fast, figures=False, observer=told, runner=runner)
+
+        self.runner_of(plan, runner)
+        store = Store.create(self.paths.store)
+        outcome = study.conduct(self._loaded, store, planned, plan, study.Actions(larger, execute), told)
+        if not figures or outcome.summary is None or outcome.decision in (None, "continue"):
+            return outcome
+        return replace(outcome, summary=self._drawn(outcome.summary))
+
+    def planned_study(self, plan: Plan, *, until: str, max_runs: int) -> StudyOutcome:
+        """Return the study that `study` would begin or continue, with the looks that are recorded. Executes nothing.
+
+        >>> plan = project.plan("population_size=1", runs=2)
+        >>> project.planned_study(plan, until="ci(coverage) < 5%", max_runs=5).design.schedule
+        (2, 3, 5)
+        """
+        from sierra.studies import study
+
+        planned = study.design(self._loaded, plan, until, max_runs)
+        store = self.stored()
+        return (study.find(store, planned.row.study) if store else None) or study.Outcome(planned, (), {})
+
     def runner_of(self, plan: Plan, runner: str | None = None, *, detach: bool = False) -> str:
         """Return the name of the runner of a plan: `runner`, or the one in `sierra.toml`. Raises ConfigError, UsageError.
 
@@ -437,17 +496,19 @@ class Project:
 
         return list_batches.batches(self.store)
 
-    def show(self, prefix: str) -> Shown:
-        """Return the record of a batch, an experiment, a run, an execution or a session, by a prefix of its id.
+    def show(self, prefix: str) -> Shown | StudyOutcome:
+        """Return the record of a batch, an experiment, a run, an execution, a session or a study, by a prefix of its id.
 
-        Each kind has a class in `sierra.execution.show_record`; its `as_dict` returns what `sierra show --json` prints.
-        Raises NotFound.
+        Each kind has a class in `sierra.execution.show_record`, a study in `sierra.studies.study`; its `as_dict` returns what
+        `sierra show --json` prints. Raises NotFound.
 
         >>> project.show(summary.batch).kind
         'batch'
         """
         from sierra.execution.show_record import ShownBatch, ShownExecution, show
 
+        if (outcome := self._shown_study(prefix)) is not None:
+            return outcome
         try:
             shown = show(self.store, prefix)
         except NotFound:
@@ -474,6 +535,19 @@ class Project:
         from sierra.deliverables import check
 
         return check.find(self._loaded, self.store, Path(file))
+
+    def _shown_study(self, prefix: str) -> StudyOutcome | None:
+        """Return the study with this id; None if the id is that of another object."""
+        try:
+            found = self.store.identify(prefix)
+        except NotFound:
+            return None
+        if found.kind != "study":
+            return None
+        from sierra.studies import study
+
+        outcome = study.find(self.store, found.id)
+        return outcome and study.checked(self._loaded, self.store, outcome)
 
     def _session(self, prefix: str) -> ShownSession | None:
         """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""

@@ -29,6 +29,7 @@ DIGITS = re.compile("[0-9a-f]{4,}")
 IDS = """
 SELECT DISTINCT left(id, greatest(10, length($p) + 2)) AS id FROM (
     SELECT run AS id FROM batch_runs UNION ALL SELECT experiment FROM experiments UNION ALL SELECT execution FROM executions
+    UNION ALL SELECT study FROM studies
 ) WHERE starts_with(id, $p) LIMIT $most
 """
 COLUMNS = "SELECT column_name AS id FROM information_schema.columns WHERE table_name = $t LIMIT $most"

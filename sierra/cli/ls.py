@@ -38,6 +38,7 @@ def ls(
         **_where_any("target", [", ".join(one.targets) for one in batches]),
         **_where_any("overrides", [" ".join(one.overrides) for one in batches]),
         **_where_any("changed", [", ".join(one.changed) for one in batches]),
+        **_where_any("study", [_looks(one) for one in batches]),
         "experiments": [one.experiments for one in batches],
         "runs": [one.runs for one in batches],
         "state": [_state(one) for one in batches],
@@ -48,6 +49,12 @@ def ls(
 def _where_any(name: str, texts: Sequence[str]) -> dict[str, Sequence[str]]:
     """Return a column as a dictionary; an empty dictionary if all its texts are empty."""
     return {name: texts} if any(texts) else {}
+
+
+def _looks(one: ListedBatch) -> str:
+    from sierra.util.hashing import short
+
+    return ", ".join(f"{short(look.study)} look {look.number}" for look in one.looks)
 
 
 def _state(one: ListedBatch) -> str:

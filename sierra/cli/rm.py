@@ -22,20 +22,20 @@ def rm(
         typer.Argument(
             metavar="HASH",
             autocompletion=complete.ids,
-            help="Ids of batches, experiments, runs or executions; prefixes are enough.",
+            help="Ids of batches, studies, experiments, runs or executions; prefixes are enough.",
         ),
     ],
     yes: Yes = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only show what would be deleted.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Delete recorded batches, experiments, runs or executions.
+    """Delete recorded batches, studies, experiments, runs or executions.
 
     First shows what will be deleted, and what stays because other batches contain it.
 
-    A batch is deleted completely. For an experiment or a run, the executions are deleted, and are executed again when a query
-    needs them. Runs of a deleted batch or experiment that other batches contain too keep their executions. Without a terminal
-    for the confirmation, --yes is required.
+    A batch is deleted completely, and a study with the batches of its looks. For an experiment or a run, the executions are
+    deleted, and are executed again when a query needs them. Runs of a deleted batch or experiment that other batches contain
+    too keep their executions. Without a terminal for the confirmation, --yes is required.
 
     \b
     Examples:

@@ -26,11 +26,12 @@ from sierra.cli.arguments import (
     TargetNames,
 )
 from sierra.cli.output import note, print_json, table
-from sierra.errors import SierraError
+from sierra.errors import SierraError, UsageError
 from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.api import Project
+    from sierra.execution.observer import Observer
     from sierra.execution.plan_json import PlanPreview
     from sierra.execution.resolve_plan import Plan
     from sierra.execution.summary import Summary
@@ -57,6 +58,17 @@ def run(
     figures: DrawFigures = None,
     as_json: AsJson = False,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation of many runs.")] = False,
+    until: Annotated[
+        str | None,
+        typer.Option(
+            "--until",
+            metavar="RULE",
+            help="Execute more and more runs until intervals are narrow enough, as in 'ci(coverage) < 0.02'; needs --max-runs.",
+        ),
+    ] = None,
+    max_runs: Annotated[
+        int | None, typer.Option("--max-runs", metavar="N", help="With --until: the runs per experiment of the last look.")
+    ] = None,
 ) -> None:
     """Run a query's experiments and reuse finished runs.
 
@@ -85,6 +97,8 @@ def run(
       sierra run query.json
       sierra run population_size.Log8 --on slurm --detach
       sierra run population_size.Log8 --on slurm --dry-run --explain
+      sierra run population_size.Log8 --until "ci(coverage) < 0.02" --max-runs 200
+      sierra run population_size.Log8 --until "ci(median(swarm.coverage)) < 5%" --max-runs 100 --runs 20
     """
     from sierra.cli import open_project, render_summary
     from sierra.cli.progress import Planning
@@ -96,7 +110,6 @@ def run(
     settings = plan_query.Settings(
         runs=runs, controller=controller, scenario=scenario, sets=[setting(text) for text in sets or ()]
     )
-    plans = plan_query.plans(project, query, settings, target, engine=engine, observer=observer)
     options = Options(
         runner=runner,
         jobs=jobs,
@@ -108,6 +121,10 @@ def run(
         figures=user.load().figures if figures is None else figures,
         as_json=as_json,
     )
+    if until is not None or max_runs is not None:
+        _until(project, query, settings, target, engine, observer, options, until, max_runs)
+        return
+    plans = plan_query.plans(project, query, settings, target, engine=engine, observer=observer)
     if not dry_run:
         for plan in plans:
             _check(project, plan, options)
@@ -140,6 +157,54 @@ class Options:
     fail_fast: bool
     figures: bool
     as_json: bool
+
+
+def _until(
+    project: Project,
+    query: list[str],
+    settings: plan_query.Settings,
+    target: str | None,
+    engine: str | None,
+    observer: Observer,
+    options: Options,
+    until: str | None,
+    max_runs: int | None,
+) -> None:
+    """Execute a query with more and more runs, or only preview it."""
+    from sierra.cli import run_until
+    from sierra.cli.progress import watching
+    from sierra.cli.render_reasons import build
+
+    if until is None or max_runs is None:
+        raise UsageError("--until and --max-runs belong together: --until 'ci(coverage) < 0.02' --max-runs 200")
+    if options.detach or options.only is not None:
+        name, why = ("--detach", "waits for each look") if options.detach else ("--only", "needs all experiments")
+        raise UsageError(f"--until {why}; leave out {name}")
+    plan = project.resolve(run_until.request(project, query, settings, target), engine=engine, observer=observer)
+    planned = project.planned_study(plan, until=until, max_runs=max_runs)
+    if options.dry_run or options.explain:
+        run_until.show_plan(planned, json=options.as_json)
+        look = run_until.next_look(project, plan, planned)
+        built = build(look.build, dry_run=options.dry_run) if look.build else None
+        preview = _preview(project, look, None, built, options)
+        if options.dry_run:
+            if options.as_json:
+                print_json(run_until.answer_plan(planned, preview))
+            return
+    _check(project, plan, options)
+    with watching(quiet=options.as_json) as display:
+        outcome = project.study(
+            plan,
+            until=until,
+            max_runs=max_runs,
+            jobs=options.jobs,
+            fail_fast=options.fail_fast,
+            figures=options.figures,
+            observer=display,
+            runner=options.runner,
+            planning=observer,
+        )
+    run_until.finish(project, outcome, json=options.as_json)
 
 
 def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None, dict[str, object]]:
@@ -290,8 +355,6 @@ def _check_log(plan: Plan) -> None:
 
     Such a log would change the code during the batch, and each run would fail when it ends.
     """
-    from sierra.errors import UsageError
-
     log = plan.seen.named(STDERR)
     if log is not None:
         raise UsageError(

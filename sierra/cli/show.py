@@ -1,11 +1,11 @@
-"""`sierra show`: show a batch, an experiment, a run or an execution."""
+"""`sierra show`: show a batch, an experiment, a run, an execution or a study."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from sierra.deliverables.record import ShownDeliverable
     from sierra.execution.show_record import Failed, ShownBatch, ShownBuild, ShownExecution, ShownIsolation
     from sierra.provenance.commits_between import Known
+    from sierra.studies.study import Outcome
 
 SHOWN_REASONS = 10
 MORE = 4
@@ -44,8 +45,8 @@ def show(
 ) -> None:
     """Show a record, or what a figure's file shows.
 
-    A record is a batch, experiment, run, execution or session. For a batch and a session, this includes the path of the log
-    file, which lists the events while runs executed. For a file that SIERRA made, it includes the SQL and whether the store
+    A record is a batch, experiment, run, execution, session or study. For a batch and a session, this includes the path of the
+    log file, which lists the events while runs executed. For a file that SIERRA made, it includes the SQL and whether the store
     would still give the same data.
 
     \b
@@ -80,6 +81,10 @@ def show(
         case ShownExecution():
             _print_record(_without_parts(record), long=long)
             _print_host(shown, shown.host_access, [shown.isolation] if shown.isolation else [])
+        case _ if shown.kind == "study":
+            from sierra.cli.run_until import print_study
+
+            print_study(cast("Outcome", shown), long=long)
         case _:
             _print_record(record, long=long)
     if isinstance(shown, ShownRun | ShownExecution):

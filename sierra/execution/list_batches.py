@@ -53,6 +53,8 @@ class ListedBatch:
     nondeterministic: int
     """Number of runs whose output changed when they were executed again with the same programs, apart from outputs that the
     project declares to be volatile or within tolerance."""
+    looks: Sequence[LookOfStudy] = ()
+    """Looks of sequential studies at this batch."""
 
 
 class _Batch(NamedTuple):
@@ -126,6 +128,18 @@ WHERE list_contains($batches, m.batch) AND (n.verdict IS NULL OR n.verdict = 'di
 """
 
 
+LOOKS = "SELECT DISTINCT batch, study, number FROM looks ORDER BY study, number"
+
+
+class LookOfStudy(NamedTuple):
+    """A look of a sequential study at a batch."""
+
+    batch: str
+    study: str
+    number: int
+    """The look's number in the study's schedule, from 1."""
+
+
 def batches(store: Store) -> list[ListedBatch]:
     """Return all batches, ordered by their last session.
 
@@ -139,6 +153,7 @@ def batches(store: Store) -> list[ListedBatch]:
         counts = {row.batch: row for row in snapshot.select(_Counts, COUNTS, batches=uncertain)} if uncertain else {}
         repeated = [row.batch for row in rows if row.repeated]
         unlike = dict(snapshot.select(_Unlike, UNLIKE, batches=repeated)) if repeated else {}
+        looks = snapshot.select(LookOfStudy, LOOKS) if snapshot.holds("looks") else []
     clusters = on_clusters(store)
     before: dict[tuple[str | None, ...], _Batch] = {}
     listed = []
@@ -163,6 +178,7 @@ def batches(store: Store) -> list[ListedBatch]:
                 changed=_changed(before[named], row) if named in before else [],
                 clusters=clusters.get(row.batch, []),
                 nondeterministic=unlike.get(row.batch, 0),
+                looks=[look for look in looks if look.batch == row.batch],
             )
         )
         before[named] = row

@@ -45,13 +45,17 @@ from sierra.store.row_types import (
     EnvironmentRow,
     IngestRulesRow,
     IsolationRow,
+    LookIntervalRow,
+    LookRow,
     SharedFileRow,
     SourceRow,
     SpecRow,
+    StudyRow,
 )
 from sierra.store.schema import RECORDED, TIME, sql_types
 from sierra.store.sql_result import RawRow
 from sierra.store.store import Snapshot
+from sierra.store.study_records import look_id, study_id
 from sierra.store.views import records as records_of
 from sierra.util.hashing import canonical_plain, digest, merkle, sha256, short
 from sierra.util.json_types import JsonView
@@ -255,6 +259,26 @@ def _deliverables(records: Records) -> Iterator[Finding]:
         yield Finding(Kind.LOST, "deliverables", f"deliverables belong to batch {short(str(batch))}, which is not recorded")
 
 
+def _studies(records: Records) -> Iterator[Finding]:
+    """Check the ids of studies and looks, and that the studies and the batches of looks are recorded."""
+    yield from _own(records, StudyRow, study_id)
+    seen: dict[str, list[LookIntervalRow]] = {}
+    for one, _ in records.rows(LookIntervalRow):
+        seen.setdefault(one.look, []).append(one)
+    yield from _own(records, LookRow, lambda row: look_id(row, seen.get(row.look, ())))
+    for what, statement in LOST_BY_LOOK.items():
+        if batches := records.column(statement):
+            yield Finding(Kind.LOST, "looks", what, of(records.snapshot, batches=batches))
+    if seen.keys() - set(records.column("SELECT DISTINCT look FROM looks")):
+        yield Finding(Kind.LOST, "looks", "looks of recorded intervals are not recorded")
+
+
+LOST_BY_LOOK = {
+    "studies of looks are not recorded": "SELECT DISTINCT batch FROM looks ANTI JOIN studies USING (study)",
+    "batches of looks are not recorded": "SELECT DISTINCT batch FROM looks ANTI JOIN batches USING (batch)",
+}
+
+
 def _fields(row: NamedTuple, names: Iterable[str]) -> dict[str, JsonView]:
     return {name: getattr(row, name) for name in names}
 
@@ -277,6 +301,8 @@ USING = {
     "source": "SELECT DISTINCT batch FROM sessions WHERE source = $id",
     "build": "SELECT DISTINCT batch FROM sessions WHERE build = $id",
     "deliverable": "SELECT DISTINCT batch FROM deliverables WHERE deliverable = $id",
+    "study": "SELECT DISTINCT batch FROM looks WHERE study = $id",
+    "look": "SELECT DISTINCT batch FROM looks WHERE look = $id",
 }
 
 
@@ -613,6 +639,7 @@ CHECKS: Sequence[Check] = (
     _readings,
     _judgements,
     _deliverables,
+    _studies,
     _isolations,
     _builds,
     _programs,

@@ -6,6 +6,8 @@ executions, and the next run of the batch's query executes it again; an experime
 their executions. A run or an execution that is named directly is removed even if other batches have it; the preview names these
 batches.
 
+A sequential study is removed with the batches of its looks, and a removed batch with the looks at it.
+
 Records around executions (run specifications, sources, environments, programs, rules, files) are removed if nothing else
 refers to them.
 """
@@ -20,6 +22,7 @@ from sierra.errors import NotFound, SierraError
 from sierra.execution import recover
 from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.provenance import source
+from sierra.store import study_records
 from sierra.store.compaction import Compaction, groups, touched
 from sierra.store.schema import RECORDED
 from sierra.store.segments import Segment
@@ -58,12 +61,16 @@ class Removal:
     """Runs that keep their executions because other experiments or batches have them."""
     sharing: tuple[str, ...]
     """The batches that have these runs."""
+    studies: tuple[str, ...] = ()
+    """Sequential studies that are removed as a whole."""
+    cut: tuple[str, ...] = ()
+    """Sequential studies that stay but lose looks."""
     left: int = 0
     """Old segments that another process was still reading, and that `sierra gc` removes."""
 
     @property
     def nothing(self) -> bool:
-        return not self.batches and not self.executions
+        return not (self.batches or self.executions or self.studies)
 
 
 @dataclass(slots=True)
@@ -110,10 +117,14 @@ def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], boo
 
 
 def _resolve(store: Store, prefixes: Sequence[str]) -> dict[str, set[str]]:
-    named: dict[str, set[str]] = {"batch": set(), "experiment": set(), "run": set(), "execution": set()}
+    named: dict[str, set[str]] = {kind: set() for kind in ("batch", "experiment", "run", "execution", "study")}
     for prefix in prefixes:
-        found = store.resolve(prefix)
-        named[found.kind].add(found.id)
+        found = store.identify(prefix)
+        if found.kind == "study":
+            named["study"].add(found.id)
+            named["batch"].update(look.batch for look in study_records.looks(store, found.id))
+        else:
+            named[found.kind].add(found.id)
     if not prefixes:
         raise NotFound("give the ids (or their beginnings) of the batches, experiments, runs or executions to remove")
     return named
@@ -135,6 +146,10 @@ CREATE TEMP TABLE gone AS
     WHERE execution IN (SELECT id FROM named WHERE kind = 'execution') OR run IN (SELECT id FROM named WHERE kind = 'run')
     OR run IN (SELECT run FROM asked_members EXCEPT SELECT run FROM shared);
 CREATE TEMP TABLE gone_batches AS SELECT id AS batch FROM named WHERE kind = 'batch';
+CREATE TEMP TABLE gone_looks AS SELECT look, study FROM looks WHERE batch IN (SELECT batch FROM gone_batches);
+CREATE TEMP TABLE gone_studies AS SELECT study FROM studies WHERE study IN (SELECT id FROM named WHERE kind = 'study')
+    OR study IN (SELECT study FROM gone_looks
+                 EXCEPT SELECT study FROM looks WHERE look NOT IN (SELECT look FROM gone_looks));
 CREATE TEMP TABLE gone_verdicts AS SELECT replay FROM verdicts WHERE recorded IN (SELECT execution FROM gone)
     OR execution IN (SELECT execution FROM gone);
 CREATE TEMP TABLE staying_verdicts AS SELECT DISTINCT replay FROM verdicts
@@ -212,6 +227,9 @@ AROUND = {
     "sources": ("source", "SELECT source FROM gone_sources"),
     "images": ("image", "SELECT image FROM gone_images"),
     "isolations": ("isolation", "SELECT isolation FROM gone EXCEPT SELECT isolation FROM staying"),
+    "looks": ("look", "SELECT look FROM gone_looks"),
+    "look_intervals": ("look", "SELECT look FROM gone_looks"),
+    "studies": ("study", "SELECT study FROM gone_studies"),
 }
 """By table: its key column, and a query for the ids that nothing refers to any more."""
 OBJECTS = """
@@ -265,7 +283,20 @@ def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Remov
     kept = "SELECT run, batch FROM shared WHERE run NOT IN (SELECT run FROM gone)"
     shared = _column(snapshot, f"SELECT run FROM ({kept})")
     sharing = _column(snapshot, f"SELECT batch FROM ({kept})")
-    return Removal(tuple(batches), runs, executions, replays, size, tuple(sorted(losing)), len(shared), tuple(sorted(sharing)))
+    studies = _column(snapshot, "SELECT study FROM gone_studies")
+    cut = _column(snapshot, "SELECT study FROM gone_looks") - studies
+    return Removal(
+        tuple(batches),
+        runs,
+        executions,
+        replays,
+        size,
+        tuple(sorted(losing)),
+        len(shared),
+        tuple(sorted(sharing)),
+        studies=tuple(sorted(studies)),
+        cut=tuple(sorted(cut)),
+    )
 
 
 OF_EXECUTIONS = ("executions", "artifacts", "findings", "output", "observations", "files_written")
@@ -322,6 +353,10 @@ def text(removal: Removal) -> list[str]:
         lines.append(f"{removal.executions} executions of {removal.runs} runs, with their files, tables and logs")
     if removal.replays:
         lines.append(f"{removal.replays} replay{'' if removal.replays == 1 else 's'}")
+    if removal.studies:
+        lines.append(f"study {_some(removal.studies)}, with its decisions")
+    if removal.cut:
+        lines.append(f"the looks at these batches of study {_some(removal.cut)}, which stays; its command looks at them again")
     if removal.losing:
         lines.append(
             f"these executions also belong to batch {_some(removal.losing)}, which stays; its next run executes them again"

@@ -20,7 +20,9 @@ from __future__ import annotations
 NUMBER, TIE, POSITION = 23, 18, 22
 """The widths of the three parts in bits."""
 HIGHEST = (1 << NUMBER) - 1
-ORDERED = ("batches", "builds", "deliverables", "executions", "findings", "judgements", "replays", "sessions")
+ORDERED = (
+    *("batches", "builds", "deliverables", "executions", "findings", "judgements", "looks", "replays", "sessions", "studies"),
+)
 """The tables with the column `lamport`."""
 
 

@@ -562,6 +562,56 @@ class DeliverableRow(NamedTuple):
     lamport: Annotated[int, "position in the logical order, as in sessions"]
 
 
+class StudyRow(NamedTuple):
+    """Sequential studies: a query, a rule about intervals, and the schedule of looks, recorded before the first look."""
+
+    study: Annotated[str, "hash of the columns batch, rule, schedule, alpha and correction"]
+    batch: Annotated[str, "the batch of the first look"]
+    query: Annotated[str, "the criteria, in full"]
+    rule: Annotated[str, "when to stop, as in ci(coverage) < 0.02: half of the interval's width, in every experiment"]
+    schedule: Annotated[str, "the runs per experiment at each look, as a JSON list; fixed before the first look"]
+    alpha: Annotated[float, "the probability that an interval misses the true value at any of the looks", "1"]
+    correction: Annotated[str, "the correction for looking: bonferroni (level 1 - alpha / looks at each look)"]
+    begun: Annotated[datetime, "when it began"]
+    lamport: Annotated[int, "position in the logical order, as in sessions"]
+
+
+class LookRow(NamedTuple):
+    """Looks of studies at the data, each with the decision that was made."""
+
+    look: Annotated[str, "hash of the columns study to reason and of its intervals"]
+    study: Annotated[str, "the study"]
+    number: Annotated[int, "the look's number in the schedule, from 1"]
+    batch: Annotated[str, "the batch whose runs it looked at"]
+    runs: Annotated[int, "runs per experiment, also those that failed", "1"]
+    level: Annotated[float, "confidence of its intervals, corrected for all looks of the schedule", "1"]
+    decision: Annotated[
+        str,
+        "reached, continue, not reached (at the last look), or stopped (an experiment has no successful run; the look may be "
+        "repeated)",
+    ]
+    reason: Annotated[str, "the reason, in one line"]
+    decided: Annotated[datetime, "when it was made"]
+    lamport: Annotated[int, "position in the logical order, as in sessions"]
+
+
+class LookIntervalRow(NamedTuple):
+    """Intervals that looks saw: one for each condition of the rule and each experiment."""
+
+    look: Annotated[str, "the look"]
+    condition: Annotated[str, "the condition, as in the rule"]
+    ordinal: Annotated[int, "the experiment's position in the batch, from 0"]
+    n: Annotated[int, "runs with a value", "1"]
+    value: Annotated[float | None, "the statistic, in the column's unit; NULL without a run"]
+    low: Annotated[float | None, "lower end of the interval; NULL if there is none"]
+    high: Annotated[float | None, "upper end of the interval"]
+    method: Annotated[str | None, "the method of the interval; NULL if there is none"]
+    half_width: Annotated[float | None, "half of the interval's width"]
+    wanted: Annotated[float | None, "the half-width below which the condition holds; NULL if there is none"]
+    holds: Annotated[bool, "whether the condition holds"]
+    needed: Annotated[int | None, "estimated runs with which it would hold; NULL if it holds, or if there is no estimate", "1"]
+
+
 class ObjectRow(NamedTuple):
     """Recorded files by the hash of their content, in parts of at most 8 MiB; files that became tables are included unless
     [store] raw is false.
@@ -606,6 +656,9 @@ ROWS: dict[str, type[NamedTuple]] = {
     "unused_changes": UnusedChangeRow,
     "images": ImageRow,
     "deliverables": DeliverableRow,
+    "studies": StudyRow,
+    "looks": LookRow,
+    "look_intervals": LookIntervalRow,
     "objects": ObjectRow,
 }
 """The class of each recorded table's rows."""

@@ -54,12 +54,12 @@ Converted = TypeVar("Converted")
 
 
 class Found(NamedTuple):
-    """The meaning of an id; `kind` is batch, experiment, run or execution."""
+    """The meaning of an id; `kind` is batch, experiment, run, execution or study."""
 
     kind: str
     id: str
     batch: str | None
-    """A batch to which it belongs."""
+    """A batch to which it belongs; of a study, the batch of its last look, or None before the first."""
 
 
 class Store:
@@ -180,7 +180,19 @@ class Store:
         return outputs(self.segments())
 
     def resolve(self, prefix: str) -> Found:
-        """Return the object whose id begins with `prefix` (at least 4 digits). Raises NotFound for none or several."""
+        """Return the object whose id begins with `prefix` (at least 4 digits); for a study, the batch of its last look.
+
+        Raises NotFound for none or several, and for a study without a look.
+        """
+        found = self.identify(prefix)
+        if found.kind != "study":
+            return found
+        if found.batch is None:
+            raise NotFound(f"study {found.id[:10]} has no look yet; repeat its command to continue it")
+        return Found("batch", found.batch, found.batch)
+
+    def identify(self, prefix: str) -> Found:
+        """Return the object whose id begins with `prefix`, as `resolve` does, but a study as a study."""
         text = prefix.lower()
         if not PREFIX.fullmatch(text):
             raise NotFound(f"{prefix!r} is not an id: use 4 to 64 hexadecimal digits, as shown by `sierra ls`")
@@ -191,11 +203,13 @@ class Store:
                 "SELECT 'experiment', experiment, max(batch) FROM experiments WHERE starts_with(experiment, $p) GROUP BY ALL "
                 "UNION SELECT 'run', run, max(batch) FROM batch_runs WHERE starts_with(run, $p) GROUP BY ALL "
                 "UNION SELECT 'execution', execution, batch FROM executions WHERE starts_with(execution, $p) "
+                "UNION SELECT 'study', study, arg_max(l.batch, l.number) FROM studies LEFT JOIN looks l USING (study) "
+                "WHERE starts_with(study, $p) GROUP BY ALL "
                 "ORDER BY 1, 2 LIMIT 20",
                 p=text,
             )
         if not found:
-            raise NotFound(f"no batch, experiment, run or execution begins with {prefix!r}; sierra ls lists the batches")
+            raise NotFound(f"no batch, experiment, run, execution or study begins with {prefix!r}; sierra ls lists the batches")
         if len(found) > 1:
             shown = ", ".join(f"{one.id[:16]} ({one.kind})" for one in found[:6])
             raise NotFound(f"{prefix!r} is ambiguous: {shown}{', …' if len(found) > 6 else ''}")
