@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
     from sierra.deliverables.comparison import Compared
+    from sierra.deliverables.power import RunsForPower
     from sierra.deliverables.record import Checked, ShownDeliverable
     from sierra.deliverables.sample_size import RunsNeeded
     from sierra.execution.cluster_status import ClusterSession
@@ -1029,6 +1030,12 @@ class Project:
         from sierra.deliverables import comparison
 
         asked = options(Comparison, {key: value for key, value in given.items() if value is not None}, "the comparison")
+        return comparison.compare(self._loaded, self.store, name, self._groups_of(words), asked)
+
+    def _groups_of(self, words: Sequence[str]) -> dict[str, str]:
+        """Return the batches that words name, by the names of their groups. Raises NotFound, UsageError."""
+        from sierra.deliverables import comparison
+
         named = [self._labelled_batch(word) for word in words] or [("", self.batch())]
         if len({batch for _, batch in named}) < len(named):
             raise UsageError("a batch cannot be compared with itself; name other batches, or one batch and --by VARIABLE")
@@ -1036,8 +1043,7 @@ class Project:
         labels = [label or proposed for (label, _), proposed in zip(named, found, strict=True)]
         if twice := next((label for label in labels if labels.count(label) > 1), None):
             raise UsageError(f"two groups have the name {twice!r}; give them different ones: LABEL=HASH")
-        batches = {label: batch for label, (_, batch) in zip(labels, named, strict=True)}
-        return comparison.compare(self._loaded, self.store, name, batches, asked)
+        return {label: batch for label, (_, batch) in zip(labels, named, strict=True)}
 
     def _labelled_batch(self, word: str) -> tuple[str, str]:
         """Return the label ("" for none) and the batch of a word: `LABEL=PREFIX`, `PREFIX`, or the same with a query's name."""
@@ -1069,6 +1075,51 @@ class Project:
 
         batch = self.batch(prefix)
         return sample_size.runs_needed(self._loaded, self.store, batch, half_width, table, column, measure, threshold)
+
+    def runs_for_power(
+        self,
+        *words: str,
+        difference: float | None = None,
+        power: float = 0.8,
+        runs: int | None = None,
+        by: str | None = None,
+        groups: Sequence[str] = (),
+        column: str = "",
+        table: str = "",
+        measure: Literal["final", "mean", "time_to"] | None = None,
+        threshold: float | None = None,
+        paired: bool | Literal["auto"] = "auto",
+        alpha: float = 0.05,
+    ) -> RunsForPower:
+        """Return how many runs of each group a comparison needs to find a difference with a probability, the power.
+
+        `words` are the pilot: one batch (default: the batch requested last), or the two batches to compare, as for `compare`.
+        The pilot's runs are drawn again and again, and tested by the test that `compare` would use. `difference` is that of the
+        groups, in the column's unit; without it, it is that of the pilot. With one batch and no `by`, each experiment is the
+        pilot of a group, and a second group differs from it by `difference`. The answer also has the power with `runs` runs.
+        Raises NotFound, UsageError, and SierraError if there is nothing to compare.
+
+        >>> found = project.runs_for_power(summary.batch, difference=100)
+        >>> found.comparisons[0].test, found.runs > 2
+        ('Mann-Whitney test', True)
+        """
+        from sierra.config.deliverable_tables import Comparison
+        from sierra.config.validate import options
+        from sierra.deliverables import power as planning
+
+        wanted = planning.Wanted(difference, power, runs)
+        given = {
+            "by": by,
+            "groups": tuple(groups),
+            "column": column,
+            "table": table,
+            "measure": measure,
+            "threshold": threshold,
+            "paired": paired,
+            "alpha": alpha,
+        }
+        asked = options(Comparison, {key: value for key, value in given.items() if value is not None}, "the comparison")
+        return planning.runs_for_power(self._loaded, self.store, self._groups_of(words), asked, wanted)
 
     def draw_comparison(self, compared: Compared) -> list[Path]:
         """Draw the figure of a comparison; return the files.

@@ -2,26 +2,55 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import MEASURES, MeasureOfRun, OneColumn, OneOutput, Threshold
+from sierra.cli.compare import PAIRED, Pairs
 from sierra.cli.output import note, print_json
 from sierra.cli.sql import Format, Printable, write
+from sierra.errors import UsageError
+
+if TYPE_CHECKING:
+    from sierra.deliverables.power import RunsForPower
+    from sierra.deliverables.sample_size import RunsNeeded
 
 
 def plan_n(
-    prefix: Annotated[
-        str | None,
+    words: Annotated[
+        list[str] | None,
         typer.Argument(
-            metavar="HASH", autocompletion=complete.batches, help="The pilot: a batch id or prefix (default: the last batch)."
+            metavar="[HASH...]",
+            autocompletion=complete.comparisons,
+            help="The pilot: a batch id or prefix (default: the last batch). For the power, also two batches to compare.",
         ),
     ] = None,
     half_width: Annotated[
-        float, typer.Option("--half-width", "-w", metavar="W", help="Half of the interval's width, in the column's unit.")
-    ] = ...,  # type: ignore[assignment]
+        float | None,
+        typer.Option("--half-width", "-w", metavar="W", help="Half of the interval's width, in its unit."),
+    ] = None,
+    difference: Annotated[
+        float | None,
+        typer.Option("--difference", "-d", metavar="D", help="The difference of two groups to find, in the column's unit."),
+    ] = None,
+    power: Annotated[
+        float | None, typer.Option("--power", metavar="P", help="The probability of finding the difference (default: 0.8).")
+    ] = None,
+    runs: Annotated[
+        int | None, typer.Option("--runs", metavar="N", help="Also print the power with N runs of each group.")
+    ] = None,
+    by: Annotated[
+        str | None, typer.Option("--by", metavar="VARIABLE", help="Compare values of this variable within the batch.")
+    ] = None,
+    groups: Annotated[str | None, typer.Option("--groups", metavar="VALUE,VALUE", help="With --by: the two values.")] = None,
+    paired: Annotated[
+        Pairs | None, typer.Option("--paired", help="Compare runs with the same seed as pairs (default: if they correlate).")
+    ] = None,
+    alpha: Annotated[
+        float | None, typer.Option("--alpha", metavar="P", help="Significance level of all tests together (default: 0.05).")
+    ] = None,
     column: OneColumn = "",
     table: OneOutput = "",
     measure: MeasureOfRun = None,
@@ -29,27 +58,55 @@ def plan_n(
     format: Annotated[Format, typer.Option("--format", "-f", help="Output format.")] = Format.table,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
-    """Compute how many runs an interval of a certain width needs.
+    """Compute how many runs an interval of a certain width needs, or a comparison that finds a difference.
 
-    The recorded runs of a batch are the pilot. `runs` is the smallest number of runs for which the 95 % interval of the mean is
-    mean ± W, if the pilot's standard deviation is the true one. The true one may be larger, so `safe_runs` is the number that
-    is enough with a probability of 80 %.
+    The recorded runs of a batch are the pilot.
+
+    With --half-width, `runs` is the smallest number of runs for which the 95 % interval of the mean is mean ± W, if the pilot's
+    standard deviation is the true one. The true one may be larger, so `safe_runs` is the number that is enough with a
+    probability of 80 %.
+
+    With --difference, two batches or --by, `runs` is the smallest number of runs of each group with which `sierra compare`
+    finds the difference with a probability of 80 % (the power). The pilot is resampled, and tested as in `sierra compare`. The
+    groups are two batches, two values of a variable, or each experiment and the same with the difference added.
 
     \b
     Examples:
       sierra plan-n --half-width 0.02 --column coverage
       sierra plan-n 518b -w 5 --measure time_to --threshold 0.5
+      sierra plan-n 518b --difference 0.05 --column coverage
+      sierra plan-n 518b 722b --difference 0.05 --power 0.9 --runs 20
+      sierra plan-n --by controller --groups CRW,DPO
     """
     from sierra.cli.open_project import project
 
-    found = project().runs_needed(
-        prefix,
-        half_width=half_width,
-        column=column,
-        table=table,
-        measure=MEASURES[measure] if measure else None,
-        threshold=threshold,
-    )
+    reduction = MEASURES[measure] if measure else None
+    options = {"--power": power, "--runs": runs, "--by": by, "--groups": groups, "--paired": paired, "--alpha": alpha}
+    found: RunsNeeded | RunsForPower
+    if half_width is not None:
+        given = [name for name, value in {"--difference": difference, **options}.items() if value is not None]
+        if given or len(words or ()) > 1:
+            raise UsageError(f"--half-width is about one mean; leave out {given[0] if given else 'the second batch'}")
+        found = project().runs_needed(
+            *(words or ()), half_width=half_width, column=column, table=table, measure=reduction, threshold=threshold
+        )
+    elif difference is None and not by and len(words or ()) < 2:
+        raise UsageError("name --half-width W, or what to compare: --difference D, a second batch, or --by VARIABLE")
+    else:
+        found = project().runs_for_power(
+            *(words or ()),
+            difference=difference,
+            power=0.8 if power is None else power,
+            runs=runs,
+            by=by,
+            groups=[one.strip() for one in groups.split(",")] if groups else (),
+            column=column,
+            table=table,
+            measure=reduction,
+            threshold=threshold,
+            paired=PAIRED[paired or Pairs.auto],
+            alpha=0.05 if alpha is None else alpha,
+        )
     for text in found.notes:
         note(text)
     if as_json:
@@ -57,5 +114,19 @@ def plan_n(
         return
     write(Printable.of_arrow(found.arrow()), format, None)
     if format is Format.table:
+        print(f"\n{_conclusion(found)}")
+
+
+def _conclusion(found: RunsNeeded | RunsForPower) -> str:
+    """Return the answer in one line."""
+    from sierra.deliverables.sample_size import RunsNeeded
+
+    if isinstance(found, RunsNeeded):
         enough = "more than ten million" if found.runs is None else found.runs
-        print(f"\nfor {found.measure} {found.column} ± {found.half_width:g}: --runs {enough}")
+        return f"for {found.measure} {found.column} ± {found.half_width:g}: --runs {enough}"
+    enough = "more than 2000" if found.runs is None else found.runs
+    lowest = min((one.power_with for one in found.comparisons if one.power_with is not None), default=None)
+    with_runs = ""
+    if lowest is not None:
+        with_runs = f"; with {found.asked} runs, it is {'above 0.999' if lowest > 0.999 else f'{lowest:.3g} or more'}"
+    return f"for a power of {found.wanted:g}, {found.measure} {found.column}: --runs {enough}{with_runs}"

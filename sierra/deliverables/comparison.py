@@ -110,25 +110,11 @@ def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[st
     Raises NotFound for an unknown output, column or variable, UsageError for options that do not fit, SierraError if there is
     nothing to compare.
     """
-    if len(batches) > 1 and asked.by:
-        raise UsageError("--by compares the values of a variable within one batch; leave it out for several batches")
     from sierra.stats.comparison.analyse import analyse
     from sierra.stats.comparison.wording import paragraph
 
-    measure = "mean" if asked.over_time else asked.measure
-    found = {
-        group: values_of_runs(project, store, batch, asked.table, asked.column, measure, asked.threshold)
-        for group, batch in batches.items()
-    }
+    found, cells, factors, notes = gather_cells(project, store, batches, asked)
     first = next(iter(found.values()))
-    if len({(one.output, one.measure) for one in found.values()}) > 1:
-        each = ", ".join(f"{group}: {one.measure} of {one.output}" for group, one in found.items())
-        raise UsageError(f"the batches differ in the output or the measure ({each}); name both")
-    factors: tuple[str, ...] = ()
-    if len(found) > 1:
-        cells, notes = _cells_of_batches(found)
-    else:
-        cells, factors, notes = *_cells_within(first, asked), ()
     groups = cells[0].samples if cells else ()
     if len(groups) > MOST and asked.against is None and not factors:
         raise UsageError(
@@ -155,6 +141,31 @@ def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[st
         bands,
         time,
     )
+
+
+def gather_cells(
+    project: LoadedProject, store: Store, batches: Mapping[str, str], asked: Comparison
+) -> tuple[Mapping[str, RunTable], list[Cell], tuple[str, ...], tuple[str, ...]]:
+    """Return the runs of each batch, the cells with the groups to compare, the factors, and notes on what is left out.
+
+    Raises NotFound, UsageError, as `compare` does.
+    """
+    if len(batches) > 1 and asked.by:
+        raise UsageError("--by compares the values of a variable within one batch; leave it out for several batches")
+    measure = "mean" if asked.over_time else asked.measure
+    found = {
+        group: values_of_runs(project, store, batch, asked.table, asked.column, measure, asked.threshold)
+        for group, batch in batches.items()
+    }
+    first = next(iter(found.values()))
+    if len({(one.output, one.measure) for one in found.values()}) > 1:
+        each = ", ".join(f"{group}: {one.measure} of {one.output}" for group, one in found.items())
+        raise UsageError(f"the batches differ in the output or the measure ({each}); name both")
+    if len(found) > 1:
+        cells, notes = _cells_of_batches(found)
+        return found, cells, (), notes
+    cells, factors = _cells_within(first, asked)
+    return found, cells, factors, ()
 
 
 def _bands(

@@ -243,7 +243,7 @@ def test_a_pilot_says_how_many_runs_are_needed(compared: tuple[Path, str, str]) 
     [
         (("-w", "0"), 2, "the half-width of an interval must be a number above 0, not 0"),
         (("-w", "1", "--measure", "time_to", "--threshold", "13.5"), 2, "some runs never reached the threshold"),
-        ((), 2, "missing option '--half-width'"),
+        ((), 2, "name --half-width W, or what to compare"),
     ],
 )
 def test_a_pilot_without_an_answer_is_one_line(
