@@ -41,7 +41,7 @@ def of_interval(one: LookIntervalRow) -> str:
     if one.half_width == 0 and not one.holds:
         return f"{column} is {one.value:.6g} in all {one.n} runs, and equal values show no width"
     relation = "<" if one.holds else "≥"
-    return f"{column} is {one.value:.6g} ± {one.half_width:.3g} ({relation} {one.wanted:.3g})"
+    return f"{column} is {one.value:.6g} ± {one.half_width:.4g} ({relation} {one.wanted:.4g})"
 
 
 def of_worst(seen: Sequence[LookIntervalRow], experiments: Mapping[int, Mapping[str, Value]]) -> str:
