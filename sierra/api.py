@@ -863,20 +863,25 @@ class Project:
         listed = export_recorded_files.listing(self.store, prefix, paths)
         return listed if to is None else list(export_recorded_files.extract(self.store, listed, Path(to)))
 
-    def figures(self, prefix: str | None = None, name: str | None = None) -> list[Path]:
+    def figures(self, prefix: str | None = None, name: str | None = None, *, formats: Sequence[str] = ()) -> list[Path]:
         """Draw a batch's figures again (all, or the one called `name`); return the files. Default: the batch requested last.
+
+        `formats` are of `png`, `pdf`, `svg`, `html` and `pgf`; default: those that `sierra.toml` declares. Raises NotFound,
+        and UsageError for an unknown format.
 
         >>> sorted({path.suffix for path in project.figures(summary.batch)})
         ['.pdf', '.png', '.svg']
         """
-        return self.draw(prefix, name)[0]
+        return self.draw(prefix, name, formats=formats)[0]
 
-    def draw(self, prefix: str | None = None, name: str | None = None) -> tuple[list[Path], list[str]]:
+    def draw(
+        self, prefix: str | None = None, name: str | None = None, *, formats: Sequence[str] = ()
+    ) -> tuple[list[Path], list[str]]:
         """Draw as `figures` does; return the files, and notes on figures that could not be drawn.
 
-        >>> drawn, notes = project.draw(summary.batch)
+        >>> drawn, notes = project.draw(summary.batch, formats=["html"])
         """
-        return self._deliver(self.batch(prefix), name)
+        return self._deliver(self.batch(prefix), name, formats=formats)
 
     def check_figures(self, prefix: str | None = None) -> list[Checked]:
         """Return whether each figure that was drawn of a batch still follows from the store. Default: the batch requested last.
@@ -891,7 +896,7 @@ class Project:
         return check.check(self._loaded, self.store, self.batch(prefix))
 
     def draw_together(
-        self, targets: Sequence[str], prefix: str | None = None, name: str | None = None
+        self, targets: Sequence[str], prefix: str | None = None, name: str | None = None, *, formats: Sequence[str] = ()
     ) -> tuple[list[Path], list[str]]:
         """Draw the last batches of one query for several targets together, in figures that have a line for each target.
 
@@ -902,13 +907,15 @@ class Project:
         ()
         """
         from sierra.deliverables import overlay, render
+        from sierra.deliverables.figures.formats import named
         from sierra.execution import targets as of_query
 
         of_query.check_names(targets)
         for target in targets:
             self._loaded.for_target(target)  # raises an error for an unknown one
         batch = self.batch(prefix) if prefix else None
-        return render.overlaid(self._loaded, self.store, overlay.batches(self.store, targets, batch), name)
+        found = overlay.batches(self.store, targets, batch)
+        return render.overlaid(self._loaded, self.store, found, name, formats=named(formats))
 
     def statistics(
         self,
@@ -1130,7 +1137,7 @@ class Project:
         """
         from sierra.deliverables import comparison
 
-        return comparison.draw(compared, self.store, self.paths)
+        return comparison.draw(compared, self.store, self.paths, self.config.figure_formats)
 
     def batch(self, prefix: str | None = None, *, target: str | None = None) -> str:
         """Return the id of a batch from a prefix; without one, that of the batch requested last, for `target` if it is given.
@@ -1237,10 +1244,13 @@ class Project:
             return replace(summary, figure_error=str(error))
         return replace(summary, figures=tuple(map(str, drawn)), notes=(*summary.notes, *notes))
 
-    def _deliver(self, batch: str, name: str | None = None, *, again: bool = True) -> tuple[list[Path], list[str]]:
+    def _deliver(
+        self, batch: str, name: str | None = None, *, again: bool = True, formats: Sequence[str] = ()
+    ) -> tuple[list[Path], list[str]]:
         from sierra.deliverables import render
+        from sierra.deliverables.figures.formats import named
 
-        return render.figures(self._loaded, self.store, batch, name, again=again)
+        return render.figures(self._loaded, self.store, batch, name, again=again, formats=named(formats))
 
 
 def _observer(wanted: bool | None) -> Observer:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -34,6 +36,14 @@ def figures(
             help="The last batch of this target instead; several targets are drawn together.",
         ),
     ] = None,
+    formats: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="NAME[,NAME...]",
+            help="Formats of the files: png, pdf, svg, html, pgf (default: those that sierra.toml declares, or png,pdf,svg).",
+        ),
+    ] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Draw nothing; check that drawn figures still follow from the store.")
     ] = False,
@@ -53,20 +63,24 @@ def figures(
       sierra figures --target robots
       sierra figures --target sim,robots
       sierra figures 3f9a1c swarm_coverage_summary
+      sierra figures --format pdf,html
       sierra figures 3f9a1c --check
     """
     from sierra.cli.open_project import project
 
     opened = project()
+    wanted = [one.strip() for one in formats.split(",")] if formats is not None else ()
+    if check and formats is not None:
+        raise UsageError("--check checks the files of all formats; leave out --format")
     if check:
         if name is not None:
             raise UsageError("--check checks all figures of a batch; leave out the figure's name")
         _check(opened.check_figures(opened.batch(prefix, target=target)), as_json=as_json)
         return
     if target is not None and "," in target:
-        paths, notes = opened.draw_together(target.split(","), prefix, name)
+        paths, notes = opened.draw_together(target.split(","), prefix, name, formats=wanted)
     else:
-        paths, notes = opened.draw(opened.batch(prefix, target=target), name)
+        paths, notes = opened.draw(opened.batch(prefix, target=target), name, formats=wanted)
     for text in notes:
         note(text)
     if as_json:
@@ -81,8 +95,10 @@ def _check(found: Sequence[Checked], *, as_json: bool) -> None:
     if as_json:
         print_json([asdict(one) for one in found])
     else:
+        names = Counter(one.name for one in found)
         for one in found:
-            print(f"{one.name}: {readable(one.problem or 'follows from the store')}")
+            formats = ", ".join(PurePath(file).suffix[1:] for file in one.files) if names[one.name] > 1 else ""
+            print(f"{one.name}{formats and f' ({formats})'}: {readable(one.problem or 'follows from the store')}")
         if not found:
             note("no figure of this batch has been drawn; draw them with: sierra figures")
     if any(one.problem for one in found):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -113,9 +114,17 @@ def _print(summary: Summary, left: Sequence[ClusterSession]) -> None:
         print("interrupted: finished runs are recorded; run the same command again to continue")
     if summary.figures:
         print("figures:")
-        for path in summary.figures:
-            if path.endswith(".png"):
-                print(f"  {from_here(path)} (and .pdf, .svg)")
+        for files in _by_figure(summary.figures):
+            others = ", ".join(path.suffix for path in files[1:])
+            print(f"  {from_here(files[0])}{others and f' (and {others})'}")
+
+
+def _by_figure(paths: Iterable[str]) -> Iterable[list[Path]]:
+    """Return the files of each figure, one for each format."""
+    found: dict[Path, list[Path]] = {}
+    for path in map(Path, paths):
+        found.setdefault(path.with_suffix(""), []).append(path)
+    return found.values()
 
 
 def _print_failures(summary: Summary) -> None:

@@ -19,6 +19,9 @@ Size = Literal[
     "ieee-column", "ieee-page", "acm-column", "acm-page", "lncs", "elsevier-column", "elsevier-page", "neurips", "slide"
 ]
 Palette = Literal["okabe-ito", "petroff", "viridis", "cividis", "grey"]
+Format = Literal["png", "pdf", "svg", "html", "pgf"]
+DEFAULT_FORMATS: tuple[Format, ...] = ("png", "pdf", "svg")
+"""The formats in which figures are drawn by default."""
 
 
 def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
@@ -27,6 +30,14 @@ def _ascending(limits: tuple[float, float]) -> tuple[float, float]:
     return limits
 
 
+def _different(formats: tuple[Format, ...]) -> tuple[Format, ...]:
+    if twice := next((name for name in formats if formats.count(name) > 1), None):
+        raise ValueError(f"{twice!r} is named twice")
+    return formats
+
+
+Unique = Field(min_length=1, json_schema_extra={"uniqueItems": True})
+Formats = Annotated[tuple[Format, ...], Unique, AfterValidator(_different)]
 LimitsOfAxis = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
 
 
@@ -120,6 +131,7 @@ class Figure(Table):
     )
     labels: Mapping[str, str] = Field(default_factory=dict, description="names of categories in the figure, by their value")
     footnote: str = Field("", description="text below the small print")
+    formats: Formats | None = Field(None, description="formats of the files; default: `figure_formats`")
 
     @model_validator(mode="after")
     def _fitting(self) -> Figure:

@@ -20,7 +20,7 @@ from sierra.config import forbidden_directives as directives
 from sierra.config import group_names, targets
 from sierra.config.change_tables import NO_CHANGE, OWN_PLACEHOLDERS, ChangeTable, Group, Seed, Variable, set_to
 from sierra.config.cluster_table import ClusterTable, check_directives
-from sierra.config.deliverable_tables import Comparison, DerivedTable, Figure, SqlLimits
+from sierra.config.deliverable_tables import DEFAULT_FORMATS, Comparison, DerivedTable, Figure, Formats, SqlLimits
 from sierra.config.execution_tables import (
     BuildTable,
     Container,
@@ -190,6 +190,11 @@ class Project(Table):
     queries: Mapping[Name, QueryTable] = Field(default_factory=dict, description="named queries")
     tables: Mapping[Name, DerivedTable] = Field(default_factory=dict, description="derived tables, by name")
     sql: SqlLimits = SqlLimits()
+    figure_formats: Formats = Field(
+        DEFAULT_FORMATS,
+        description="formats of the files of figures: `png`, `pdf`, `svg`; `html`: an interactive page in one file; `pgf`: "
+        "drawing commands for LaTeX",
+    )
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     comparisons: Mapping[Name, Comparison] = Field(
         default_factory=dict, description="comparisons of groups of runs, by name, for `sierra compare`"

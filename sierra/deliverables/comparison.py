@@ -14,7 +14,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sierra.config.deliverable_tables import Comparison, Figure
+from sierra.config.deliverable_tables import DEFAULT_FORMATS, Comparison, Figure, Format
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.record import Content, Recorder, marked_folder
 from sierra.deliverables.run_statistics import RunSeries, RunTable, runs_over_time, values_of_runs
@@ -353,15 +353,15 @@ def _row(one: Pair | Omnibus | Effect) -> dict[str, object]:
             return row | {"effect": one.name, "test": "aligned ranks", "statistic": one.f, "partial_eta_squared": one.eta}
 
 
-def draw(compared: Compared, store: Store, paths: ProjectPaths) -> list[Path]:
-    """Draw the figure of a comparison in three formats, and record it; return the files.
+def draw(compared: Compared, store: Store, paths: ProjectPaths, formats: tuple[Format, ...] = DEFAULT_FORMATS) -> list[Path]:
+    """Draw the figure of a comparison in these formats, and record it; return the files.
 
     Raises UsageError if there is nothing to draw, Missing if the store cannot be written.
     """
     from sierra.deliverables.figures import drawing, style
     from sierra.deliverables.figures.forest import forest
 
-    drawn = _drawing(compared)
+    drawn = replace(_drawing(compared), formats=formats)
     with style.applied():
         figure = forest(compared)
         style.settle(figure, drawn)

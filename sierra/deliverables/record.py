@@ -52,23 +52,22 @@ class Recorder:
     def __init__(self, store: Store, root: Path, batch: str, frame: Frame | None = None) -> None:
         """`frame`: a state of the store that is open already, to read the last records from."""
         self._store, self._root, self._batch = store, root, batch
-        self._latest = {(row.kind, row.name): row for row in deliverable_records.latest(frame or store, batch)}
+        self._latest = deliverable_records.latest(frame or store, batch)
         self._new: list[DeliverableRow] = []
 
     def made(self, content: Content) -> tuple[Path, ...] | None:
         """Return the files of a deliverable if they have been made from the same content and have not changed; else None."""
-        last = self._latest.get((content.kind, content.name))
-        if last is None or self._row(content, last.files, last.sha256s).deliverable != last.deliverable:
-            return None
-        return tuple(self._root / file for file in last.files) if _hashes(self._root, last) == last.sha256s else None
+        for last in self._latest:
+            same = (last.kind, last.name) == (content.kind, content.name)
+            if same and self._row(content, last.files, last.sha256s).deliverable == last.deliverable:
+                return tuple(self._root / file for file in last.files) if _hashes(self._root, last) == last.sha256s else None
+        return None
 
     def add(self, content: Content, files: tuple[Path, ...]) -> None:
         """Record that these files were made, unless the last record says the same."""
         names = [file.relative_to(self._root).as_posix() for file in files]
         row = self._row(content, names, [sha256_file(file) for file in files])
-        last = self._latest.get((content.kind, content.name))
-        if last is None or last.deliverable != row.deliverable:
-            self._latest[content.kind, content.name] = row
+        if all(last.deliverable != row.deliverable or last.files != row.files for last in self._latest):
             self._new.append(row)
 
     def close(self) -> None:
@@ -136,9 +135,23 @@ class Checked:
 
 
 def checked(store: Source, root: Path, batch: str, again: Callable[[DeliverableRow], Content]) -> Iterator[Checked]:
-    """Yield each recorded deliverable of a batch with its state; `again` computes its content from the store as it is now."""
+    """Yield each recorded deliverable of a batch with its state; `again` computes its content from the store as it is now.
+
+    If a deliverable was made in several formats at different times, it is yielded for each time. Files that were not made the
+    last time count only if they still exist.
+    """
+    last = None
     for row in deliverable_records.latest(store, batch):
-        yield Checked(row.kind, row.name, tuple(row.files), _problem(row, root, again))
+        kept = row if last != (row.kind, row.name) else _existing(row, root)
+        last = (row.kind, row.name)
+        if kept.files:
+            yield Checked(row.kind, row.name, tuple(kept.files), _problem(kept, root, again))
+
+
+def _existing(row: DeliverableRow, root: Path) -> DeliverableRow:
+    """Return the record without files that were removed."""
+    kept = [(file, sha256) for file, sha256 in zip(row.files, row.sha256s, strict=True) if (root / file).exists()]
+    return row._replace(files=[file for file, _ in kept], sha256s=[sha256 for _, sha256 in kept])
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,10 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
-from sierra.config.deliverable_tables import Figure
+from sierra.config.deliverable_tables import Figure, Format
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import overlay
 from sierra.deliverables.figures.drawing import Drawing, draw
@@ -26,17 +27,24 @@ from sierra.util.hashing import short
 
 
 def figures(
-    project: LoadedProject, store: Store, batch: str, name: str | None = None, *, again: bool = True
+    project: LoadedProject,
+    store: Store,
+    batch: str,
+    name: str | None = None,
+    *,
+    again: bool = True,
+    formats: tuple[Format, ...] = (),
 ) -> tuple[list[Path], list[str]]:
     """Draw a batch's figures, or the one called `name`; return the files, and what could not be drawn and why.
 
-    Without `again`, figures that were drawn from the same data in the same way are left as they are. Raises NotFound if no
-    figure has that name, SierraError if that figure cannot be drawn.
+    Without `again`, figures that were drawn from the same data in the same way are left as they are. `formats` are those of
+    the files; by default, those that `sierra.toml` declares. Raises NotFound if no figure has that name, SierraError if that
+    figure cannot be drawn.
     """
     with Frame(store, batch) as frame:
         gallery = Gallery(project, store, frame, name=name)
         wanted, notes = gallery.wanted(name)
-        drawer = _Drawer(store, project.root, frame, again=again)
+        drawer = _Drawer(project, store, frame, again=again, formats=formats)
         drawn, failed = _draw_each(drawer, wanted, gallery.drawing, strict=name is not None)
         notes += (*failed, *gallery.declared_notes, *gallery.time_notes.values())
     notes += drawer.close()
@@ -80,7 +88,12 @@ def content(project: LoadedProject, store: Store, row: DeliverableRow, shared: C
 
 
 def overlaid(
-    project: LoadedProject, store: Store, batches: Mapping[str, str], name: str | None = None
+    project: LoadedProject,
+    store: Store,
+    batches: Mapping[str, str],
+    name: str | None = None,
+    *,
+    formats: tuple[Format, ...] = (),
 ) -> tuple[list[Path], list[str]]:
     """Draw the figures of several batches together, by target; return the files, and what could not be drawn and why.
 
@@ -90,7 +103,8 @@ def overlaid(
         galleries = _galleries(project, store, batches, frames)
         first, *others = galleries.values()
         wanted, notes = first.wanted(name)
-        drawer = _Drawer(store, project.root, first.frame, *(one.frame.batch for one in others), again=True)
+        added = [one.frame.batch for one in others]
+        drawer = _Drawer(project, store, first.frame, *added, again=True, formats=formats)
 
         def drawing(called: str, found: Figure) -> Drawing:
             figure = overlay.fitting(found, declared=bool(project.config.figures))
@@ -118,14 +132,19 @@ def _overlay(galleries: Mapping[str, Gallery], name: str, figure: Figure) -> Dra
 class _Drawer:
     """The writer of figures' files, which records them. Without `again`, it skips figures that it would only write again."""
 
-    def __init__(self, store: Store, root: Path, frame: Frame, *others: str, again: bool) -> None:
-        """`others`: further batches that the figures show."""
-        self._recorder = Recorder(store, root, frame.batch, frame)
-        self._mark = ProjectPaths(root).drawn("-".join(map(short, (frame.batch, *others))))
+    def __init__(
+        self, project: LoadedProject, store: Store, frame: Frame, *others: str, again: bool, formats: tuple[Format, ...]
+    ) -> None:
+        """`others`: further batches that the figures show. `formats`: empty for those that are declared."""
+        self._recorder = Recorder(store, project.root, frame.batch, frame)
+        self._mark = ProjectPaths(project.root).drawn("-".join(map(short, (frame.batch, *others))))
         self._again = again
+        self._formats = formats
+        self._declared = project.config.figure_formats
 
     def draw(self, drawing: Drawing) -> tuple[Path, ...]:
         """Return the figure's files, drawn now or before."""
+        drawing = replace(drawing, formats=self._formats or drawing.figure.formats or self._declared)
         content = drawing.content()
         files = None if self._again else self._recorder.made(content)
         if files is None:

@@ -12,8 +12,10 @@ IDENTIFYING = tuple(name for name in DeliverableRow._fields if name not in ("del
 """The columns that the id is made from."""
 LATEST = """
 FROM deliverables WHERE batch = $b
-QUALIFY row_number() OVER (PARTITION BY kind, name ORDER BY lamport DESC, made DESC) = 1 ORDER BY kind, name
+QUALIFY row_number() OVER (PARTITION BY kind, name, files ORDER BY lamport DESC, made DESC) = 1
+ORDER BY kind, name, lamport DESC, made DESC
 """
+"""The last record of each set of files."""
 
 
 def deliverable_id(row: DeliverableRow) -> str:
@@ -29,5 +31,15 @@ class Source(Protocol):
 
 
 def latest(store: Source, batch: str) -> list[DeliverableRow]:
-    """Return the last record of each deliverable of a batch."""
-    return store.select(DeliverableRow, f"SELECT * {LATEST}", b=batch)
+    """Return the last record of each file of a batch's deliverables, sorted by kind and name, from the last one on.
+
+    A deliverable can have several records if it was made in several formats. Each has only the files that no later one has.
+    """
+    taken: set[str] = set()
+    found = []
+    for row in store.select(DeliverableRow, f"SELECT * {LATEST}", b=batch):
+        own = [(file, sha256) for file, sha256 in zip(row.files, row.sha256s, strict=True) if file not in taken]
+        taken.update(row.files)
+        if own:
+            found.append(row._replace(files=[file for file, _ in own], sha256s=[sha256 for _, sha256 in own]))
+    return found

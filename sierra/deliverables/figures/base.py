@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 
 from sierra.config.deliverable_tables import Figure
 from sierra.config.field_types import Table
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
     from sierra.deliverables.figures.drawing import Drawing
+    from sierra.deliverables.html import Chart
 
 PLOT = frozenset({"log_x", "log_y", "xlim", "ylim", "palette", "labels"})
 """The keys of kinds that have an x axis, a y axis and categories."""
@@ -66,6 +67,14 @@ class FigureKind(Protocol):
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         """Draw the data. Raises UsageError, in one line, if they do not suit the kind."""
+
+
+@runtime_checkable
+class Explorable(Protocol):
+    """A kind whose data can be explored in a page of HTML. Of other kinds, the page shows the figure as it is printed."""
+
+    def charts(self, drawing: Drawing) -> Sequence[Chart]:
+        """Return the same data as charts, one for each panel. `draw` has accepted the drawing."""
 
 
 class PlainKind:

@@ -1,28 +1,23 @@
 """Figures for a two-column paper, drawn from aggregates: the same data give the same bytes.
 
-A `Drawing` is the complete content of a figure; `draw` writes it as PNG, PDF and SVG. No file holds a date, and each holds the
-SQL that computed its numbers, and `sierra VERSION batch ID data HASH` (see `sierra.deliverables.record`):
-
-    PNG     text chunks `sierra`, `sierra:sql`
-    PDF     Keywords, Subject (the SQL)
-    SVG     dc:identifier, dc:source (the SQL)
+A `Drawing` is the complete content of a figure; `draw` writes it in each of its formats (see
+`sierra.deliverables.figures.formats`).
 
 The first `draw` loads matplotlib. Figures use its object interface and ignore the user's settings of it.
 """
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from sierra.config.deliverable_tables import Figure
+from sierra.config.deliverable_tables import DEFAULT_FORMATS, Figure, Format
 from sierra.config.plugin_registry import FIGURES
-from sierra.deliverables.figures.base import kind_of
+from sierra.deliverables.figures.base import Explorable, kind_of
 from sierra.deliverables.record import Content, origin_of
 from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Axis, Value
@@ -37,7 +32,7 @@ if TYPE_CHECKING:
     import matplotlib.figure
     import pyarrow as pa
 
-Format = Literal["png", "pdf", "svg"]
+    from sierra.deliverables.html import Chart
 
 LARGEST = 1e300
 """The largest number that can be drawn: above it, the distances that axes need overflow."""
@@ -68,9 +63,11 @@ class Drawing:
     batch: str = ""
     time: str = "time"
     units: Mapping[str, str] = field(default_factory=dict)
-    formats: tuple[Format, ...] = ("png", "pdf", "svg")
+    formats: tuple[Format, ...] = DEFAULT_FORMATS
     targets: Mapping[str, str] = field(default_factory=dict)
     """The batches of several targets that the figure shows together, by target; `batch` is that of the first."""
+    charts: tuple[Chart, ...] = ()
+    """The same data as charts that readers can explore; empty for kinds that have none."""
 
     @cached_property
     def data(self) -> str:
@@ -100,7 +97,7 @@ class Drawing:
 
 
 def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
-    """Write `<name>.png`, `.pdf` and `.svg` into `folder`; each file appears complete or not at all. Return the paths.
+    """Write `<name>.<format>` for each format into `folder`; each file appears complete or not at all. Return the paths.
 
     Raises SierraError if there is nothing to draw, UsageError if the data do not suit the kind of figure.
     """
@@ -112,7 +109,7 @@ def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
 
 def save(figure: matplotlib.figure.Figure, drawing: Drawing, folder: Path) -> tuple[Path, ...]:
     """Write a figure that is drawn already, with the name, the formats and the metadata of `drawing`. Return the paths."""
-    return _write([(ending, _bytes(figure, ending, drawing, drawing.data)) for ending in drawing.formats], drawing, folder)
+    return _write(_files(figure, drawing, drawing.data), drawing, folder)
 
 
 def _write(files: Iterable[tuple[Format, bytes]], drawing: Drawing, folder: Path) -> tuple[Path, ...]:
@@ -150,8 +147,10 @@ def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
 
     shown = noted(drawing)
     with style.applied(drawing.figure):
-        figure = painted(shown)
-        return [(ending, _bytes(figure, ending, shown, drawing.data)) for ending in drawing.formats]
+        figure, kind = painted(shown), kind_of(drawing.figure)
+        if "html" in drawing.formats and isinstance(kind, Explorable):
+            shown = replace(shown, charts=tuple(kind.charts(shown)))
+        return _files(figure, shown, drawing.data)
 
 
 def noted(drawing: Drawing) -> Drawing:
@@ -169,26 +168,9 @@ def painted(drawing: Drawing) -> matplotlib.figure.Figure:
     return figure
 
 
-def _bytes(figure: matplotlib.figure.Figure, ending: Format, drawing: Drawing, data: str) -> bytes:
-    """Return the content of one file; `data` is the hash of the drawing's data."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=ending, metadata=_metadata(ending, drawing, data))
-    return buffer.getvalue()
+def _files(figure: matplotlib.figure.Figure, drawing: Drawing, data: str) -> list[tuple[Format, bytes]]:
+    """Return the content of the files, by format; `data` is the hash of the drawing's data."""
+    from sierra.deliverables.figures import formats
 
-
-def _metadata(ending: Format, drawing: Drawing, data: str) -> dict[str, str | None]:
-    title = _plain(drawing.figure.title or drawing.name)
-    sql, note = _plain(drawing.sql), _plain(drawing.note)
     origin = origin_of(drawing.batch, data)
-    match ending:
-        case "png":
-            return {"Title": title, "Description": note, "sierra": origin, "sierra:sql": sql}
-        case "pdf":
-            return {"Title": title, "Subject": sql, "Keywords": origin, "CreationDate": None}
-        case "svg":
-            return {"Title": title, "Description": note, "Identifier": origin, "Source": sql, "Date": None}
-
-
-def _plain(text: str) -> str:
-    """Return the text with blanks for characters that XML, and so SVG, cannot hold."""
-    return "".join(c if c.isprintable() or c == "\n" else " " for c in text)
+    return [(ending, formats.FORMATS[ending](figure, drawing, origin)) for ending in drawing.formats]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
     from sierra.deliverables.figures.drawing import Drawing
+    from sierra.deliverables.html import Chart
 
 MOST_PANELS = 9
 """The largest number of experiments that stacked areas over time have a panel each for."""
@@ -36,6 +37,11 @@ class Timeseries(PlainKind):
         from sierra.deliverables.figures.timeseries import timeseries
 
         return timeseries(drawing)
+
+    def charts(self, drawing: Drawing) -> Sequence[Chart]:
+        from sierra.deliverables.figures.interactive import over_time
+
+        return over_time(drawing)
 
 
 class Stacked(PlainKind):

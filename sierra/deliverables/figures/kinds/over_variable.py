@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
     from sierra.deliverables.figures.drawing import Drawing
+    from sierra.deliverables.html import Chart
 
 NO_LOG_X = frozenset({"log_x", "xlim"})
 """The keys that have no effect where values of variables are side by side."""
@@ -38,6 +39,11 @@ class Summary(PlainKind):
         from sierra.deliverables.figures.summary import summary
 
         return summary(drawing)
+
+    def charts(self, drawing: Drawing) -> Sequence[Chart]:
+        from sierra.deliverables.figures.interactive import over_variable
+
+        return over_variable(drawing)
 
 
 class Box(PlainKind):

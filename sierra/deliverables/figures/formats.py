@@ -1,0 +1,90 @@
+"""The formats of figures: a function for each that returns the content of a file.
+
+A file has the name of its format as its ending. No file holds a date. Each holds the SQL that computed its numbers, and
+`sierra VERSION batch ID data HASH` (see `sierra.deliverables.record`):
+
+    PNG     text chunks `sierra`, `sierra:sql`
+    PDF     Keywords, Subject (the SQL)
+    SVG     dc:identifier, dc:source (the SQL)
+    HTML    meta elements `sierra`, `sierra:sql`; also as text
+    PGF     comments at the beginning
+
+To add a format, write its function, and add its name to `sierra.config.deliverable_tables.Format`.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, TypeAlias
+
+from sierra.config.deliverable_tables import Format
+from sierra.errors import UsageError
+from sierra.util.text import like
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+Writer: TypeAlias = "Callable[[matplotlib.figure.Figure, Drawing, str], bytes]"
+"""A function of the figure, the drawing, and the line of `sierra.deliverables.record.origin_of`."""
+
+
+def png(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
+    texts = {"Title": title(drawing), "Description": plain(drawing.note)}
+    return _saved(figure, "png", texts | {"sierra": origin, "sierra:sql": plain(drawing.sql)})
+
+
+def pdf(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
+    texts = {"Title": title(drawing), "Subject": plain(drawing.sql), "Keywords": origin}
+    return _saved(figure, "pdf", texts | {"CreationDate": None})
+
+
+def svg(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
+    texts = {"Title": title(drawing), "Description": plain(drawing.note)}
+    return _saved(figure, "svg", texts | {"Identifier": origin, "Source": plain(drawing.sql), "Date": None})
+
+
+def html(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
+    from sierra.deliverables.figures import interactive
+
+    return interactive.page(drawing, b"" if drawing.charts else svg(figure, drawing, origin), origin)
+
+
+def pgf(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
+    from sierra.deliverables.figures import tex
+
+    return tex.picture(figure, [title(drawing), origin, *plain(drawing.sql).splitlines()])
+
+
+FORMATS: Mapping[Format, Writer] = {"png": png, "pdf": pdf, "svg": svg, "html": html, "pgf": pgf}
+
+
+def named(names: Iterable[str]) -> tuple[Format, ...]:
+    """Return the formats of these names. Raises UsageError for an unknown name, or for one that is there twice."""
+    known: dict[str, Format] = {name: name for name in FORMATS}
+    found: list[Format] = []
+    for name in names:
+        if name not in known:
+            raise UsageError(f"unknown format of figures {name!r}; {like(name, list(known), 'known are')}")
+        if name in found:
+            raise UsageError(f"format {name!r} is named twice; name each format once")
+        found.append(known[name])
+    return tuple(found)
+
+
+def title(drawing: Drawing) -> str:
+    """Return the title of a figure; the name of its files, if it has none."""
+    return plain(drawing.figure.title or drawing.name)
+
+
+def plain(text: str) -> str:
+    """Return the text with blanks for characters that XML, and so SVG, cannot hold."""
+    return "".join(c if c.isprintable() or c == "\n" else " " for c in text)
+
+
+def _saved(figure: matplotlib.figure.Figure, ending: str, metadata: Mapping[str, str | None]) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=ending, metadata=dict(metadata))
+    return buffer.getvalue()

@@ -1,0 +1,245 @@
+"""Figures as pages of HTML: charts that readers can explore, or the figure as it is printed, with its data and its origin."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.typing import ColorType, LineStyleType
+
+from sierra.deliverables import html
+from sierra.deliverables.figures import axis_limits, bands, facets, formats, style, timeseries
+from sierra.deliverables.figures.style import Look
+from sierra.deliverables.html import Chart, ChartAxis, Content, Series, tables
+from sierra.deliverables.html.tables import Table
+from sierra.model import Axis
+from sierra.util.arrow_columns import numpy_of
+from sierra.version import __version__
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+POINTS = 5000
+"""The largest number of points of a series, and of rows of a table that is not that of a chart."""
+DARK = "#14181d"
+"""The dark background of pages: see `page.css`."""
+CONTRAST = 4.0
+"""The smallest ratio of contrast of a line to the dark background."""
+DASHES: Mapping[str, tuple[float, ...]] = {"--": (7, 4), ":": (2, 3), "-.": (8, 3, 2, 3)}
+NAME = 60
+"""The largest length of the name of a series."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """A series: the numbers of its rows in the order of x."""
+
+    name: str
+    look: Look
+    rows: Sequence[int]
+
+
+@dataclass(frozen=True, slots=True)
+class _Panel:
+    title: str
+    lines: Sequence[_Line]
+
+
+def page(drawing: Drawing, svg: bytes, origin: str) -> bytes:
+    """Return the page of a figure; `svg` is the same figure as it is printed, for kinds without charts."""
+    title = formats.title(drawing)
+    charts = drawing.charts
+    shown = tuple(dict.fromkeys(chart.table.name for chart in charts))
+    content = Content(
+        title,
+        charts,
+        b"" if charts else svg,
+        tuple(filter(None, (drawing.note, *_thinned(charts), drawing.figure.footnote))),
+        tuple({id(chart.table): chart.table for chart in charts}.values()) if shown else tuple(_tables(drawing)),
+        drawing.sql,
+        _origin(drawing, origin),
+    )
+    metadata = {"generator": f"SIERRA {__version__}", "description": drawing.note, "sierra": origin}
+    return html.page(title, [html.section(content)], metadata | {"sierra:sql": drawing.sql})
+
+
+def over_time(drawing: Drawing) -> list[Chart]:
+    """Return a chart for each combination of the other variables, with a line for each value of the first."""
+    (table,) = drawing.tables.values()
+    first, rest = timeseries.first_axis(drawing), timeseries.others(drawing)
+    look = dict(zip(first.values, style.looks(first), strict=True))
+    panels: dict[tuple[object, ...], list[_Line]] = {values: [] for values in rest}
+    title: dict[tuple[object, ...], str] = {}
+    for ordinal, rows in timeseries.by_experiment(table).items():
+        value, others = timeseries.value_of(drawing, ordinal), timeseries.rest_of(drawing, ordinal)
+        panels[others].append(_Line(style.named(value, NAME), look[value], _some(rows)))
+        title[others] = style.point(drawing, drawing.axes[1:], ordinal)
+    places = {style.named(value, NAME): place for place, value in enumerate(first.values)}
+    made = [_Panel(title[v], sorted(lines, key=lambda line: places[line.name])) for v, lines in panels.items() if lines]
+    form: Literal["lines", "points"] = (
+        "lines" if any(len(line.rows) > 1 for panel in made for line in panel.lines) else "points"
+    )
+    x = ChartAxis(len(drawing.axes), style.time_label(drawing), 10 if drawing.figure.log_x else 0, drawing.figure.xlim)
+    return _charts(drawing, made, x, style.axis_label(first) if drawing.axes else "", form=form, joined=True)
+
+
+def over_variable(drawing: Drawing) -> list[Chart]:
+    """Return a chart for each value of `facet`, with points for each combination of the other variables."""
+    (table,) = drawing.tables.values()
+    within = facets.panels(drawing)
+    looks, first = style.looks(within.groups), within.first
+    ordinals = table.column("experiment").to_pylist()
+    facet = [axis for axis in drawing.axes if axis.name == drawing.figure.facet]
+    panels = []
+    for panel in within.panels:
+        groups: list[list[int]] = [[] for _ in looks]
+        own = [row for row, ordinal in enumerate(ordinals) if ordinal in panel.drawing.cells]
+        for row in sorted(own, key=lambda row: within.place(drawing, ordinals[row])):
+            groups[within.group(drawing, ordinals[row])].append(row)
+        named = zip(within.groups.values, looks, groups, strict=True)
+        lines = [_Line(style.named(value, NAME), look, rows) for value, look, rows in named if rows]
+        panels.append(_Panel(style.point(drawing, facet, ordinals[own[0]]) if facet else "", lines))
+    places = [axis.name for axis in drawing.axes]
+    x = _variable(drawing, first, places.index(first.name) if drawing.axes else -1)
+    return _charts(drawing, panels, x, style.axis_label(within.groups), form="points", joined=first.numeric)
+
+
+def _variable(drawing: Drawing, axis: Axis, column: int) -> ChartAxis:
+    """Return the x axis of an independent variable."""
+    label = drawing.figure.xlabel or style.axis_label(axis)
+    if not axis.numeric:
+        return ChartAxis(column, label, names=tuple(map(str, axis.values)))
+    grows = style.geometric(axis.values)
+    ticks = tuple(style.numbers(axis)) if grows or drawing.figure.log_x or len(axis.values) <= 6 else ()
+    return ChartAxis(column, label, 2 if grows or drawing.figure.log_x else 0, drawing.figure.xlim, ticks)
+
+
+def _charts(
+    drawing: Drawing, panels: Sequence[_Panel], x: ChartAxis, group: str, *, form: Literal["lines", "points"], joined: bool
+) -> list[Chart]:
+    """Return the charts of all panels, which share one table: the rows of the first line, of the second, and so on."""
+    ((name, source),) = drawing.tables.items()
+    lines = [line for panel in panels for line in panel.lines]
+    table = _table(name, source.take(np.concatenate([line.rows for line in lines])), drawing, most=source.num_rows)
+    left_out = source.num_rows - table.rows
+    note = f"{left_out:,} of {source.num_rows:,} rows are left out" if left_out else ""
+    table = Table(table.name, table.headers, table.columns, note)
+    stops = list(accumulate((len(line.rows) for line in lines), initial=0))
+    series = iter([_series(line, start, stop) for line, (start, stop) in zip(lines, pairwise(stops), strict=True)])
+    places = {column: place + len(drawing.axes) for place, column in enumerate(_shown(source))}
+    center, low, high = (places[column] for column in bands.columns(drawing.figure))
+    limits = _limits(drawing, panels=len(panels))
+    y = ChartAxis(center, style.value_label(drawing), 10 if drawing.figure.log_y else 0, limits)
+    return [
+        Chart(
+            table,
+            x,
+            y,
+            [next(series) for _ in panel.lines],
+            title=panel.title,
+            group=group,
+            low=low,
+            high=high,
+            n=places["n"],
+            never=places.get("never", -1),
+            form=form,
+            joined=joined,
+        )
+        for panel in panels
+    ]
+
+
+def _series(line: _Line, start: int, stop: int) -> Series:
+    colour = to_hex(line.look["color"])
+    return Series(line.name, colour, start, stop, on_dark(colour), _dashes(line.look.get("linestyle", "-")))
+
+
+def _dashes(linestyle: LineStyleType) -> tuple[float, ...]:
+    if isinstance(linestyle, str):
+        return DASHES.get(linestyle, ())
+    return tuple(2.0 * length for length in linestyle[1] or ())
+
+
+def on_dark(colour: ColorType) -> str:
+    """Return a colour, made lighter until it can be seen on the dark background (contrast as in WCAG 2.2)."""
+    hue, lightness, saturation = colorsys.rgb_to_hls(*to_rgb(colour))
+    lighter = [colour, *(colorsys.hls_to_rgb(hue, step / 20, saturation) for step in range(int(20 * lightness) + 1, 21))]
+    return to_hex(next(one for one in lighter if (_luminance(one) + 0.05) / (_luminance(DARK) + 0.05) >= CONTRAST))
+
+
+def _luminance(colour: ColorType) -> float:
+    """Return the relative luminance of a colour as WCAG 2.2 defines it."""
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in to_rgb(colour)]
+    return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
+
+
+def _some(rows: slice) -> list[int]:
+    """Return the numbers of at most `POINTS` rows: every k-th, and the last."""
+    every = -(-(rows.stop - rows.start) // (POINTS - 1))
+    kept = list(range(rows.start, rows.stop, every))
+    return kept if kept[-1] == rows.stop - 1 else [*kept, rows.stop - 1]
+
+
+def _thinned(charts: Sequence[Chart]) -> list[str]:
+    """Return what charts leave out to be fast."""
+    notes = dict.fromkeys(chart.table.note for chart in charts if chart.table.note)
+    return [f"of each series, every k-th point and the last are shown, at most {POINTS:,}: {note}" for note in notes]
+
+
+def _limits(drawing: Drawing, *, panels: int) -> tuple[float, float] | None:
+    """Return the limits of the values: those that the figure declares, those of its print, or those that panels share."""
+    if drawing.figure.ylim:
+        return drawing.figure.ylim
+    if found := axis_limits.cut(drawing):
+        return found.low, found.high
+    if panels == 1:
+        return None
+    (table,) = drawing.tables.values()
+    ends = [style.drawable(style.column(table, name), drawing) for name in bands.columns(drawing.figure)]
+    low, high = float(np.nanmin(ends)), float(np.nanmax(ends))
+    margin = (high - low) * axis_limits.MARGIN or 1.0
+    return (low, high * 1.05) if drawing.figure.log_y else (low - margin, high + margin)
+
+
+def _tables(drawing: Drawing) -> Iterator[Table]:
+    """Yield the data of a figure without charts."""
+    for name, table in drawing.tables.items():
+        yield _table(name, table, drawing)
+    if drawing.runs is not None:
+        yield _table("runs", drawing.runs, drawing)
+    for name, table in drawing.rows.items():
+        yield _table(name, table, drawing)
+
+
+def _table(name: str, table: pa.Table, drawing: Drawing, most: int = POINTS) -> Table:
+    """Return a table with the values of the variables instead of the numbers of experiments."""
+    headers = {"t": _header(drawing.time, drawing), **{column: _header(column, drawing) for column in drawing.tables}}
+    whole = tables.of_arrow(name, table.select(_shown(table)), most=most, headers=headers)
+    if "experiment" not in table.column_names or not drawing.cells:
+        return whole
+    ordinals = numpy_of(table.column("experiment"))[:most].tolist()
+    values = tuple([drawing.cells[ordinal][axis.name] for ordinal in ordinals] for axis in drawing.axes)
+    variables = tuple(f"{axis.name} [{axis.unit}]" if axis.unit else axis.name for axis in drawing.axes)
+    return Table(name, (*variables, *whole.headers), (*values, *whole.columns), whole.note)
+
+
+def _header(name: str, drawing: Drawing) -> str:
+    unit = drawing.units.get(name, "")
+    return f"{name} [{unit}]" if unit else name
+
+
+def _shown(table: pa.Table) -> list[str]:
+    return [name for name in table.column_names if name != "experiment"]
+
+
+def _origin(drawing: Drawing, origin: str) -> dict[str, str]:
+    """Return the facts about where the numbers come from."""
+    batches = [f"{batch} ({target})" for target, batch in drawing.targets.items()] or [drawing.batch]
+    return {"batch": ", ".join(batches), "record": origin}

@@ -1,0 +1,101 @@
+"""Charts that readers can explore: lines with bands, or points with intervals, from the rows of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from sierra.deliverables.html.escaping import Data, text
+from sierra.deliverables.html.tables import Table
+
+
+@dataclass(frozen=True, slots=True)
+class ChartAxis:
+    """One axis of a chart."""
+
+    column: int
+    """The place of the column in the table; -1 for an x axis with one place only."""
+    label: str
+    log: Literal[0, 2, 10] = 0
+    """The base of a logarithmic axis; 0 for a linear one."""
+    limits: tuple[float, float] | None = None
+    ticks: tuple[float, ...] = ()
+    """Where ticks are; default: at round numbers."""
+    names: tuple[str, ...] = ()
+    """The values of an axis of names, which are side by side; empty for an axis of numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One line of a chart: the rows from `start` to before `stop`, in the order of x."""
+
+    name: str
+    colour: str
+    start: int
+    stop: int
+    dark: str = ""
+    """The colour on a dark background; default: the same."""
+    dashes: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """A chart of some rows of a table. The columns are given by their places; -1 for one that the table does not have."""
+
+    table: Table
+    x: ChartAxis
+    y: ChartAxis
+    series: Sequence[Series]
+    title: str = ""
+    group: str = ""
+    """The label of the names of the series."""
+    low: int = -1
+    high: int = -1
+    n: int = -1
+    never: int = -1
+    """The column of the numbers of runs that have no value, because they never reached a threshold."""
+    form: Literal["lines", "points"] = "lines"
+    joined: bool = True
+    """Whether points are joined by lines."""
+
+
+def element(chart: Chart, place: int) -> str:
+    """Return the place of a chart as an element of HTML; `place` is its number in the section."""
+    about = f"{chart.title or chart.y.label}: {chart.y.label} over {chart.x.label}, {len(chart.series)} series. "
+    keys = "Arrow keys move the cursor, + and - zoom, 0 shows everything."
+    title = f'<h3 dir="auto">{text(chart.title)}</h3>' if chart.title else ""
+    return (
+        f'<div class="chart" data-chart="{place}">{title}'
+        f'<div class="plot" tabindex="0" role="group" aria-label="{text(about + keys)}"></div></div>'
+    )
+
+
+def as_data(chart: Chart, tables: Sequence[Table]) -> Data:
+    """Return the chart as data for scripts; `tables` are those of its section, one of which is its own."""
+    return {
+        "table": next(place for place, table in enumerate(tables) if table is chart.table),
+        "x": _axis(chart.x),
+        "y": _axis(chart.y),
+        "group": chart.group,
+        "columns": {"low": chart.low, "high": chart.high, "n": chart.n, "never": chart.never},
+        "form": chart.form,
+        "joined": chart.joined,
+        "series": list(map(_series, chart.series)),
+    }
+
+
+def _series(one: Series) -> Data:
+    colours = (one.colour, one.dark or one.colour)
+    return {"name": one.name, "colours": colours, "dashes": one.dashes, "rows": (one.start, one.stop)}
+
+
+def _axis(axis: ChartAxis) -> Data:
+    return {
+        "column": axis.column,
+        "label": axis.label,
+        "log": axis.log,
+        "limits": axis.limits,
+        "ticks": axis.ticks,
+        "names": axis.names,
+    }

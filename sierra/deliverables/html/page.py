@@ -1,0 +1,59 @@
+"""The page around sections, with its script, its style, and the policy that allows nothing else."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Mapping
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+
+from sierra.deliverables.html.escaping import text
+
+ASSETS = Path(__file__).with_name("assets")
+UPLOT = "uplot"
+"""The folder of uPlot 1.6.32, which draws the charts, as its package on npm has it: see THIRD-PARTY.md."""
+
+
+def page(title: str, sections: Iterable[str], metadata: Mapping[str, str] | None = None) -> bytes:
+    """Return a whole page, as UTF-8. `sections` are elements of HTML; `metadata` are texts by name."""
+    script, style = _script(), _style()
+    policy = (
+        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    facts = [f'<meta name="{text(name)}" content="{text(content)}">' for name, content in (metadata or {}).items()]
+    lines = (
+        "<!DOCTYPE html>",
+        '<html lang="en"><head><meta charset="utf-8">',
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        '<meta name="color-scheme" content="light dark">',
+        *facts,
+        f"<title>{text(title)}</title>",
+        f"<style>{style}</style></head><body>",
+        *sections,
+        f"<script>{script}</script></body></html>",
+        "",
+    )
+    return "\n".join(lines).encode()
+
+
+@cache
+def _script() -> str:
+    notice = (ASSETS / UPLOT / "LICENSE").read_text("utf-8")
+    parts = f"/*! uPlot\n{notice}*/", (ASSETS / UPLOT / "uPlot.iife.min.js").read_text("utf-8"), _asset("page.js")
+    return "\n".join(parts)
+
+
+@cache
+def _style() -> str:
+    return f"{(ASSETS / UPLOT / 'uPlot.min.css').read_text('utf-8')}\n{_asset('page.css')}"
+
+
+def _asset(name: str) -> str:
+    return (ASSETS / name).read_text("utf-8")
+
+
+def _hash(content: str) -> str:
+    return f"sha256-{base64.b64encode(sha256(content.encode()).digest()).decode()}"

@@ -1,0 +1,94 @@
+"""Tables of data, which readers can see, and copy as CSV."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+from sierra.deliverables.html.escaping import Data, text
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Cell: TypeAlias = "str | int | float | None"
+SHOWN = 200
+"""The largest number of rows that a page shows; the CSV has all rows of the table."""
+EXACT = 2**53
+"""The smallest whole number that scripts may confuse with the next one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of values by column. All columns have the same length."""
+
+    name: str
+    headers: tuple[str, ...]
+    columns: tuple[Sequence[Cell], ...]
+    note: str = ""
+    """What the table lacks."""
+
+    @property
+    def rows(self) -> int:
+        return len(self.columns[0]) if self.columns else 0
+
+
+def of_arrow(name: str, table: pa.Table, *, most: int, headers: Mapping[str, str] | None = None) -> Table:
+    """Return the first `most` rows of a pyarrow table; `headers` has other headers for columns."""
+    shown = table.slice(0, most)
+    columns = tuple([_cell(value) for value in column.to_pylist()] for column in shown.columns)
+    lacking = f"the first {most:,} of {table.num_rows:,} rows" if table.num_rows > most else ""
+    return Table(name, tuple((headers or {}).get(name, name) for name in table.column_names), columns, lacking)
+
+
+def _cell(value: object) -> Cell:
+    return value if value is None or isinstance(value, str | int | float) else str(value)
+
+
+def element(table: Table, place: int) -> str:
+    """Return a table with a button that copies it, as an element of HTML; `place` is its number in the section."""
+    return "\n".join(_lines(table, place))
+
+
+def as_data(table: Table) -> Data:
+    """Return the table as data for scripts. Values that JSON or a script cannot hold exactly become text or null."""
+    return {"headers": table.headers, "columns": [list(map(_exact, column)) for column in table.columns]}
+
+
+def _lines(table: Table, place: int) -> Iterator[str]:
+    shown = f"the first {SHOWN} of {table.rows:,} rows are shown, the CSV has all" if table.rows > SHOWN else ""
+    note = "; ".join(filter(None, (table.note, shown)))
+    yield "<details><summary>Data" + (f": {text(table.name)}" if table.name else "") + "</summary>"
+    yield f'<p><button type="button" data-csv="{place}">Copy as CSV</button> <span role="status"></span> {text(note)}</p>'
+    yield f'<div class="scroll" tabindex="0" role="region" aria-label="{text(f"Data {table.name}".strip())}"><table>'
+    yield (
+        "<thead><tr>" + "".join(f'<th scope="col" dir="auto">{text(header)}</th>' for header in table.headers) + "</tr></thead>"
+    )
+    yield "<tbody>"
+    for row in zip(*(column[:SHOWN] for column in table.columns), strict=True):
+        yield "<tr>" + "".join(map(_cell_element, row)) + "</tr>"
+    yield "</tbody></table></div></details>"
+
+
+def _cell_element(value: Cell) -> str:
+    if isinstance(value, str):
+        return f'<td dir="auto">{text(value)}</td>'
+    return f'<td class="number">{_number(value)}</td>'
+
+
+def _number(value: int | float | None) -> str:
+    """Return a number with at most six significant digits; whole numbers have all of theirs."""
+    if value is None or math.isnan(value):
+        return ""
+    return (f"{value:.6g}" if isinstance(value, float) else str(value)).replace("-", "−")
+
+
+def _exact(value: Cell) -> Cell:
+    match value:
+        case float() if not math.isfinite(value):
+            return None if math.isnan(value) else str(value)
+        case int() if abs(value) > EXACT:
+            return str(value)
+        case _:
+            return value
