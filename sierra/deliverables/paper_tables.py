@@ -38,8 +38,25 @@ SPECIAL = {
     **{character: f"\\{character}" for character in "&%$#_{}"},
 }
 """Characters with a meaning in LaTeX, and how they are written; `[` and `*` have one after the end of a row."""
-OUTSIDE_TEXT = {"±": r"$\pm$", "×": r"$\times$", "−": "$-$", "≥": r"$\geq$", "∞": r"$\infty$", "µ": r"$\mu$", "μ": r"$\mu$"}
+COMMANDS = """
+± pm × times ≥ geq ≤ leq ∞ infty µ mu ○ circ △ triangle
+Γ Gamma Δ Delta Θ Theta Λ Lambda Ξ Xi Π Pi Σ Sigma Φ Phi Ψ Psi Ω Omega
+"""
+"""Characters, each followed by its command in mathematics."""
+GREEK = """
+alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi mathrm{o} pi rho varsigma sigma tau upsilon phi chi psi
+omega
+"""
+"""The commands of the small Greek letters, in the order of Unicode."""
 SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+OUTSIDE_TEXT = {
+    "−": "$-$",
+    "□": r"$\sqcap\!\!\!\!\sqcup$",
+    **{character: rf"$\{name}$" for character, name in re.findall(r"(\S) (\w+)", COMMANDS)},
+    **{chr(0x3B1 + place): rf"$\{name}$" for place, name in enumerate(GREEK.split())},
+    **{chr(raised): f"$^{{{chr(plain)}}}$" for plain, raised in SUPERSCRIPTS.items()},
+}
+"""Characters that LaTeX knows only as commands of mathematics."""
 Cell: TypeAlias = Rounded | str | None
 
 

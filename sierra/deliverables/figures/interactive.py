@@ -56,13 +56,12 @@ def page(drawing: Drawing, svg: bytes, origin: str) -> bytes:
     """Return the page of a figure; `svg` is the same figure as it is printed, for kinds without charts."""
     title = formats.title(drawing)
     charts = drawing.charts
-    shown = tuple(dict.fromkeys(chart.table.name for chart in charts))
     content = Content(
         title,
         charts,
         b"" if charts else svg,
         tuple(filter(None, (drawing.note, *_thinned(charts), drawing.figure.footnote))),
-        tuple({id(chart.table): chart.table for chart in charts}.values()) if shown else tuple(_tables(drawing)),
+        (charts[0].table,) if charts else tuple(_tables(drawing)),
         drawing.sql,
         _origin(drawing, origin),
     )
@@ -73,41 +72,37 @@ def page(drawing: Drawing, svg: bytes, origin: str) -> bytes:
 def over_time(drawing: Drawing) -> list[Chart]:
     """Return a chart for each combination of the other variables, with a line for each value of the first."""
     (table,) = drawing.tables.values()
-    first, rest = timeseries.first_axis(drawing), timeseries.others(drawing)
-    look = dict(zip(first.values, style.looks(first), strict=True))
-    panels: dict[tuple[object, ...], list[_Line]] = {values: [] for values in rest}
-    title: dict[tuple[object, ...], str] = {}
-    for ordinal, rows in timeseries.by_experiment(table).items():
-        value, others = timeseries.value_of(drawing, ordinal), timeseries.rest_of(drawing, ordinal)
-        panels[others].append(_Line(style.named(value, NAME), look[value], _some(rows)))
-        title[others] = style.point(drawing, drawing.axes[1:], ordinal)
-    places = {style.named(value, NAME): place for place, value in enumerate(first.values)}
-    made = [_Panel(title[v], sorted(lines, key=lambda line: places[line.name])) for v, lines in panels.items() if lines]
-    form: Literal["lines", "points"] = (
-        "lines" if any(len(line.rows) > 1 for panel in made for line in panel.lines) else "points"
-    )
+    first, slices = timeseries.first_axis(drawing), timeseries.by_experiment(table)
+    entries = dict(zip(first.values, zip(style.names(first.values, NAME), style.looks(first), strict=True), strict=True))
+    ordered = sorted(slices, key=lambda ordinal: first.values.index(timeseries.value_of(drawing, ordinal)))
+    panels = []
+    for values in timeseries.others(drawing):
+        own = [ordinal for ordinal in ordered if timeseries.rest_of(drawing, ordinal) == values]
+        lines = [_Line(*entries[timeseries.value_of(drawing, ordinal)], _some(slices[ordinal])) for ordinal in own]
+        if lines:
+            panels.append(_Panel(style.point(drawing, drawing.axes[1:], own[0]), lines))
+    form: Literal["lines", "points"] = "lines" if any(part.stop - part.start > 1 for part in slices.values()) else "points"
     x = ChartAxis(len(drawing.axes), style.time_label(drawing), 10 if drawing.figure.log_x else 0, drawing.figure.xlim)
-    return _charts(drawing, made, x, style.axis_label(first) if drawing.axes else "", form=form, joined=True)
+    return _charts(drawing, panels, x, style.axis_label(first) if drawing.axes else "", form=form, joined=True)
 
 
 def over_variable(drawing: Drawing) -> list[Chart]:
     """Return a chart for each value of `facet`, with points for each combination of the other variables."""
     (table,) = drawing.tables.values()
     within = facets.panels(drawing)
-    looks, first = style.looks(within.groups), within.first
+    entries, first = list(zip(style.names(within.groups.values, NAME), style.looks(within.groups), strict=True)), within.first
     ordinals = table.column("experiment").to_pylist()
     facet = [axis for axis in drawing.axes if axis.name == drawing.figure.facet]
     panels = []
     for panel in within.panels:
-        groups: list[list[int]] = [[] for _ in looks]
+        groups: list[list[int]] = [[] for _ in entries]
         own = [row for row, ordinal in enumerate(ordinals) if ordinal in panel.drawing.cells]
         for row in sorted(own, key=lambda row: within.place(drawing, ordinals[row])):
             groups[within.group(drawing, ordinals[row])].append(row)
-        named = zip(within.groups.values, looks, groups, strict=True)
-        lines = [_Line(style.named(value, NAME), look, rows) for value, look, rows in named if rows]
-        panels.append(_Panel(style.point(drawing, facet, ordinals[own[0]]) if facet else "", lines))
-    places = [axis.name for axis in drawing.axes]
-    x = _variable(drawing, first, places.index(first.name) if drawing.axes else -1)
+        lines = [_Line(*entry, rows) for entry, rows in zip(entries, groups, strict=True) if rows]
+        if lines:
+            panels.append(_Panel(style.point(drawing, facet, ordinals[own[0]]) if facet else "", lines))
+    x = _variable(drawing, first, [axis.name for axis in drawing.axes].index(first.name) if drawing.axes else -1)
     return _charts(drawing, panels, x, style.axis_label(within.groups), form="points", joined=first.numeric)
 
 
@@ -182,9 +177,9 @@ def _luminance(colour: ColorType) -> float:
 
 def _some(rows: slice) -> list[int]:
     """Return the numbers of at most `POINTS` rows: every k-th, and the last."""
-    every = -(-(rows.stop - rows.start) // (POINTS - 1))
-    kept = list(range(rows.start, rows.stop, every))
-    return kept if kept[-1] == rows.stop - 1 else [*kept, rows.stop - 1]
+    every = -(-(rows.stop - rows.start) // POINTS)
+    kept = range(rows.start, rows.stop, every)
+    return [*kept[: POINTS - 1], rows.stop - 1] if kept[-1] != rows.stop - 1 else list(kept)
 
 
 def _thinned(charts: Sequence[Chart]) -> list[str]:

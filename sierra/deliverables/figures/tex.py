@@ -19,8 +19,8 @@ from matplotlib.font_manager import FontProperties
 from sierra.deliverables import paper_tables
 from sierra.errors import UsageError
 
-MOST = 5_000_000
-"""The largest number of characters: of more commands, TeX runs out of memory."""
+MOST = 4_000_000
+"""The largest number of characters: TeX runs out of memory for a path of 5 million."""
 HEADER = """\
 % Include this figure with \\input{FILE}; the preamble needs \\usepackage{pgf}.
 """

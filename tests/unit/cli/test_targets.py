@@ -197,8 +197,11 @@ def test_figures_of_several_targets_have_a_line_for_each(project: Path) -> None:
         text = found[name].read_text()
         assert [f">{word}</text>" in text for word in ("target", "sim", "robots")] == [True, True, True]
         assert found[name].parent.name == folder
-    one = projects.quick(project, "figures", batch(project, "robots"), "swarm_coverage_summary", *BOTH)
-    assert len(one.stdout.splitlines()) == 3, one.stderr
+    named = (batch(project, "robots"), "swarm_coverage_summary", *BOTH, "--format", "pdf,html")
+    one = projects.quick(project, "figures", *named)
+    assert [Path(path).suffix for path in one.stdout.splitlines()] == [".pdf", ".html"], one.stderr
+    page = found["swarm_coverage_summary_sim_robots.svg"].with_suffix(".html").read_text()
+    assert f"<dd>{batch(project, 'sim')} (sim), {batch(project, 'robots')} (robots)</dd>" in page
     for identity in (batch(project, "sim"), batch(project, "robots")):
         assert projects.quick(project, "figures", identity, "--check").returncode == 0
     found["swarm_coverage_summary_sim_robots.svg"].write_text("changed")

@@ -94,6 +94,78 @@ def test_check_says_that_the_store_has_other_data_after_an_execution_was_removed
     assert all("other data" in one["problem"] for one in json.loads(said))
 
 
+def test_formats_are_drawn_on_request_and_all_of_their_files_are_checked(drawn: Path) -> None:
+    name = a_figure(drawn).stem
+    done = projects.quick(drawn, "figures", "--format", "html, pgf", "--json")
+    assert {Path(path).suffix for path in json.loads(done.stdout)} == {".html", ".pgf"}
+    code, said = check(drawn)
+    assert code == 0
+    assert {f"{name} (html, pgf): follows from the store", f"{name} (png, pdf, svg): follows from the store"} <= set(
+        said.splitlines()
+    )
+    page, before = a_figure(drawn, "html"), a_figure(drawn, "png").stat().st_ino
+    shown = json.loads(projects.quick(drawn, "show", str(page), "--json").stdout)
+    assert (shown["name"], shown["problem"], shown["definition"]["formats"]) == (name, None, ["html", "pgf"])
+    sierra.open(drawn).run("population_size=1,2", runs=2)
+    assert a_figure(drawn, "png").stat().st_ino == before
+    a_figure(drawn).write_text("changed")
+    code, said = check(drawn)
+    assert (code, said.count("is not the file that SIERRA made")) == (1, 1)
+
+
+def test_files_of_formats_that_are_no_longer_drawn_can_be_removed(drawn: Path) -> None:
+    sierra.open(drawn).figures(formats=["svg"])
+    for ending in ("png", "pdf"):
+        a_figure(drawn, ending).unlink()
+    code, said = check(drawn)
+    assert code == 0
+    assert "is missing" not in said
+    a_figure(drawn).unlink()
+    assert check(drawn)[0] == 1
+
+
+def test_sierra_toml_declares_formats(drawn: Path) -> None:
+    config = drawn / "sierra.toml"
+    text = 'figure_formats = ["svg", "html"]\n' + config.read_text() + '[figures.a]\ncolumn = "coverage"\n'
+    config.write_text(text + '[figures.b]\ncolumn = "coverage"\nkind = "summary"\nformats = ["pdf"]\n')
+    done = projects.quick(drawn, "run", "population_size=1,2", "--runs", "2")
+    assert [line.split("/")[-1] for line in done.stdout.splitlines() if "figures/" in line] == ["a.svg (and .html)", "b.pdf"]
+    assert {path.name for path in drawn.glob("figures/*/[ab].*")} == {"a.svg", "a.html", "b.pdf"}
+    done = projects.quick(drawn, "compare", "--by", "population_size", "--json")
+    assert {path.suffix for path in drawn.glob("figures/comparisons/[!.]*")} == {".svg", ".html"}, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--format", "htm"), "unknown format of figures 'htm'; did you mean 'html'?"),
+        (("--format", ""), "unknown format of figures ''; known are png, pdf, svg, html, pgf"),
+        (("--format", "pdf,svg,pdf"), "format 'pdf' is named twice; name each format once"),
+        (("--format", "pdf", "--check"), "leave out --format"),
+    ],
+)
+def test_formats_that_cannot_be_drawn_are_refused_in_one_line(drawn_once: Path, words: tuple[str, ...], said: str) -> None:
+    done = projects.quick(drawn_once, "figures", *words)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert said in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('figure_formats = ["pdf", "pdf"]\n', "figure_formats: 'pdf' is named twice"),
+        ("figure_formats = []\n", "figure_formats should not be empty"),
+        ('[figures.a]\nformats = ["doc"]\n', "figures.a.formats.0 should be 'png', 'pdf', 'svg', 'html' or 'pgf'"),
+    ],
+)
+def test_declared_formats_are_checked(drawn: Path, text: str, said: str) -> None:
+    config = drawn / "sierra.toml"
+    config.write_text(text + config.read_text() if text.startswith("figure") else config.read_text() + text)
+    done = projects.quick(drawn, "figures")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert said in done.stderr
+
+
 def test_check_of_a_batch_without_figures_says_how_to_draw_them(drawn: Path) -> None:
     sierra.open(drawn).run("population_size=1", runs=1, figures=False)
     code, said = check(drawn)
