@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Literal
 
@@ -110,7 +110,7 @@ def _variable(drawing: Drawing, axis: Axis, column: int) -> ChartAxis:
     """Return the x axis of an independent variable."""
     label = drawing.figure.xlabel or style.axis_label(axis)
     if not axis.numeric:
-        return ChartAxis(column, label, names=tuple(map(str, axis.values)))
+        return ChartAxis(column, label, names=axis.values)
     grows = style.geometric(axis.values)
     ticks = tuple(style.numbers(axis)) if grows or drawing.figure.log_x or len(axis.values) <= 6 else ()
     return ChartAxis(column, label, 2 if grows or drawing.figure.log_x else 0, drawing.figure.xlim, ticks)
@@ -120,12 +120,9 @@ def _charts(
     drawing: Drawing, panels: Sequence[_Panel], x: ChartAxis, group: str, *, form: Literal["lines", "points"], joined: bool
 ) -> list[Chart]:
     """Return the charts of all panels, which share one table: the rows of the first line, of the second, and so on."""
-    ((name, source),) = drawing.tables.items()
+    (source,) = drawing.tables.values()
     lines = [line for panel in panels for line in panel.lines]
-    table = _table(name, source.take(np.concatenate([line.rows for line in lines])), drawing, most=source.num_rows)
-    left_out = source.num_rows - table.rows
-    note = f"{left_out:,} of {source.num_rows:,} rows are left out" if left_out else ""
-    table = Table(table.name, table.headers, table.columns, note)
+    table = _table_of(drawing, [row for line in lines for row in line.rows])
     stops = list(accumulate((len(line.rows) for line in lines), initial=0))
     series = iter([_series(line, start, stop) for line, (start, stop) in zip(lines, pairwise(stops), strict=True)])
     places = {column: place + len(drawing.axes) for place, column in enumerate(_shown(source))}
@@ -149,6 +146,14 @@ def _charts(
         )
         for panel in panels
     ]
+
+
+def _table_of(drawing: Drawing, rows: Sequence[int]) -> Table:
+    """Return the table of these rows of the only table, in this order; its note counts the others."""
+    ((name, source),) = drawing.tables.items()
+    table = _table(name, source.take(rows), drawing, most=len(rows))
+    left_out = source.num_rows - len(rows)
+    return replace(table, note=f"{left_out:,} of {source.num_rows:,} rows are left out" if left_out else "")
 
 
 def _series(line: _Line, start: int, stop: int) -> Series:

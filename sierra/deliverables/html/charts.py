@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sierra.deliverables.html.escaping import Data, text
-from sierra.deliverables.html.tables import Table
+from sierra.deliverables.html.tables import Cell, Table, exact
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class ChartAxis:
     limits: tuple[float, float] | None = None
     ticks: tuple[float, ...] = ()
     """Where ticks are; default: at round numbers."""
-    names: tuple[str, ...] = ()
+    names: tuple[Cell, ...] = ()
     """The values of an axis of names, which are side by side; empty for an axis of numbers."""
 
 
@@ -97,5 +97,5 @@ def _axis(axis: ChartAxis) -> Data:
         "log": axis.log,
         "limits": axis.limits,
         "ticks": axis.ticks,
-        "names": axis.names,
+        "names": list(map(exact, axis.names)),
     }

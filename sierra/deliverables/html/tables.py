@@ -52,8 +52,8 @@ def element(table: Table, place: int) -> str:
 
 
 def as_data(table: Table) -> Data:
-    """Return the table as data for scripts. Values that JSON or a script cannot hold exactly become text or null."""
-    return {"headers": table.headers, "columns": [list(map(_exact, column)) for column in table.columns]}
+    """Return the table as data for scripts."""
+    return {"headers": table.headers, "columns": [list(map(exact, column)) for column in table.columns]}
 
 
 def _lines(table: Table, place: int) -> Iterator[str]:
@@ -84,7 +84,8 @@ def _number(value: int | float | None) -> str:
     return (f"{value:.6g}" if isinstance(value, float) else str(value)).replace("-", "−")
 
 
-def _exact(value: Cell) -> Cell:
+def exact(value: Cell) -> Cell:
+    """Return a value that JSON and scripts can hold: NaN becomes null; infinity and very large whole numbers become text."""
     match value:
         case float() if not math.isfinite(value):
             return None if math.isnan(value) else str(value)

@@ -119,6 +119,8 @@ def test_a_chart_over_a_variable_has_its_groups_and_panels() -> None:
     assert (found[0]["x"]["log"], found[0]["x"]["ticks"]) == (2, [1, 2, 4, 8])
     panels = page(drawing("summary", (SIZES, NAMES), facet="scenario")).data()["charts"]
     assert [[one["rows"] for one in panel["series"]] for panel in panels] == [[[0, 4]], [[4, 8]]]
+    mixed = page(drawing("summary", (Axis("speed", (1, "fast")),))).data()
+    assert mixed["charts"][0]["x"]["names"] == mixed["tables"][0]["columns"][0] == [1, "fast"]
     names = page(drawing("summary", (NAMES,))).data()["charts"][0]
     assert (names["x"]["names"], names["joined"]) == (["low", "high"], False)
 

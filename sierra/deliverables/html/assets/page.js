@@ -4,8 +4,10 @@
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const style = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const number = (value) => (typeof value === "number" ? value : null);
-  const shown = (value) =>
-    value === null || value === undefined ? "–" : String(typeof value === "number" ? Number(value.toPrecision(6)) : value).replace("-", "−");
+  const shown = (value) => {
+    if (typeof value === "number") return String(Number.isInteger(value) ? value : Number(value.toPrecision(6))).replaceAll("-", "−");
+    return value === null || value === undefined ? "–" : value;
+  };
 
   function make(name, parent, attributes = {}, text = "") {
     const element = document.createElement(name);
@@ -116,7 +118,7 @@
     }
 
     ticks(axis) {
-      const name = (value) => (axis.names.length ? axis.names[value] ?? "" : shown(value));
+      const name = (value) => shown(axis.names.length ? axis.names[value] ?? "" : value);
       const at = axis.names.length ? axis.names.map((_, k) => k) : axis.ticks;
       if (!at.length) return {};
       const fits = (plot) => Math.max(1, Math.ceil((at.length * this.widest(axis, at)) / Math.max(plot.bbox.width / devicePixelRatio, 1)));
@@ -132,7 +134,7 @@
     }
 
     widest(axis, at) {
-      return 7 * Math.max(...at.map((value) => this.short(axis.names.length ? axis.names[value] : shown(value)).length)) + 10;
+      return 7 * Math.max(...at.map((value) => this.short(shown(axis.names.length ? axis.names[value] : value)).length)) + 10;
     }
 
     // Three series of uPlot for each of ours: center, low and high.
@@ -260,7 +262,7 @@
       if (index < 0) return;
       this.index = index;
       const { x } = this.spec;
-      const name = (at) => (x.names.length ? x.names[at] : shown(at));
+      const name = (at) => shown(x.names.length ? x.names[at] : at);
       this.caption.textContent = x.column < 0 ? "" : `${x.label} = ${name(this.xs[index])}`;
       this.said = this.series.map((one, k) => {
         const found = this.nearestRow(one, index);
