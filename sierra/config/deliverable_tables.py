@@ -80,8 +80,9 @@ class Figure(Table):
         "timeseries",
         description="over time: `timeseries`, `stacked`; over variables: `summary`, `bar`, `box`, `violin`, `strip`, "
         "`heatmap`; "
-        "distributions of runs: `ecdf`, `histogram`, `ridge`; two columns of runs: `scatter`, `pareto`; rows: `trajectories`, "
-        "`density`, `matrix`, `confusion`, `roc`, `pr`, `risk_coverage`; or a plug-in",
+        "distributions of runs: `ecdf`, `histogram`, `ridge`, `survival`; ranks: `critical_difference`; several columns of "
+        "runs: `scatter`, `pareto`, `embedding`; rows: `trajectories`, `density`, `matrix`, `network`, `confusion`, `roc`, "
+        "`pr`, `risk_coverage`; or a plug-in",
     )
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one output")
     sql: str = Field("", description="a SELECT statement whose rows are drawn instead of a `table`, as in `[tables.NAME]`")

@@ -228,6 +228,7 @@ FIGURES = Kind(
         "ridge": f"{_KINDS}.distributions:Ridge",
         "scatter": f"{_KINDS}.pairs:Scatter",
         "pareto": f"{_KINDS}.pairs:Pareto",
+        "survival": f"{_KINDS}.survival:Survival",
         "trajectories": f"{_KINDS}.arena:Trajectories",
         "density": f"{_KINDS}.arena:Density",
         "matrix": f"{_KINDS}.arena:Matrix",

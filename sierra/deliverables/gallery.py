@@ -78,6 +78,9 @@ class _Output:
         self.frame.data(self.output.name, self.time, self.where)
         return self.frame.sql(statement)
 
+    def seeds(self) -> Mapping[tuple[int, str], int]:
+        return self.frame.seeds()
+
 
 class Gallery:
     """The data that the figures of one batch share."""
@@ -237,6 +240,7 @@ class Gallery:
         if (
             isinstance(declared, Output)
             and declared.ticks_per_second is not None
+            and tables
             and all("t" in table.column_names for table in tables.values())
         ):
             per_second = seconds.rates(declared.ticks_per_second, self._config, self._store, self.frame)

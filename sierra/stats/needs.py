@@ -19,6 +19,10 @@ class Needs:
     """`experiments`: each run is reduced by the figure's measure; `time`: statistics at each time."""
     runs: bool = False
     """True if the figure shows the values that the runs are reduced to."""
+    seeds: bool = False
+    """True if these values have the seed of their run, as the column `seed`: runs with the same seed belong together."""
+    single: bool = False
+    """True if `rows` needs runs with at most one row at each time, as all statistics do."""
     rows: Mapping[str, str] = field(default_factory=dict)
     """SQL statements on the relation `data`, by name; a figure gets their results under these names.
 
@@ -27,6 +31,8 @@ class Needs:
     """
     columns: int | None = 1
     """The number of columns that the figure shows; None for one or more."""
+    others: tuple[str, ...] = ()
+    """Further columns that `rows` uses, besides those of the key `column`."""
     numeric: bool = True
     """False if the columns may hold text."""
     shows: str = ""

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 Row: TypeAlias = Mapping[str, "float | str | None"]
 Values: TypeAlias = Callable[[int, int, int], Row]
 LONG = "a rather long name of a scenario with obstacles, number {}"
-HEAVY = ("matplotlib", "seaborn", "pandas", "scipy", "networkx")
+HEAVY = ("matplotlib", "seaborn", "pandas", "scipy", "networkx", "sklearn")
 RUNS = 6
 ROWS = 8
 
@@ -128,6 +128,10 @@ class _Memory:
 
     def rows(self, statement: str) -> pa.Table:
         return self._connection.sql(statement).to_arrow_table()
+
+    def seeds(self) -> Mapping[tuple[int, str], int]:
+        rows = self._connection.sql('SELECT DISTINCT "# experiment", run, "# number" FROM data').fetchall()
+        return {(experiment, run): 1000 + number for experiment, run, number in rows}
 
 
 @dataclass(frozen=True)

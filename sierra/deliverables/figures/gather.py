@@ -32,6 +32,9 @@ class Source(Protocol):
     def rows(self, statement: str) -> pa.Table:
         """Return the result of a statement on the relation `data`: see `Needs.rows`."""
 
+    def seeds(self) -> Mapping[tuple[int, str], int]:
+        """Return the seed of each run, by the position of its experiment and its id."""
+
 
 @dataclass(frozen=True, slots=True)
 class Batch:
@@ -72,9 +75,11 @@ def gather(
     batch = labelled(arranged(batch, figure), figure.labels)
     needs = kind_of(figure).needs(Request(figure, batch.axes, len(seen.runs), seen.most, columns))
     source.check(columns, numeric=needs.numeric)
+    source.check(needs.others, numeric=False)
     computed = stats.Computed({}, None, "", "")
-    if needs.statistics or needs.runs:
+    if needs.statistics or needs.runs or needs.single:
         stats.check_times(seen)
+    if needs.statistics or needs.runs:
         frames = {column: source.samples(column) for column in columns}
         computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, rates=rates)
     only = figure.where and f"rows where {' '.join(figure.where.split())}"
@@ -84,12 +89,19 @@ def gather(
         axes=batch.axes,
         cells=batch.cells,
         tables={column: bands.with_ends(table, figure) for column, table in computed.tables.items()},
-        runs=computed.runs,
+        runs=_seeded(computed.runs, source) if needs.seeds else computed.runs,
         rows={key: source.rows(statement) for key, statement in needs.rows.items()},
         note=f"{computed.note or _note(needs, seen, batch.planned)}{only and f'; only {only}'}",
         sql="\n\n".join(filter(None, (only and f"-- {only}", computed.sql, *needs.rows.values()))),
         batch=batch.id,
     )
+
+
+def _seeded(runs: pa.Table, source: Source) -> pa.Table:
+    """Return the values of runs with their seeds."""
+    seeds = source.seeds()
+    keys = zip(runs.column("experiment").to_pylist(), runs.column("run").to_pylist(), strict=True)
+    return runs.append_column("seed", [[seeds[key] for key in keys]])
 
 
 def arranged(batch: Batch, figure: Figure) -> Batch:

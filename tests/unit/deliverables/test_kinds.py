@@ -259,6 +259,9 @@ def test_paths_of_robots_are_drawn_although_times_have_several_rows(batch: Path)
     assert "no row is what the keys of the figure ask for" in refusal(batch, *POSES, 'kind = "trajectories"', "run = 7")
     assert "two columns, x and y" in refusal(batch, 'table = "poses"', 'column = "x"', 'kind = "trajectories"')
     assert "more than one row at the same time" in refusal(batch, 'table = "poses"', 'column = "x"', 'kind = "box"')
+    reach = ('kind = "survival"', 'measure = "time_to"', "threshold = 1")
+    assert "more than one row at the same time" in refusal(batch, 'table = "poses"', 'column = "x"', *reach)
+    assert "has no column 'robots'; it has" in refusal(batch, *POSES, 'kind = "trajectories"', 'robot = "robots"')
 
 
 def test_a_density_counts_the_rows_beyond_its_limits(batch: Path) -> None:

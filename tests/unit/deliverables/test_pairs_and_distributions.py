@@ -9,20 +9,15 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from sierra.deliverables.figures import distributions, pairs, style
-from sierra.deliverables.figures.drawing import Drawing, noted, painted
+from sierra.deliverables.figures import distributions, pairs
+from sierra.deliverables.figures.drawing import Drawing, noted
 from sierra.errors import UsageError
 from sierra.model import Axis
 from sierra.testing.figures import Row, Trial
+from tests.drawings import plot
 
 SIZE = (Axis("size", (1, 2)),)
 PAIR = {"column": ("energy", "distance")}
-
-
-def plot(drawing: Drawing) -> Any:
-    """Return the first panel of a figure."""
-    with style.applied(drawing.figure):
-        return painted(drawing).axes[0]
 
 
 def final(kind: str, *values: float, **keys: object) -> Drawing:

@@ -27,6 +27,15 @@ def guesses(experiment: int, run: int, row: int) -> conformance.Row:
     return {"truth": "ab"[truth], "guess": "ab"[score > 0.5], "score": score, "loss": float((score > 0.5) != truth)}
 
 
+def growth(experiment: int, run: int, row: int) -> conformance.Row:
+    return {"energy": row * conformance.numbers(experiment, run, 0)["distance"] % 3.0}  # type: ignore[operator]
+
+
+def links(experiment: int, run: int, row: int) -> conformance.Row:
+    noise = float(conformance.numbers(experiment, run, row)["distance"] or 0)
+    return {"source": f"robot {row}", "target": f"robot {int(noise * 100) % 7}", "weight": noise}
+
+
 KINDS: dict[str, tuple[RawTable, conformance.Values, tuple[Axis, ...]]] = {
     "timeseries": ({}, conformance.numbers, ONE),
     "summary": ({}, conformance.numbers, TWO),
@@ -47,6 +56,7 @@ KINDS: dict[str, tuple[RawTable, conformance.Values, tuple[Axis, ...]]] = {
     "roc": ({"column": ("truth", "score"), "positive": "b"}, guesses, TWO),
     "pr": ({"column": ("truth", "score"), "positive": "b"}, guesses, ONE),
     "risk_coverage": ({"column": ("loss", "score")}, guesses, TWO),
+    "survival": ({"measure": "time_to", "threshold": 2.5}, growth, TWO),
     "pareto": ({"column": ("energy", "distance"), "better": ("high", "low")}, conformance.numbers, TWO),
 }
 

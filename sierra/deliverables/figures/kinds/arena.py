@@ -54,7 +54,10 @@ WITH points AS (
 )
 SELECT experiment, robot, t, x, y, every FROM numbered WHERE step % every = 0 OR step = steps - 1
 ORDER BY experiment, robot, t, place"""
-        return Needs(rows={"paths": statement}, columns=2, shows=f"paths in run {self._options.run}, ○ start, □ end")
+        others = (self._options.robot,) if self._options.robot else ()
+        return Needs(
+            rows={"paths": statement}, columns=2, others=others, shows=f"paths in run {self._options.run}, ○ start, □ end"
+        )
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
         from sierra.deliverables.figures import arena
