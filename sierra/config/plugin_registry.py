@@ -229,6 +229,7 @@ FIGURES = Kind(
         "scatter": f"{_KINDS}.pairs:Scatter",
         "pareto": f"{_KINDS}.pairs:Pareto",
         "survival": f"{_KINDS}.survival:Survival",
+        "critical_difference": f"{_KINDS}.ranks:CriticalDifference",
         "trajectories": f"{_KINDS}.arena:Trajectories",
         "density": f"{_KINDS}.arena:Density",
         "matrix": f"{_KINDS}.arena:Matrix",

@@ -57,6 +57,7 @@ KINDS: dict[str, tuple[RawTable, conformance.Values, tuple[Axis, ...]]] = {
     "pr": ({"column": ("truth", "score"), "positive": "b"}, guesses, ONE),
     "risk_coverage": ({"column": ("loss", "score")}, guesses, TWO),
     "survival": ({"measure": "time_to", "threshold": 2.5}, growth, TWO),
+    "critical_difference": ({"better": "low"}, growth, ONE),
     "pareto": ({"column": ("energy", "distance"), "better": ("high", "low")}, conformance.numbers, TWO),
 }
 

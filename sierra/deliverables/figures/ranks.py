@@ -1,0 +1,148 @@
+"""Critical-difference diagrams: mean ranks of groups on a line, and bars that join groups that were not shown to differ."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from sierra.deliverables.figures import bands, style
+from sierra.errors import UsageError
+from sierra.stats.comparison.block_ranks import Ranking, Test, ranking
+from sierra.util.text import counted, few
+
+if TYPE_CHECKING:
+    from sierra.deliverables.figures.drawing import Drawing
+
+MOST = 20
+"""The largest number of groups."""
+LINE = 0.17
+"""The height of a name in inches; the unit of the diagram's vertical axis."""
+BAR = 0.45
+"""The distance of two bars, in the height of a name."""
+EXACT = 10
+"""The number of blocks up to which the p value of Friedman's test is a rough one."""
+Blocks = dict[tuple[object, ...], dict[object, float]]
+"""The value of each group, by block."""
+
+
+def blocks(drawing: Drawing, within: Literal["experiments", "seeds"]) -> Blocks:
+    """Return the values that are ranked: the center of each experiment, or the value of each run."""
+    group, *others = (axis.name for axis in drawing.axes)
+    (table,) = drawing.tables.values()
+    if "never" in table.column_names and (never := sum(table.column("never").to_pylist())):
+        runs = counted(never, "run")
+        raise UsageError(f"{runs} never reached the threshold, and censored times have no ranks; draw kind survival")
+    if drawing.runs is None:
+        raise TypeError("a critical_difference figure needs the values of its runs")
+    center, *_ = bands.columns(drawing.figure)
+    seeds = within == "seeds"
+    found: Blocks = {}
+    for row in (drawing.runs if seeds else table).to_pylist():
+        at, value = drawing.cells[row["experiment"]], row["value" if seeds else center]
+        key = (*(at[name] for name in others), *([row["seed"]] if seeds else []))
+        if value is not None:
+            found.setdefault(key, {})[at[group]] = value
+    return found
+
+
+def ranked(drawing: Drawing, found: Blocks, test: Test, alpha: float, *, best_is_high: bool) -> Ranking:
+    """Return the ranking over the blocks in which all groups have a value. Raises UsageError for fewer than two of them."""
+    axis = drawing.axes[0]
+    names = {value: style.named(value, 16) for value in axis.values}
+    if axis.numeric:
+        names = {value: f"{style.shortened(axis.label or axis.name, 14)} = {name}" for value, name in names.items()}
+    if len(names) > MOST:
+        raise UsageError(f"ranks of {len(names)} groups cannot be read; at most {MOST} are possible; use where")
+    if empty := [name for value, name in names.items() if not any(value in block for block in found.values())]:
+        raise UsageError(f"no value of {few(empty, 3)}, so groups cannot be ranked; leave out such groups by where")
+    complete = [block for block in found.values() if len(block) == len(names)]
+    if len(complete) < 2:
+        raise UsageError(
+            f"ranks need two blocks or more in which each group has a value, but there {'is one' if complete else 'is none'}"
+        )
+    values = np.array([[block[value] for value in names] for block in complete], dtype=float)
+    result = ranking(list(names.values()), values, test, alpha, best_is_high=best_is_high)
+    return replace(result, left_out=len(found) - len(complete))
+
+
+def notes(found: Ranking) -> list[str]:
+    """Return notes on the blocks, the tests, and all that the bars do not say."""
+    tests = f"Friedman p = {style.number(found.p, 2)}" if found.p is not None else ""
+    pairs = "Wilcoxon's signed-rank test, Holm" if found.critical is None else f"Nemenyi CD = {style.number(found.critical, 3)}"
+    shown = ", ".join(filter(None, (counted(found.blocks, "block"), tests, pairs, f"α = {found.alpha:g}")))
+    beside = [f"{found.groups[one]} and {found.groups[other]}" for one, other in found.beside]
+    return [
+        shown,
+        "bars join groups that were not shown to differ",
+        *([f"{found.blocks} blocks are too few to show any difference"] if not found.enough else []),
+        *(["p is approximate for few blocks"] if found.p is not None and found.blocks <= EXACT and found.enough else []),
+        *([f"nor were {few(beside, 3)}"] if beside else []),
+        *([f"{counted(found.left_out, 'block')} without a value of each group left out"] if found.left_out else []),
+    ]
+
+
+def diagram(found: Ranking, drawing: Drawing) -> Figure:
+    """Draw the ranks, and for Nemenyi's test the critical difference. The best groups are on the left."""
+    count = len(found.groups)
+    left = -(-count // 2)
+    below = 0.7 + BAR * len(found.bars)
+    top = 2.4 if found.critical is not None else 0.2
+    figure = style.blank(style.COLUMN, 0.55 + LINE * (top + below + left))
+    plot = figure.add_subplot()
+    plot.set_xlim(1, count)
+    plot.set_ylim(-below - left, top)
+    _axis(plot, drawing)
+    if found.critical is not None:
+        _critical(plot, found.critical, count)
+    for place, (name, rank) in enumerate(zip(found.groups, found.ranks, strict=True)):
+        row = place if place < left else count - 1 - place
+        _group(plot, f"{name} ({rank:.2f})", rank, -below - row, at=1 if place < left else count)
+    for line, (start, end) in enumerate(found.bars, 1):
+        ends = [found.ranks[start] - 0.012 * count, found.ranks[end] + 0.012 * count]
+        plot.plot(ends, [-BAR * line] * 2, color="black", linewidth=2.4, solid_capstyle="butt", clip_on=False)
+    return figure
+
+
+def _axis(plot: Axes, drawing: Drawing) -> None:
+    plot.spines[:].set_visible(False)
+    plot.spines["top"].set_visible(True)
+    plot.spines["top"].set_position(("data", 0))
+    plot.xaxis.set_ticks_position("top")
+    plot.xaxis.set_label_position("bottom")
+    plot.xaxis.set_major_locator(MaxNLocator(10, integer=True))
+    plot.set_yticks([])
+    plot.grid(visible=False)
+    (column,) = drawing.tables
+    measure = style.value_label(drawing) if drawing.figure.measure == "time_to" else f"{drawing.figure.measure} {column}"
+    name = style.label(drawing.axes[0].name, given=drawing.axes[0].label)
+    plot.set_xlabel(style.shortened(f"mean rank of {name} by {measure} (1: best)", 52))
+
+
+def _critical(plot: Axes, critical: float, count: int) -> None:
+    """Draw the critical difference as a line with its name, above the axis; one that is too long ends in an arrow."""
+    long = critical > count - 1
+    ends = "->" if long else "|-|,widthA=0.25,widthB=0.25"
+    line = {"arrowstyle": ends, "shrinkA": 0, "shrinkB": 0, "linewidth": 0.8}
+    plot.annotate("", (min(1 + critical, float(count)), 1.4), (1, 1.4), arrowprops=line, annotation_clip=False)
+    plot.text(1, 1.6, f"CD = {style.number(critical, 3)}", fontsize=6.5, va="bottom")
+
+
+def _group(plot: Axes, name: str, rank: float, y: float, at: float) -> None:
+    """Draw the line from a group's rank to its name beside the diagram."""
+    plot.plot([rank, rank, at], [0, y, y], color="#333333", linewidth=0.7, clip_on=False)
+    left = at == 1
+    plot.annotate(
+        name,
+        (at, y),
+        (-3 if left else 3, 0),
+        textcoords="offset points",
+        ha="right" if left else "left",
+        va="center",
+        fontsize=7,
+        annotation_clip=False,
+    )
