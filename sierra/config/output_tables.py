@@ -113,7 +113,7 @@ class Output(Table):
     rows: str = Field(
         "",
         description="part of a file that has the rows: in JSON, keys such as `results.steps`; in XML, `//NAME` or `/A/B`; "
-        "in GraphML, `nodes` or `edges`; in SQLite, a table or a SELECT statement; "
+        "in GraphML, `nodes`, `edges`, or `graph` for both; in SQLite, a table or a SELECT statement; "
         "in HDF5, the path of a dataset or group; in NetCDF, variables separated by commas",
     )
     flatten: bool | None = Field(
@@ -158,8 +158,8 @@ class Output(Table):
             raise ValueError(f"{'units_row' if self.units_row else 'header_lines'} needs header = true")
         if self.kind == "xml" and not ELEMENTS.fullmatch(self.rows):
             raise ValueError(f'format = "xml" needs rows, a path of element names such as "//tripinfo", not {self.rows!r}')
-        if self.kind == "graphml" and self.rows not in ("nodes", "edges"):
-            raise ValueError('format = "graphml" needs rows = "nodes" or rows = "edges"')
+        if self.kind == "graphml" and self.rows not in ("nodes", "edges", "graph"):
+            raise ValueError('format = "graphml" needs rows = "nodes", rows = "edges", or rows = "graph" for both')
         if self.kind == "sqlite" and not self.rows:
             raise ValueError('format = "sqlite" needs rows, the name of a table or a SELECT statement')
         if self.kind in ("hdf5", "netcdf") and not self.rows.strip(" ,"):

@@ -233,6 +233,7 @@ FIGURES = Kind(
         "trajectories": f"{_KINDS}.arena:Trajectories",
         "density": f"{_KINDS}.arena:Density",
         "matrix": f"{_KINDS}.arena:Matrix",
+        "network": f"{_KINDS}.network:Network",
         "confusion": f"{_KINDS}.classifiers:Confusion",
         "roc": f"{_KINDS}.classifiers:Roc",
         "pr": f"{_KINDS}.classifiers:Pr",

@@ -1,7 +1,8 @@
-"""The reader of GraphML: `rows` is `nodes` or `edges`, and each of them becomes a row.
+"""The reader of GraphML: `rows` is `nodes`, `edges` or `graph`, and each node, each edge, or each of both becomes a row.
 
-The columns are the attributes of the element (`id`, `source`, `target`, …) and its values. The `key` elements of the file
-declare the names, types and defaults of values.
+The columns are the attributes of the element (`id`, `source`, `target`, …) and its values. In a `graph`, a node is a row whose
+`source` is its id and that has no `target`, as figures of kind `network` read it. The `key` elements of the file declare the
+names, types and defaults of values.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from sierra.ingest.xml_rows import count_tags, parse, pattern
 if TYPE_CHECKING:
     import pyarrow as pa
 
-ELEMENT = {"nodes": "node", "edges": "edge"}
+ELEMENTS = {"nodes": ("node",), "edges": ("edge",), "graph": ("node", "edge")}
 
 
 class GraphMl(Columnar):
@@ -27,14 +28,17 @@ class GraphMl(Columnar):
     def table(self, source: Source) -> pa.Table:
         import pyarrow as pa
 
-        graph = _Graph(ELEMENT[self.shape.form.rows])
+        graph = _Graph(ELEMENTS[self.shape.form.rows])
         for _ in parse(source, graph):
             pass
+        if len(graph.elements) > 1:
+            graph.rows = [row if "source" in row else {"source": row.pop("id", None), **row} for row in graph.rows]
         names = dict.fromkeys(name for row in graph.rows for name in row)
         return pa.table({name: column_of(name, [row.get(name) for row in graph.rows]) for name in names})
 
     def count(self, source: Source, written: int) -> int:
-        return count_tags(source.content(), pattern(f"//{ELEMENT[self.shape.form.rows]}"))
+        content = source.content()
+        return sum(count_tags(content, pattern(f"//{element}")) for element in ELEMENTS[self.shape.form.rows])
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,7 @@ class _Key:
 class _Graph:
     """The rows of a file, filled by a parser's events."""
 
-    element: str
+    elements: tuple[str, ...]
     rows: list[dict[str, object]] = field(default_factory=list)
     _open: list[dict[str, object]] = field(default_factory=list)
     """The nodes or edges that have begun; a node may contain a graph."""
@@ -79,7 +83,7 @@ class _Graph:
             case "node" | "edge":
                 row: dict[str, object] = {**attributes, **self._default_values(name)}
                 self._open.append(row)
-                if name == self.element:
+                if name in self.elements:
                     self.rows.append(row)
             case "data" if self._open:
                 self._key = self._known(attributes.get("key", ""), line)

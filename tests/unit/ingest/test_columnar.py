@@ -185,6 +185,13 @@ def test_nodes_and_edges_of_graphs_become_rows(tmp_path: Path) -> None:
         {"source": "n0", "target": "n0::1", "weight": 1.0},
         {"source": "n0::1", "target": "n0", "weight": None},
     ]
+    nothing = {"target": None, "weight": None, "on": None, "color": None}
+    assert rows_of(tmp_path, GRAPH, "graphml", rows="graph") == [
+        {**nothing, "source": "n0", "color": "red"},
+        {**nothing, "source": "n0::1", "color": "007", "on": True},
+        {**nothing, "source": "n0", "target": "n0::1", "weight": 1.0},
+        {**nothing, "source": "n0::1", "target": "n0"},
+    ]
 
 
 @pytest.mark.parametrize(

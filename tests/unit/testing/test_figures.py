@@ -58,6 +58,7 @@ KINDS: dict[str, tuple[RawTable, conformance.Values, tuple[Axis, ...]]] = {
     "risk_coverage": ({"column": ("loss", "score")}, guesses, TWO),
     "survival": ({"measure": "time_to", "threshold": 2.5}, growth, TWO),
     "critical_difference": ({"better": "low"}, growth, ONE),
+    "network": ({"column": ("source", "target", "weight"), "at": "last"}, links, ONE),
     "pareto": ({"column": ("energy", "distance"), "better": ("high", "low")}, conformance.numbers, TWO),
 }
 
