@@ -228,6 +228,7 @@ FIGURES = Kind(
         "ridge": f"{_KINDS}.distributions:Ridge",
         "scatter": f"{_KINDS}.pairs:Scatter",
         "pareto": f"{_KINDS}.pairs:Pareto",
+        "embedding": f"{_KINDS}.embedding:Embedding",
         "survival": f"{_KINDS}.survival:Survival",
         "critical_difference": f"{_KINDS}.ranks:CriticalDifference",
         "trajectories": f"{_KINDS}.arena:Trajectories",

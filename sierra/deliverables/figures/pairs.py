@@ -131,9 +131,17 @@ def _left_out(drawing: Drawing, fit: str) -> list[str]:
         raise TypeError("a scatter figure needs the values of its runs")
     x, y = style.column(drawing.runs, "value"), style.column(drawing.runs, "value_2")
     bad = int((~_usable(drawing, x, y, fit)).sum())
+    return [*lacking(drawing), *([f"log scale: {bad} of {len(x)} runs not above 0 left out"] if bad else [])]
+
+
+def lacking(drawing: Drawing) -> list[str]:
+    """Return a note on runs that have a value in some of the columns only."""
+    if drawing.runs is None:
+        raise TypeError(f"a {drawing.figure.kind} figure needs the values of its runs")
     most = max(int(numpy_of(table.column("n")).sum()) for table in drawing.tables.values())
-    single = [f"{most - len(x)} runs without both values left out"] if most > len(x) else []
-    return [*single, *([f"log scale: {bad} of {len(x)} runs not above 0 left out"] if bad else [])]
+    what = "both values" if len(drawing.tables) == 2 else "a value in each column"
+    lost = most - drawing.runs.num_rows
+    return [f"{lost} runs without {what} left out"] if lost > 0 else []
 
 
 def _without(drawing: Drawing, fit: str) -> int:

@@ -59,6 +59,7 @@ KINDS: dict[str, tuple[RawTable, conformance.Values, tuple[Axis, ...]]] = {
     "survival": ({"measure": "time_to", "threshold": 2.5}, growth, TWO),
     "critical_difference": ({"better": "low"}, growth, ONE),
     "network": ({"column": ("source", "target", "weight"), "at": "last"}, links, ONE),
+    "embedding": ({"column": ("energy", "distance")}, conformance.numbers, TWO),
     "pareto": ({"column": ("energy", "distance"), "better": ("high", "low")}, conformance.numbers, TWO),
 }
 

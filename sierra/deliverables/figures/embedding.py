@@ -1,0 +1,89 @@
+"""Figures of runs with many columns: points of a plane, by principal components or t-SNE."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from sierra.deliverables.figures import facets, style
+from sierra.deliverables.figures.pairs import lacking
+from sierra.deliverables.figures.style import Floats, Look
+from sierra.errors import SierraError, UsageError
+from sierra.stats import embedding as stats
+from sierra.util.text import few
+
+if TYPE_CHECKING:
+    from sierra.deliverables.figures.drawing import Drawing
+
+FEWEST = 3
+"""The smallest number of runs; fewer always lie on a line."""
+MOST = 5000
+"""The largest number of runs for t-SNE, which takes about a minute for them."""
+EXTRA = "pip install 'sierra-experiments[embedding]'"
+
+
+def notes(drawing: Drawing, perplexity: float | None) -> list[str]:
+    """Return notes on the method, and on the columns and runs that are not in the figure."""
+    columns = list(drawing.tables)
+    used = stats.varying(_values(drawing))
+    constant = [name for place, name in enumerate(columns) if place not in used]
+    components = f"principal components of {len(used)} columns, with their % of the variance"
+    return [
+        components if perplexity is None else f"t-SNE, perplexity {perplexity:.3g}; axes have no unit",
+        *lacking(drawing),
+        *([f"the same in all runs and left out: {few(constant, 3)}"] if constant else []),
+    ]
+
+
+def embedding(drawing: Drawing, perplexity: float | None) -> Figure:
+    """Draw each run as a mark. All panels share one plane."""
+    values = _values(drawing)
+    table = stats.standardised(values[:, stats.varying(values)])
+    if perplexity is None:
+        found = stats.principal_components(table)
+        points = found.points
+        names = [f"PC {k} ({style.number(100 * part, 3)} %)" for k, part in enumerate(found.explained, 1)]
+    else:
+        points, names = _tsne(table, perplexity), ["t-SNE 1", "t-SNE 2"]
+    within = facets.panels(drawing, over_first=False)
+    looks: list[Look] = [Look(marker="o") | look | Look(linestyle="none") for look in style.looks(within.groups)]
+    ordinals = _ordinals(drawing)
+    size = 3.5 if len(points) <= 200 else 1.5
+    for panel in within.panels:
+        for ordinal in panel.drawing.cells:
+            look, mine = looks[within.group(panel.drawing, ordinal)], points[ordinals == ordinal]
+            panel.plot.plot(mine[:, 0], mine[:, 1], **look, alpha=0.8, markeredgewidth=0, markersize=size)
+    style.outer_labels(within.plots, drawing.figure.xlabel or names[0], drawing.figure.ylabel or names[1])
+    entries = [style.named(value) for value in within.groups.values]
+    style.legend(within.figure, within.plots, within.groups, entries, looks)
+    return within.figure
+
+
+def _values(drawing: Drawing) -> Floats:
+    """Return the columns of the runs that have a value in all of them. Raises UsageError if there are too few for a plane."""
+    if drawing.runs is None:
+        raise TypeError("an embedding needs the values of its runs")
+    names = ["value", *(f"value_{place}" for place in range(2, len(drawing.tables) + 1))]
+    found = np.column_stack([style.column(drawing.runs, name) for name in names])
+    if len(found) < FEWEST:
+        raise UsageError(f"an embedding needs {FEWEST} runs with values in all columns, but there are {len(found)}")
+    if len(stats.varying(found)) < 2:
+        raise UsageError("an embedding needs two columns in which runs differ, but there are fewer")
+    return found
+
+
+def _ordinals(drawing: Drawing) -> Floats:
+    if drawing.runs is None:
+        raise TypeError("an embedding needs the values of its runs")
+    return style.column(drawing.runs, "experiment")
+
+
+def _tsne(table: Floats, perplexity: float) -> Floats:
+    if len(table) > MOST:
+        raise UsageError(f"t-SNE of {len(table)} runs takes too long; at most {MOST} are possible; use pca, or where")
+    try:
+        return stats.tsne(table, perplexity)
+    except ImportError as error:
+        raise SierraError(f"scikit-learn is not installed; {EXTRA}") from error
