@@ -22,7 +22,7 @@ LOCKED = --no-compile --only-binary :all: --require-hashes --requirement require
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install demo test integration nightly soak check format bench schemas docs lock system dist clean
+.PHONY: help install demo test integration nightly soak check format bench schemas pictures docs lock system dist clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1	/p' Makefile | expand -t 14
@@ -75,6 +75,9 @@ bench: install ## measure what SIERRA itself costs
 schemas: install ## write schemas/ and docs/reference/ from the code
 	$(BIN)/sierra schema --write schemas
 	$(BIN)/python docs/generate.py
+
+pictures: install ## draw the pictures of all kinds of figures in the documentation
+	$(BIN)/python -m tests.pictures
 
 docs: install ## build the documentation as a site, in build/site
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs build/site

@@ -27,6 +27,7 @@ CONTENTS = {
         "how-to/sql",
         "how-to/derived-tables",
         "how-to/figures",
+        "how-to/figure-kinds",
         "how-to/compare",
         "how-to/replay",
         "how-to/containers",

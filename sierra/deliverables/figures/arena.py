@@ -31,8 +31,8 @@ def trajectories(drawing: Drawing) -> Figure:
     table = drawing.rows["paths"]
     names = list(dict.fromkeys(table.column("robot").to_pylist()))
     known = style.named_colours()
-    figure, plots = panels(drawing, table)
-    for plot, rows in zip(plots, by_experiment(table).values(), strict=True):
+    figure, plots = _panels(drawing, table)
+    for plot, rows in zip(plots, _by_experiment(table).values(), strict=True):
         robots = np.array(rows.column("robot").to_pylist())
         x, y = style.column(rows, "x"), style.column(rows, "y")
         for robot in dict.fromkeys(robots.tolist()):
@@ -58,7 +58,7 @@ def density(drawing: Drawing) -> Figure:
     cell = first["cell"]
     wide, high = (max(1, int(np.ceil((first[f"{k}1"] - first[f"{k}0"]) / cell))) for k in "xy")
     maps = {}
-    for ordinal, rows in by_experiment(table).items():
+    for ordinal, rows in _by_experiment(table).items():
         counts = np.zeros((high, wide))
         counts[numpy_of(rows.column("j")), numpy_of(rows.column("i"))] = numpy_of(rows.column("count"))
         maps[ordinal] = np.where(counts > 0, counts / counts.sum() * 100, np.nan)
@@ -71,7 +71,7 @@ def matrix(drawing: Drawing, aspect: float) -> Figure:
     table = drawing.rows["cells"]
     rows, places = (np.unique(style.column(table, name)) for name in ("i", "j"))
     maps = {}
-    for ordinal, part in by_experiment(table).items():
+    for ordinal, part in _by_experiment(table).items():
         values = np.full((len(rows), len(places)), np.nan)
         at = np.searchsorted(rows, style.column(part, "i")), np.searchsorted(places, style.column(part, "j"))
         values[at] = style.drawable(style.column(part, "value"), drawing)
@@ -134,7 +134,7 @@ def _maps(
     label: str,
     aspect: float,
 ) -> Figure:
-    figure, plots = panels(drawing, table)
+    figure, plots = _panels(drawing, table)
     every = np.concatenate([one.ravel() for one in maps.values()])
     every = every[np.isfinite(every)]
     if not len(every):
@@ -164,9 +164,9 @@ def _ticks(plot: Axes, places: style.Floats, rows: style.Floats) -> None:
         set_ticks(shown, [style.number(float(values[k])) for k in shown])
 
 
-def panels(drawing: Drawing, table: pa.Table) -> tuple[Figure, list[Axes]]:
+def _panels(drawing: Drawing, table: pa.Table) -> tuple[Figure, list[Axes]]:
     """Return a panel for each experiment that has rows, with its values as title."""
-    ordinals = list(by_experiment(table))
+    ordinals = list(_by_experiment(table))
     if len(ordinals) > PANELS:
         raise UsageError(f"the figure needs {len(ordinals)} panels, but at most {PANELS} are possible; use where")
     figure, plots = style.panels(len(ordinals))
@@ -184,6 +184,6 @@ def _label(drawing: Drawing, plots: list[Axes]) -> None:
     style.outer_labels(plots, drawing.figure.xlabel or names[0], drawing.figure.ylabel or names[1])
 
 
-def by_experiment(table: pa.Table) -> dict[int, pa.Table]:
+def _by_experiment(table: pa.Table) -> dict[int, pa.Table]:
     ordinals = numpy_of(table.column("experiment"))
     return {int(ordinal): table.filter(ordinals == ordinal) for ordinal in np.unique(ordinals)}

@@ -13,8 +13,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from sierra.deliverables.figures import style
-from sierra.deliverables.figures.arena import by_experiment, panels
+from sierra.deliverables.figures.facets import MOST
 from sierra.errors import SierraError, UsageError
+from sierra.util.arrow_columns import numpy_of
 from sierra.util.text import counted, few, natural
 
 if TYPE_CHECKING:
@@ -59,8 +60,8 @@ def network(drawing: Drawing, options: NetworkOptions) -> Figure:
     """Draw a network for each experiment."""
     edges, nodes = drawing.rows["edges"], drawing.rows["nodes"]
     _check_size(edges, nodes, ARROWS if options.directed else EDGES)
-    figure, plots = panels(drawing, nodes)
-    links, known = by_experiment(edges), by_experiment(nodes)
+    links, known = _by_experiment(edges), _by_experiment(nodes)
+    figure, plots = _panels(drawing, list(known))
     layout = {} if options.place else _layout(edges, nodes, options.layout)
     most = float(np.abs(style.column(edges, "weight")).max(initial=0.0)) or 1.0
     for plot, (ordinal, mine) in zip(plots, known.items(), strict=True):
@@ -88,8 +89,23 @@ def _times(drawing: Drawing, options: NetworkOptions) -> list[str]:
             return [f"at {drawing.time} {time:g}"]
 
 
+def _panels(drawing: Drawing, ordinals: list[int]) -> tuple[Figure, list[Axes]]:
+    """Return a panel for each of these experiments, with its values as title."""
+    if len(ordinals) > MOST:
+        raise UsageError(f"the figure needs {len(ordinals)} panels, but at most {MOST} are possible; use where")
+    figure, plots = style.panels(len(ordinals))
+    for plot, ordinal in zip(plots, ordinals, strict=True):
+        style.title(plot, style.point(drawing, drawing.axes, ordinal))
+    return figure, plots
+
+
+def _by_experiment(table: pa.Table) -> dict[int, pa.Table]:
+    ordinals = numpy_of(table.column("experiment"))
+    return {int(ordinal): table.filter(ordinals == ordinal) for ordinal in np.unique(ordinals)}
+
+
 def _check_size(edges: pa.Table, nodes: pa.Table, most: int) -> None:
-    count = max(table.num_rows for table in by_experiment(nodes).values())
+    count = max(table.num_rows for table in _by_experiment(nodes).values())
     if count > NODES:
         raise UsageError(f"a network of {count} nodes cannot be read; at most {NODES} are possible; use where")
     if edges.num_rows > most:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar, Literal
 
-from pydantic import Field, NonNegativeInt
+from pydantic import Field, NonNegativeInt, model_validator
 
 from sierra.config.field_types import Finite, Table
 from sierra.deliverables.figures.base import Request
@@ -29,12 +29,18 @@ class NetworkOptions(Table):
         None, description="number of the run that is shown; default: the mean of all runs, in which a missing edge counts as 0"
     )
     directed: bool = Field(False, description="draw arrows, and do not merge the two directions of an edge")
-    place: tuple[str, str] | None = Field(
-        None, description="columns of the x and y position of the source of a row; default: a computed layout"
+    place: tuple[str, ...] = Field(
+        (), description="columns of the x and y position of the source of a row; default: a computed layout"
     )
     layout: Literal["spring", "kamada_kawai", "circular"] = Field(
         "spring", description="layout if `place` is not given: the same places in all panels, and each time"
     )
+
+    @model_validator(mode="after")
+    def _fitting(self) -> NetworkOptions:
+        if len(self.place) not in (0, 2):
+            raise ValueError('"place" should name the two columns of x and y')
+        return self
 
 
 class Network:
@@ -61,7 +67,7 @@ WITH rows AS (
         return Needs(
             rows={"edges": rows + self._edges(), "nodes": rows + NODES, "counts": rows + COUNTS},
             columns=None,
-            others=self._options.place or (),
+            others=self._options.place,
             numeric=False,
             shows=self._shows(weighted=len(request.columns) == 3),
         )

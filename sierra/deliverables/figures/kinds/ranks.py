@@ -26,10 +26,10 @@ class CriticalDifferenceOptions(Table):
     """Figures of kind `critical_difference`."""
 
     better: Literal["high", "low"] = Field("high", description="whether `high` or `low` values are better; the best has rank 1")
-    blocks: Literal["experiments", "seeds"] | None = Field(
-        None,
+    blocks: Literal["auto", "experiments", "seeds"] = Field(
+        "auto",
         description="what groups are ranked within: `experiments`: each combination of the other variables, by the centers of "
-        "its runs; `seeds`: each seed in each of these combinations; default: `experiments` if there are other variables",
+        "its runs; `seeds`: each seed in each of these combinations; `auto`: `experiments` if there are other variables",
     )
     test: Literal["nemenyi", "wilcoxon"] = Field(
         "nemenyi",
@@ -60,7 +60,9 @@ class CriticalDifference:
 
     def within(self, axes: Sequence[Axis]) -> Literal["experiments", "seeds"]:
         """Return what groups are ranked within."""
-        return self._options.blocks or ("experiments" if len(axes) > 1 else "seeds")
+        if self._options.blocks != "auto":
+            return self._options.blocks
+        return "experiments" if len(axes) > 1 else "seeds"
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
         from sierra.deliverables.figures import ranks
