@@ -1,8 +1,8 @@
 """The reader of GraphML: `rows` is `nodes`, `edges` or `graph`, and each node, each edge, or each of both becomes a row.
 
 The columns are the attributes of the element (`id`, `source`, `target`, …) and its values. In a `graph`, a node is a row whose
-`source` is its id and that has no `target`, as figures of kind `network` read it. The `key` elements of the file declare the
-names, types and defaults of values.
+`source` is its id and that has no `target`, as figures of kind `network` read it; ids of edges are left out. The `key` elements
+of the file declare the names, types and defaults of values.
 """
 
 from __future__ import annotations
@@ -31,9 +31,13 @@ class GraphMl(Columnar):
         graph = _Graph(ELEMENTS[self.shape.form.rows])
         for _ in parse(source, graph):
             pass
-        if len(graph.elements) > 1:
-            graph.rows = [row if "source" in row else {"source": row.pop("id", None), **row} for row in graph.rows]
         names = dict.fromkeys(name for row in graph.rows for name in row)
+        if len(graph.elements) > 1:
+            for row in graph.rows:
+                row.setdefault("source", row.pop("id", None))
+            # a graph without edges has the same columns as others
+            names = dict.fromkeys(["source", "target", *graph.declared(), *names])
+            del names["id"]
         return pa.table({name: column_of(name, [row.get(name) for row in graph.rows]) for name in names})
 
     def count(self, source: Source, written: int) -> int:
@@ -71,6 +75,10 @@ class _Graph:
     """The key of the value or default that is being read."""
     _line: int = 0
     _text: list[str] = field(default_factory=list)
+
+    def declared(self) -> list[str]:
+        """Return the names of the values of nodes and edges that the file declares."""
+        return [key.name for key in self._keys.values() if key.whose in (*self.elements, "all")]
 
     def start(self, name: str, attributes: Mapping[str, str], line: int) -> None:
         self._text.clear()

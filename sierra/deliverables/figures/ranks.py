@@ -53,9 +53,7 @@ def blocks(drawing: Drawing, within: Literal["experiments", "seeds"]) -> Blocks:
 def ranked(drawing: Drawing, found: Blocks, test: Test, alpha: float, *, best_is_high: bool) -> Ranking:
     """Return the ranking over the blocks in which all groups have a value. Raises UsageError for fewer than two of them."""
     axis = drawing.axes[0]
-    names = {value: style.named(value, 16) for value in axis.values}
-    if axis.numeric:
-        names = {value: f"{style.shortened(axis.label or axis.name, 14)} = {name}" for value, name in names.items()}
+    names = dict(zip(axis.values, style.names(axis.values, 20), strict=True))
     if len(names) > MOST:
         raise UsageError(f"ranks of {len(names)} groups cannot be read; at most {MOST} are possible; use where")
     if empty := [name for value, name in names.items() if not any(value in block for block in found.values())]:

@@ -91,7 +91,7 @@ def _frame(drawing: Drawing, within: Panels, looks: list[Look], known: Mapping[i
     for ordinal, steps in known.items():
         place = within.group(drawing, ordinal)
         counts[place] = max(counts[place], steps[0].at_risk)
-    names = [style.named(value) for value in within.groups.values]
+    names = style.names(within.groups.values)
     style.legend(within.figure, within.plots, within.groups, with_n(names, counts), looks)
     if len(within.panels) == 1 and len(names) <= ROWS and (style.chosen().height or LOW) >= LOW:
         _at_risk(drawing, within, looks, known)
@@ -103,11 +103,12 @@ def _at_risk(drawing: Drawing, within: Panels, looks: list[Look], known: Mapping
     low, high = drawing.figure.xlim or plot.get_xlim()
     ticks = [tick for tick in MaxNLocator(6).tick_values(low, high) if low <= tick <= high]
     plot.xaxis.set_major_locator(FixedLocator(ticks))
+    names = style.names(within.groups.values, 16)
     rows = sorted((within.group(drawing, ordinal), ordinal) for ordinal in known)
     _below(plot, "runs at risk", (0, "axes fraction"), 0, "left")
     for line, (place, ordinal) in enumerate(rows, 1):
         if len(rows) > 1:
-            _below(plot, style.named(within.groups.values[place], 16), (0, "axes fraction"), line, "right")
+            _below(plot, names[place], (0, "axes fraction"), line, "right")
         for tick in ticks:
             count = next((step.at_risk for step in known[ordinal] if step.time >= tick), 0)
             _below(plot, str(count), (tick, "data"), line, "center")

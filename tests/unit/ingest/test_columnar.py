@@ -192,6 +192,8 @@ def test_nodes_and_edges_of_graphs_become_rows(tmp_path: Path) -> None:
         {**nothing, "source": "n0", "target": "n0::1", "weight": 1.0},
         {**nothing, "source": "n0::1", "target": "n0"},
     ]
+    edgeless = GRAPH[: GRAPH.index(b"<edge")] + GRAPH[GRAPH.index(b"</graph>", GRAPH.index(b"<edge")) :]
+    assert all(row.keys() == {"source", *nothing} for row in rows_of(tmp_path, edgeless, "graphml", rows="graph"))
 
 
 @pytest.mark.parametrize(
