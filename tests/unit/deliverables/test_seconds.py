@@ -44,6 +44,15 @@ def test_each_experiment_has_its_own_ticks_per_second(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
+def test_times_until_a_threshold_stay_ticks_and_nothing_else_is_said(tmp_path: Path) -> None:
+    keys = 'kind = "survival"\ncolumn = "coverage"\nmeasure = "time_to"\nthreshold = 3\n'
+    config = f"{CONFIG}ticks_per_second = 10\n[figures.swarm_coverage_timeseries]\n{keys}"
+    shown = texts(tmp_path / "p", config, "population_size=1,2")
+    assert "tick until coverage ≥ 3" in shown
+    assert not any("second" in text for text in shown)
+
+
+@pytest.mark.integration
 def test_without_the_key_ticks_stay_ticks(tmp_path: Path) -> None:
     shown = texts(tmp_path / "p", CONFIG, "population_size=1,2")
     assert "tick" in shown
