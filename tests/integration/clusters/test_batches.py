@@ -45,6 +45,20 @@ def test_a_batch_on_slurm_has_the_same_results_as_a_local_one(tmp_path: Path, sl
     assert session == {"runner": "slurm", "executed": 8, "failed": 0, "missing": 0}
 
 
+def test_a_study_waits_for_the_batch_of_each_look(tmp_path: Path, slurm: Slurm) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG + CLUSTER)
+    rule = ("--until", "ci(coverage) < 3", "--runs", "3", "--max-runs", "8")
+    words = ("run", "population_size=1", *rule, "--on", "slurm", "--json")
+    done = projects.sierra(root, *words, "--no-figures")
+    assert done.returncode == 0, done.stderr
+    study = json.loads(done.stdout)["study"]
+    sizes = rows(sierra.open(root), "SELECT runner, executed FROM sessions ORDER BY lamport")
+    assert [row["runner"] for row in sizes] == ["slurm"] * len(study["looks"])
+    assert sum(row["executed"] for row in sizes) == study["looks"][-1]["runs"]
+    assert (study["decision"], len(study["looks"]) > 1) == ("reached", True)
+    at_rest(slurm, sierra.open(root))
+
+
 def completed(slurm: Slurm, project: Project) -> None:
     """Check that SLURM and the recorded attempts report success for every task of a project."""
     attempts = rows(project, "SELECT job, state, error FROM attempts")
