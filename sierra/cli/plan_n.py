@@ -58,7 +58,7 @@ def plan_n(
     format: Annotated[Format, typer.Option("--format", "-f", help="Output format.")] = Format.table,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")] = False,
 ) -> None:
-    """Compute how many runs an interval of a certain width needs, or a comparison that finds a difference.
+    """Compute how many runs an interval or a comparison needs.
 
     The recorded runs of a batch are the pilot.
 

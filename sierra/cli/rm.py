@@ -29,7 +29,7 @@ def rm(
     dry_run: Annotated[bool, typer.Option("--dry-run", "-n", help="Only show what would be deleted.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Delete recorded batches, studies, experiments, runs or executions.
+    """Delete recorded batches, studies, runs or executions.
 
     First shows what will be deleted, and what stays because other batches contain it.
 

@@ -97,8 +97,8 @@ def run(
       sierra run query.json
       sierra run population_size.Log8 --on slurm --detach
       sierra run population_size.Log8 --on slurm --dry-run --explain
-      sierra run population_size.Log8 --until "ci(coverage) < 0.02" --max-runs 200
-      sierra run population_size.Log8 --until "ci(median(swarm.coverage)) < 5%" --max-runs 100 --runs 20
+      sierra run scalability --until "ci(coverage) < 0.02" --max-runs 200
+      sierra run scalability --until "ci(median(coverage)) < 5%" --max-runs 99
     """
     from sierra.cli import open_project, render_summary
     from sierra.cli.progress import Planning

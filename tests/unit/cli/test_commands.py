@@ -269,7 +269,7 @@ def test_ls_shows_how_batches_of_the_same_query_differ(tmp_path: Path) -> None:
         ("xyzw", "'xyzw' is not an id"),
         ("a'; b", "is not an id"),
         ("", "'' is not an id"),
-        ("00000000000", "no batch, experiment, run or execution begins with '00000000000'"),
+        ("00000000000", "no batch, experiment, run, execution or study begins with '00000000000'"),
     ],
 )
 def test_invalid_or_unknown_ids_are_refused_in_one_line(answered: Path, prefix: str, said: str) -> None:

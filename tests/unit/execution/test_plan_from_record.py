@@ -79,7 +79,7 @@ def test_runs_unknown_ids_and_changed_options_are_refused_for_a_recorded_batch(h
     for words, said in (
         ((row["run"],), f"is a run; missing runs can only be executed for a whole batch: sierra run {batch[:10]}"),
         ((batch, "--runs", "3"), "is executed as it was recorded"),
-        (("0123456789",), "no batch, experiment, run or execution begins with"),
+        (("0123456789",), "no batch, experiment, run, execution or study begins with"),
     ):
         ended = projects.quick(root, "run", *words)
         assert (ended.returncode, said in ended.stderr, ended.stderr.count("\n")) == (2, True, 1)
