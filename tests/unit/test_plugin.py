@@ -23,7 +23,7 @@ from sierra.runners import schedulers
 from sierra.templates.xml import XmlTemplate
 from sierra.testing import engines as engine_conformance
 from sierra.testing import platforms, readers, runners, statistics, templates
-from tests import images, plugins, projects
+from tests import images, plugins, projects, stores
 
 SHIPPED = ", ".join(READERS.shipped)
 PLATFORM = """
@@ -95,7 +95,7 @@ def project(installed: Path, tmp_path: Path) -> Path:
 def plain(tmp_path: Path) -> Path:
     """A project that uses shipped plug-ins only, with a batch."""
     folder = projects.make(tmp_path / "plain")
-    succeed(folder, "run", "population_size=1", "--runs", "1", "--no-figures")
+    stores.ask(folder, "population_size=1", runs=1)
     return folder
 
 
@@ -407,7 +407,7 @@ def test_a_statistic_with_a_wrong_interval_is_a_fault_of_its_package(
     code = BROKEN.replace("ESTIMATE", estimate)
     monkeypatch.syspath_prepend(plugins.write(tmp_path / "lib", "broken", {"sierra.statistics wrong": "Made"}, code))
     project = projects.make(tmp_path / "project")
-    assert projects.quick(project, "run", "noise=1", "--no-figures").returncode == 0
+    stores.ask(project, "noise=1")
     asked = projects.quick(project, "stats", "swarm", "coverage", "-s", "wrong")
     assert (asked.returncode == 0, asked.stdout, asked.stderr.count("\n")) == (False, "", 1)
     assert "wrong" in asked.stderr
