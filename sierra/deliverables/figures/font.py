@@ -43,8 +43,8 @@ def made() -> bytes:
     """Return the content of the file, from the complete font; with its notices of copyright."""
     from fontTools import subset
 
-    options = subset.Options(glyph_names=True, layout_features=["*"], name_IDs=["*"], notdef_outline=True)
-    options.drop_tables += ["FFTM"]
+    options = subset.Options(glyph_names=True, name_IDs=["*"], notdef_outline=True)
+    options.drop_tables += ["FFTM", "MATH"]  # when it was made; the layout of formulas
     with subset.load_font(str(Path(get_data_path(), WHOLE)), options) as font:
         subsetter = subset.Subsetter(options)
         subsetter.populate(unicodes=[code for codes in LETTERS for code in codes])
