@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sierra.config.deliverable_tables import Format
 from sierra.errors import UsageError
@@ -31,9 +31,14 @@ Writer: TypeAlias = "Callable[[matplotlib.figure.Figure, Drawing, str], bytes]"
 """A function of the figure, the drawing, and the line of `sierra.deliverables.record.origin_of`."""
 
 
+PNG_LEVEL = 3
+"""The level of compression: level 6 takes twice the time, and files are 8 % smaller."""
+
+
 def png(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
     texts = {"Title": title(drawing), "Description": plain(drawing.note)}
-    return _saved(figure, "png", texts | {"sierra": origin, "sierra:sql": plain(drawing.sql)})
+    texts |= {"sierra": origin, "sierra:sql": plain(drawing.sql)}
+    return _saved(figure, "png", texts, pil_kwargs={"compress_level": PNG_LEVEL})
 
 
 def pdf(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
@@ -84,7 +89,7 @@ def plain(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else " " for c in text)
 
 
-def _saved(figure: matplotlib.figure.Figure, ending: str, metadata: Mapping[str, str | None]) -> bytes:
+def _saved(figure: matplotlib.figure.Figure, ending: str, metadata: Mapping[str, str | None], **more: Any) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=ending, metadata=dict(metadata))
+    figure.savefig(buffer, format=ending, metadata=dict(metadata), **more)
     return buffer.getvalue()
