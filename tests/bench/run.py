@@ -569,6 +569,12 @@ def figures(folder: Path) -> None:
     subprocess.run([sys.executable, str(HERE / "bench_figures.py")], check=True)
 
 
+def drawing(folder: Path) -> None:
+    """Measure the default figures of 1,000 runs, and a statistic beside the bare aggregate."""
+    del folder
+    subprocess.run([sys.executable, str(HERE / "bench_drawing.py")], check=True)
+
+
 def containers(folder: Path) -> None:
     """Compare runs in containers with the bare engine, and shared containers with none, in a separate process."""
     subprocess.run([sys.executable, str(HERE / "bench_containers.py")], check=True)
@@ -608,6 +614,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "snapshot": snapshot,
     "fsck": fsck,
     "figures": figures,
+    "drawing": drawing,
     "containers": containers,
     "clusters": clusters,
     "many": many,

@@ -1,0 +1,80 @@
+"""Figures of many runs: computing time and memory of `sierra figures`, and of a statistic beside DuckDB's bare aggregate.
+
+    python tests/bench/bench_drawing.py [experiments] [runs] [rows] [columns]
+
+The runs are written by awk. The targets are those of 10 experiments, 100 runs, 1,000 rows and 9 columns: 6 CPU seconds and
+300 MB for all default figures, and a statement that takes at most twice as long as the bare aggregate of the same column.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from idle import project
+
+import sierra
+from sierra.stats import aggregate
+from sierra.store.samples import Column, Frame
+from sierra.store.store import Store
+
+REPEATS = 3
+SIERRA = str(Path(sys.executable).with_name("sierra"))
+BARE = "SELECT experiment, t, avg(value), stddev(value), count(value) FROM samples GROUP BY experiment, t ORDER BY ALL"
+SIMULATOR = """
+awk -v rows={rows} -v columns={columns} -v seed="$(sed 's/.*experiment seed="\\([0-9]*\\)".*/\\1/' "$1")" 'BEGIN {{
+  srand(seed); printf "tick"; for (c = 0; c < columns; c++) printf ",c%d", c; print ""
+  for (t = 0; t < rows; t++) {{ printf "%d", t; for (c = 0; c < columns; c++) printf ",%.6f", t * c + rand(); print "" }}
+}}' > out.csv
+"""
+
+
+def main(experiments: int = 10, runs: int = 100, rows: int = 1000, columns: int = 9) -> None:
+    with tempfile.TemporaryDirectory(prefix="sierra-bench-") as folder:
+        here = project(Path(folder), command="sh sim.sh {input}")
+        (here / "sim.sh").write_text(SIMULATOR.format(rows=rows, columns=columns))
+        query = (f"population_size=1:{experiments}:{experiments}", "--runs", str(runs), "--no-figures", "--yes")
+        subprocess.run([SIERRA, "run", *query], cwd=here, check=True, stdout=subprocess.DEVNULL)
+        measured = [figures(here) for _ in range(REPEATS)]
+        seconds, memory = (min(values) for values in zip(*measured, strict=True))
+        print(f"{'default figures':40} {seconds:6.2f} s CPU  {memory / 1e6:6.0f} MB  (at most 6 s, 300 MB)")
+        ours, bare = statements(here)
+        ratio = ours / bare
+        print(f"{'mean and interval over time / bare':40} {ours:6.2f} s CPU  {bare:6.2f} s  ratio {ratio:5.2f}  (at most 2)")
+
+
+def figures(here: Path) -> tuple[float, int]:
+    """Draw the default figures; return the CPU seconds, and the largest memory in bytes."""
+    process = subprocess.Popen([SIERRA, "figures"], cwd=here, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0, "sierra figures fails"
+    return used.ru_utime + used.ru_stime, used.ru_maxrss * 1024
+
+
+def statements(here: Path) -> tuple[float, float]:
+    """Return the CPU seconds of the statistics of a line with its band, and of the bare aggregate, in one thread each."""
+    with Frame(Store(here / ".sierra"), str(sierra.open(here).batches[-1].batch)) as frame:
+        column = Column(frame, "out", "c0", "tick")
+        samples = aggregate.Samples(column, aggregate.coverage(column))
+        frame._snapshot.run("SET threads = 1")
+        times = [(cpu(lambda: samples.by_time(("mean", "interval"))), cpu(lambda: column.sql(BARE))) for _ in range(REPEATS)]
+    ours, bare = (min(values) for values in zip(*times, strict=True))
+    return ours, bare
+
+
+def cpu(call: Callable[[], Any]) -> float:
+    """Return the CPU seconds of a call."""
+    began = time.process_time()
+    call()
+    return time.process_time() - began
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:5]))
