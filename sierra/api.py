@@ -1166,6 +1166,11 @@ class Project:
         """Compare CITATION.cff, .zenodo.json and codemeta.json with `[package]`; with `write`, write those that are not there.
 
         Raises ConfigError if `[package]` has no title, authors or licence.
+
+        >>> project.metadata()
+        Traceback (most recent call last):
+            ...
+        sierra.errors.ConfigError: [package] in sierra.toml needs title, authors, license
         """
         from sierra.packages import metadata
 

@@ -300,8 +300,11 @@ class _Reference:
         if choices := schema.get("enum"):
             return _either([json.dumps(choice) for choice in choices])
         match schema.get("type"):
-            case "array" if "$ref" in schema.get("items", {}):
+            case "array" if (of := schema.get("items", {}).get("$ref", "")).endswith("/ChangeTable"):
                 return "list of changes, as in [[changes]]"
+            case "array" if of:
+                keys = self._schema["$defs"][of.rpartition("/")[2]]["properties"]
+                return f"list of tables with the keys {', '.join(keys)}"
             case "array":
                 return f"list: {self._type(schema.get('items', {}))}"
             case "integer" | "number" as kind:

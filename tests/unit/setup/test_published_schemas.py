@@ -72,8 +72,11 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "store": "StoreTable",
         "build": "BuildTable",
         "sql": "SqlLimits",
+        "package": "Package",
     }.items():
         found[model] = set(table[name])
+    for name, model in {"authors": "Author", "related": "Related", "data": "ExternalData"}.items():
+        found[model] = set().union(*table["package"][name])
     found["Source"] = set(table["source"])
     found["Determinism"] = set(table["determinism"])
     found["ChangeTable"] = set().union(*table["changes"])
