@@ -294,17 +294,20 @@ class _Reference:
                 return self._schema["$defs"][reference.rpartition("/")[2]]
         return schema
 
+    def _tables(self, model: str) -> str:
+        """Return the type of a list of tables."""
+        if model == "ChangeTable":
+            return "list of changes, as in [[changes]]"
+        return f"list of tables with the keys {', '.join(self._schema['$defs'][model]['properties'])}"
+
     def _type(self, schema: Schema) -> str:
         if options := schema.get("anyOf"):
             return _either(list(dict.fromkeys(self._type(o) for o in options if o.get("type") != "null")))
         if choices := schema.get("enum"):
             return _either([json.dumps(choice) for choice in choices])
         match schema.get("type"):
-            case "array" if (of := schema.get("items", {}).get("$ref", "")).endswith("/ChangeTable"):
-                return "list of changes, as in [[changes]]"
-            case "array" if of:
-                keys = self._schema["$defs"][of.rpartition("/")[2]]["properties"]
-                return f"list of tables with the keys {', '.join(keys)}"
+            case "array" if "$ref" in schema.get("items", {}):
+                return self._tables(schema["items"]["$ref"].rpartition("/")[2])
             case "array":
                 return f"list: {self._type(schema.get('items', {}))}"
             case "integer" | "number" as kind:
