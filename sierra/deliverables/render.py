@@ -14,6 +14,7 @@ from pathlib import Path
 
 from sierra.config.deliverable_tables import Figure, Format
 from sierra.config.project_file import LoadedProject
+from sierra.config.validate import options
 from sierra.deliverables import overlay
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
@@ -75,7 +76,7 @@ def content(project: LoadedProject, store: Store, row: DeliverableRow, shared: C
     `shared` returns the data of the batch if they serve several figures; by default, only those of this figure are read.
     """
     definition = json.loads(row.definition)
-    figure = Figure.model_validate(definition["figure"])
+    figure = options(Figure, definition["figure"], f"figure {row.name}, as it was recorded")
     if named := overlay.targets_of(definition):
         with ExitStack() as frames:
             batches = overlay.batches_of(named, row.batches)
