@@ -16,6 +16,7 @@ from sierra.config.group_names import resolve
 from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import seconds, suggest_tables
+from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.deliverables.figures.gather import Batch, gather
 from sierra.errors import NotFound, SierraError, UsageError
@@ -220,7 +221,8 @@ class Gallery:
     def drawing(self, name: str, figure: Figure) -> Drawing:
         """Return the computed content of a figure."""
         output = self.output(figure)
-        if "measure" not in figure.model_fields_set and figure.kind != "timeseries" and self.takes_mean(output):
+        reduces = "measure" in kind_of(figure).uses and "measure" not in figure.model_fields_set
+        if reduces and self.takes_mean(output):
             figure = figure.model_copy(update={"measure": "mean"})
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]

@@ -264,6 +264,14 @@ def test_paths_of_robots_are_drawn_although_times_have_several_rows(batch: Path)
     assert "has no column 'robots'; it has" in refusal(batch, *POSES, 'kind = "trajectories"', 'robot = "robots"')
 
 
+def test_rows_of_a_table_without_times_are_not_reduced_and_can_be_checked(batch: Path) -> None:
+    statement = 'sql = "SELECT run, truth, score FROM guesses"'
+    png = draw(batch, statement, 'column = ["truth", "score"]', 'kind = "roc"', 'positive = "b"')
+    done = projects.quick(batch, "show", str(png))
+    assert done.returncode == 0, done.stderr
+    assert "follow" in done.stdout, done.stdout
+
+
 def test_a_density_counts_the_rows_beyond_its_limits(batch: Path) -> None:
     png = draw(batch, *POSES, 'kind = "density"', "bins = 10", "xlim = [0, 3]", "ylim = [-2, 2]", 'where = "noise = 0.1"')
     assert "; 0.4 wide cells; " in said(png)
