@@ -41,16 +41,25 @@ END = """\
 def picture(figure: Figure, comments: Sequence[str]) -> bytes:
     """Return a figure as PGF. Raises UsageError for a figure that is too large for TeX, or has pixels."""
     width, height = figure.get_size_inches()
-    text = io.StringIO()
+    text = _Commands()
     text.write(HEADER)
     text.writelines(f"% {line}\n" for comment in comments for line in comment.splitlines())
     text.write(BEGIN.format(width=width, height=height))
     with mpl.rc_context({"pgf.rcfonts": False}):
         figure.draw(_Renderer(figure, text))
     text.write(END)
-    if text.tell() > MOST:
-        raise UsageError(f"this figure needs {text.tell() / 1e6:.0f} MB of drawing commands, too many for TeX; use pdf")
     return text.getvalue().encode()
+
+
+class _Commands(io.StringIO):
+    """Drawing commands, as many as TeX can hold."""
+
+    def write(self, text: str, /) -> int:
+        if self.tell() > MOST:
+            raise UsageError(
+                f"pgf: this figure needs more than {MOST / 1e6:g} MB of commands, too many for TeX; use pdf for it"
+            )
+        return super().write(text)
 
 
 class _Renderer(RendererPgf):

@@ -215,7 +215,7 @@ def test_pgf_needs_no_tex_and_escapes_text_for_latex() -> None:
 
 def test_a_figure_that_tex_cannot_hold_is_refused_as_pgf(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tex, "MOST", 1000)
-    with pytest.raises(UsageError, match=r"needs .* MB of drawing commands, too many for TeX; use pdf"):
+    with pytest.raises(UsageError, match=r"needs more than 0.001 MB of commands, too many for TeX; use pdf"):
         pgf(drawing("summary"))
 
 
