@@ -101,6 +101,7 @@ ASKING = (
     "scenario",
     "per_run",
     "queries",
+    "figure_formats",
     "figures",
     "equivalence",
     "determinism",
