@@ -12,6 +12,7 @@ command. It imports them in `draw`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 PLOT = frozenset({"log_x", "log_y", "xlim", "ylim", "palette", "labels"})
 """The keys of kinds that have an x axis, a y axis and categories."""
+STATISTICAL = ("seaborn", "pandas")
+"""The libraries that draw the kinds in `seaborn_plots`; they come with the extra `figures`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +53,7 @@ class FigureKind(Protocol):
 
     `draw` must give the same figure for the same data: no time, no unseeded random numbers, no order of a set. It works under
     SIERRA's settings of matplotlib (see `style`), and must not use `pyplot`. All that it leaves out must be in `notes`.
+    A kind may also have `libraries`: the names of the packages besides matplotlib that draw it. Their versions are recorded.
     """
 
     Options: ClassVar[type[Table]]
@@ -89,6 +93,17 @@ class PlainKind:
     def notes(self, drawing: Drawing) -> Sequence[str]:
         del drawing
         return ()
+
+
+def made_by(kind: str) -> tuple[str, ...]:
+    """Return the libraries that draw a kind of figure, as name==version; those that are not installed are not in it."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = []
+    for name in ("matplotlib", *getattr(FIGURES.load(kind), "libraries", ())):
+        with suppress(PackageNotFoundError):
+            found.append(f"{name}=={version(name)}")
+    return (*found, *FIGURES.packages(kind))
 
 
 def kind_of(figure: Figure) -> FigureKind:

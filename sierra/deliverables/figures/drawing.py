@@ -13,13 +13,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import DEFAULT_FORMATS, Figure, Format
-from sierra.config.plugin_registry import FIGURES
-from sierra.deliverables.figures.base import Explorable, kind_of
+from sierra.deliverables.figures.base import Explorable, kind_of, made_by
 from sierra.deliverables.record import Content, origin_of
 from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Axis, Value
@@ -93,9 +91,8 @@ class Drawing:
         if self.targets:
             definition["targets"] = list(self.targets)
         batches = tuple(self.targets.values()) or (self.batch,)
-        made_by: tuple[str, ...] = (f"sierra-experiments=={__version__}", f"matplotlib=={version('matplotlib')}")
-        made_by += FIGURES.packages(self.figure.kind)
-        return Content("figure", self.name, batches, definition, self.sql, self.data, made_by)
+        libraries = (f"sierra-experiments=={__version__}", *made_by(self.figure.kind))
+        return Content("figure", self.name, batches, definition, self.sql, self.data, libraries)
 
 
 def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:
