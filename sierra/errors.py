@@ -49,6 +49,10 @@ class Missing(SierraError):
     exit_code = 3
 
 
+class NotInstalled(Missing):
+    """A Python package of an extra that is not installed."""
+
+
 class Full(Missing):
     """A scheduler that accepts no more jobs for now."""
 

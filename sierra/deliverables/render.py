@@ -19,7 +19,7 @@ from sierra.deliverables import overlay
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Content, Recorder, marked_folder
-from sierra.errors import Missing, SierraError
+from sierra.errors import Missing, NotInstalled, SierraError
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
@@ -61,10 +61,8 @@ def _draw_each(
     for name, figure in wanted.items():
         try:
             drawn += drawer.draw(drawing(name, figure))
-        except Missing:
-            raise
         except SierraError as error:
-            if strict:
+            if strict or (isinstance(error, Missing) and not isinstance(error, NotInstalled)):
                 raise
             failed.append(f"figure {name}: {error}")
     return drawn, failed

@@ -36,7 +36,8 @@ class Check:
 LIBRARIES = ("duckdb", "pyarrow", "lxml", "pydantic", "matplotlib", "scipy", "gitpython", "typer", "rich")
 OPTIONAL = {
     "mujoco": "needed for the example: pip install 'sierra-experiments[example]'",
-    "pandas": "needed for data frames: pip install 'sierra-experiments[figures]'",
+    "pandas": "needed for data frames and statistical figures: pip install 'sierra-experiments[figures]'",
+    "seaborn": "needed for statistical figures (box, violin, ecdf, …): pip install 'sierra-experiments[figures]'",
 }
 """Libraries of extras, and what they are needed for."""
 

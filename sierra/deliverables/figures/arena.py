@@ -152,7 +152,7 @@ def _maps(
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=6, length=2)
     if drawing.figure.log_y:
-        style.log_ticks(bar.ax, low, high)
+        style.log_ticks(bar.ax.yaxis, low, high)
     bar.set_label(style.shortened(label, 40))
     _label(drawing, plots)
     return figure

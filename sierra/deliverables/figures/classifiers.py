@@ -10,10 +10,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.figure import Figure
 
-from sierra.deliverables.figures import facets, style
+from sierra.deliverables.figures import facets, seaborn_plots, style
 from sierra.deliverables.figures.style import Floats
 from sierra.errors import SierraError, UsageError
 from sierra.stats import student_t
@@ -42,31 +41,23 @@ def confusion(drawing: Drawing) -> Figure:
     figure, plots = style.panels(len(parts))
     for plot, (ordinal, part) in zip(plots, parts.items(), strict=True):
         center, half = mean_of([rates(run, names) for run in _runs(part)])
-        plot.pcolormesh(
-            np.arange(len(names) + 1) - 0.5,
-            np.arange(len(names) + 1) - 0.5,
-            np.ma.masked_invalid(center),
-            vmin=0,
-            vmax=1,
-            cmap=colormaps["Blues"],
-            edgecolors="white",
-            linewidth=0.5,
-        )
-        small = len(names) <= (LEGIBLE if len(parts) == 1 else 4)
-        for (row, place), value in np.ndenumerate(center):
-            if small and np.isfinite(value):
-                around = f"\n±{half[row, place]:.2f}" if np.isfinite(half[row, place]) else ""
-                colour = "white" if value > 0.6 else "black"
-                plot.text(place, row, f"{value:.2f}{around}", ha="center", va="center", fontsize=6, color=colour)
-        shown = style.names(names, 10)
-        plot.set_xticks(range(len(names)), shown, rotation=90 if sum(map(len, shown)) > 24 else 0)
-        plot.set_yticks(range(len(names)), shown)
-        plot.set_ylim(len(names) - 0.5, -0.5)
+        legible = len(names) <= (LEGIBLE if len(parts) == 1 else 4)
+        seaborn_plots.cells(plot, center, _texts(center, half) if legible else None)
+        shown, middles = style.names(names, 10), np.arange(len(names)) + 0.5
+        plot.set_xticks(middles, shown, rotation=90 if sum(map(len, shown)) > 24 else 0)
+        plot.set_yticks(middles, shown)
+        plot.tick_params(length=0)
         plot.grid(visible=False)
         style.title(plot, style.point(drawing, drawing.axes, ordinal))
     truth, predicted = (style.label(name) for name in drawing.figure.columns)
     style.outer_labels(plots, drawing.figure.xlabel or predicted, drawing.figure.ylabel or truth)
     return figure
+
+
+def _texts(center: Floats, half: Floats) -> np.typing.NDArray[np.str_]:
+    """Return the text of each cell: its mean, and half of its interval if there is one."""
+    around = np.where(np.isfinite(half), np.char.add("\n±", np.char.mod("%.2f", half)), "")
+    return np.char.add(np.char.mod("%.2f", center), around)
 
 
 def rates(run: pa.Table, names: list[str]) -> Floats:

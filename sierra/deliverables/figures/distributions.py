@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.transforms import Affine2D
 
-from sierra.deliverables.figures import facets, style
+from sierra.deliverables.figures import facets, sampled_runs, seaborn_plots, style
 from sierra.deliverables.figures.facets import Panels
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.deliverables.figures.timeseries import with_n
 from sierra.errors import UsageError
-from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
@@ -32,24 +34,24 @@ MOST_BINS = 200
 def ecdf(drawing: Drawing, *, interval: bool) -> Figure:
     """Draw a step curve for each experiment, with its band."""
     within = facets.panels(drawing, over_first=False)
-    looks = _lines(within)
-    every = _all(drawing)
-    low, high = _range(every[every > 0] if drawing.figure.log_x else every, "log_x" if drawing.figure.log_x else "")
+    looks, every = _lines(within), sampled_runs.step(drawing)
+    values = _all(drawing)
+    low, high = _range(values[values > 0] if drawing.figure.log_x else values, "log_x" if drawing.figure.log_x else "")
     margin = (high - low) * 0.04
     for panel in within.panels:
-        for ordinal, values in runs(panel.drawing).items():
-            x = np.concatenate(([low - margin], np.sort(values), [high + margin]))
-            part = np.concatenate(([0.0], np.arange(1, len(values) + 1) / len(values), [1.0]))
+        for ordinal, runs in sampled_runs.values(panel.drawing).items():
             look = looks[within.group(panel.drawing, ordinal)]
-            panel.plot.step(x, part, where="post", **look)
+            places = sampled_runs.places(len(runs), every)
+            # ends without weight extend the curve over the complete axis
+            x = np.concatenate(([low - margin], runs[places], [high + margin]))
+            weights = np.concatenate(([0.0], np.diff(places, prepend=-1), [0.0]))
+            seaborn_plots.steps(panel.plot, x, weights, look)
             if interval:
-                # beyond the runs the band is constant; there it would only cover those of the others
-                half, own = BAND / np.sqrt(len(values)), slice(1, -1)
-                ends = np.clip(part[own] - half, 0, 1), np.clip(part[own] + half, 0, 1)
-                panel.plot.fill_between(x[own], *ends, step="post", facecolor=look["color"], alpha=0.15, linewidth=0)
+                _band(panel.plot, runs[places], (places + 1) / len(runs), BAND / np.sqrt(len(runs)), look)
         panel.plot.set_ylim(0, 1.02)
         if drawing.figure.log_x:
             panel.plot.set_xscale("log", nonpositive="mask")
+            style.log_ticks(panel.plot.xaxis, low, high)
             panel.plot.set_xlim(low / 1.1, high * 1.1)
         else:
             panel.plot.set_xlim(low - margin, high + margin)
@@ -57,16 +59,20 @@ def ecdf(drawing: Drawing, *, interval: bool) -> Figure:
     return within.figure
 
 
+def _band(plot: Axes, values: Floats, part: Floats, half: float, look: Look) -> None:
+    """Draw a band around a step curve. Beyond the runs it is constant; there it would only cover those of the others."""
+    ends = np.clip(part - half, 0, 1), np.clip(part + half, 0, 1)
+    plot.fill_between(values, *ends, step="post", facecolor=look["color"], alpha=0.15, linewidth=0)
+
+
 def histogram(drawing: Drawing, bins: int, *, density: bool) -> Figure:
     """Draw the outline of a histogram for each experiment; all have the same bins."""
     within = facets.panels(drawing, over_first=False)
     looks, at = _lines(within), edges(drawing, bins)
     for panel in within.panels:
-        for ordinal, values in runs(panel.drawing).items():
-            look = looks[within.group(panel.drawing, ordinal)]
-            counts, _ = np.histogram(values, at, density=density)
-            panel.plot.stairs(counts, at, color=look["color"], linestyle=look.get("linestyle", "-"), linewidth=1.0)
-            panel.plot.stairs(counts, at, facecolor=look["color"], fill=True, alpha=0.12, linewidth=0)
+        for ordinal, runs in sampled_runs.values(panel.drawing).items():
+            look, (counts, _) = looks[within.group(panel.drawing, ordinal)], np.histogram(runs, at)
+            seaborn_plots.bins(panel.plot, counts, at, look, density=density)
         panel.plot.set_ylim(bottom=0)
     _frame(drawing, within, looks, drawing.figure.ylabel or ("density" if density else "number of runs"))
     return within.figure
@@ -79,34 +85,29 @@ def ridge(drawing: Drawing) -> Figure:
     if count > RIDGES:
         raise UsageError(f"the figure needs {count} ridges, but at most {RIDGES} are possible; use where, facet, or kind ecdf")
     within.figure.set_figheight(max(within.figure.get_figheight(), 0.8 + 0.24 * count))
-    shapes = {o: _density(values) for o, values in runs(drawing).items()}
-    top = max((float(shape[1].max()) for shape in shapes.values() if shape), default=1.0)
+    every, shapes = sampled_runs.step(drawing), []
     colours = style.colours(within.groups) if count > 1 else [style.named_colours()[0]]
     for panel in within.panels:
-        for ordinal, values in runs(panel.drawing).items():
+        for ordinal, runs in sampled_runs.values(panel.drawing).items():
             place = within.group(panel.drawing, ordinal)
-            base, shape = count - 1 - place, shapes[ordinal]
-            colour, above = colours[place], 2 + place / count
-            if shape:
-                x, y = shape[0], base + shape[1] / top * OVERLAP
-                panel.plot.fill_between(x, base, y, facecolor=colour, alpha=0.35, linewidth=0, zorder=above)
-                panel.plot.plot(x, y, color=colour, linewidth=0.8, zorder=above)
-            panel.plot.plot(values, np.full(len(values), base), "|", color=colour, markersize=3, alpha=0.6, zorder=above)
-            panel.plot.plot([np.median(values)] * 2, [base, base + 0.35], color=colour, linewidth=1.4, zorder=above)
-        names = style.names(within.groups.values, 22)
-        panel.plot.set_yticks(range(count - 1, -1, -1), names)
+            base, colour, above = count - 1 - place, colours[place], 2 + place / count
+            shown = runs[sampled_runs.places(len(runs), every)]
+            if has_density(runs):
+                shapes.append((seaborn_plots.density(panel.plot, shown, colour, above), panel.plot, base))
+            panel.plot.plot(shown, np.full(len(shown), base), "|", color=colour, markersize=3, alpha=0.6, zorder=above)
+            panel.plot.plot([np.median(runs)] * 2, [base, base + 0.35], color=colour, linewidth=1.4, zorder=above)
+        panel.plot.set_yticks(range(count - 1, -1, -1), style.names(within.groups.values, 22))
         panel.plot.set_ylim(-0.25, count - 1 + OVERLAP + 0.15)
+    _move(shapes)
     style.outer_labels(within.plots, _value_label(drawing), drawing.figure.ylabel or style.axis_label(within.groups))
     return within.figure
 
 
-def runs(drawing: Drawing) -> Mapping[int, Floats]:
-    """Return the values of the runs by experiment, in ascending order; experiments without a value are not in it."""
-    if drawing.runs is None:
-        raise TypeError(f"a {drawing.figure.kind} figure needs the values of its runs")
-    ordinals = numpy_of(drawing.runs.column("experiment"))
-    values = style.column(drawing.runs, "value")
-    return {int(ordinal): np.sort(values[ordinals == ordinal]) for ordinal in np.unique(ordinals)}
+def _move(shapes: Sequence[tuple[PolyCollection, Axes, int]]) -> None:
+    """Move each density up to its line, after scaling all by the same factor: the highest one gets the height `OVERLAP`."""
+    top = max((float(np.asarray(shape.get_paths()[0].vertices)[:, 1].max()) for shape, _, _ in shapes), default=1.0)
+    for shape, plot, base in shapes:
+        shape.set_transform(Affine2D().scale(1, OVERLAP / top).translate(0, base) + plot.transData)
 
 
 def edges(drawing: Drawing, bins: int) -> Floats:
@@ -127,13 +128,19 @@ def not_above_0(drawing: Drawing) -> list[str]:
     return [f"log scale: {bad} of {len(values)} runs not above 0 are left of the axis"] if bad else []
 
 
+def has_density(values: Floats) -> bool:
+    """Return whether there are enough different values for a density, with a variance that is neither 0 nor too large."""
+    with np.errstate(over="ignore", under="ignore"):
+        return len(values) >= DENSE and 0 < float(np.var(values)) < np.inf
+
+
 def without_density(drawing: Drawing) -> list[str]:
-    few = sum(_density(values) is None for values in runs(drawing).values())
+    few = sum(not has_density(values) for values in sampled_runs.values(drawing).values())
     return [f"{few} without a density: fewer than {DENSE} runs, or all equal"] if few else []
 
 
 def _all(drawing: Drawing) -> Floats:
-    return np.concatenate([*runs(drawing).values(), np.empty(0)])
+    return np.concatenate([*sampled_runs.values(drawing).values(), np.empty(0)])
 
 
 def _range(values: Floats, log: str) -> tuple[float, float]:
@@ -141,18 +148,6 @@ def _range(values: Floats, log: str) -> tuple[float, float]:
         raise UsageError(f"{log} needs values above 0, but there are none")
     low, high = float(values.min()), float(values.max())
     return (low, high) if low < high else (low - abs(low) * 0.1 - 1e-9, high + abs(high) * 0.1 + 1e-9)
-
-
-def _density(values: Floats) -> tuple[Floats, Floats] | None:
-    """Return the points of a density (Gaussian, bandwidth of Scott); None for few or equal values."""
-    if len(values) < DENSE or not values.min() < values.max():
-        return None
-    width = float(values.std(ddof=1)) * len(values) ** -0.2
-    at = np.linspace(values.min() - 2 * width, values.max() + 2 * width, 120)
-    shape: Floats = np.exp(-0.5 * ((at[:, None] - values) / width) ** 2).sum(axis=1) / (
-        len(values) * width * np.sqrt(2 * np.pi)
-    )
-    return at, shape
 
 
 def _lines(within: Panels) -> list[Look]:
@@ -173,7 +168,7 @@ def _value_label(drawing: Drawing) -> str:
 def _frame(drawing: Drawing, within: Panels, looks: list[Look], ylabel: str) -> None:
     style.outer_labels(within.plots, _value_label(drawing), ylabel)
     counts = [0] * len(within.groups.values)
-    for ordinal, values in runs(drawing).items():
+    for ordinal, values in sampled_runs.values(drawing).items():
         place = within.group(drawing, ordinal)
         counts[place] = max(counts[place], len(values))
     entries = with_n(style.names(within.groups.values), counts)

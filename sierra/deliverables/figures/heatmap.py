@@ -56,7 +56,7 @@ def _paint(figure: Figure, plot: Axes, cells: style.Floats, drawing: Drawing) ->
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=6, length=2)
     if drawing.figure.log_y:
-        style.log_ticks(bar.ax, *norm_limits)
+        style.log_ticks(bar.ax.yaxis, *norm_limits)
     bar.set_label(style.shortened(style.value_label(drawing), 40))
     fits = cells.shape[1] <= LEGIBLE and cells.shape[0] <= 16
     for (row, place), value in np.ndenumerate(cells):

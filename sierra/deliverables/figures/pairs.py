@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from matplotlib.figure import Figure
 
-from sierra.deliverables.figures import bands, facets, style
+from sierra.deliverables.figures import bands, facets, sampled_runs, seaborn_plots, style
 from sierra.deliverables.figures.facets import Panel, Panels
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import UsageError
@@ -65,23 +65,43 @@ def fitted(x: Floats, y: Floats, kind: str) -> Fit | None:
 def scatter(drawing: Drawing, fit: str) -> Figure:
     """Draw each run as a mark, and a curve for each series."""
     within = facets.panels(drawing, over_first=False)
-    looks = style.looks(within.groups)
+    looks, every = style.looks(within.groups), sampled_runs.step(drawing)
     if not any(_series(panel, within, drawing, fit) for panel in within.panels):
         raise UsageError("logarithms need values above 0, but no run has them in both columns")
     for panel in within.panels:
-        for place, (x, y) in _series(panel, within, drawing, fit).items():
-            look = looks[place]
-            mark, size = look.get("marker", "o"), 3.0 if len(x) <= 200 else 1.5
-            panel.plot.plot(x, y, mark, color=look["color"], alpha=0.7, markeredgewidth=0, markersize=size)
+        series = _series(panel, within, drawing, fit)
+        _marks(panel, series, looks, every)
+        for place, (x, y) in series.items():
             if fit != "none" and (curve := fitted(x, y, fit)):
-                panel.plot.plot(curve.x, curve.y, color=look["color"], linestyle=look.get("linestyle", "-"))
-                panel.plot.fill_between(curve.x, curve.low, curve.high, facecolor=look["color"], alpha=0.15, linewidth=0)
-        if drawing.figure.log_x:
-            panel.plot.set_xscale("log")
-        if drawing.figure.log_y:
-            panel.plot.set_yscale("log")
+                _curve(panel, curve, looks[place])
+    _scale(within, drawing)
     _frame(drawing, within, looks)
     return within.figure
+
+
+def _marks(panel: Panel, series: dict[int, tuple[Floats, Floats]], looks: list[Look], every: int) -> None:
+    if not series:
+        return
+    kept = {place: sampled_runs.places(len(x), every) for place, (x, _) in series.items()}
+    x, y = (np.concatenate([pair[axis][kept[place]] for place, pair in series.items()]) for axis in (0, 1))
+    places = np.repeat(list(kept), [len(some) for some in kept.values()])
+    most = max(len(some) for some in kept.values())
+    seaborn_plots.marks(panel.plot, x, y, places, looks, size=3.0 if most <= 200 else 1.5)
+
+
+def _curve(panel: Panel, curve: Fit, look: Look) -> None:
+    """Draw a curve with its interval. It is not seaborn's `regplot`, which estimates the interval from random samples."""
+    panel.plot.plot(curve.x, curve.y, color=look["color"], linestyle=look.get("linestyle", "-"))
+    panel.plot.fill_between(curve.x, curve.low, curve.high, facecolor=look["color"], alpha=0.15, linewidth=0)
+
+
+def _scale(within: Panels, drawing: Drawing) -> None:
+    """Make the axes logarithmic that the figure declares to be so."""
+    for plot in within.plots:
+        for name, log in (("x", drawing.figure.log_x), ("y", drawing.figure.log_y)):
+            if log:
+                plot.set(**{f"{name}scale": "log"})
+                style.log_ticks(*((plot.xaxis, *plot.get_xlim()) if name == "x" else (plot.yaxis, *plot.get_ylim())))
 
 
 def pareto(drawing: Drawing, better: tuple[str, str]) -> Figure:
@@ -118,7 +138,7 @@ def _front(x: Floats, y: Floats, better: tuple[str, str]) -> list[int]:
 
 def notes(drawing: Drawing, fit: str) -> list[str]:
     """Return notes on the runs that are left out, and how well the curves fit."""
-    within_log = _left_out(drawing, fit)
+    within_log = [*_left_out(drawing, fit), *sampled_runs.notes(drawing, "by their ids")]
     if fit == "none":
         return within_log
     few = [f"no curve for {counted} series with too few different values"] if (counted := _without(drawing, fit)) else []
@@ -127,9 +147,8 @@ def notes(drawing: Drawing, fit: str) -> list[str]:
 
 def _left_out(drawing: Drawing, fit: str) -> list[str]:
     """Return a note on runs without both values, and on those that a logarithm cannot show."""
-    if drawing.runs is None:
-        raise TypeError("a scatter figure needs the values of its runs")
-    x, y = style.column(drawing.runs, "value"), style.column(drawing.runs, "value_2")
+    runs = sampled_runs.table(drawing)
+    x, y = style.column(runs, "value"), style.column(runs, "value_2")
     bad = int((~_usable(drawing, x, y, fit)).sum())
     return [*lacking(drawing), *([f"log scale: {bad} of {len(x)} runs not above 0 left out"] if bad else [])]
 
@@ -159,9 +178,7 @@ def _usable(drawing: Drawing, x: Floats, y: Floats, fit: str) -> np.typing.NDArr
 
 def _series(panel: Panel, within: Panels, drawing: Drawing, fit: str) -> dict[int, tuple[Floats, Floats]]:
     """Return the values of the runs of each series that can be drawn."""
-    runs = panel.drawing.runs
-    if runs is None:
-        raise TypeError("a scatter figure needs the values of its runs")
+    runs = sampled_runs.table(panel.drawing)
     x, y = style.column(runs, "value"), style.column(runs, "value_2")
     good = _usable(drawing, x, y, fit)
     places = np.array([within.group(panel.drawing, ordinal) for ordinal in runs.column("experiment").to_pylist()], dtype=int)

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import XAxis, YAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap, ListedColormap, LogNorm, Normalize, is_color_like
@@ -490,15 +491,16 @@ def scale_y(plot: Axes, drawing: Drawing, lowest: float, highest: float) -> None
     if not highest > 0:
         raise UsageError("log_y needs values above 0, but there are none")
     plot.set_yscale("log", nonpositive="clip")
-    log_ticks(plot, lowest, highest)
+    log_ticks(plot.yaxis, lowest, highest)
 
 
-def log_ticks(plot: Axes, lowest: float, highest: float) -> None:
-    """Set the ticks of a logarithmic y axis: powers of 10 if the range is wide enough, else ordinary ones."""
-    wide = lowest <= 0 or highest / lowest >= 10
-    plot.yaxis.set_major_locator(LogLocator(numticks=8) if wide else AutoLocator())
-    plot.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
-    plot.yaxis.set_minor_locator(NullLocator())
+def log_ticks(of: XAxis | YAxis, lowest: float, highest: float) -> None:
+    """Set the ticks of a logarithmic axis: powers of 10, with 2 and 5 in between if there are few; else ordinary ones."""
+    wide = highest / lowest if lowest > 0 else np.inf
+    powers = LogLocator(subs=(1, 2, 5) if wide < 100 else (1,), numticks=8)
+    of.set_major_locator(powers if wide >= 10 else AutoLocator())
+    of.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
+    of.set_minor_locator(NullLocator())
 
 
 def scale_time(plot: Axes, drawing: Drawing, earliest: float) -> None:

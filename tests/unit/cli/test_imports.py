@@ -63,6 +63,12 @@ def test_run_imports_neither_git_nor_plotting_libraries(root: Path, words: tuple
 
 
 @pytest.mark.integration
+def test_default_figures_import_neither_pandas_nor_seaborn(root: Path) -> None:
+    assert "matplotlib" in imported(root, "figures")
+    assert not imported(root, "run", "population_size=1,2", "noise=0.1,0.2", "--runs", "1") & NEVER
+
+
+@pytest.mark.integration
 def test_show_imports_git_for_a_batch_with_a_commit(root: Path) -> None:
     [batch] = json.loads(projects.quick(root, "ls", "--json").stdout)
     assert "git" in imported(root, "show", batch["batch"])

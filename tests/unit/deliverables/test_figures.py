@@ -20,6 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pyarrow as pa
 import pytest
+from matplotlib.collections import PolyCollection
 from PIL import Image
 
 from sierra.config import project_file
@@ -232,15 +233,12 @@ def test_legend_does_not_cover_data() -> None:
 @pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
 @pytest.mark.parametrize("title", ["", "A title " * 12])
 def test_text_neither_overlaps_nor_leaves_the_figure(kind: str, title: str) -> None:
-    from sierra.deliverables.figures import heatmap, style, summary, timeseries
+    from sierra.deliverables.figures import style
 
     long = Axis("terrain", tuple(f"a rather long name of terrain {k}" for k in range(4)))
     shown = drawing(kind, (long, NAMES) if kind == "heatmap" else (long,), title=title)
-    painters = {"timeseries": timeseries.timeseries, "stacked": timeseries.stacked, "heatmap": heatmap.heatmap}
-    painters |= {"summary": summary.summary, "box": summary.box, "violin": summary.violin}
     with style.applied():
-        figure = painters[kind](shown)
-        style.settle(figure, shown)
+        figure = figures.painted(shown)
         figure.canvas.draw()
         outer = figure.bbox.padded(2)
         boxes: list[Any] = [plot.get_tightbbox() for plot in figure.axes]
@@ -320,7 +318,7 @@ def test_marks_are_hollow_if_some_runs_never_reached_the_threshold() -> None:
 
 
 def test_experiments_that_never_reached_the_threshold_are_marked_at_the_upper_edge() -> None:
-    from sierra.deliverables.figures import style, summary
+    from sierra.deliverables.figures import style
 
     nan = np.array([10.0, 20.0, np.nan, np.nan])
     late = table(4, n=np.array([10, 7, 0, 0]), never=np.array([0, 3, 10, 10]), mean=nan, low=nan, high=nan)
@@ -328,7 +326,7 @@ def test_experiments_that_never_reached_the_threshold_are_marked_at_the_upper_ed
     for kind, places in {"summary": [4.0, 8.0], "box": [2.0, 3.0], "violin": [2.0, 3.0]}.items():
         shown = replace(drawing(kind, tables={"energy": late}, measure="time_to", threshold=1), runs=runs)
         with style.applied():
-            plot = getattr(summary, kind)(shown).axes[0]
+            plot = figures.painted(shown).axes[0]
         marks = [line for line in plot.lines if line.get_marker() == "^" and len(xs(line))]
         assert sorted(x for line in marks for x in xs(line)) == places
         assert all(list(line.get_ydata()) == [1.0] * len(xs(line)) for line in marks)
@@ -395,13 +393,14 @@ def test_values_that_a_log_axis_cannot_show_are_noted() -> None:
 
 
 def test_violin_on_a_log_axis_keeps_its_density_if_one_run_is_zero() -> None:
-    from sierra.deliverables.figures import style, summary
+    from sierra.deliverables.figures import style
 
     runs = reduced(4)
     lowered = np.where(np.arange(40) % 10 == 0, 0.0, runs.column("value").to_numpy())
     shown = replace(drawing("violin", log_y=True), runs=runs.set_column(2, "value", pa.array(lowered)))
     with style.applied():
-        assert len(summary.violin(shown).axes[0].collections) == 4
+        shapes = figures.painted(shown).axes[0].collections
+    assert sum(isinstance(shape, PolyCollection) for shape in shapes) == 4
 
 
 def test_colour_bar_of_a_log_heatmap_shows_powers_of_ten_without_tex() -> None:

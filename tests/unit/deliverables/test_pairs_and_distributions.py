@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from sierra.deliverables.figures import distributions, pairs
+from sierra.deliverables.figures import pairs
 from sierra.deliverables.figures.drawing import Drawing, noted
 from sierra.errors import UsageError
 from sierra.model import Axis
@@ -29,6 +29,12 @@ def final(kind: str, *values: float, **keys: object) -> Drawing:
     return Trial(kind, keys, row, ()).drawing(runs=lambda experiment: len(values))
 
 
+def area(shape: Any) -> float:
+    """Return the area of a filled shape, by Gauss's formula."""
+    x, y = shape.get_paths()[0].vertices.T
+    return abs(float(x @ np.roll(y, 1) - y @ np.roll(x, 1))) / 2
+
+
 def test_the_steps_of_an_ecdf_are_the_parts_of_the_runs() -> None:
     drawn = plot(final("ecdf", 4.0, 1.0, 2.0, 2.0, interval=False))
     line = drawn.lines[0]
@@ -46,19 +52,21 @@ def test_the_band_of_an_ecdf_has_the_half_width_of_massart() -> None:
 
 def test_histograms_of_all_experiments_have_the_same_bins_and_count_every_run() -> None:
     drawing = Trial("histogram", {"bins": 7}).drawing(runs=lambda experiment: 9)
-    outlines = plot(drawing).patches[::2]
-    (one, edges, _), (other, same, _) = (outline.get_data() for outline in outlines)
-    assert list(edges) == list(same)
-    assert (len(one), sum(one), sum(other)) == (7, 9, 9)
+    outlines = plot(drawing).collections
+    one, other = (np.unique(outline.get_paths()[0].vertices[:, 0]) for outline in outlines)
+    assert list(one) == list(other)
+    assert len(one) == 8
+    assert [area(outline) / (one[1] - one[0]) for outline in outlines] == pytest.approx([9, 9])
     assert "7 bins" in noted(drawing).note
 
 
 def test_a_ridge_is_a_density() -> None:
-    found = distributions._density(np.array([1.0, 2.0, 2.5, 4.0, 7.0, 7.5]))
-    assert found is not None
-    x, y = found
-    assert np.trapezoid(y, x) == pytest.approx(1, abs=0.03)
-    assert y == pytest.approx(scipy.stats.gaussian_kde([1.0, 2.0, 2.5, 4.0, 7.0, 7.5])(x))
+    runs = [1.0, 2.0, 2.5, 4.0, 7.0, 7.5]
+    (shape,) = plot(final("ridge", *runs)).collections
+    x, y = shape.get_paths()[0].vertices.T
+    upper = y > 0
+    assert area(shape) == pytest.approx(1, abs=0.03)
+    assert y[upper] == pytest.approx(scipy.stats.gaussian_kde(runs)(x[upper]))
 
 
 def test_ridges_of_few_runs_are_said_to_be_without_a_density() -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.deliverables.figures.base import PlainKind, Request
+from sierra.deliverables.figures.base import STATISTICAL, PlainKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 from sierra.store.sql_names import identifier, quote
@@ -24,6 +24,7 @@ CURVE = frozenset({"series", "facet", "palette", "labels", "xlim", "ylim"})
 class Confusion(PlainKind):
     """The share of each true category that was predicted as each category, from two columns: the truth and the prediction."""
 
+    libraries: ClassVar[tuple[str, ...]] = STATISTICAL
     uses: ClassVar[frozenset[str]] = frozenset()
 
     def needs(self, request: Request) -> Needs:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.deliverables.figures.base import PLOT, PlainKind, Request
+from sierra.deliverables.figures.base import PLOT, STATISTICAL, PlainKind, Request
 from sierra.stats.needs import Needs
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ class Ecdf:
 
     contract = 1
     Options: ClassVar[type[Table]] = EcdfOptions
+    libraries: ClassVar[tuple[str, ...]] = STATISTICAL
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet"}) | PLOT - {"log_y"}
 
     def __init__(self, options: EcdfOptions) -> None:
@@ -40,9 +41,9 @@ class Ecdf:
         return Needs(("median",), runs=True, shows=shows)
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.deliverables.figures import distributions
+        from sierra.deliverables.figures import distributions, sampled_runs
 
-        return distributions.not_above_0(drawing)
+        return [*distributions.not_above_0(drawing), *sampled_runs.notes(drawing)]
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         from sierra.deliverables.figures.distributions import ecdf
@@ -62,6 +63,7 @@ class Histogram:
 
     contract = 1
     Options: ClassVar[type[Table]] = HistogramOptions
+    libraries: ClassVar[tuple[str, ...]] = STATISTICAL
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet"}) | PLOT - {"log_x", "log_y"}
 
     def __init__(self, options: HistogramOptions) -> None:
@@ -84,15 +86,16 @@ class Histogram:
 class Ridge(PlainKind):
     """The density of the runs of each experiment, one above the other."""
 
+    libraries: ClassVar[tuple[str, ...]] = STATISTICAL
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet", "xlim", "palette", "labels"})
 
     def needs(self, request: Request) -> Needs:
         return Needs(("median",), runs=True, shows="density of the runs, line: median, each tick a run")
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.deliverables.figures import distributions
+        from sierra.deliverables.figures import distributions, sampled_runs
 
-        return distributions.without_density(drawing)
+        return [*distributions.without_density(drawing), *sampled_runs.notes(drawing)]
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         from sierra.deliverables.figures.distributions import ridge

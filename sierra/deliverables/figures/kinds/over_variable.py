@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from sierra.deliverables.figures import bands
-from sierra.deliverables.figures.base import PLOT, PlainKind, Request
+from sierra.deliverables.figures.base import PLOT, STATISTICAL, PlainKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 
@@ -49,18 +49,19 @@ class Summary(PlainKind):
 class Box(PlainKind):
     """Boxes over the first variable: median, quartiles, whiskers, and the runs beyond them."""
 
+    libraries: ClassVar[tuple[str, ...]] = STATISTICAL
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "x", "series", "facet"}) | PLOT - NO_LOG_X
 
     def needs(self, request: Request) -> Needs:
         return Needs(BOX, runs=True, shows="median, quartiles, whiskers to at most 1.5 IQR")
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.deliverables.figures import axis_limits
+        from sierra.deliverables.figures import axis_limits, sampled_runs
 
-        return axis_limits.left_out_runs(drawing)
+        return [*axis_limits.left_out_runs(drawing), *sampled_runs.notes(drawing)]
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.summary import box
+        from sierra.deliverables.figures.side_by_side import box
 
         return box(drawing)
 
@@ -71,8 +72,11 @@ class Violin(Box):
     def needs(self, request: Request) -> Needs:
         return Needs(BOX, runs=True, shows="median, quartiles, each dot a run")
 
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        return [*super().notes(drawing), *(["densities of the logarithms"] if drawing.figure.log_y else [])]
+
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.summary import violin
+        from sierra.deliverables.figures.side_by_side import violin
 
         return violin(drawing)
 
@@ -84,7 +88,7 @@ class Strip(Box):
         return Needs(("median",), runs=True, shows="each dot a run, line: median")
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
-        from sierra.deliverables.figures.summary import strip
+        from sierra.deliverables.figures.side_by_side import strip
 
         return strip(drawing)
 

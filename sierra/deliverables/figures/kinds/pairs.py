@@ -9,7 +9,7 @@ from pydantic import Field
 
 from sierra.config.field_types import Table
 from sierra.deliverables.figures import bands
-from sierra.deliverables.figures.base import PLOT, Request
+from sierra.deliverables.figures.base import PLOT, STATISTICAL, Request
 from sierra.stats.needs import Needs
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ class Scatter:
 
     contract = 1
     Options: ClassVar[type[Table]] = ScatterOptions
+    libraries: ClassVar[tuple[str, ...]] = STATISTICAL
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet"}) | PLOT
 
     def __init__(self, options: ScatterOptions) -> None:
