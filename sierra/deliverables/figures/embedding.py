@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from sierra.deliverables.figures import facets, style
 from sierra.deliverables.figures.pairs import lacking
 from sierra.deliverables.figures.style import Floats, Look
-from sierra.errors import SierraError, UsageError
+from sierra.errors import NotInstalled, UsageError
 from sierra.stats import embedding as stats
 from sierra.util.text import few
 
@@ -85,4 +85,4 @@ def _tsne(table: Floats, perplexity: float) -> Floats:
     try:
         return stats.tsne(table, perplexity)
     except ImportError as error:
-        raise SierraError(f"scikit-learn is not installed; {EXTRA}") from error
+        raise NotInstalled(f"scikit-learn is not installed; {EXTRA}") from error

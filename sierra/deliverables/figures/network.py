@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from sierra.deliverables.figures import style
 from sierra.deliverables.figures.facets import MOST
-from sierra.errors import SierraError, UsageError
+from sierra.errors import NotInstalled, UsageError
 from sierra.util.arrow_columns import numpy_of
 from sierra.util.text import counted, few, natural
 
@@ -129,7 +129,7 @@ def _layout(edges: pa.Table, nodes: pa.Table, name: str) -> Places:
     try:
         import networkx
     except ImportError as error:
-        raise SierraError(f"networkx is not installed; {EXTRA}") from error
+        raise NotInstalled(f"networkx is not installed; {EXTRA}") from error
     graph = networkx.Graph()
     graph.add_nodes_from(sorted(set(nodes.column("node").to_pylist()), key=natural))
     for edge in edges.to_pylist():

@@ -34,6 +34,7 @@ class Embedding:
 
     contract = 1
     Options: ClassVar[type[Table]] = EmbeddingOptions
+    libraries: ClassVar[tuple[str, ...]] = ("scikit-learn",)
     uses: ClassVar[frozenset[str]] = frozenset({"measure", "series", "facet"}) | PLOT - {"log_x", "log_y"}
 
     def __init__(self, options: EmbeddingOptions) -> None:

@@ -48,6 +48,7 @@ class Network:
 
     contract = 1
     Options: ClassVar[type[Table]] = NetworkOptions
+    libraries: ClassVar[tuple[str, ...]] = ("networkx",)
     uses: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, options: NetworkOptions) -> None:
