@@ -29,6 +29,7 @@ CONTENTS = {
         "how-to/figures",
         "how-to/figure-kinds",
         "how-to/compare",
+        "how-to/number-of-runs",
         "how-to/replay",
         "how-to/containers",
         "how-to/clusters",
