@@ -90,7 +90,26 @@ class VariableDensity:
     count: int
 
 
-Scale = Log | Linear | Steps | Span | Listed | MonteCarlo | ConstantDensity | VariableDensity
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """A scale that a plug-in computed, as in `.Primes5`: its values, each with the changes that it causes."""
+
+    points: tuple[Point, ...]
+    text: str = ""
+    """The text after the dot, as it is in the query."""
+
+    @classmethod
+    def of(cls, *values: Value) -> Computed:
+        """Return a scale of these values, without changes: those of the variable are made."""
+        return cls(tuple(Point(value) for value in values))
+
+    @property
+    def has_changes(self) -> bool:
+        """Return True if a value brings changes of its own."""
+        return any(point.changes for point in self.points)
+
+
+Scale = Log | Linear | Steps | Span | Listed | MonteCarlo | ConstantDensity | VariableDensity | Computed
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +209,7 @@ class Point:
     """One value of an axis, and all changes to the template that it causes."""
 
     value: Value
-    changes: tuple[Change, ...]
+    changes: tuple[Change, ...] = ()
     stream: int = 0
     """The number of the stream of seeds: the run numbers for its seeds begin at `stream * 2**16`."""
     parameters: Mapping[str, Value] = field(default_factory=dict)

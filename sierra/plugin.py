@@ -17,6 +17,8 @@ group of entry points      contract           chosen by                         
 `sierra.readers`           `OutputReader`     `[outputs.…] format`, or the ending        `[readers.NAME]`
 `sierra.figures`           `FigureKind`       `[figures.…] kind = "NAME"`                the same table
 `sierra.statistics`        `Statistic`        `sierra stats … --statistic NAME`          `[statistics.NAME]`
+`sierra.comparisons`       `ComparisonMethod` `sierra compare … --method NAME`           `[comparison_methods.NAME]`
+`sierra.criteria`          `Range`            `VARIABLE.NAME…` in a query                `[criteria.NAME]`
 =========================  =================  =========================================  ============================
 
 Each class has two class attributes beside what its contract says:
@@ -30,7 +32,8 @@ Each class has two class attributes beside what its contract says:
 template format are part of it as far as they change these. The options of a reader, and its package's version, are part of the
 hash of the rules by which executions are evaluated. The options of a runner, a scheduler and an engine are part of no id, so
 they must not change results. The options of a statistic change the numbers of tables and figures, and no id. A kind of figure
-is part of no id either.
+and a comparison method are part of no id either. The values and changes that a range of a criterion computes are part of ids as
+if they were written in the query; its options are not.
 
 **Errors.** Raise `ConfigError` for invalid settings, `TemplateError` for a template, `Missing` for something that does not
 exist on this machine, `UnreadableError` for an output file, with one line: what is wrong, which one, what would be right. Any
@@ -40,7 +43,7 @@ other error counts as a fault of the plug-in, and SIERRA says so in one line tha
 that offer the same name for one kind are an error that names both; the shipped names cannot be replaced.
 
 `sierra.testing` has a conformance suite for each kind: `platforms`, `templates`, `runners` (for schedulers too), `engines`,
-`readers`, `statistics` and `figures`. The contracts themselves are the docstrings of the classes below.
+`readers`, `statistics`, `figures`, `comparisons` and `criteria`. The contracts are the docstrings of the classes below.
 """
 
 from __future__ import annotations
@@ -63,6 +66,7 @@ from sierra.model import (
     Axis,
     Change,
     Client,
+    Computed,
     Criterion,
     Job,
     Limits,
@@ -79,6 +83,7 @@ from sierra.model import (
 )
 from sierra.platforms.base import Following, Platform
 from sierra.platforms.base import Reader as TemplateView
+from sierra.query.base import Range
 from sierra.query.ranges import values
 from sierra.runners.base import Look, Runner, Work
 from sierra.runners.local import Local
@@ -86,6 +91,8 @@ from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, Request, 
 from sierra.stats.base import Estimate, Formula, Function, Parameter, Statistic
 from sierra.stats.bootstrap import BootstrapOptions
 from sierra.stats.bootstrap import estimate as bootstrap
+from sierra.stats.comparison.base import CellResult, ComparisonMethod, pairs_of
+from sierra.stats.comparison.model import Cell, Effect, Omnibus, Pair, Question, RunValue, Sample
 from sierra.stats.needs import Needs
 from sierra.store.layout import SessionPaths, StorePaths
 from sierra.templates.arithmetic import fill
@@ -101,15 +108,20 @@ __all__ = [
     "BootstrapOptions",
     "Bounds",
     "Capabilities",
+    "Cell",
+    "CellResult",
     "Change",
     "Client",
     "ClusterTable",
     "Columns",
+    "ComparisonMethod",
+    "Computed",
     "ConfigError",
     "ContainerSpec",
     "Criterion",
     "Document",
     "Drawing",
+    "Effect",
     "Engine",
     "Estimate",
     "Figure",
@@ -131,8 +143,10 @@ __all__ = [
     "Mount",
     "Needs",
     "NoOptions",
+    "Omnibus",
     "OutputFile",
     "OutputReader",
+    "Pair",
     "Parameter",
     "Platform",
     "PluginError",
@@ -140,6 +154,8 @@ __all__ = [
     "Process",
     "Project",
     "QueryError",
+    "Question",
+    "Range",
     "Remove",
     "Rename",
     "Rendered",
@@ -147,7 +163,9 @@ __all__ = [
     "Request",
     "Requirement",
     "Result",
+    "RunValue",
     "Runner",
+    "Sample",
     "Scale",
     "Scheduler",
     "SessionPaths",
@@ -169,5 +187,6 @@ __all__ = [
     "bootstrap",
     "fill",
     "options",
+    "pairs_of",
     "values",
 ]

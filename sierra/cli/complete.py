@@ -95,6 +95,18 @@ def targets(incomplete: str) -> list[str]:
     return [f"{before}{comma}{name}" for name in _beginning(found, last) if name not in before.split(",")]
 
 
+def batches_and_figures(incomplete: str) -> list[str]:
+    """Return prefixes of batches, and the names of figures and tables in `sierra.toml`."""
+    return [*batches(incomplete), *figures(incomplete), *_named("paper_tables", incomplete)]
+
+
+def comparison_methods(incomplete: str) -> list[str]:
+    """Return the names of comparison methods."""
+    from sierra.config.plugin_registry import COMPARISONS
+
+    return _beginning(COMPARISONS.names(), incomplete)
+
+
 def figures(incomplete: str) -> list[str]:
     """Return the names of the figures in `sierra.toml`."""
     return _named("figures", incomplete)

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_v
 
 from sierra.config.field_types import Finite, InProject, Positive, RawTable, Table, Words
 from sierra.config.field_types import Size as SizeInBytes
+from sierra.util.text import like
 
 CHOSEN = frozenset(
     {"times", "measure", "center", "band", "x", "series", "facet", "log_x", "log_y", "xlim", "ylim", "palette", "labels"}
@@ -160,6 +161,58 @@ class Figure(Table):
         return self.model_extra or {}
 
 
+class TableForPaper(Table):
+    """One table for papers: statistics of columns in each experiment, or the rows of an SQL statement."""
+
+    table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
+    columns: Annotated[
+        tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
+    ] = Field((), alias="column", description="column, or columns, of which there are statistics; default: the only one")
+    sql: str = Field(
+        "",
+        description="a SELECT statement whose rows are the rows of the table; each table that it reads has a column `batch`, "
+        "with the label of the batch",
+    )
+    statistics: Annotated[
+        tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
+    ] = Field(("mean",), min_length=1, description="statistics, each with its interval, as in `sierra stats --statistic`")
+    measure: Literal["final", "mean", "time_to"] | None = Field(
+        None, description="how a run is reduced to one number; default: `final`, or `mean` in a table of events"
+    )
+    threshold: Finite | None = Field(None, description="for `time_to`: the value that must be reached or exceeded")
+    experiments: str = Field(
+        "", description="experiments that are rows, as in `sierra run --only`: `noise=0 and size<=4`; default: all"
+    )
+    across: str = Field(
+        "",
+        description="variable whose values are side by side, each with columns of its own; `batch`: the batches, which are so "
+        "by default if there are several; with `sql`: a column, whose values get the columns after it",
+    )
+    digits: Annotated[int, Field(ge=0, le=15)] | Mapping[str, Annotated[int, Field(ge=0, le=15)]] = Field(
+        default_factory=dict,
+        description="with `sql`: digits after the decimal point, of all numbers or by column; default: those of the interval "
+        "if there are columns `NAME_low` and `NAME_high` beside `NAME`, else four significant digits",
+    )
+    headers: Mapping[str, str] = Field(default_factory=dict, description="headers of columns, by their name")
+    caption: str = Field("", description="caption of the table")
+    label: Annotated[str, Field(pattern=r"^[A-Za-z0-9:._-]*$")] = Field("", description="label, such as `tab:coverage`")
+    footnote: str = Field("", description="text below the table, after what SIERRA writes there")
+    formats: Annotated[tuple[Literal["latex", "markdown", "html", "csv"], ...], Field(min_length=1)] = Field(
+        ("latex",), description="formats of the files: `latex` (with booktabs), `markdown`, `html`, `csv`"
+    )
+
+    @model_validator(mode="after")
+    def _fitting(self) -> TableForPaper:
+        if (self.measure == "time_to") != (self.threshold is not None):
+            raise ValueError('measure "time_to" and "threshold" must be used together')
+        names = {field.alias or name for name, field in TableForPaper.model_fields.items() if name in self.model_fields_set}
+        if self.sql and (wrong := sorted(names & {"table", "column", "statistics", "measure", "experiments"})):
+            raise ValueError(f'"{wrong[0]}" is for statistics; "sql" has the rows of the table as they are')
+        if not self.sql and "digits" in names:
+            raise ValueError('"digits" needs "sql"; statistics are rounded by their intervals')
+        return self
+
+
 def _as_list(value: object) -> object:
     return (value,) if isinstance(value, str) else value
 
@@ -192,6 +245,12 @@ class Comparison(Table):
         description="draw the difference over time, with its interval at each time, which is no test; what is tested is "
         "the mean of each run over time",
     )
+    method: Annotated[str, Field(min_length=1)] = Field(
+        "auto",
+        description="how groups are tested: `signed_rank`, `friedman` (pairs), `rank_sum`, `kruskal` (no pairs), `log_rank` "
+        "(times that runs never reached), `aligned_ranks` (several variables in `by`), or a plug-in; `auto`: what suits the "
+        "data",
+    )
     paired: bool | Literal["auto"] = Field(
         "auto", description="whether runs with the same seed are compared as pairs; `auto`: if their values are correlated"
     )
@@ -211,4 +270,14 @@ class Comparison(Table):
             raise ValueError('measure "time_to" and "threshold" must be used together')
         if self.over_time and self.measure not in (None, "mean"):
             raise ValueError(f'"over_time" tests the mean over time, not measure {self.measure!r}')
+        return self
+
+    @model_validator(mode="after")
+    def _of_known_method(self) -> Comparison:
+        from sierra.config.plugin_registry import COMPARISONS
+
+        if self.method not in ("auto", *COMPARISONS.shipped) and self.method not in COMPARISONS.names():
+            raise ValueError(
+                f"unknown method {self.method!r}; {like(self.method, ['auto', *COMPARISONS.names()], 'known are')}"
+            )
         return self

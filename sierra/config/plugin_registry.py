@@ -74,12 +74,12 @@ class Kind:
     @property
     def group(self) -> str:
         """Return the group of entry points."""
-        return f"sierra.{self.word}s"
+        return f"sierra.{_plural(self.word)}"
 
     @property
     def table(self) -> str:
         """Return the name of the tables with options in `sierra.toml`."""
-        return self.tables or f"{self.word}s"
+        return self.tables or _plural(self.word)
 
     def names(self) -> tuple[str, ...]:
         """Return the names of all plug-ins of this kind, the shipped ones first."""
@@ -255,7 +255,27 @@ STATISTICS = Kind(
         "range": "sierra.stats.shipped:Range",
     },
 )
-KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS, STATISTICS, FIGURES)
+_COMPARISON = "sierra.stats.comparison"
+COMPARISONS = Kind(
+    "comparison",
+    f"{_COMPARISON}.base:ComparisonMethod",
+    {
+        "signed_rank": f"{_COMPARISON}.shipped:SignedRank",
+        "rank_sum": f"{_COMPARISON}.shipped:RankSum",
+        "friedman": f"{_COMPARISON}.shipped:Friedman",
+        "kruskal": f"{_COMPARISON}.shipped:Kruskal",
+        "log_rank": f"{_COMPARISON}.shipped:LogRank",
+        "aligned_ranks": f"{_COMPARISON}.shipped:AlignedRanks",
+    },
+    tables="comparison_methods",
+)
+"""Methods of comparisons; `[comparisons.NAME]` are comparisons, so the options have tables of another name."""
+CRITERIA = Kind(
+    "criterion",
+    "sierra.query.base:Range",
+    {"Log": "sierra.query.named_ranges:LogRange", "Linear": "sierra.query.named_ranges:LinearRange"},
+)
+KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS, STATISTICS, FIGURES, COMPARISONS, CRITERIA)
 
 
 def check(project: Project) -> None:
@@ -266,6 +286,8 @@ def check(project: Project) -> None:
     READERS.check(project.readers)
     figure_options.check(project.figures)
     STATISTICS.check(project.statistics)
+    COMPARISONS.check(project.comparison_methods)
+    CRITERIA.check(project.criteria)
 
 
 def culprit(error: BaseException) -> str | None:
@@ -293,6 +315,10 @@ def _offers(path: tuple[str, ...]) -> Mapping[str, Mapping[str, tuple[Offer, ...
             package = f"{point.dist.name} {point.dist.version}" if point.dist else point.value
             offers[point.name] = (*offers.get(point.name, ()), Offer(point.name, point, package))
     return found
+
+
+def _plural(word: str) -> str:
+    return "criteria" if word == "criterion" else f"{word}s"
 
 
 def _attribute(name: str) -> type:

@@ -20,7 +20,7 @@ from sierra.config import forbidden_directives as directives
 from sierra.config import group_names, targets
 from sierra.config.change_tables import NO_CHANGE, OWN_PLACEHOLDERS, ChangeTable, Group, Seed, Variable, set_to
 from sierra.config.cluster_table import ClusterTable, check_directives
-from sierra.config.deliverable_tables import DEFAULT_FORMATS, Comparison, DerivedTable, Figure, Formats, SqlLimits
+from sierra.config.deliverable_tables import DEFAULT_FORMATS, Comparison, DerivedTable, Figure, Formats, SqlLimits, TableForPaper
 from sierra.config.execution_tables import (
     BuildTable,
     Container,
@@ -196,6 +196,9 @@ class Project(Table):
         "drawing commands for LaTeX",
     )
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
+    paper_tables: Mapping[Name, TableForPaper] = Field(
+        default_factory=dict, description="tables for papers, by name; they are drawn with the figures"
+    )
     comparisons: Mapping[Name, Comparison] = Field(
         default_factory=dict, description="comparisons of groups of runs, by name, for `sierra compare`"
     )
@@ -210,6 +213,12 @@ class Project(Table):
         default_factory=dict, description="options of the readers of output formats, by name"
     )
     statistics: Mapping[str, RawTable] = Field(default_factory=dict, description="options of statistics, by name")
+    criteria: Mapping[str, RawTable] = Field(
+        default_factory=dict, description="options of the ranges of criteria that plug-ins compute, by name"
+    )
+    comparison_methods: Mapping[str, RawTable] = Field(
+        default_factory=dict, description="options of comparison methods, by name"
+    )
 
     @property
     def template_paths(self) -> tuple[str, ...]:
@@ -250,6 +259,12 @@ class Project(Table):
                 raise ValueError(f"variables.{name}: in a command, {{{name}}} has another meaning; use another name")
             if not (self.targets or self.target) and not self.changes_with(name):
                 raise ValueError(f"variables.{name}: {NO_CHANGE}, or write {{{name}}} in the command")
+        return self
+
+    @model_validator(mode="after")
+    def _one_deliverable_each(self) -> Project:
+        if both := sorted(self.figures.keys() & self.paper_tables.keys()):
+            raise ValueError(f"[figures.{both[0]}] and [paper_tables.{both[0]}] would have files of the same name; rename one")
         return self
 
     @model_validator(mode="after")

@@ -14,6 +14,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sierra.config import plugin_registry
 from sierra.config.deliverable_tables import DEFAULT_FORMATS, Comparison, Figure, Format
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.record import Content, Recorder, marked_folder
@@ -87,7 +88,7 @@ class Compared:
 
         tests: list[Omnibus | Pair | Effect] = [*self.omnibus, *self.pairs, *self.effects]
         points = [one.point if not isinstance(one, Effect) else {} for one in tests]
-        rows = [_row(one) for one in tests]
+        rows = [_row(one, self.analysis.title) for one in tests]
         variables = list(dict.fromkeys(name for point in points for name in point))
         shown = [name for name in COLUMNS if any(row.get(name) is not None for row in rows)]
         values: list[list[object]] = [[point.get(name) for point in points] for name in variables]
@@ -121,7 +122,7 @@ def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[st
             f"{len(groups)} groups are too many to compare each with each; name one of them as against (--against)"
         )
     question = Question(asked.alpha, asked.margin, asked.paired, _group(asked.against, [one.group for one in groups]))
-    result = analyse(cells, question, factors)
+    result = analyse(cells, question, factors, asked.method, project.config.comparison_methods)
     if factors and asked.over_time:
         raise UsageError("main effects and interactions cannot be computed over time; leave out --over-time")
     time, bands = _bands(project, store, batches, first, cells, result) if asked.over_time else ("", ())
@@ -340,7 +341,7 @@ SPEC = ("command", "variables", "source", "image", "host_access", "shared_files"
 """The columns of batches and of specs that are compared."""
 
 
-def _row(one: Pair | Omnibus | Effect) -> dict[str, object]:
+def _row(one: Pair | Omnibus | Effect, title: str) -> dict[str, object]:
     """Return the values of one row of the table of results, by column."""
     row = {name: getattr(one, name) for name in COLUMNS if hasattr(one, name)}
     match one:
@@ -350,7 +351,7 @@ def _row(one: Pair | Omnibus | Effect) -> dict[str, object]:
         case Omnibus():
             return row | {"first": "all groups", "n_first": one.n}
         case Effect():
-            return row | {"effect": one.name, "test": "aligned ranks", "statistic": one.f, "partial_eta_squared": one.eta}
+            return row | {"effect": one.name, "test": title, "statistic": one.f, "partial_eta_squared": one.eta}
 
 
 def draw(compared: Compared, store: Store, paths: ProjectPaths, formats: tuple[Format, ...] = DEFAULT_FORMATS) -> list[Path]:
@@ -388,7 +389,9 @@ def _content(compared: Compared, drawn: Drawing) -> Content:
         "note": drawn.note,
         "formats": drawn.formats,
     }
-    return replace(drawn.content(), kind=KIND, batches=tuple(compared.batches.values()), definition=definition)
+    content = drawn.content()
+    made_by = (*content.made_by, *plugin_registry.COMPARISONS.packages(compared.analysis.method))
+    return replace(content, kind=KIND, batches=tuple(compared.batches.values()), definition=definition, made_by=made_by)
 
 
 def _drawing(compared: Compared) -> Drawing:
@@ -405,23 +408,22 @@ def _drawing(compared: Compared) -> Drawing:
         cells={},
         tables={"": compared.arrow()},
         rows={str(place): pa.table(band) for place, band in enumerate(bands)},
-        note=_caption(compared),
+        note=caption_of(compared),
         sql=f"-- comparison of {', '.join(compared.batches.values())}",
         batch=next(iter(compared.batches.values())),
     )
 
 
-def _caption(compared: Compared) -> str:
+def caption_of(compared: Compared) -> str:
     """Return the small print of the figure."""
     found = compared.analysis
     if compared.effects:
-        return f"aligned ranks; {found.pairing.reason}"
+        return f"{found.title}; {found.pairing.reason}"
     runs = n_of(n for pair in compared.pairs for n in (pair.n_first, pair.n_second))
-    if any(pair.a12 is None for pair in compared.pairs):
-        return f"differences of Kaplan-Meier medians, {runs}; filled: different (log-rank test, Holm)"
     if compared.bands:
         pairs = " pairs" if found.pairing.paired else ""
         return f"mean difference, {100 * (1 - found.question.alpha):.4g} % CI at each time (no test), {runs}{pairs}"
-    interval = f"Hodges-Lehmann estimates, {100 * (1 - found.question.alpha):.4g} % CI of each"
+    known = any(pair.low is not None for pair in compared.pairs)
+    interval = found.estimates + (f", {100 * (1 - found.question.alpha):.4g} % CI of each" if known else "")
     margin = "; shaded: the margin" if found.question.margin is not None else ""
     return f"{interval}, {runs}{' pairs' if found.pairing.paired else ''}; filled: different (Holm){margin}"

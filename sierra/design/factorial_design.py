@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from sierra.config import group_names
-from sierra.config.change_tables import ChangeTable, Group
+from sierra.config.change_tables import ChangeTable, Group, Variable
 from sierra.config.project_file import Project
 from sierra.design import overwritten
 from sierra.design.overwritten import Layer
@@ -32,6 +32,7 @@ from sierra.model import (
     Axis,
     Cell,
     Change,
+    Computed,
     Criterion,
     Design,
     Listed,
@@ -181,6 +182,7 @@ def _spans(
     """Return the axes and points. Raises QueryError if a criterion's axis depends on the values of the other criteria."""
     known = [_span(criterion, project) for criterion in query.criteria]
     own = tuple(span is None for span in known)
+    _check_names(query, project, platform)
     others = [span for span in known if span is not None]
     _check_count(query, [axis for axis, _ in others], report)
     others = others if any(own) else []
@@ -200,6 +202,14 @@ def _spans(
     _check_independent(first)
     _check_count(query, axes, report)
     return Spans(axes, own, {places: tuple(points for _, points in spanned) for places, spanned in found.items()})
+
+
+def _check_names(query: Query, project: Project, platform: Platform) -> None:
+    """Raise QueryError for a range with changes of its own for a criterion of the platform, which has other changes."""
+    for one in query.criteria:
+        changes_too = isinstance(one.scale, Computed) and one.scale.has_changes
+        if changes_too and one.name not in project.variables and one.name in platform.criteria():
+            raise QueryError(f"{one.name} is a criterion of the platform, but its range has changes of its own; rename it")
 
 
 def _without(common: Changed, chosen: Sequence[Placed], sets: Sequence[Set], names: Sequence[str]) -> Changed:
@@ -240,15 +250,24 @@ def _span(criterion: Criterion, project: Project) -> Spanned | None:
         return Axis(criterion.name, values), tuple(Point(v, (), stream) for stream, v in enumerate(values))
     if criterion.name in GROUPED:
         return _grouped(criterion, project)
-    if criterion.name not in project.variables or not project.changes_with(criterion.name):
+    own_changes = isinstance(criterion.scale, Computed) and criterion.scale.has_changes
+    declared = criterion.name in project.variables and project.changes_with(criterion.name)
+    if not declared and not own_changes:
         return None
-    variable = project.variables[criterion.name]
+    variable = project.variables.get(criterion.name, Variable())
     why, own = f"variable {criterion.name!r}", f"{{{criterion.name}}}"
     first = (Set(variable.set, own, why=why),) if variable.set else ()
     every = (*first, *changes(variable.changes, why, own))
     values = ranges.values(criterion.scale)
     axis = Axis(criterion.name, values, variable.label, variable.unit)
+    if isinstance(criterion.scale, Computed):
+        return axis, tuple(_with_changes(point, every, f"criterion {criterion.name!r}") for point in criterion.scale.points)
     return axis, tuple(Point(value, every) for value in values)
+
+
+def _with_changes(point: Point, first: tuple[Change, ...], why: str) -> Point:
+    """Return a point of a plug-in with the changes of its variable before its own."""
+    return replace(point, changes=(*first, *(replace(change, why=change.why or why) for change in point.changes)))
 
 
 def _check_independent(spanned: Sequence[Spanned]) -> None:

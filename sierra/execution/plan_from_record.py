@@ -28,10 +28,9 @@ from sierra.execution.resolve_plan import Plan, this_environment
 from sierra.execution.row_queries import RecordedProgram, axis_values, required_row
 from sierra.ingest.base import Used, check_packages, described
 from sierra.ingest.recording_context import rules_of
-from sierra.model import Axis, Batch, Experiment, Query, Run, RunSpec
+from sierra.model import Axis, Batch, Criterion, Experiment, Listed, Query, Run, RunSpec
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import NOTHING
-from sierra.query import grammar
 from sierra.query.query_request import repeated
 from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
 from sierra.store.row_types import BatchRow, ImageRow, IngestRulesRow, SourceRow, SpecRow
@@ -257,7 +256,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
         project=project,
         request=repeated(row._asdict(), len(batch.experiments[0].runs), targets.recorded(store, found.id)),
         query=Query(
-            grammar.parse_all(text.split()),
+            tuple(Criterion(axis.name, Listed(axis.values)) for axis in batch.axes),
             len(batch.experiments[0].runs),
             row.controller,
             row.scenario,

@@ -138,7 +138,7 @@ def resolve(project: LoadedProject, request: QueryRequest) -> Query:
     named = config.queries[names[0]] if names else None
     spelled = [part for word in words for part in (named.criteria if named and word in names else (word,))]
     query = Query(
-        criteria=grammar.parse_all(spelled),
+        criteria=grammar.parse_all(spelled, config.criteria),
         runs=request.runs or (named and named.runs) or config.runs,
         controller=request.controller or (named and named.controller) or None,
         scenario=request.scenario or (named and named.scenario) or None,

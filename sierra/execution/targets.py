@@ -12,7 +12,7 @@ from sierra.config.field_types import NAME
 from sierra.config.project_file import LoadedProject
 from sierra.design.factorial_design import GROUPED
 from sierra.errors import QueryError, UsageError
-from sierra.model import Batch, Listed, Query
+from sierra.model import Batch, Computed, Listed, Query
 from sierra.store.store import Store
 from sierra.util.text import few
 
@@ -27,7 +27,13 @@ def check(project: LoadedProject, query: Query) -> None:
     if project.declared is None:
         return
     config, name = project.config, project.config.target
-    lacking = [one.name for one in query.criteria if one.name in config.variables and not config.changes_with(one.name)]
+    lacking = [
+        one.name
+        for one in query.criteria
+        if one.name in config.variables
+        and not config.changes_with(one.name)
+        and not (isinstance(one.scale, Computed) and one.scale.has_changes)
+    ]
     own = platforms.find(config.platform, config).criteria() if lacking else ()
     if others := [one for one in lacking if one not in own]:
         raise QueryError(_lacking(project, "variable", others[0]))

@@ -72,17 +72,28 @@ def select(text: str, batch: Batch) -> Selection:
 
     Raises QueryError for an invalid condition, for an unknown variable or value, and if it selects nothing.
     """
+    ordinals = matching(text, batch.axes, {one.ordinal: one.values for one in batch.experiments}, "--only")
+    runs = frozenset(run.id for one in batch.experiments if one.ordinal in ordinals for run in one.runs)
+    return Selection(text, ordinals, runs)
+
+
+def matching(text: str, axes: Sequence[Axis], cells: Mapping[int, Mapping[str, Value]], origin: str) -> frozenset[int]:
+    """Return the ordinals of the experiments whose values fulfil a condition. Messages call it `origin`.
+
+    Raises QueryError for an invalid condition, for an unknown variable or value, and if it selects nothing.
+    """
     try:
         comparisons = [_comparison(part) for part in _AND.split(_BLANKS.sub(",", text))]
         for one in comparisons:
-            _check(one, batch.axes)
+            _check(one, axes)
     except QueryError as error:
-        raise QueryError(f"--only {text!r}: {error}") from None
-    chosen = [one for one in batch.experiments if all(part.holds(one.values[part.name]) for part in comparisons)]
+        raise QueryError(f"{origin} {text!r}: {error}") from None
+    chosen = frozenset(
+        ordinal for ordinal, values in cells.items() if all(part.holds(values[part.name]) for part in comparisons)
+    )
     if not chosen:
-        raise QueryError(f"--only {text!r} selects no experiment; {'; '.join(map(_values, batch.axes))}")
-    runs = frozenset(run.id for one in chosen for run in one.runs)
-    return Selection(text, frozenset(one.ordinal for one in chosen), runs)
+        raise QueryError(f"{origin} {text!r} selects no experiment; {'; '.join(map(_values, axes))}")
+    return chosen
 
 
 def _comparison(text: str) -> Comparison:

@@ -8,6 +8,7 @@
               | step "." step ".C" count               max_speed.1.9.C5
               | step ".I" step ".C" count              population_constant_density.5p0.I16.C4
               | "C" count                              montecarlo.C20
+              | kind text                              the name of a plug-in and its text: see `sierra.query.base`
 
 In lists and spans, numbers have the usual form (`-0.5`, `1e-3`). In a step, `p` is the decimal point, because the dot separates
 the steps. Steps with a `p` are a span: `x.0p5.2p5.C5` is `x=0.5:2.5:5`. The name matters in two cases. `montecarlo` takes a
@@ -24,58 +25,73 @@ import difflib
 import math
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from fractions import Fraction
 from typing import assert_never
 
-from sierra.errors import QueryError, UsageError
-from sierra.model import ConstantDensity, Criterion, Linear, Listed, Log, MonteCarlo, Scale, Span, Steps, Value, VariableDensity
+from sierra.config.plugin_registry import CRITERIA, Tables
+from sierra.errors import QueryError, SierraError, UsageError
+from sierra.model import (
+    Computed,
+    ConstantDensity,
+    Criterion,
+    Linear,
+    Listed,
+    Log,
+    MonteCarlo,
+    Scale,
+    Span,
+    Steps,
+    Value,
+    VariableDensity,
+)
 from sierra.query import ranges
+from sierra.query.base import Range
+from sierra.query.numbers import COUNT, DIGITS, NUMBER, almost, decimal, fraction, shown, step, whole
 from sierra.store.schema import RESERVED
 from sierra.util.text import outside
 
 """`RESERVED` has the names of the store's own columns, which axes must not use; SQL ignores case."""
 MONTE_CARLO = "montecarlo"
 VARIABLE_DENSITY = "population_variable_density"
-LINEAR_COUNT = 10
-"""Default number of values of `.Linear100`, without `.C`."""
-DIGITS = 40
-"""Maximum number of characters of a number, so that parsing is always fast."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ITEM = re.compile(r"(?=[.-]*[A-Za-z0-9_])[A-Za-z0-9_.-]+")
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 _DOTS = re.compile(r"([+-]?[0-9]+(?:\.[0-9]+)?)\.{2,3}([+-]?[0-9]+(?:\.[0-9]+)?)")
 """A range as other languages write it; as a name, it would be one value."""
 _WHOLE = re.compile(r"[+-]?[0-9]+")
-_LEADING_ZERO = re.compile(r"[+-]?0[0-9]")
 _ALMOST_NUMBER = re.compile(
     r"[+-]?(?:[0-9][0-9_]*(?:[.p][0-9_]*)?(?:e[+-]?[0-9]*)?|\.[0-9_]+(?:e[+-]?[0-9]*)?|nan|inf|infinity)", re.I
 )
 
 _STEP = r"([+-]?[0-9]+(?:p[0-9]+)?)"
-_COUNT = r"C([+-]?[0-9]+)"
-_LOG = re.compile(r"Log([+-]?[0-9]+)")
-_LINEAR = re.compile(rf"Linear([+-]?[0-9]+)(?:\.{_COUNT})?")
-_STEPS = re.compile(rf"{_STEP}\.{_STEP}\.{_COUNT}")
-_GROWTH = re.compile(rf"{_STEP}\.I{_STEP}\.{_COUNT}")
-_ONLY_COUNT = re.compile(_COUNT)
+_STEPS = re.compile(rf"{_STEP}\.{_STEP}\.{COUNT}")
+_GROWTH = re.compile(rf"{_STEP}\.I{_STEP}\.{COUNT}")
+_ONLY_COUNT = re.compile(COUNT)
 
 
-def parse(text: str) -> Criterion:
-    """Return the criterion that a text describes. Raises QueryError with a one-line message that includes a correction."""
+_RANGE_NAME = re.compile(r"[A-Za-z_]+")
+NO_OPTIONS: Tables = {}
+
+
+def parse(text: str, tables: Tables = NO_OPTIONS) -> Criterion:
+    """Return the criterion that a text describes. `tables` are `[criteria]`, with the options of plug-ins.
+
+    Raises QueryError with a one-line message that includes a correction.
+    """
     try:
-        return _criterion(text)
+        return _criterion(text, tables)
     except QueryError as error:
-        raise QueryError(f"{_shown(text)}: {error}") from None
+        raise QueryError(f"{shown(text)}: {error}") from None
 
 
-def parse_all(texts: Iterable[str]) -> tuple[Criterion, ...]:
+def parse_all(texts: Iterable[str], tables: Tables = NO_OPTIONS) -> tuple[Criterion, ...]:
     """Return the criteria of one query, in their order.
 
     Raises QueryError for an invalid criterion, for no criteria, for an axis that occurs twice or has the name of a column of
     the store, and for more than a million experiments.
     """
-    criteria = tuple(parse(text) for text in texts)
+    criteria = tuple(parse(text, tables) for text in texts)
     if not criteria:
         raise QueryError("a query needs at least one criterion; use population_size.Log8")
     first: dict[str, Criterion] = {}
@@ -83,16 +99,19 @@ def parse_all(texts: Iterable[str]) -> tuple[Criterion, ...]:
         _check_axis(criterion, first.setdefault(criterion.name.lower(), criterion))
     if math.prod(ranges.count(criterion.scale) for criterion in criteria) > ranges.MOST:
         together = " ".join(text(criterion) for criterion in criteria)
-        raise QueryError(f"{_shown(together)} expand to more than {ranges.MOST} experiments; use fewer values")
+        raise QueryError(f"{shown(together)} expand to more than {ranges.MOST} experiments; use fewer values")
     return criteria
 
 
 def text(criterion: Criterion) -> str:
-    """Return the canonical text; `parse` returns the criterion again. Raises QueryError if no text describes it."""
+    """Return the canonical text; `parse` returns the criterion again. Raises QueryError if no text describes it.
+
+    The text of a computed scale is as it was written, because only its plug-in could compute it again.
+    """
     ranges.check(criterion.scale)
     written = criterion.name + _written(criterion.scale)
-    if parse(written) != criterion:
-        raise QueryError(f"{_shown(written)} does not mean the same as {_shown(criterion)}")
+    if not isinstance(criterion.scale, Computed) and parse(written) != criterion:
+        raise QueryError(f"{shown(written)} does not mean the same as {shown(criterion)}")
     return written
 
 
@@ -100,49 +119,59 @@ def _check_axis(criterion: Criterion, first: Criterion) -> None:
     name = criterion.name
     if name.lower() in RESERVED:
         raise QueryError(
-            f"{_shown(text(criterion))}: {name!r} is a column of the store; use another name, for example my_{name}"
+            f"{shown(text(criterion))}: {name!r} is a column of the store; use another name, for example my_{name}"
         )
     if first is not criterion:
-        raise QueryError(f"{_shown(text(criterion))}: {name!r} is already an axis, by {_shown(text(first))}; use one of them")
+        raise QueryError(f"{shown(text(criterion))}: {name!r} is already an axis, by {shown(text(first))}; use one of them")
 
 
-def _criterion(text: str) -> Criterion:
+def _criterion(text: str, tables: Tables) -> Criterion:
     if not text:
         raise QueryError("a criterion must not be empty; use population_size.Log8")
     if not text.isprintable() or " " in text:
         raise QueryError("a criterion must not contain blanks; use noise=0,0.5,1")
     name, separator, rest = (*re.split(r"([.=])", text, maxsplit=1), "", "")[:3]
     if not _NAME.fullmatch(name):
-        raise QueryError(f"{_shown(name)} is not a name of letters, digits and _; {_right_name(name)}")
+        raise QueryError(f"{shown(name)} is not a name of letters, digits and _; {_right_name(name)}")
     if not rest:
         raise QueryError(f"{name} has no range; {_forms(name)}")
     if (name == MONTE_CARLO) != bool(separator == "." and _ONLY_COUNT.fullmatch(rest)):
         raise QueryError(_monte_carlo_mistaken(name, rest))
-    scale = _dotted(name, rest) if separator == "." else _spelled(name, rest)
+    scale = _dotted(name, rest, tables) if separator == "." else _spelled(name, rest)
     ranges.check(scale)
     return Criterion(name, scale)
 
 
-def _dotted(name: str, rest: str) -> Scale:
-    if found := _LOG.fullmatch(rest):
-        return Log(_whole(found[1]))
-    if found := _LINEAR.fullmatch(rest):
-        return Linear(_whole(found[1]), LINEAR_COUNT if found[2] is None else _whole(found[2]))
+def _dotted(name: str, rest: str, tables: Tables) -> Scale:
     if found := _ONLY_COUNT.fullmatch(rest):
-        return MonteCarlo(_whole(found[1]))
+        return MonteCarlo(whole(found[1]))
     if found := _GROWTH.fullmatch(rest):
-        return ConstantDensity(_step(found[1]), _step(found[2]), _whole(found[3]))
+        return ConstantDensity(step(found[1]), step(found[2]), whole(found[3]))
     if found := _STEPS.fullmatch(rest):
-        return _steps(name, found[1], found[2], _whole(found[3]))
+        return _steps(name, found[1], found[2], whole(found[3]))
+    if (word := _RANGE_NAME.match(rest)) and (word[0] in CRITERIA.shipped or word[0] in CRITERIA.names()):
+        return _named(word[0], rest, tables)
     raise QueryError(_dotted_mistaken(name, rest))
+
+
+def _named(kind: str, text: str, tables: Tables) -> Scale:
+    """Return the scale that the plug-in `kind` computes from the text after the dot, which begins with its name."""
+    made: Range = CRITERIA.make(kind, tables)
+    scale = made.scale(text.removeprefix(kind))
+    if not isinstance(scale, Computed):
+        return scale
+    for point in scale.points:
+        if isinstance(point.value, str) and (not _ITEM.fullmatch(point.value) or _ALMOST_NUMBER.fullmatch(point.value)):
+            raise QueryError(f"{kind} computed the name {shown(point.value)}; names have letters, digits, _ - and .")
+    return replace(scale, text=text)
 
 
 def _steps(name: str, start: str, end: str, count: int) -> Scale:
     if name == VARIABLE_DENSITY:
-        return VariableDensity(_step(start), _step(end), count)
+        return VariableDensity(step(start), step(end), count)
     if "p" in start + end:
-        return Span(_step(start), _step(end), count)
-    return Steps(_whole(start), _whole(end), count)
+        return Span(step(start), step(end), count)
+    return Steps(whole(start), whole(end), count)
 
 
 def _spelled(name: str, rest: str) -> Scale:
@@ -152,60 +181,23 @@ def _spelled(name: str, rest: str) -> Scale:
     parts = rest.split(":")
     if len(parts) != 3 or not _WHOLE.fullmatch(parts[2]):
         raise QueryError(f"a range needs from, to and a count; use {name}=0:1:5")
-    return Span(_fraction(parts[0]), _fraction(parts[1]), _whole(parts[2]))
+    return Span(fraction(parts[0]), fraction(parts[1]), whole(parts[2]))
 
 
 def value(word: str) -> Value:
     """Return the value that a word in a list of values means. Raises QueryError."""
     if _WHOLE.fullmatch(word):
-        return _whole(word)
-    if _NUMBER.fullmatch(word):
-        return _float(word)
+        return whole(word)
+    if NUMBER.fullmatch(word):
+        return decimal(word)
     if _ALMOST_NUMBER.fullmatch(word):
-        raise QueryError(_almost(word))
+        raise QueryError(almost(word))
     if ends := _DOTS.fullmatch(word):
         start, end = ends.groups()
-        raise QueryError(f"{_shown(word)} is not a range; use {start}:{end}:COUNT, or a list of values: {start},{end}")
+        raise QueryError(f"{shown(word)} is not a range; use {start}:{end}:COUNT, or a list of values: {start},{end}")
     if not _ITEM.fullmatch(word):
-        raise QueryError(f"{_shown(word)} is not a value; use a number, or a name of letters, digits, _ - and .")
+        raise QueryError(f"{shown(word)} is not a value; use a number, or a name of letters, digits, _ - and .")
     return word
-
-
-def _float(word: str) -> float:
-    exact, number = _fraction(word), float(word)
-    if math.isinf(number) or (exact and not number):
-        raise QueryError(f"{word} is outside the range of floats; use a number from 1e-307 to 1e308")
-    return number + 0.0  # -0.0 becomes 0.0
-
-
-def _whole(word: str) -> int:
-    return int(_fraction(word))
-
-
-def _step(word: str) -> Fraction:
-    if _LEADING_ZERO.match(word):
-        raise QueryError(f"{_shown(word)} has leading zeros; leave them out, as in 5 or 0p5")
-    return _fraction(word.replace("p", "."))
-
-
-def _fraction(word: str) -> Fraction:
-    """Return the exact number; its digits and exponent are limited, so that a hostile text cannot take long."""
-    if len(word) > DIGITS:
-        raise QueryError(f"a number of {len(word)} characters is too long; use at most {DIGITS} characters")
-    if not _NUMBER.fullmatch(word) or _LEADING_ZERO.match(word):
-        raise QueryError(_almost(word))
-    return Fraction(word)
-
-
-def _almost(word: str) -> str:
-    """Return a message about a word that should be a number."""
-    plain = word.lower().replace("p", ".", 1).replace("_", "")
-    if len(word) > DIGITS or not _NUMBER.fullmatch(plain):
-        return f"{_shown(word)} is not a number; use a number such as 5, -0.5 or 1e-3"
-    sign, digits = ("-" if plain[0] == "-" else ""), plain.lstrip("+-")
-    digits = digits.lstrip("0") if digits.strip("0") else "0"
-    right = sign + (digits if digits[0].isdigit() else "0" + digits)
-    return f"{word} is not in the number format of queries; use {right}"
 
 
 def _written(scale: Scale) -> str:
@@ -226,6 +218,8 @@ def _written(scale: Scale) -> str:
             return f".{_density(density)}.I{_written_step(increment)}.C{count}"
         case VariableDensity(start, end, count):
             return f".{_density(start)}.{_density(end)}.C{count}"
+        case Computed(text=text):
+            return f".{text}"
         case _:
             assert_never(scale)
 
@@ -252,14 +246,16 @@ def _dotted_mistaken(name: str, rest: str) -> str:
     if re.fullmatch(r"[0-9.+-]+(\.C[0-9]+)?", rest):
         return f"steps need from, to and a count, with p for the decimal point; use {name}.0p5.2p5.C5"
     if (word := re.match(r"[A-Za-z]+", rest)) is None:
-        return f"{_shown(rest)} is not a range; {_forms(name)}"
-    close = difflib.get_close_matches(word[0][:DIGITS].capitalize(), ("Log", "Linear"), 1, 0.5)
+        return f"{shown(rest)} is not a range; {_forms(name)}"
+    close = difflib.get_close_matches(word[0][:DIGITS].capitalize(), CRITERIA.names(), 1, 0.5)
     if not close:
-        return f"unknown range {_shown(rest)}; {_forms(name)}"
+        return f"unknown range {shown(rest)}; {_forms(name)}"
     meant = close[0] + rest[word.end() :].replace("c", "C")
-    if not (_LOG.fullmatch(meant) or _LINEAR.fullmatch(meant)):
-        meant = {"Log": "Log8", "Linear": "Linear100.C10"}[close[0]]
-    return f"unknown range {_shown(rest)}; did you mean {name}.{meant}?"
+    try:
+        ranges.check(_named(close[0], meant, NO_OPTIONS))
+    except SierraError:
+        meant = f"{close[0]}{CRITERIA.load(close[0]).example}"
+    return f"unknown range {shown(rest)}; did you mean {name}.{meant}?"
 
 
 def _monte_carlo_mistaken(name: str, rest: str) -> str:
@@ -277,12 +273,6 @@ def _right_name(name: str) -> str:
 
 def _forms(name: str) -> str:
     return f"use {name}.Log8, {name}.Linear100.C10, {name}.1.9.C5, {name}=0:1:5 or {name}=1,2,4"
-
-
-def _shown(what: object) -> str:
-    """Return Python's `repr` of an object, on one line and shortened."""
-    written = repr(what)
-    return written if len(written) <= 80 else f"{written[:76]}…{written[-1]}"
 
 
 def setting(text: str) -> tuple[str, str]:

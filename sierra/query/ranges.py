@@ -15,7 +15,7 @@ from fractions import Fraction
 from typing import assert_never
 
 from sierra.errors import QueryError
-from sierra.model import ConstantDensity, Linear, Listed, Log, MonteCarlo, Scale, Span, Steps, Value, VariableDensity
+from sierra.model import Computed, ConstantDensity, Linear, Listed, Log, MonteCarlo, Scale, Span, Steps, Value, VariableDensity
 
 MOST = 1_000_000
 """Maximum number of values of one scale, and of experiments of one query."""
@@ -47,6 +47,8 @@ def values(scale: Scale) -> tuple[Value, ...]:
             return listed
         case MonteCarlo(count):
             return tuple(range(1, count + 1))
+        case Computed(points):
+            return tuple(point.value for point in points)
         case ConstantDensity() | VariableDensity():
             raise QueryError("densities are only valid for a criterion of the platform; use steps, for example =0.5:2:4")
         case _:
@@ -60,6 +62,8 @@ def count(scale: Scale) -> int:
             return end.bit_length()
         case Listed(listed):
             return len(listed)
+        case Computed(points):
+            return len(points)
         case _:
             return scale.count
 
@@ -90,6 +94,8 @@ def check(scale: Scale) -> None:
             _check_span(start, end, count)
         case Listed(listed):
             _check_listed(listed)
+        case Computed(points):
+            _check_computed(tuple(point.value for point in points))
         case MonteCarlo(count):
             _check_count(count)
         case ConstantDensity(density, increment, count):
@@ -199,6 +205,15 @@ def _check_listed(listed: tuple[Value, ...]) -> None:
             raise QueryError(f"{value!r} is listed twice; use it once")
         seen.add(value)
     _check_mixed(listed)
+
+
+def _check_computed(values: tuple[Value, ...]) -> None:
+    """Raise QueryError for values that a plug-in must not compute: other types, such as NumPy's, would change ids."""
+    if not values:
+        raise QueryError("it has no value")
+    if wrong := next((value for value in values if type(value) not in (int, float, str)), None):
+        raise QueryError(f"its value {wrong!r} is of type {type(wrong).__name__}; a plug-in returns int, float or str")
+    _check_listed(values)
 
 
 def _check_mixed(values: tuple[Value, ...]) -> None:

@@ -20,7 +20,20 @@ from pydantic import BaseModel, TypeAdapter
 
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import NAME
-from sierra.config.plugin_registry import ENGINES, FIGURES, KINDS, PLATFORMS, READERS, RUNNERS, SCHEDULERS, TEMPLATES, Kind
+from sierra.config.plugin_registry import (
+    COMPARISONS,
+    CRITERIA,
+    ENGINES,
+    FIGURES,
+    KINDS,
+    PLATFORMS,
+    READERS,
+    RUNNERS,
+    SCHEDULERS,
+    STATISTICS,
+    TEMPLATES,
+    Kind,
+)
 from sierra.config.project_file import Project
 from sierra.config.targets import SHARED
 from sierra.errors import PluginError
@@ -85,7 +98,7 @@ def json_schema(note: Note | None = None) -> Schema:
     With `note`, those of the installed plug-ins are included. `note` receives a line for each one that cannot be used.
     """
     schema = _schema(Project)
-    for kind in (PLATFORMS, RUNNERS, TEMPLATES, ENGINES, READERS):
+    for kind in (PLATFORMS, RUNNERS, TEMPLATES, ENGINES, READERS, STATISTICS, COMPARISONS, CRITERIA):
         table = schema["properties"][kind.table]
         named = {name: _define(schema, f"{kind.table}.{name}", kind.load(name).Options) for name in _with_options(kind, note)}
         if named:

@@ -53,6 +53,11 @@ def rounded(value: float, low: float | None = None, high: float | None = None) -
     return Rounded(text, ends=(f"−{first}" if low is None else first, second), exponent=exponent)
 
 
+def fixed(value: float, digits: int) -> Rounded:
+    """Return the text of a finite number with these digits after the decimal point."""
+    return Rounded(_text(value, 0, -digits))
+
+
 def _exponent(value: float) -> int:
     """Return the power of ten of the first digit of a number; 0 for 0."""
     return Decimal(repr(value)).adjusted() if value else 0

@@ -21,8 +21,8 @@ from sierra.ingest.model import PLAIN, Form
 from sierra.query import grammar
 from sierra.runners import schedulers
 from sierra.templates.xml import XmlTemplate
+from sierra.testing import comparisons, criteria, platforms, readers, runners, statistics, templates
 from sierra.testing import engines as engine_conformance
-from sierra.testing import platforms, readers, runners, statistics, templates
 from tests import images, plugins, projects, stores
 
 SHIPPED = ", ".join(READERS.shipped)
@@ -285,6 +285,8 @@ def test_doctor_lists_plugins_and_their_options(project: Path) -> None:
         ("platform tortoise", "steps"),
         ("template conf", "comment"),
         ("reader track", "scale"),
+        ("comparison welch", "fewest"),
+        ("criterion Primes", "above"),
         ("runner niced", "niceness"),
         ("scheduler spool", "niceness"),
         ("engine direct", "niceness"),
@@ -302,7 +304,13 @@ def test_schema_contains_the_options_of_each_plugin(project: Path) -> None:
     schema = json.loads(succeed(project, "schema", "--toml", "--json"))
     settings = tomllib.loads((project / "sierra.toml").read_text())
     jsonschema.Draft202012Validator(schema).validate(settings)
-    for place, key in (("platforms.tortoise", "steps"), ("readers.track", "scale"), ("runners.niced", "niceness")):
+    for place, key in (
+        ("platforms.tortoise", "steps"),
+        ("readers.track", "scale"),
+        ("runners.niced", "niceness"),
+        ("comparison_methods.welch", "fewest"),
+        ("criteria.Primes", "above"),
+    ):
         kind, name = place.split(".")
         wrong = {**settings, kind: {name: {f"{key}_": 1}}}
         assert list(jsonschema.Draft202012Validator(schema).iter_errors(wrong)), place
@@ -362,6 +370,43 @@ def test_plugin_template_format_conforms(installed: Path) -> None:
 def test_plugin_statistic_conforms(installed: Path) -> None:
     statistics.check("laggards", {(1.0, 3.0, 9.0, 11.0): 2.0, (4.0,): 4.0}, {"resamples": 999})
     statistics.check("laggards", {(1.0, 3.0, 9.0, 11.0): 6.0}, {"part": 1.0, "resamples": 999})
+
+
+def test_plugin_range_conforms(installed: Path) -> None:
+    criteria.check("Primes", {"5": (2, 3, 5, 7, 11), "1": (2,)}, ["", "0", "-1", "x", "5.C2", "1000"])
+    criteria.check("Primes", {"2": (11, 13)}, options={"above": 10})
+
+
+def test_plugin_comparison_method_conforms(installed: Path) -> None:
+    comparisons.check("welch")
+
+
+RANGES = """
+from sierra.plugin import Computed, NoOptions, Point, Set
+class Arenas:
+    contract, Options, example = 1, NoOptions, "2"
+    def __init__(self, options): pass
+    def scale(self, text):
+        change = Set("//arena/@size", "{side}")
+        return Computed(tuple(Point(f"arena{k}", (change,), parameters={"side": 10 * k}) for k in range(1, int(text) + 1)))
+"""
+
+
+@pytest.mark.integration
+def test_recorded_values_of_a_range_need_no_plugin(tmp_path: Path) -> None:
+    """The values have changes of their own, so that the variable is declared nowhere."""
+    lib = plugins.write(tmp_path / "lib", "arenas", {"sierra.criteria Arenas": "Arenas"}, RANGES)
+    root = projects.make(tmp_path / "project")
+    words = ("run", "place.Arenas2", "noise=0.1,0.5", "--runs", "1", "--no-figures")
+    done = projects.sierra(root, *words, environment={"PYTHONPATH": str(lib)})
+    assert done.returncode == 0, done.stderr
+    batch = sierra.open(root).batches[-1].batch
+    values = rows(root, "SELECT DISTINCT place, noise FROM swarm ORDER BY ALL")
+    assert [tuple(row.values()) for row in values] == [("arena1", 0.1), ("arena1", 0.5), ("arena2", 0.1), ("arena2", 0.5)]
+    assert [row["query"] for row in rows(root, "SELECT query FROM batches")] == ["place.Arenas2 noise=0.1,0.5"]
+    assert "4 runs: 0 executed, 4 reused" in succeed(root, "run", batch[:10], "--no-figures")
+    assert "identical (4 runs: 4 identical)" in succeed(root, "replay", batch[:10])
+    assert "unknown range 'Arenas2'" in refused(root, "run", "place.Arenas2", "--no-figures")
 
 
 @pytest.mark.integration

@@ -56,6 +56,8 @@ class Cell:
     samples: tuple[Sample, ...]
     factors: tuple[tuple[Value, ...], ...] = ()
     """For a factorial comparison: the values of the factors, for each sample."""
+    names: tuple[str, ...] = ()
+    """The names of the factors; empty if this is no factorial comparison."""
 
     @property
     def name(self) -> str:
@@ -89,7 +91,7 @@ class Pair:
     n_second: int
     test: str
     difference: float | None
-    """The Hodges-Lehmann estimate of the difference; for censored times, the difference of the Kaplan-Meier medians."""
+    """The estimate of the difference: see `estimate`. None if it is not known."""
     low: float | None
     """The lower end of the interval of confidence 1 − alpha of the difference; None if n is too small for one."""
     high: float | None
@@ -97,13 +99,15 @@ class Pair:
     """The probability that a run of `second` has the greater value, plus half of that of equal values (Vargha-Delaney)."""
     p: float
     smallest: float
-    """The smallest p value that this test can have with this n."""
+    """The smallest p value that this test can have with this n; 0 if it can have any."""
     p_adjusted: float = 1.0
+    estimate: str = "median difference"
+    """What `difference` is, in words."""
     p_equivalent: float | None = None
     """The p value of two one-sided tests (TOST) that the difference lies within the margin."""
     p_equivalent_adjusted: float | None = None
     statistic: float | None = None
-    """The statistic of the log-rank test: above 0 if `first` reaches the threshold earlier."""
+    """For censored times only: a statistic that is above 0 if `first` reaches the threshold earlier."""
     never_first: int = 0
     """The number of runs of `first` that never reached the threshold."""
     never_second: int = 0
@@ -172,3 +176,9 @@ class Analysis:
     """The number of tests that the p values are corrected for."""
     notes: tuple[str, ...] = ()
     """Notes on data that are not in the numbers: runs without a value, pairs that were left out, cells that lack a group."""
+    method: str = ""
+    """The name of the comparison method."""
+    title: str = ""
+    """The name of the method's test."""
+    estimates: str = ""
+    """What the differences are, in the plural."""

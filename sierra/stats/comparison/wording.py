@@ -32,11 +32,10 @@ def p_value(value: float) -> str:
 def interval(pair: Pair, alpha: float) -> str:
     """Return the estimate of a difference and its interval."""
     if pair.difference is None:
-        return "the median time of a group is not known"
-    name = "difference of the median times" if pair.a12 is None else "median difference"
+        return f"{pair.estimate}: not known"
     if pair.low is None or pair.high is None:
-        return f"{name} {number(pair.difference)}"
-    return f"{name} {number(pair.difference)}, {_level(alpha)} CI [{number(pair.low)}, {number(pair.high)}]"
+        return f"{pair.estimate} {number(pair.difference)}"
+    return f"{pair.estimate} {number(pair.difference)}, {_level(alpha)} CI [{number(pair.low)}, {number(pair.high)}]"
 
 
 def _level(alpha: float) -> str:
@@ -131,10 +130,10 @@ def _sentence(text: str) -> str:
 
 
 def _method(result: Analysis) -> Iterator[str]:
-    if any(pair.a12 is not None for pair in result.pairs):
-        yield "Differences are Hodges-Lehmann estimates of the second group minus the first."
+    if result.estimates and any(pair.difference is not None for pair in result.pairs):
+        yield f"Differences (second group minus first) are {result.estimates}."
     if result.effects:
-        yield "The tests are analyses of variance of aligned ranks."
+        yield f"The tests are by {result.title}."
     if result.tests > 1:
         yield f"The p values are corrected for {result.tests} tests (Holm)."
 

@@ -209,7 +209,7 @@ def test_a_long_invalid_text_is_refused_quickly(text: str) -> None:
         ("n.Log08", "'n.Log08': 08 is not in the number format of queries; use 8"),
         ("n.Lgo8", "'n.Lgo8': unknown range 'Lgo8'; did you mean n.Log8?"),
         ("n.linear50.c5", "'n.linear50.c5': unknown range 'linear50.c5'; did you mean n.Linear50.C5?"),
-        ("n.Log", "'n.Log': unknown range 'Log'; did you mean n.Log8?"),
+        ("n.Log", "'n.Log': '' is not a whole number; use Log8"),
         ("n.Linear8", "'n.Linear8': 8 cannot be divided into 10 equal whole steps; use Linear8.C8 or Linear10"),
         (
             "n.Linear100.C8",

@@ -12,7 +12,7 @@ import pytest
 
 from sierra.errors import SierraError, UsageError
 from sierra.stats.comparison.analyse import analyse
-from sierra.stats.comparison.model import Analysis, Cell, Question, RunValue, Sample, Verdict
+from sierra.stats.comparison.model import Analysis, Cell, Paired, Question, RunValue, Sample, Verdict
 from sierra.stats.comparison.wording import paragraph
 
 ASK = Question()
@@ -110,6 +110,52 @@ def test_a_cell_without_values_of_a_group_is_left_out_and_named() -> None:
     assert "size = 4 left out: no value of b" in result.notes
     with pytest.raises(SierraError, match="no comparison is possible: no value of b"):
         analyse([empty], ASK)
+
+
+def test_a_group_without_values_is_left_out_and_the_others_are_compared() -> None:
+    part = Cell({"size": 2}, (sample("a", range(9)), sample("b", [], planned=9), sample("c", range(5, 14))))
+    whole = Cell({"size": 4}, (sample("a", range(9)), sample("b", range(1, 10)), sample("c", range(2, 11))))
+    result = analyse([part, whole], replace(ASK, paired=True))
+    assert [(pair.point["size"], pair.first, pair.second) for pair in result.pairs] == [
+        *[(2, "a", "c")],
+        *[(4, "a", "b"), (4, "a", "c"), (4, "b", "c")],
+    ]
+    assert [one.groups for one in result.omnibus] == [("a", "b", "c")]
+    assert "size = 2: no value of b; the other groups are compared" in result.notes
+    only = analyse([replace(part, point={})], ASK)
+    assert (only.groups, [(pair.first, pair.second) for pair in only.pairs]) == (("a", "c"), [("a", "c")])
+    assert "No value of b; the other groups are compared." in text(only)
+    with pytest.raises(SierraError, match="no comparison is possible: no value of b"):
+        analyse([part], replace(ASK, against="b"))
+
+
+@pytest.mark.parametrize(
+    ("method", "paired", "message"),
+    [
+        ("rank_sum", True, "the Mann-Whitney test cannot compare runs as pairs"),
+        ("signed_rank", False, "the Wilcoxon signed-rank test cannot compare runs that are not pairs"),
+        ("aligned_ranks", "auto", "the analysis of variance of aligned ranks needs several variables"),
+        ("log_rank", "auto", "the log-rank test cannot test for equivalence within a margin"),
+    ],
+)
+def test_a_method_that_does_not_fit_is_refused(method: str, paired: Paired, message: str) -> None:
+    question = replace(ASK, paired=paired, margin=1.0 if method == "log_rank" else None)
+    with pytest.raises(UsageError, match=message):
+        analyse([common(1, 9, 0, 1)], question, (), method)
+
+
+def test_a_method_can_be_chosen() -> None:
+    groups = common(1, 12, 0, 1, 2)
+    names = ("signed_rank", "rank_sum", "friedman", "kruskal")
+    found = {name: analyse([groups], ASK, (), name) for name in names}
+    assert {name: one.pairs[0].test for name, one in found.items()} == {
+        "signed_rank": "Wilcoxon signed-rank test",
+        "rank_sum": "Mann-Whitney test",
+        "friedman": "Wilcoxon signed-rank test",
+        "kruskal": "Dunn's test",
+    }
+    assert [bool(one.omnibus) for one in found.values()] == [False, False, True, True]
+    assert found["friedman"] == replace(analyse([groups], ASK), pairing=found["friedman"].pairing)
 
 
 def test_five_pairs_are_too_few_for_any_verdict() -> None:
