@@ -978,6 +978,7 @@ class Project:
         measure: Literal["final", "mean", "time_to"] | None = None,
         threshold: float | None = None,
         over_time: bool = False,
+        method: str = "auto",
         paired: bool | Literal["auto"] = "auto",
         against: str | None = None,
         margin: float | None = None,
@@ -1002,6 +1003,7 @@ class Project:
             "measure": measure,
             "threshold": threshold,
             "over_time": over_time,
+            "method": method,
             "paired": paired,
             "against": against,
             "margin": margin,
@@ -1138,6 +1140,30 @@ class Project:
         from sierra.deliverables import comparison
 
         return comparison.draw(compared, self.store, self.paths, self.config.figure_formats)
+
+    def paper_comparison(
+        self,
+        compared: Compared,
+        format: str = "latex",
+        *,
+        figures: Sequence[str | os.PathLike[str]] = (),
+        folder: str | os.PathLike[str] | None = None,
+        caption: str = "",
+        label: str = "",
+    ) -> str:
+        """Return a comparison as text for papers: `latex` (with booktabs), `markdown` or `html`.
+
+        It has the table and the paragraph. With `figures`, the files of `draw_comparison`, it also has the figure, named
+        relative to `folder` (default: the working directory). Raises UsageError.
+
+        >>> compared = project.compare(summary.batch, by=["population_size"])
+        >>> print(project.paper_comparison(compared, "markdown").splitlines()[0])
+        | groups | n | test | difference | A12 | p | verdict |
+        """
+        from sierra.deliverables import comparison_text
+
+        place = Path(folder) if folder is not None else None
+        return comparison_text.text(compared, format, list(map(Path, figures)), place, caption, label)
 
     def batch(self, prefix: str | None = None, *, target: str | None = None) -> str:
         """Return the id of a batch from a prefix; without one, that of the batch requested last, for `target` if it is given.

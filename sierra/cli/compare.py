@@ -12,7 +12,8 @@ from sierra.cli import complete
 from sierra.cli.arguments import MEASURES, MeasureOfRun, OneColumn, OneOutput, Threshold
 from sierra.cli.figures import from_here
 from sierra.cli.output import note, print_json
-from sierra.cli.sql import Format, Printable, write
+from sierra.cli.sql import Format, Printable, write, write_text
+from sierra.cli.stats import PAPER, Shown
 from sierra.errors import Missing, UsageError
 
 if TYPE_CHECKING:
@@ -62,6 +63,16 @@ def compare(
     over_time: Annotated[
         bool, typer.Option("--over-time", help="Draw the difference over time; test the mean of each run over time.")
     ] = False,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            "--method",
+            metavar="NAME",
+            autocompletion=complete.comparison_methods,
+            help="How groups are tested: signed_rank, friedman, rank_sum, kruskal, log_rank, aligned_ranks, or a plug-in "
+            "(default: what suits the data).",
+        ),
+    ] = None,
     paired: Annotated[
         Pairs | None, typer.Option("--paired", help="Compare runs with the same seed as pairs (default: if they correlate).")
     ] = None,
@@ -75,8 +86,19 @@ def compare(
     figure: Annotated[
         bool, typer.Option("--figure/--no-figure", help="Draw the figure of differences (default) or not.")
     ] = True,
-    format: Annotated[Format, typer.Option("--format", "-f", help="Format of the table of results.")] = Format.table,
-    file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the table to a file.")] = None,
+    format: Annotated[
+        Shown,
+        typer.Option(
+            "--format",
+            "-f",
+            help="Output format; markdown, latex and html: table, text and figure for papers, with rounded numbers.",
+        ),
+    ] = Shown.table,
+    caption: Annotated[str, typer.Option("--caption", metavar="TEXT", help="Caption of a table for papers.")] = "",
+    label: Annotated[
+        str, typer.Option("--label", metavar="NAME", help="Label of a table for papers, such as tab:speeds.")
+    ] = "",
+    file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the result to a file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object with everything instead of text.")] = False,
 ) -> None:
     """Compare groups of runs by tests, with effect sizes and intervals.
@@ -97,10 +119,13 @@ def compare(
       sierra compare 518b --by noise,population_size
       sierra compare 518b 722b --measure time_to --threshold 0.5
       sierra compare slow=518b fast=722b --over-time
-      sierra compare speeds --format markdown
+      sierra compare speeds --format latex -o speeds.tex
     """
     from sierra.cli.open_project import project
 
+    format = Shown.json if as_json else format
+    if (caption or label) and format not in PAPER:
+        raise UsageError("--caption and --label need a format for papers: --format latex, markdown or html")
     opened = project()
     given: dict[str, object] = {
         "--by": by,
@@ -111,6 +136,7 @@ def compare(
         "--measure": measure,
         "--threshold": threshold,
         "--over-time": over_time or None,
+        "--method": method,
         "--paired": paired,
         "--margin": margin,
         "--alpha": alpha,
@@ -134,18 +160,26 @@ def compare(
             measure=MEASURES[measure] if measure else None,
             threshold=threshold,
             over_time=over_time,
+            method=method or "auto",
             paired=PAIRED[paired or Pairs.auto],
             against=against,
             margin=margin,
             alpha=0.05 if alpha is None else alpha,
         )
-    _show(opened, found, Format.json if as_json else format, file, figure=figure, as_json=as_json)
-
-
-def _show(opened: Project, found: Compared, format: Format, file: Path | None, *, figure: bool, as_json: bool) -> None:
     drawn, refused = _drawn(opened, found) if figure else ([], "")
     for text in found.notes:
         note(text)
+    if format in PAPER:
+        folder = None if file is None else file.parent
+        text = opened.paper_comparison(found, format.value, figures=drawn, folder=folder, caption=caption, label=label)
+        write_text(text, file)
+    else:
+        _show(found, Format(format.value), file, drawn, as_json=as_json)
+    if refused:
+        note(f"no figure: {refused}")
+
+
+def _show(found: Compared, format: Format, file: Path | None, drawn: list[Path], *, as_json: bool) -> None:
     if as_json and file is None:
         print_json(_answer(found, drawn))
     else:
@@ -154,8 +188,6 @@ def _show(opened: Project, found: Compared, format: Format, file: Path | None, *
             print(f"\n{found.text}")
             for path in drawn:
                 print(from_here(path))
-    if refused:
-        note(f"no figure: {refused}")
 
 
 def _drawn(opened: Project, found: Compared) -> tuple[list[Path], str]:
@@ -175,6 +207,7 @@ def _answer(found: Compared, drawn: list[Path]) -> dict[str, object]:
         "measure": found.measure,
         "unit": found.unit,
         "groups": found.analysis.groups,
+        "method": found.analysis.method,
         "alpha": found.analysis.question.alpha,
         "margin": found.analysis.question.margin,
         "paired": found.analysis.pairing.paired,

@@ -6,16 +6,19 @@ below a table has n, the kinds of intervals, and what is not in the numbers. The
 
 from __future__ import annotations
 
+import csv as csv_module
 import html
+import io
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sierra.config.project_file import LoadedProject, Project
 from sierra.errors import UsageError
 from sierra.execution import targets
+from sierra.model import Value
 from sierra.stats.rounding import Rounded, rounded
 
 if TYPE_CHECKING:
@@ -75,10 +78,7 @@ class PaperTable:
 
 def text(project: LoadedProject, store: Store, statistics: pa.Table, format: str, caption: str = "", label: str = "") -> str:
     """Return the text of a table of statistics, as `render.statistics` returns them, in one of `FORMATS`. Raises UsageError."""
-    if label and not LABEL.fullmatch(label):
-        raise UsageError(f"label {label!r}: use letters, digits and the characters : . _ - only")
-    if format not in FORMATS:
-        raise UsageError(f"unknown format of a table {format!r}; known are {', '.join(FORMATS)}")
+    check_format(format, label)
     metadata = statistics.schema.metadata or {}
     about = json.loads(metadata.get(b"sierra:statistics", b"{}"))
     if not about.get("statistics") or "remaining" in statistics.column_names:
@@ -93,6 +93,63 @@ def text(project: LoadedProject, store: Store, statistics: pa.Table, format: str
     shown = {name: header for name, header in headers.items() if name in named.column_names}
     notes = metadata.get(b"sierra:note", b"").decode()
     return FORMATS[format](paper_table(named, about["statistics"], shown, notes, caption=caption, label=label))
+
+
+def check_format(format: str, label: str) -> None:
+    """Raise UsageError for an unknown format, or for a label that LaTeX would not take."""
+    if label and not LABEL.fullmatch(label):
+        raise UsageError(f"label {label!r}: use letters, digits and the characters : . _ - only")
+    if format not in FORMATS:
+        raise UsageError(f"unknown format of a table {format!r}; known are {', '.join(FORMATS)}")
+
+
+def cells_of(statistics: pa.Table) -> tuple[list[str], dict[int, dict[str, Value]]]:
+    """Return the variables of a table of statistics, and their values by the position of the experiment."""
+    axes = _about(statistics)["axes"]
+    columns = [statistics.column(1 + place).to_pylist() for place in range(len(axes))]
+    ordinals = statistics.column(0).to_pylist()
+    return axes, {k: dict(zip(axes, values, strict=True)) for k, *values in zip(ordinals, *columns, strict=True)}
+
+
+def axis_headers(config: Project, statistics: pa.Table) -> dict[str, str]:
+    """Return the headers of the variables, by name."""
+    about = _about(statistics)
+    headers = _headers(config, about, about["axes"])
+    return {name: headers[name] for name in about["axes"]}
+
+
+def statistic_headers(config: Project, statistics: pa.Table) -> dict[str, str]:
+    """Return the headers of the statistics, by name."""
+    return _of_statistics(config, _about(statistics))
+
+
+Estimates: TypeAlias = dict[int, tuple[float | None, float | None, float | None, int]]
+
+
+def estimates_of(statistics: pa.Table, name: str, axes: int, ordinals: Container[int]) -> tuple[Estimates, list[str]]:
+    """Return value, low, high and n of a statistic by the position of the experiment, and the methods of its intervals."""
+    rest = statistics.rename_columns([*map(str, range(1 + axes)), *_own_names(statistics)[1 + axes :]])
+    columns = [rest.column(column).to_pylist() for column in ("0", name, f"{name}_low", f"{name}_high", "n")]
+    methods = rest.column(f"{name}_interval").to_pylist()
+    rows = [row for row in zip(*columns, methods, strict=True) if row[0] in ordinals]
+    return {row[0]: row[1:5] for row in rows}, list(dict.fromkeys(row[5] for row in rows if row[5]))
+
+
+def notes_and_sql(statistics: pa.Table) -> tuple[str, str]:
+    """Return the notes and the SQL of a table of statistics."""
+    metadata = statistics.schema.metadata or {}
+    return metadata.get(b"sierra:note", b"").decode(), metadata.get(b"sierra:sql", b"").decode()
+
+
+def _about(statistics: pa.Table) -> dict[str, Any]:
+    about: dict[str, Any] = json.loads((statistics.schema.metadata or {})[b"sierra:statistics"])
+    return about
+
+
+def _own_names(statistics: pa.Table) -> list[str]:
+    """Return the names of columns without the `_` that columns get which have the name of a variable."""
+    axes = _about(statistics)["axes"]
+    return [name[:-1] if name[:-1] in axes else name for name in statistics.column_names]
 
 
 def _headers(config: Project, about: Mapping[str, Any], axes: Sequence[str]) -> dict[str, str]:
@@ -120,7 +177,7 @@ def _unit(config: Project, about: Mapping[str, Any], column: str) -> str:
 
 
 def _header(name: str, unit: str) -> str:
-    return f"{name.replace('_', ' ')} [{unit}]" if unit else name.replace("_", " ")
+    return f"{name.replace('_', ' ')} [{unit}]" if unit not in ("", "1") else name.replace("_", " ")
 
 
 def paper_table(
@@ -135,7 +192,7 @@ def paper_table(
             ends = zip(columns[name], columns[f"{name}_low"], columns[f"{name}_high"], strict=True)
             shown[header] = [None if value is None else rounded(value, low, high) for value, low, high in ends]
         else:
-            shown[header] = _plain(columns[name])
+            shown[header] = plain(columns[name])
     n = f"n = {counts[0]}" if len(set(counts)) == 1 else ""
     if counts and not n:
         shown["n"] = [str(count) for count in counts]
@@ -143,12 +200,12 @@ def paper_table(
     texts = [
         place for place, name in enumerate(headers) if name not in names and any(isinstance(v, str) for v in columns[name])
     ]
-    note = "; ".join(filter(None, (n, _intervals(methods), notes)))
+    note = "; ".join(filter(None, (n, intervals(methods), notes)))
     rows = tuple(zip(*shown.values(), strict=True))
     return PaperTable(tuple(shown), rows, note, caption, label, frozenset(texts))
 
 
-def _plain(values: Sequence[object]) -> list[Cell]:
+def plain(values: Sequence[object]) -> list[Cell]:
     """Return the values of a variable as text, with as many digits as it takes to tell them apart."""
     texts = [f"{value:.12g}" if isinstance(value, float) else str(value) for value in values]
     if len(set(texts)) < len(set(values)):
@@ -157,7 +214,7 @@ def _plain(values: Sequence[object]) -> list[Cell]:
     return [text.replace("-", "−") if number else text for text, number in zip(texts, numbers, strict=True)]
 
 
-def _intervals(methods: Mapping[str, Sequence[str]]) -> str:
+def intervals(methods: Mapping[str, Iterable[str]]) -> str:
     """Return what the intervals are, in words."""
     having = {name: " or ".join(found) for name, found in methods.items() if found}
     if not having:
@@ -214,12 +271,12 @@ def markdown(table: PaperTable) -> str:
     """Return the table as a table of GitHub's Markdown."""
     rules = [":--" if place in table.texts else "--:" for place in range(len(table.headers))]
     rows = [table.headers, rules, *([_text_cell(cell) for cell in row] for row in table.rows)]
-    lines = ["| " + " | ".join(_markdown(cell) for cell in row) + " |" for row in rows]
-    above = [_markdown(table.caption), ""] if table.caption else []
-    return "\n".join([*above, *lines, "", _markdown(table.note)]) + "\n"
+    lines = ["| " + " | ".join(as_markdown(cell) for cell in row) + " |" for row in rows]
+    above = [as_markdown(table.caption), ""] if table.caption else []
+    return "\n".join([*above, *lines, "", as_markdown(table.note)]) + "\n"
 
 
-def _markdown(text: str) -> str:
+def as_markdown(text: str) -> str:
     """Return a text without characters that Markdown gives a meaning to, in one line."""
     return "".join(f"\\{c}" if c in "\\|*_`<>" else c for c in " ".join(text.split()))
 
@@ -235,6 +292,14 @@ def _text_cell(cell: Cell) -> str:
             if half:
                 return f"({value} ± {half}){power}" if power else f"{value} ± {half}"
             return f"{value}{power}" + (f" [{ends[0]}, {ends[1]}]{power}" if ends else "")
+
+
+def csv(table: PaperTable) -> str:
+    """Return the table as CSV, with the rounded numbers as text."""
+    file = io.StringIO()
+    writer = csv_module.writer(file, lineterminator="\n")
+    writer.writerows([table.headers, *(["" if cell is None else _text_cell(cell) for cell in row] for row in table.rows)])
+    return file.getvalue()
 
 
 def page(table: PaperTable) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import statistics
 from pathlib import Path
 from typing import Any
@@ -133,10 +134,36 @@ def test_the_table_the_text_and_the_figure_are_made(compared: tuple[Path, str, s
     assert [(root / file).read_bytes() for file in files] == before, "the same data give the same bytes"
 
 
+def test_formats_for_papers_have_the_table_the_text_and_the_figure(compared: tuple[Path, str, str], tmp_path: Path) -> None:
+    root = stores.copy(compared[0], tmp_path / "project")
+    words = ("compare", f"a_1={compared[1][:8]}", f"b&={compared[2][:8]}", "--format")
+    latex = projects.quick(root, *words, "latex", "--caption", "50 % more", "--label", "tab:noise").stdout
+    table, text, figure = latex.split("\n\n")
+    assert [line for line in table.splitlines() if line.startswith(r"\caption")] == [r"\caption{50 \% more}"]
+    rows = [line for line in table.splitlines() if line.startswith("1 &")]
+    groups, n, test, difference, a12, p, verdict = rows[0].removesuffix(r" \\").split(" & ", 1)[1].rsplit(" & ", 6)
+    assert (groups, n, test, p, verdict) == (r"b\& $-$ a\_1", "8", "Wilcoxon signed-rank test", "0.016", "different")
+    assert re.fullmatch(r"\$\d\.\d+( \\pm .*|\\ \[.*\])\$", difference)
+    assert re.fullmatch(r"\$\d\.\d\d\$", a12)
+    assert text.startswith(r"The final value of coverage was compared between a\_1 and b\&")
+    (path,) = re.findall(r"\\includegraphics\[width=\\columnwidth\]\{(.*)\}", figure)
+    assert (root / path).is_file()
+    assert path.endswith(".pdf")
+    (root / "tables").mkdir()
+    page = projects.quick(root, *words, "html", "-o", "tables/noise.html")
+    assert (page.returncode, page.stdout) == (0, "")
+    html = (root / "tables" / "noise.html").read_text()
+    assert "<p>The final value of coverage was compared between a_1 and b&amp;" in html
+    (image,) = re.findall(r'<img src="([^"]+)"', html)
+    assert (root / "tables" / image).resolve().suffix == ".svg"
+    markdown = projects.quick(root, *words, "markdown", "--no-figure").stdout
+    assert markdown.startswith("| population size | groups | n |")
+    assert "![" not in markdown
+
+
 def test_a_table_of_another_format_is_nothing_but_the_table(compared: tuple[Path, str, str]) -> None:
     root, quiet, noisy = compared
     words = ("compare", quiet[:8], noisy[:8], "--no-figure")
-    assert projects.quick(root, *words, "--format", "markdown").stdout.startswith("| population_size | first |")
     rows = projects.quick(root, *words, "--format", "csv").stdout.splitlines()
     assert len(rows) == 3
     assert rows[0].endswith("p,p_adjusted,verdict")

@@ -1,0 +1,126 @@
+"""A comparison for a paper, as LaTeX, Markdown or HTML: its table, its paragraph, and its figure.
+
+Differences are rounded by their intervals (see `sierra.stats.rounding`), A12 has two digits, and p values are those that are
+corrected for all tests of the report.
+"""
+
+from __future__ import annotations
+
+import html
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from sierra.deliverables.comparison import Compared, caption_of
+from sierra.deliverables.paper_tables import FORMATS, Cell, PaperTable, as_markdown, check_format, escaped, plain
+from sierra.stats.comparison.model import Effect, Omnibus, Pair
+from sierra.stats.comparison.wording import number, p_value
+from sierra.stats.rounding import Rounded, rounded
+
+SUFFIXES = {"latex": ".pdf", "markdown": ".png", "html": ".svg"}
+"""The files of figures that each format can show."""
+
+
+def text(
+    compared: Compared, format: str, files: Sequence[Path] = (), folder: Path | None = None, caption: str = "", label: str = ""
+) -> str:
+    """Return a comparison as text. `files` are those of its figure, which are named relative to `folder`.
+
+    Raises UsageError for an unknown format, or for a label that LaTeX would not take.
+    """
+    check_format(format, label)
+    table = FORMATS[format](paper_table(compared, caption, label))
+    parts = [table, PARAGRAPHS[format](compared.text)]
+    if shown := next((file for file in files if file.suffix == SUFFIXES[format]), None):
+        path = Path(os.path.relpath(shown, folder or Path.cwd())).as_posix()
+        parts.append(PICTURES[format](path, _caption(compared), f"fig:{compared.name}"))
+    return "\n".join(parts)
+
+
+def paper_table(compared: Compared, caption: str = "", label: str = "") -> PaperTable:
+    """Return the table of a comparison: a row for each test, the values of variables first."""
+    tests: list[Omnibus | Pair | Effect] = [*compared.omnibus, *compared.pairs, *compared.effects]
+    points = [one.point if not isinstance(one, Effect) else {} for one in tests]
+    variables = list(dict.fromkeys(name for point in points for name in point))
+    places = {name: plain([point.get(name, "") for point in points]) for name in variables}
+    rows: list[dict[str, Cell]] = [
+        {name: cells[k] for name, cells in places.items()} | _cells(one, compared) for k, one in enumerate(tests)
+    ]
+    headers = [name for name in rows[0] if any(row[name] is not None for row in rows)]
+    texts = frozenset(place for place, name in enumerate(headers) if name in ("groups", "effect", "test", "verdict"))
+    texts |= {place for place, name in enumerate(headers) if any(isinstance(point.get(name), str) for point in points)}
+    cells = tuple(tuple(row[name] for name in headers) for row in rows)
+    shown = tuple(name.replace("_", " ") if name in variables else name for name in headers)
+    return PaperTable(shown, cells, _caption(compared), caption, label, texts)
+
+
+def _cells(one: Omnibus | Pair | Effect, compared: Compared) -> dict[str, Cell]:
+    """Return the cells of a row, by header; all rows have the same headers."""
+    cells: dict[str, Cell] = dict.fromkeys(
+        ("groups", "effect", "n", "test", "statistic", _difference(compared), "A12", "partial η²", "p", "p (TOST)", "verdict")
+    )
+    cells["p"] = _short(p_value(one.p_adjusted))
+    match one:
+        case Pair():
+            n = str(one.n_first) if one.n_first == one.n_second else f"{one.n_first}, {one.n_second}"
+            difference = None if one.difference is None else rounded(one.difference, one.low, one.high)
+            a12 = None if one.a12 is None else Rounded(f"{one.a12:.2f}")
+            cells |= {"groups": f"{one.second} − {one.first}", "n": n, "test": one.test, _difference(compared): difference}
+            cells |= {"A12": a12, "verdict": one.verdict.value}
+            if one.p_equivalent_adjusted is not None:
+                cells["p (TOST)"] = _short(p_value(one.p_equivalent_adjusted))
+        case Omnibus():
+            statistic = f"χ²({one.df}) = {number(one.statistic)}"
+            cells |= {"groups": "all groups", "n": str(one.n), "test": one.test, "statistic": statistic}
+        case Effect():
+            statistic = f"F({one.df}, {one.df_error}) = {number(one.f)}"
+            cells |= {"effect": one.name, "statistic": statistic, "partial η²": Rounded(f"{one.eta:.2f}")}
+    return cells
+
+
+def _difference(compared: Compared) -> str:
+    return f"difference [{compared.unit}]" if compared.unit else "difference"
+
+
+def _short(p: str) -> str:
+    """Return a p value for a column of them: `0.015`, `< 0.001`."""
+    return p.removeprefix("p ").removeprefix("= ")
+
+
+def _caption(compared: Compared) -> str:
+    """Return the small print: what is compared, and how the numbers were computed."""
+    threshold = compared.asked.threshold
+    what = (
+        f"{compared.measure} {compared.column}" if threshold is None else f"time until {compared.column} reaches {threshold:g}"
+    )
+    return f"{what}: {caption_of(compared)}"
+
+
+def _latex_picture(path: str, caption: str, label: str) -> str:
+    lines = (
+        r"\begin{figure}",
+        r"\centering",
+        rf"\includegraphics[width=\columnwidth]{{{path}}}",
+        rf"\caption{{{escaped(caption)}}}",
+        rf"\label{{{label}}}",
+        r"\end{figure}",
+    )
+    return "\n".join(lines) + "\n"
+
+
+def _html_picture(path: str, caption: str, label: str) -> str:
+    shown = html.escape(caption)
+    image = f'<img src="{html.escape(path)}" alt="{shown}">'
+    return f'<figure id="{html.escape(label)}">{image}<figcaption>{shown}</figcaption></figure>\n'
+
+
+PARAGRAPHS: Mapping[str, Callable[[str], str]] = {
+    "latex": lambda text: escaped(text) + "\n",
+    "markdown": lambda text: as_markdown(text) + "\n",
+    "html": lambda text: f"<p>{html.escape(text)}</p>\n",
+}
+PICTURES: Mapping[str, Callable[[str, str, str], str]] = {
+    "latex": _latex_picture,
+    "markdown": lambda path, caption, label: f"![{as_markdown(caption)}](<{path}>)\n",
+    "html": _html_picture,
+}
