@@ -895,6 +895,25 @@ class Project:
 
         return check.check(self._loaded, self.store, self.batch(prefix))
 
+    def draw_batches(self, *words: str, name: str | None = None, formats: Sequence[str] = ()) -> tuple[list[Path], list[str]]:
+        """Draw several batches together: in figures with a line for each batch, and in tables with the batches side by side.
+
+        `words` are batches as in `compare`: prefixes or names of queries, also as `LABEL=PREFIX`, in the order of the lines.
+        `name`: the only figure or table. Return the files, and notes on what could not be drawn. Raises NotFound,
+        UsageError.
+
+        >>> project.draw_batches(summary.batch)
+        Traceback (most recent call last):
+        sierra.errors.UsageError: ...
+        """
+        from sierra.deliverables import overlay, render
+        from sierra.deliverables.figures.formats import named
+
+        if len(words) < 2:
+            raise UsageError("name two batches or more, to draw them together")
+        found = self._groups_of(words)
+        return render.overlaid(self._loaded, self.store, found, name, overlay.BATCH, formats=named(formats))
+
     def draw_together(
         self, targets: Sequence[str], prefix: str | None = None, name: str | None = None, *, formats: Sequence[str] = ()
     ) -> tuple[list[Path], list[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -16,16 +17,23 @@ from sierra.cli.output import note, print_json, readable
 from sierra.errors import UsageError
 
 if TYPE_CHECKING:
+    from sierra.api import Project
     from sierra.deliverables.record import Checked
 
 
+PREFIX = re.compile(r"[0-9a-f]{1,64}")
+"""A prefix of a batch's id, which the name of a default figure is not."""
+
+
 def figures(
-    prefix: Annotated[
-        str | None,
-        typer.Argument(metavar="HASH", autocompletion=complete.batches, help="Batch id or prefix (default: the last batch)."),
-    ] = None,
-    name: Annotated[
-        str | None, typer.Argument(metavar="NAME", autocompletion=complete.figures, help="One figure (default: all).")
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[HASH...] [NAME]",
+            autocompletion=complete.batches_and_figures,
+            help="Batch id or prefix (default: the last batch); several, also as LABEL=HASH or the name of a query, are drawn "
+            "together. Then the name of one figure or table (default: all).",
+        ),
     ] = None,
     target: Annotated[
         str | None,
@@ -49,9 +57,10 @@ def figures(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list of files instead of text.")] = False,
 ) -> None:
-    """Draw the figures of a batch again.
+    """Draw the figures and tables of a batch again.
 
-    Figures are drawn from recorded results; nothing is executed. With several targets, the last batches of one query are drawn
+    They are drawn from recorded results; nothing is executed. Several batches are drawn together, in the order given: figures
+    have a line for each batch, and tables have them side by side. With several targets, the last batches of one query are drawn
     together, with a line for each target: those of the query of HASH, or of the last query for any of these targets. Their runs
     must be pairs, with the same values and seeds. With --check, nothing is drawn: exit status 1
     means that a file was changed or removed since it was drawn, or that the store has other data now.
@@ -64,6 +73,7 @@ def figures(
       sierra figures --target sim,robots
       sierra figures 3f9a1c swarm_coverage_summary
       sierra figures --format pdf,html
+      sierra figures calm=3f9a1c noisy=518b72 swarm_coverage_summary
       sierra figures 3f9a1c --check
     """
     from sierra.cli.open_project import project
@@ -72,12 +82,18 @@ def figures(
     wanted = [one.strip() for one in formats.split(",")] if formats is not None else ()
     if check and formats is not None:
         raise UsageError("--check checks the files of all formats; leave out --format")
+    batches, name = _split(opened, words or [])
+    prefix = batches[0] if batches else None
     if check:
-        if name is not None:
-            raise UsageError("--check checks all figures of a batch; leave out the figure's name")
+        if name is not None or len(batches) > 1:
+            raise UsageError("--check checks all figures of one batch; leave out anything else")
         _check(opened.check_figures(opened.batch(prefix, target=target)), as_json=as_json)
         return
-    if target is not None and "," in target:
+    if len(batches) > 1:
+        if target is not None:
+            raise UsageError("--target chooses batches; leave it out, or the batches")
+        paths, notes = opened.draw_batches(*batches, name=name, formats=wanted)
+    elif target is not None and "," in target:
         paths, notes = opened.draw_together(target.split(","), prefix, name, formats=wanted)
     else:
         paths, notes = opened.draw(opened.batch(prefix, target=target), name, formats=wanted)
@@ -88,6 +104,16 @@ def figures(
     else:
         for path in paths:
             print(from_here(path))
+
+
+def _split(opened: Project, words: Sequence[str]) -> tuple[list[str], str | None]:
+    """Return the words that are batches, and the name after them: a word after the first that is no batch's."""
+    declared = {*opened.config.figures, *opened.config.paper_tables}
+    *first, last = words or [""]
+    is_batch = "=" in last or last in opened.config.queries or PREFIX.fullmatch(last) is not None
+    if not words or (last not in declared and (not first or is_batch)):
+        return list(words), None
+    return first, last
 
 
 def _check(found: Sequence[Checked], *, as_json: bool) -> None:

@@ -213,6 +213,14 @@ class TableForPaper(Table):
         return self
 
 
+def _known_method(name: str) -> str:
+    from sierra.config.plugin_registry import COMPARISONS
+
+    if name not in ("auto", *COMPARISONS.shipped) and name not in COMPARISONS.names():
+        raise ValueError(f"unknown method {name!r}; {like(name, ['auto', *COMPARISONS.names()], 'known are')}")
+    return name
+
+
 def _as_list(value: object) -> object:
     return (value,) if isinstance(value, str) else value
 
@@ -245,7 +253,7 @@ class Comparison(Table):
         description="draw the difference over time, with its interval at each time, which is no test; what is tested is "
         "the mean of each run over time",
     )
-    method: Annotated[str, Field(min_length=1)] = Field(
+    method: Annotated[str, Field(min_length=1), AfterValidator(_known_method)] = Field(
         "auto",
         description="how groups are tested: `signed_rank`, `friedman` (pairs), `rank_sum`, `kruskal` (no pairs), `log_rank` "
         "(times that runs never reached), `aligned_ranks` (several variables in `by`), or a plug-in; `auto`: what suits the "
@@ -270,14 +278,4 @@ class Comparison(Table):
             raise ValueError('measure "time_to" and "threshold" must be used together')
         if self.over_time and self.measure not in (None, "mean"):
             raise ValueError(f'"over_time" tests the mean over time, not measure {self.measure!r}')
-        return self
-
-    @model_validator(mode="after")
-    def _of_known_method(self) -> Comparison:
-        from sierra.config.plugin_registry import COMPARISONS
-
-        if self.method not in ("auto", *COMPARISONS.shipped) and self.method not in COMPARISONS.names():
-            raise ValueError(
-                f"unknown method {self.method!r}; {like(self.method, ['auto', *COMPARISONS.names()], 'known are')}"
-            )
         return self

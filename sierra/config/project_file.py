@@ -20,7 +20,15 @@ from sierra.config import forbidden_directives as directives
 from sierra.config import group_names, targets
 from sierra.config.change_tables import NO_CHANGE, OWN_PLACEHOLDERS, ChangeTable, Group, Seed, Variable, set_to
 from sierra.config.cluster_table import ClusterTable, check_directives
-from sierra.config.deliverable_tables import DEFAULT_FORMATS, Comparison, DerivedTable, Figure, Formats, SqlLimits, TableForPaper
+from sierra.config.deliverable_tables import (
+    DEFAULT_FORMATS,
+    Comparison,
+    DerivedTable,
+    Figure,
+    Formats,
+    SqlLimits,
+    TableForPaper,
+)
 from sierra.config.execution_tables import (
     BuildTable,
     Container,

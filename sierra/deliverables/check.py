@@ -7,7 +7,7 @@ from functools import cache, partial
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import comparison, record, render
+from sierra.deliverables import comparison, declared_tables, record, render
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Checked, Content, ShownDeliverable
 from sierra.store.row_types import DeliverableRow
@@ -31,4 +31,6 @@ def _again(project: LoadedProject, store: Store, row: DeliverableRow, shared: Ca
     """Return the content of a deliverable by its recorded definition and the data that the store has now."""
     if row.kind == comparison.KIND:
         return comparison.content(project, store, row)
+    if row.kind == declared_tables.KIND:
+        return declared_tables.content(project, store, row.name, row.definition, row.batches)
     return render.content(project, store, row, shared)

@@ -79,7 +79,7 @@ def _cells(one: Omnibus | Pair | Effect, compared: Compared) -> dict[str, Cell]:
 
 
 def _difference(compared: Compared) -> str:
-    return f"difference [{compared.unit}]" if compared.unit else "difference"
+    return f"difference [{compared.unit}]" if compared.unit not in ("", "1") else "difference"
 
 
 def _short(p: str) -> str:

@@ -1,28 +1,36 @@
-"""Figures that show several targets together: the drawings of one query's batches, merged into one with the axis `target`.
+"""Figures that show several batches together: their drawings, merged into one with a further axis.
 
-The batches are the last ones of the query, one for each target. Their runs must be pairs: the same values and seeds.
+The axis is `target` or `batch`. For targets, the batches are the last ones of a query, one for each target, and their runs must
+be pairs: the same values and seeds. Other batches, such as those of several controllers, have the same variables.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from sierra.config.deliverable_tables import Figure
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.errors import Missing, NotFound, SierraError, UsageError
 from sierra.model import Axis, Value
 from sierra.store.store import Store
-from sierra.util.hashing import short
+from sierra.util.hashing import sha256, short
 from sierra.util.text import few
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 KINDS = ("timeseries", "summary", "box", "violin")
-"""Kinds of figures that can show several targets."""
-TARGET = "target"
+"""Kinds of figures that can show several batches."""
+Word = Literal["target", "batch"]
+"""The name of the axis: what the batches differ in."""
+TARGET: Word = "target"
+BATCH: Word = "batch"
+LONGEST = 100
+"""The largest number of characters of a name with labels."""
+PLURALS = {TARGET: "targets", BATCH: "batches"}
 
 
 class _Request(NamedTuple):
@@ -87,38 +95,41 @@ def batches(store: Store, targets: Sequence[str], batch: str | None = None) -> d
 
 
 def fitting(figure: Figure, *, declared: bool) -> Figure:
-    """Return the figure for several targets: a default map becomes a summary. Raises SierraError for other kinds."""
+    """Return the figure for several batches: a default map becomes a summary. Raises SierraError for other kinds."""
     if figure.kind == "heatmap" and not declared:
         return figure.model_copy(update={"kind": "summary"})
     if figure.series or figure.facet:
-        raise SierraError("series and facet choose the lines and panels of one target; leave them out to draw several targets")
+        raise SierraError("series and facet choose the lines and panels of one batch; leave them out to draw several batches")
     if figure.kind not in KINDS:
-        raise SierraError(f"a figure of kind {figure.kind} shows one target; kinds for several are {', '.join(KINDS)}")
+        raise SierraError(f"a figure of kind {figure.kind} shows one batch; kinds for several are {', '.join(KINDS)}")
     return figure
 
 
-def targets_of(definition: Mapping[str, object]) -> list[str]:
-    """Return the targets of a recorded figure that shows several; empty for another one."""
-    found = definition.get("targets")
-    return list(map(str, found)) if isinstance(found, list) else []
+def together_in(definition: Mapping[str, object]) -> tuple[Word, list[str]] | None:
+    """Return the targets or labels of a recorded figure that shows several batches; None for another one."""
+    for word, plural in PLURALS.items():
+        if isinstance(found := definition.get(plural), list):
+            return word, list(map(str, found))
+    return None
 
 
-def batches_of(targets: Sequence[str], recorded: Sequence[str]) -> dict[str, str]:
-    """Return the recorded batches of a figure by target."""
-    return dict(zip(targets, recorded, strict=True))
+def name_of(name: str, labels: Iterable[str]) -> str:
+    """Return the name of a figure or table of several batches, by which it differs from that of one batch."""
+    whole = "_".join((name, *(re.sub(r"[^\w.-]+", "_", label) for label in labels)))
+    return whole if len(whole) <= LONGEST else f"{name}_{sha256(whole.encode())[:10]}"
 
 
-def merged(drawings: Mapping[str, Drawing]) -> Drawing:
-    """Return one drawing of the drawings by target; the target is a further axis, and the first one in figures over time.
+def merged(drawings: Mapping[str, Drawing], word: Word = TARGET) -> Drawing:
+    """Return one drawing of the drawings by target or label; that is a further axis, and the first one in figures over time.
 
     Raises SierraError if the values, their units or the name of the time differ.
     """
     first = next(iter(drawings.values()))
-    _check(drawings)
-    name = TARGET
+    _check(drawings, word)
+    name: str = word
     while any(axis.name == name for axis in first.axes):
         name += "_"
-    axis = Axis(name, tuple(drawings), label=TARGET)
+    axis = Axis(name, tuple(drawings), label=word)
     over_time = first.figure.kind == "timeseries"
     step = 1 + max((max(one.cells, default=0) for one in drawings.values()), default=0)
     places = {target: place * step for place, target in enumerate(drawings)}
@@ -137,21 +148,22 @@ def merged(drawings: Mapping[str, Drawing]) -> Drawing:
             for column in first.tables
         },
         runs=_stacked(runs, places) if runs else None,
-        note="; ".join(_notes(drawings)),
-        sql="\n\n".join(f"-- target {target}\n{one.sql}" for target, one in drawings.items()),
-        targets={target: one.batch for target, one in drawings.items()},
+        note="; ".join(together({target: one.note for target, one in drawings.items()})),
+        sql="\n\n".join(f"-- {word} {target}\n{one.sql}" for target, one in drawings.items()),
+        together={target: one.batch for target, one in drawings.items()},
+        together_by=word,
     )
 
 
-def _notes(drawings: Mapping[str, Drawing]) -> list[str]:
-    """Return the notes of all drawings; one that not all have names its target."""
-    parts = {target: one.note.split("; ") for target, one in drawings.items()}
+def together(notes: Mapping[str, str]) -> list[str]:
+    """Return the notes of all batches, by target or label; one that not all have names its batch."""
+    parts = {target: note.split("; ") for target, note in notes.items()}
     own = {target: [part for part in some if part and part != f"{TARGET} {target}"] for target, some in parts.items()}
     shared = [part for part in next(iter(own.values())) if all(part in some for some in own.values())]
     return [*shared, *(f"{target}: {part}" for target, some in own.items() for part in some if part not in shared)]
 
 
-def _check(drawings: Mapping[str, Drawing]) -> None:
+def _check(drawings: Mapping[str, Drawing], word: Word) -> None:
     (one, first), *others = drawings.items()
     for target, other in others:
         for what, mine, theirs in (
@@ -161,7 +173,8 @@ def _check(drawings: Mapping[str, Drawing]) -> None:
             ("units", _units(first), _units(other)),
         ):
             if mine != theirs:
-                raise SierraError(f"targets {one!r} and {target!r} have different {what}: {_text(mine)} and {_text(theirs)}")
+                both = f"{PLURALS[word]} {one!r} and {target!r}"
+                raise SierraError(f"{both} have different {what}: {_text(mine)} and {_text(theirs)}")
 
 
 def _units(drawing: Drawing) -> dict[str, str]:

@@ -1,7 +1,7 @@
-"""Render figures from the store: the figures that `sierra.toml` declares, or else the default figures that fit.
+"""Render figures from the store: the figures that `sierra.toml` declares, or else the default figures that fit; and its tables.
 
-Figures are drawn from aggregates that SQL computes; the project adds labels and units. A figure that cannot be
-drawn (no such column in this batch, no finite value in it) is reported, and the others are still drawn.
+Figures are drawn from aggregates that SQL computes; the project adds labels and units. A figure or table that cannot be
+made (no such column in this batch, no finite value in it) is reported, and the others are still made.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ import json
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from sierra.config.deliverable_tables import Figure, Format
 from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
-from sierra.deliverables import overlay
+from sierra.deliverables import declared_tables, overlay
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Content, Recorder, marked_folder
@@ -36,20 +37,45 @@ def figures(
     again: bool = True,
     formats: tuple[Format, ...] = (),
 ) -> tuple[list[Path], list[str]]:
-    """Draw a batch's figures, or the one called `name`; return the files, and what could not be drawn and why.
+    """Draw a batch's figures and tables, or the one called `name`; return the files, and what could not be drawn and why.
 
-    Without `again`, figures that were drawn from the same data in the same way are left as they are. `formats` are those of
-    the files; by default, those that `sierra.toml` declares. Raises NotFound if no figure has that name, SierraError if that
-    figure cannot be drawn.
+    Without `again`, those that were drawn from the same data in the same way are left as they are. `formats` are those of the
+    figures; by default, those that `sierra.toml` declares. Raises NotFound if none has that name, SierraError if it cannot be
+    drawn.
     """
+    drawn: list[Path] = []
+    notes: list[str] = []
     with Frame(store, batch) as frame:
-        gallery = Gallery(project, store, frame, name=name)
-        wanted, notes = gallery.wanted(name)
         drawer = _Drawer(project, store, frame, again=again, formats=formats)
-        drawn, failed = _draw_each(drawer, wanted, gallery.drawing, strict=name is not None)
-        notes += (*failed, *gallery.declared_notes, *gallery.time_notes.values())
-    notes += drawer.close()
-    return drawn, notes
+        if name not in project.config.paper_tables:
+            gallery = Gallery(project, store, frame, name=name)
+            wanted, notes = gallery.wanted(name)
+            drawn, failed = _draw_each(drawer, wanted, gallery.drawing, strict=name is not None)
+            notes += (*failed, *gallery.declared_notes, *gallery.time_notes.values())
+        written, failed = _write_tables(drawer, project, store, {short(batch): batch}, name)
+    return [*drawn, *written], [*notes, *failed, *drawer.close()]
+
+
+def _write_tables(
+    drawer: _Drawer, project: LoadedProject, store: Store, batches: Mapping[str, str], name: str | None
+) -> tuple[list[Path], list[str]]:
+    """Write the declared tables, or the one called `name`; return the files, and why others could not be written."""
+    written: list[Path] = []
+    failed = []
+    for called, declared in project.config.paper_tables.items():
+        if name not in (None, called):
+            continue
+        try:
+            own = called if len(batches) == 1 else overlay.name_of(called, batches)
+            made = declared_tables.make(project, store, own, declared, batches)
+            written += drawer.keep(made.content(), made.write)
+        except Missing:
+            raise
+        except SierraError as error:
+            if name is not None:
+                raise
+            failed.append(f"table {called}: {error}")
+    return written, failed
 
 
 def _draw_each(
@@ -75,10 +101,11 @@ def content(project: LoadedProject, store: Store, row: DeliverableRow, shared: C
     """
     definition = json.loads(row.definition)
     figure = options(Figure, definition["figure"], f"figure {row.name}, as it was recorded")
-    if named := overlay.targets_of(definition):
+    if found := overlay.together_in(definition):
+        word, names = found
         with ExitStack() as frames:
-            batches = overlay.batches_of(named, row.batches)
-            return _overlay(_galleries(project, store, batches, frames), row.name, figure).content()
+            batches = dict(zip(names, row.batches, strict=True))
+            return _overlay(_galleries(project, store, batches, frames, word), row.name, figure, word).content()
     if shared:
         return shared().drawing(row.name, figure).content()
     with Frame(store, row.batch) as frame:
@@ -91,41 +118,48 @@ def overlaid(
     store: Store,
     batches: Mapping[str, str],
     name: str | None = None,
+    word: overlay.Word = overlay.TARGET,
     *,
     formats: tuple[Format, ...] = (),
 ) -> tuple[list[Path], list[str]]:
-    """Draw the figures of several batches together, by target; return the files, and what could not be drawn and why.
+    """Draw the figures and tables of several batches together; return the files, and what could not be drawn and why.
 
-    Raises NotFound if no figure has that name, SierraError if that figure cannot be drawn.
+    `batches` are by target, or by label if `word` is `batch`. Raises NotFound if no figure or table has that name, SierraError
+    if it cannot be drawn.
     """
     with ExitStack() as frames:
-        galleries = _galleries(project, store, batches, frames)
+        galleries = _galleries(project, store, batches, frames, word)
         first, *others = galleries.values()
-        wanted, notes = first.wanted(name)
         added = [one.frame.batch for one in others]
         drawer = _Drawer(project, store, first.frame, *added, again=True, formats=formats)
+        tables, failed = _write_tables(drawer, project, store, batches, name)
+        if name in project.config.paper_tables:
+            return tables, drawer.close()
+        wanted, notes = first.wanted(name)
 
         def drawing(called: str, found: Figure) -> Drawing:
             figure = overlay.fitting(found, declared=bool(project.config.figures))
             fitted = called.replace("_heatmap", "_summary") if figure is not found else called
-            return _overlay(galleries, "_".join((fitted, *galleries)), figure)
+            return _overlay(galleries, overlay.name_of(fitted, galleries), figure, word)
 
-        drawn, failed = _draw_each(drawer, wanted, drawing, strict=name is not None)
-        notes += failed
+        drawn, undrawn = _draw_each(drawer, wanted, drawing, strict=name is not None)
+        notes += (*undrawn, *failed)
         notes += dict.fromkeys(note for gallery in (first, *others) for note in gallery.time_notes.values())
     notes += drawer.close()
-    return drawn, notes
+    return [*drawn, *tables], notes
 
 
-def _galleries(project: LoadedProject, store: Store, batches: Mapping[str, str], frames: ExitStack) -> dict[str, Gallery]:
-    return {
-        target: Gallery(project.for_target(target), store, frames.enter_context(Frame(store, batch)), target)
-        for target, batch in batches.items()
-    }
+def _galleries(
+    project: LoadedProject, store: Store, batches: Mapping[str, str], frames: ExitStack, word: overlay.Word
+) -> dict[str, Gallery]:
+    opened = {name: frames.enter_context(Frame(store, batch)) for name, batch in batches.items()}
+    if word == overlay.TARGET:
+        return {name: Gallery(project.for_target(name), store, frame, name) for name, frame in opened.items()}
+    return {name: Gallery(project, store, frame) for name, frame in opened.items()}
 
 
-def _overlay(galleries: Mapping[str, Gallery], name: str, figure: Figure) -> Drawing:
-    return overlay.merged({target: gallery.drawing(name, figure) for target, gallery in galleries.items()})
+def _overlay(galleries: Mapping[str, Gallery], name: str, figure: Figure, word: overlay.Word) -> Drawing:
+    return overlay.merged({one: gallery.drawing(name, figure) for one, gallery in galleries.items()}, word)
 
 
 class _Drawer:
@@ -144,10 +178,13 @@ class _Drawer:
     def draw(self, drawing: Drawing) -> tuple[Path, ...]:
         """Return the figure's files, drawn now or before."""
         drawing = replace(drawing, formats=self._formats or drawing.figure.formats or self._declared)
-        content = drawing.content()
+        return self.keep(drawing.content(), partial(draw, drawing))
+
+    def keep(self, content: Content, write: Callable[[Path], tuple[Path, ...]]) -> tuple[Path, ...]:
+        """Return the files of a deliverable, which `write` writes to a folder unless they are there already."""
         files = None if self._again else self._recorder.made(content)
         if files is None:
-            files = draw(drawing, marked_folder(self._mark, "Figures drawn by SIERRA: see the table deliverables."))
+            files = write(marked_folder(self._mark, "Figures drawn by SIERRA: see the table deliverables."))
             self._recorder.add(content, files)
         return files
 

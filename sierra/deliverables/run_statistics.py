@@ -103,6 +103,16 @@ def statistics(
         return _with_axes(table, frame).replace_schema_metadata(metadata)
 
 
+def of_tables(
+    project: LoadedProject, store: Store, batch: str, output: str, columns: tuple[str, ...]
+) -> tuple[str, tuple[str, ...]]:
+    """Return the name of an output and its columns; without names, the only ones. Raises NotFound, UsageError."""
+    with Frame(store, batch) as frame:
+        gallery = Gallery(project, store, frame, only={output} if output else frame.names)
+        found = gallery.output(Figure(table=output, column=columns))
+        return found.name, columns or (gallery.only_column(found),)
+
+
 @dataclass(frozen=True, slots=True)
 class RunTable:
     """The runs of a batch as one number each."""

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from sierra.config.deliverable_tables import DEFAULT_FORMATS, Figure, Format
 from sierra.deliverables.figures.base import Explorable, kind_of, made_by
@@ -64,8 +64,9 @@ class Drawing:
     time: str = "time"
     units: Mapping[str, str] = field(default_factory=dict)
     formats: tuple[Format, ...] = DEFAULT_FORMATS
-    targets: Mapping[str, str] = field(default_factory=dict)
-    """The batches of several targets that the figure shows together, by target; `batch` is that of the first."""
+    together: Mapping[str, str] = field(default_factory=dict)
+    """The batches that the figure shows together, by target or label; `batch` is the first."""
+    together_by: Literal["target", "batch"] = "target"
     charts: tuple[Chart, ...] = ()
     """The same data as charts that readers can explore; empty for kinds that have none."""
 
@@ -88,9 +89,9 @@ class Drawing:
             "note": self.note,
             "formats": self.formats,
         }
-        if self.targets:
-            definition["targets"] = list(self.targets)
-        batches = tuple(self.targets.values()) or (self.batch,)
+        if self.together:
+            definition["targets" if self.together_by == "target" else "batches"] = list(self.together)
+        batches = tuple(self.together.values()) or (self.batch,)
         libraries = (f"sierra-experiments=={__version__}", *made_by(self.figure.kind))
         return Content("figure", self.name, batches, definition, self.sql, self.data, libraries)
 

@@ -241,5 +241,5 @@ def _shown(table: pa.Table) -> list[str]:
 
 def _origin(drawing: Drawing, origin: str) -> dict[str, str]:
     """Return the facts about where the numbers come from."""
-    batches = [f"{batch} ({target})" for target, batch in drawing.targets.items()] or [drawing.batch]
+    batches = [f"{batch} ({target})" for target, batch in drawing.together.items()] or [drawing.batch]
     return {"batch": ", ".join(batches), "record": origin}

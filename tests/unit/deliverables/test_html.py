@@ -90,7 +90,7 @@ def test_a_page_has_the_same_bytes_for_the_same_data_and_names_its_origin() -> N
     found = _Parsed(text).metadata()
     assert found["sierra"] == origin_of(BATCH, drawing().data)
     assert found["sierra:sql"] == SQL
-    together = page(replace(drawing(), targets={"sim": "a" * 64, "robots": "b" * 64}))
+    together = page(replace(drawing(), together={"sim": "a" * 64, "robots": "b" * 64}))
     assert ("dd", f"{'a' * 64} (sim), {'b' * 64} (robots)") in together.texts
 
 

@@ -88,6 +88,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "queries": "QueryTable",
         "tables": "DerivedTable",
         "figures": "Figure",
+        "paper_tables": "TableForPaper",
         "comparisons": "Comparison",
         "runners": "ClusterTable",
         "services": "ServiceTable",

@@ -1,0 +1,112 @@
+"""The tables for papers that `sierra.toml` declares: computed, written beside the figures, and recorded like these.
+
+A table has statistics, with a row for each experiment, or the rows of an SQL statement. Several batches are side by side. Each
+file of a format with comments names the batch, the hash of the data and the SQL (see `sierra.deliverables.record`).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sierra.config.deliverable_tables import TableForPaper
+from sierra.config.project_file import LoadedProject
+from sierra.config.validate import options
+from sierra.deliverables import paper_tables, table_of_sql, table_of_statistics
+from sierra.deliverables.paper_tables import PaperTable
+from sierra.deliverables.record import Content, origin_of
+from sierra.deliverables.table_columns import plain_table, side_by_side
+from sierra.deliverables.table_of_statistics import BATCH
+from sierra.errors import Missing, NotFound, SierraError
+from sierra.store.data_hash import data_hash
+from sierra.store.store import Store
+from sierra.util.fs import write_whole
+from sierra.util.json_types import JsonView
+from sierra.util.text import like
+from sierra.version import __version__
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+KIND = "table"
+"""The kind of the records of tables, among deliverables."""
+ENDINGS = {"latex": "tex", "markdown": "md", "html": "html", "csv": "csv"}
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """A declared table with its numbers."""
+
+    name: str
+    declared: TableForPaper
+    batches: Mapping[str, str]
+    """The batches by label."""
+    table: PaperTable
+    data: pa.Table
+    sql: str
+
+    def content(self) -> Content:
+        """Return everything that the table's files depend on."""
+        definition: dict[str, JsonView] = {
+            "table": self.declared.model_dump(mode="json", exclude_unset=True, by_alias=True),
+            "labels": list(self.batches),
+            "headers": list(self.table.headers),
+            "note": self.table.note,
+        }
+        made_by = (f"sierra-experiments=={__version__}",)
+        return Content(KIND, self.name, tuple(self.batches.values()), definition, self.sql, data_hash(self.data), made_by)
+
+    def write(self, folder: Path) -> tuple[Path, ...]:
+        """Write the table in its formats; return the files. Raises Missing if the folder cannot be written."""
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            return tuple(
+                write_whole(folder / f"{self.name}.{ENDINGS[format]}", self._text(format).encode())
+                for format in self.declared.formats
+            )
+        except OSError as error:
+            raise Missing(f"{folder}: cannot write table {self.name}: {error.strerror}") from error
+
+    def _text(self, format: str) -> str:
+        if format == "csv":
+            return paper_tables.csv(self.table)
+        lines = [origin_of(next(iter(self.batches.values())), data_hash(self.data)), *self.sql.splitlines()]
+        return f"{_comment(format, lines)}\n{paper_tables.FORMATS[format](self.table)}"
+
+
+def _comment(format: str, lines: Sequence[str]) -> str:
+    """Return lines as a comment, which two hyphens would end in HTML."""
+    if format == "latex":
+        return "".join(f"% {line}".rstrip() + "\n" for line in lines)
+    return "\n".join(["<!--", *(re.sub("-(?=-)", "- ", line) for line in lines), "-->", ""])
+
+
+def make(project: LoadedProject, store: Store, name: str, declared: TableForPaper, batches: Mapping[str, str]) -> Made:
+    """Return a declared table of batches, by label. Raises SierraError if it cannot be made."""
+    if declared.sql:
+        columns, data, sql = table_of_sql.columns(store, declared, batches)
+    else:
+        columns, data, sql = table_of_statistics.columns(project, store, declared, batches)
+    if not data.num_rows:
+        raise SierraError("the table has no row")
+    if unknown := [one for one in declared.headers if one not in columns.headers]:
+        raise NotFound(f"headers: the table has no column {unknown[0]!r}; {like(unknown[0], list(columns.headers))}")
+    columns = replace(columns, headers={**columns.headers, **declared.headers})
+    across = declared.across or (BATCH if len(batches) > 1 and not declared.sql else "")
+    if across and across not in columns.keys:
+        raise NotFound(f"across: the table has no variable {across!r}; {like(across, list(columns.keys))}")
+    table = side_by_side(columns, across) if across else plain_table(columns)
+    note = "; ".join(filter(None, (table.note, declared.footnote)))
+    table = replace(table, note=note, caption=declared.caption, label=declared.label)
+    return Made(name, declared, batches, table, data, sql)
+
+
+def content(project: LoadedProject, store: Store, name: str, definition: str, batches: Sequence[str]) -> Content:
+    """Return the content of a recorded table by its definition and the data that the store has now."""
+    recorded = json.loads(definition)
+    declared = options(TableForPaper, recorded["table"], f"table {name}, as it was recorded")
+    return make(project, store, name, declared, dict(zip(recorded["labels"], batches, strict=True))).content()

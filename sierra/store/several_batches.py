@@ -1,0 +1,105 @@
+"""The result of one statement over the tables of several batches, each with a column `batch` that has the batch's label.
+
+Each table that the statement reads is that of each batch, as in `sierra sql --batch`: its rows are those of the batch's own
+runs, although batches may share runs. Derived tables are made for each batch. Then the rows of all batches are one table, in
+the order of the batches, and the statement runs as that of a derived table does: with its limits, and with the same rows each
+time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from sierra.errors import SierraError, SqlError
+from sierra.store import statement
+from sierra.store.connections import connect
+from sierra.store.derived_tables import Definition, Limits, limited
+from sierra.store.schema import TABLE_NAMES
+from sierra.store.sql_names import identifier
+from sierra.store.store import Snapshot, Store
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+BATCH = "batch"
+
+
+@dataclass(frozen=True, slots=True)
+class Joined:
+    """The rows of a statement, and its SQL with that of the derived tables that it reads."""
+
+    table: pa.Table
+    sql: str
+
+
+def joined(store: Store, batches: Mapping[str, str], text: str, origin: str) -> Joined:
+    """Return the rows of a statement over batches, by label. Messages call it `origin`. Raises SierraError."""
+    limits = store.rules().limits
+    with ExitStack() as opened:
+        snapshots = {label: opened.enter_context(store.snapshot(batch)) for label, batch in batches.items()}
+        first = next(iter(snapshots.values()))
+        try:
+            used = statement.used(first.connection, text)
+            statement.check_repeatable(first.connection, used)
+        except SqlError as error:
+            raise SqlError(f"{origin}: {error}") from error
+        tables = {}
+        for name in used.tables:
+            parts = {label: _rows(snapshot, name, limits, origin) for label, snapshot in snapshots.items()}
+            tables[name] = _union(parts, name, origin)
+        needed = [sql for name in used.tables if (sql := first.derived.statements(name))]
+    database = connect()
+    try:
+        database.execute("SET enable_external_access = false")
+        for name, table in tables.items():
+            database.register(f"# {name}", table)
+            database.execute(f"CREATE VIEW {identifier(name)} AS SELECT * FROM {identifier(f'# {name}')}")
+        rows = text.strip().rstrip(";")
+        rows = rows if used.ordered else f"SELECT * FROM (\n{rows}\n) ORDER BY ALL"
+        with limited(database, limits, origin) as connection:
+            return Joined(connection.sql(rows).to_arrow_table(), "\n\n".join([*needed, text.strip()]))
+    finally:
+        database.close()
+
+
+def _rows(snapshot: Snapshot, name: str, limits: Limits, origin: str) -> pa.Table:
+    """Return the rows of a table that belong to the runs of a snapshot's batch. Raises SierraError."""
+    derived = snapshot.derived.definitions.get(name)
+    if derived is not None and name not in TABLE_NAMES:
+        snapshot.derived.make(name)
+        return _read(snapshot, f"SELECT * FROM {identifier(name)}", limits, origin)
+    empty = f"# columns of {name}"
+    snapshot.derived.add(Definition(empty, f"SELECT * FROM {identifier(name)} LIMIT 0", origin))
+    columns = [column.lower() for column in snapshot.derived.make(empty).columns]
+    if "run" not in columns:
+        raise SqlError(
+            f"{origin}: table {name!r} has no column 'run', so its rows belong to no batch; read outputs, derived tables, or "
+            "tables with a column run"
+        )
+    if name not in TABLE_NAMES and BATCH in columns:
+        raise SqlError(f"{origin}: runs wrote a column 'batch' to {name!r}, which would hide that of the labels; rename it")
+    snapshot.views.make(("batch_runs", name))
+    return _read(snapshot, f"SELECT * FROM {identifier(name)} WHERE run IN (SELECT run FROM batch_runs)", limits, origin)
+
+
+def _read(snapshot: Snapshot, text: str, limits: Limits, origin: str) -> pa.Table:
+    """Return the rows in an order that is the same each time, because sums depend on it."""
+    with limited(snapshot.connection, limits, origin) as connection:
+        return connection.sql(text).to_arrow_table()
+
+
+def _union(parts: Mapping[str, pa.Table], name: str, origin: str) -> pa.Table:
+    """Return the rows of a table in all batches, with the labels first."""
+    import pyarrow as pa
+
+    labelled = []
+    for label, part in parts.items():
+        rest = part.drop_columns([column for column in part.column_names if column.lower() == BATCH])
+        labelled.append(rest.add_column(0, BATCH, pa.array([label] * part.num_rows, pa.string())))
+    try:
+        return pa.concat_tables(labelled, promote_options="permissive")
+    except pa.ArrowInvalid as error:
+        raise SierraError(f"{origin}: the batches have columns of different types in {name!r}: {error}") from error
