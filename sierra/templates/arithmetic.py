@@ -57,6 +57,21 @@ def names(text: str) -> frozenset[str]:
     return frozenset(name for tree in trees for name in _names(tree)) - _CONSTANTS.keys()
 
 
+def number(expression: str, values: Mapping[str, Value]) -> Number:
+    """Return the value of one expression without braces. Raises ConfigError if it has no finite value."""
+    return _number(_single(expression), values)
+
+
+def names_in(expression: str) -> frozenset[str]:
+    """Return the names in one expression without braces, without functions and `pi`. Raises ConfigError if it is none."""
+    return frozenset(_names(_single(expression).tree)) - _CONSTANTS.keys()
+
+
+@lru_cache(maxsize=256)
+def _single(expression: str) -> _Expression:
+    return _Expression(expression, _tree(expression, expression))
+
+
 @lru_cache(maxsize=4096)
 def _parse(text: str) -> tuple[str | _Expression, ...]:
     """Return the literal parts and the expressions of a text, in order."""
@@ -132,8 +147,12 @@ def _text(expression: _Expression, values: Mapping[str, Value]) -> str:
         return known
     if type(known) is int and -_PLAIN < known < _PLAIN:  # usually a seed; this fast path matters for 100,000 runs
         return repr(known)
+    return repr(_number(expression, values))
+
+
+def _number(expression: _Expression, values: Mapping[str, Value]) -> Number:
     try:
-        return repr(_value(tree, values))
+        return _value(expression.tree, values)
     except ArithmeticError as error:
         reason = "division by zero" if isinstance(error, ZeroDivisionError) else "it is too large"
         raise ConfigError(f"{expression.text!r} has no value: {reason}") from error

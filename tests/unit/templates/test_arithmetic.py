@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from sierra.errors import ConfigError
 from sierra.model import Value
-from sierra.templates.arithmetic import MAX_LENGTH, fill, names
+from sierra.templates.arithmetic import MAX_LENGTH, fill, names, names_in, number
 from tests.effort import effort
 
 AXES: Mapping[str, Value] = {"population_size": 8, "noise": 0.25, "scenario": "low", "seed": 42}
@@ -205,6 +205,15 @@ def test_any_text_is_filled_or_refused_in_one_line(text: str) -> None:
 def test_names_are_the_variables_that_a_text_needs() -> None:
     assert names("{min(a, -b) + pi} {c} {{d}} e") == {"a", "b", "c"}
     assert names("no braces, {{none}}") == frozenset()
+
+
+def test_an_expression_without_braces_has_a_number_and_names() -> None:
+    assert number("1 - exp(-n * t) / 2", {"n": 0, "t": 3}) == 0.5
+    assert names_in("1 - exp(-n * t) / pi") == {"n", "t"}
+    with pytest.raises(ConfigError, match=r"'n / t' has no value: division by zero"):
+        number("n / t", {"n": 1, "t": 0})
+    with pytest.raises(ConfigError, match="is not allowed in"):
+        names_in("{n}")
 
 
 def test_names_refuses_invalid_expressions_like_fill() -> None:
