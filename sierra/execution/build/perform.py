@@ -7,10 +7,9 @@ import errno
 import json
 import os
 import re
-import signal
 import socket
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,6 +23,7 @@ from sierra.execution import commands
 from sierra.execution.build import products
 from sierra.execution.build.products import Product
 from sierra.execution.build.recipe import Recipe
+from sierra.execution.end_processes import ending
 from sierra.execution.sessions import Session
 from sierra.ingest.recorder import kept_of
 from sierra.model import Client, Limits, Purpose
@@ -42,7 +42,6 @@ from sierra.worker import worker
 
 log = Log(__name__)
 
-GRACE_S = 5.0
 EPOCH = "315532800"
 """The time that compilers put into products (1980-01-01): the same for each build; earlier times do not fit into archives."""
 LOG = "log"
@@ -254,7 +253,7 @@ def _execute(client: Client, folder: Path, output: Path, wall: float | None) -> 
             )
         except (FileNotFoundError, NotADirectoryError, PermissionError) as error:
             return None, f"{client.argv[0]!r} cannot be started in {folder}: {error.strerror}"
-    with _ending(process):
+    with ending(process):
         try:
             status = process.wait(wall)
         except subprocess.TimeoutExpired:
@@ -262,19 +261,6 @@ def _execute(client: Client, folder: Path, output: Path, wall: float | None) -> 
     if status < 0:
         return None, f"{Path(client.argv[0]).name} was ended by signal {-status}"
     return status, f"exit status {status} of {Path(client.argv[0]).name}" if status else None
-
-
-@contextlib.contextmanager
-def _ending(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """End a process with its group at the end of the block, if it still runs: first it is asked, then it is killed."""
-    try:
-        yield
-    finally:
-        for number in (signal.SIGTERM, signal.SIGKILL):
-            if process.poll() is None:
-                worker.signal_group(process.pid, number)
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(GRACE_S)
 
 
 def _check_disk(root: Path, folder: Path, output: Path) -> None:
