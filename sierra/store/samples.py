@@ -192,6 +192,27 @@ class Frame:
         self._snapshot.derived.add(definition)
         self._files[definition.name] = []
 
+    def table_of(self, definition: Definition) -> pa.Table:
+        """Return the rows of a derived table that need not belong to runs, for this frame only. Raises SierraError."""
+        self._snapshot.derived.add(definition)
+        self._snapshot.derived.make(definition.name)
+        return self.sql(f"FROM {identifier(definition.name)}")
+
+    def outputs_with(self, column: str) -> list[str]:
+        """Return the outputs that runs wrote with this column; derived tables do not count."""
+        found = {name: self._relation(name, files) for name, files in sorted(self._files.items()) if files}
+        return [name for name, source in found.items() if column in source.types]
+
+    def first_inputs(self) -> dict[int, list[tuple[str, str]]]:
+        """Return the name and the SHA-256 of each input file of the first run of each experiment."""
+        self._snapshot.views.make(("specs",))
+        rows = self._snapshot.run(
+            "SELECT ordinal, files, [input] || other_inputs FROM batch_runs JOIN specs USING (spec) WHERE batch = $b "
+            "QUALIFY row_number() OVER (PARTITION BY ordinal ORDER BY number) = 1 ORDER BY ordinal",
+            {"b": self.batch},
+        )
+        return {ordinal: list(zip(files, digests, strict=True)) for ordinal, files, digests in rows}
+
     def check_condition(self, text: str) -> None:
         """Check that an SQL condition on columns uses no table, and has the same result each time. Raises SqlError."""
         check_condition(self._snapshot.connection, text)
