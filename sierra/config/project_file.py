@@ -42,6 +42,7 @@ from sierra.config.execution_tables import (
 )
 from sierra.config.field_types import Commands, GroupName, InProject, Name, RawTable, Scalar, Table, Words, as_words
 from sierra.config.find_project import ProjectFolder, find, settings
+from sierra.config.model_table import Model
 from sierra.config.output_tables import Equivalence, Output, Success, file_once
 from sierra.config.package_table import Package
 from sierra.config.validate import options
@@ -207,6 +208,9 @@ class Project(Table):
     paper_tables: Mapping[Name, TableForPaper] = Field(
         default_factory=dict, description="tables for papers, by name; they are drawn with the figures"
     )
+    models: Mapping[Name, Model] = Field(
+        default_factory=dict, description="predictions that are drawn with the data, by name, for figures and `sierra models`"
+    )
     comparisons: Mapping[Name, Comparison] = Field(
         default_factory=dict, description="comparisons of groups of runs, by name, for `sierra compare`"
     )
@@ -355,13 +359,13 @@ class LoadedProject:
         """Return the derived tables with their statements, and the limits on these."""
         from sierra.store.derived_tables import Limits, Rules
 
-        tables = {name.lower(): self._definition(name, table) for name, table in self.config.tables.items()}
+        tables = {name.lower(): self.definition(name, table, f"[tables.{name}]") for name, table in self.config.tables.items()}
         return Rules(tables, Limits(self.config.sql.wall, self.config.sql.memory))
 
-    def _definition(self, name: str, table: DerivedTable) -> Definition:
+    def definition(self, name: str, table: DerivedTable | Model, origin: str) -> Definition:
+        """Return the statement of a table or a model, which may be in a file; messages call it `origin`."""
         from sierra.store.derived_tables import Definition
 
-        origin = f"[tables.{name}]"
         if table.file is None:
             return Definition(name, table.sql, origin)
         try:

@@ -338,6 +338,7 @@ def _own(project: LoadedProject) -> tuple[str, ...]:
         PYPROJECT if project.file.name == PYPROJECT else CONFIG,
         *(path for template in project.config.template_paths for path in _inside(template)),
         *(table.file for table in project.config.tables.values() if table.file is not None),
+        *(model.file for model in project.config.models.values() if model.file is not None),
     )
 
 
