@@ -19,6 +19,7 @@ from sierra.deliverables import seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.deliverables.figures.gather import Batch, gather
+from sierra.deliverables.models.models_of_batch import Models
 from sierra.errors import NotFound, SierraError, UsageError
 from sierra.execution import targets
 from sierra.model import Axis, Value
@@ -53,6 +54,7 @@ class _Output:
     output: OutputTable
     time: str
     where: str = ""
+    by_mean: bool = False
 
     def check(self, columns: Sequence[str], *, numeric: bool) -> None:
         for column in columns:
@@ -64,6 +66,10 @@ class _Output:
             if column not in known:
                 what = "numeric column" if numeric else "column"
                 raise NotFound(f"output {self.output.name!r} has no {what} {column!r}; it has {', '.join(known)}")
+
+    @property
+    def name(self) -> str:
+        return self.output.name
 
     def samples(self, column: str) -> Column:
         return Column(self.frame, self.output.name, column, self.time, self.where)
@@ -106,7 +112,10 @@ class Gallery:
         """The target that the batch was requested for; its declarations are used."""
         self.declared_notes = () if own else targets.notes(project, store, frame.batch)
         """A note if the declarations are those of another target."""
-        self._config = project.config if own else targets.of_batch(project, store, frame.batch).config
+        project = project if own else targets.of_batch(project, store, frame.batch)
+        self._config = project.config
+        self.models = Models(project, store, frame)
+        """The models that figures show with the data."""
         self._store = store
         self.frame = frame
         self._outputs = {output.name: output for output in frame.outputs(only or _tables(self._config.figures, name))}
@@ -218,15 +227,16 @@ class Gallery:
             raise NotFound(f"{where}: no column {unknown[0]!r}; {like(unknown[0], output.all_columns)}")
         return (*output.flags, *rates)
 
-    def drawing(self, name: str, figure: Figure) -> Drawing:
-        """Return the computed content of a figure."""
+    def drawing(self, name: str, figure: Figure, *, model: str = "") -> Drawing:
+        """Return the computed content of a figure, with the models that join it, or with one model."""
         output = self.output(figure)
         reduces = "measure" in kind_of(figure).uses and "measure" not in figure.model_fields_set
-        if reduces and self.takes_mean(output):
+        by_mean = reduces and self.takes_mean(output)
+        if by_mean:
             figure = figure.model_copy(update={"measure": "mean"})
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
-        source = _Output(self.frame, output, time, figure.where)
+        source = _Output(self.frame, output, time, figure.where, by_mean)
         batch = Batch(self._axes, self.cells, self.planned, self.frame.batch)
         seen = self._coverage(output, several=True)
         if figure.where:
@@ -236,9 +246,10 @@ class Gallery:
             planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
             batch = replace(batch.of_experiments(failed.union(seen.runs)), planned=planned)
         made = gather(name, figure, columns, batch, source, seen, self.rates(output))
+        made = self.models.alone(model, made, source) if model else self.models.added(name, made, source)
         declared = self._config.declared(output.name)
         units = dict(declared.units) if declared else {}
-        tables, note = made.tables, made.note
+        tables, models, note = made.tables, made.models, made.note
         if (
             isinstance(declared, Output)
             and declared.ticks_per_second is not None
@@ -247,11 +258,12 @@ class Gallery:
         ):
             per_second = seconds.rates(declared.ticks_per_second, self._config, self._store, self.frame)
             tables = {column: seconds.in_seconds(table, per_second) for column, table in tables.items()}
+            models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in made.models)
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
         note = "; ".join(filter(None, (*self.target_notes, note)))
         sql = "\n\n".join(filter(None, (self.frame.statements(output.name), made.sql)))
-        return replace(made, tables=tables, note=note, sql=sql, time=time or "row", units=units)
+        return replace(made, tables=tables, models=models, note=note, sql=sql, time=time or "row", units=units)
 
     def time(self, output: OutputTable) -> str:
         """Return the name of the time column; "" if there is none.

@@ -22,6 +22,8 @@ from sierra.util.text import few
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from sierra.deliverables.models.predicted import Predicted
+
 KINDS = ("timeseries", "summary", "box", "violin")
 """Kinds of figures that can show several batches."""
 Word = Literal["target", "batch"]
@@ -148,11 +150,25 @@ def merged(drawings: Mapping[str, Drawing], word: Word = TARGET) -> Drawing:
             for column in first.tables
         },
         runs=_stacked(runs, places) if runs else None,
+        models=_models(drawings, places),
+        failed_models={name: problem for one in drawings.values() for name, problem in one.failed_models.items()},
         note="; ".join(together({target: one.note for target, one in drawings.items()})),
         sql="\n\n".join(f"-- {word} {target}\n{one.sql}" for target, one in drawings.items()),
         together={target: one.batch for target, one in drawings.items()},
         together_by=word,
     )
+
+
+def _models(drawings: Mapping[str, Drawing], places: Mapping[str, int]) -> tuple[Predicted, ...]:
+    """Return the models of all targets, each with its values for those that have it."""
+    names = dict.fromkeys(model.name for one in drawings.values() for model in one.models)
+    found = []
+    for name in names:
+        own = {target: model for target, one in drawings.items() for model in one.models if model.name == name}
+        tables = {target: model.table for target, model in own.items()}
+        facts = {target: model.definition for target, model in own.items()}
+        found.append(replace(next(iter(own.values())), table=_stacked(tables, places), facts=facts))
+    return tuple(found)
 
 
 def together(notes: Mapping[str, str]) -> list[str]:

@@ -198,8 +198,25 @@ def _problem(row: DeliverableRow, root: Path, again: Callable[[DeliverableRow], 
     except SierraError as error:
         return f"it can no longer be made: {error}"
     if now.data != row.data:
+        if model := _changed_model(json.loads(row.definition), now.definition):
+            return f"{model}; draw it again with: sierra figures"
         return "the store has other data now; draw it again with: sierra figures"
     return None
+
+
+def _changed_model(before: Mapping[str, JsonView], now: Mapping[str, JsonView]) -> str:
+    """Return which model of a figure predicts other values now, or is not drawn as before; "" if all are as they were."""
+    old, new = (found if isinstance(found := one.get("models"), Mapping) else {} for one in (before, now))
+    for name in {**old, **new}:
+        was, found = (one.get(name) for one in (old, new))
+        if not isinstance(was, Mapping):
+            return f"model {name!r} belongs to it now"
+        if not isinstance(found, Mapping):
+            return f"model {name!r} does not belong to it any more"
+        if was.get("data") != found.get("data"):
+            problem = found.get("problem")
+            return f"model {name!r} fails now: {problem}" if problem else f"model {name!r} predicts other values now"
+    return ""
 
 
 def _hashes(root: Path, row: DeliverableRow) -> list[str | None]:

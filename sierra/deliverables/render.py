@@ -41,10 +41,11 @@ def figures(
 
     Without `again`, those that were drawn from the same data in the same way are left as they are. `formats` are those of the
     figures; by default, those that `sierra.toml` declares. Raises NotFound if none has that name, SierraError if it cannot be
-    drawn.
+    drawn, or is drawn without one of its models.
     """
     drawn: list[Path] = []
     notes: list[str] = []
+    galleries: list[Gallery] = []
     with Frame(store, batch) as frame:
         drawer = _Drawer(project, store, frame, again=again, formats=formats)
         if name not in project.config.paper_tables:
@@ -52,8 +53,12 @@ def figures(
             wanted, notes = gallery.wanted(name)
             drawn, failed = _draw_each(drawer, wanted, gallery.drawing, strict=name is not None)
             notes += (*failed, *gallery.declared_notes, *gallery.time_notes.values())
+            notes += gallery.models.notes([] if name else [*wanted])
+            galleries.append(gallery)
         written, failed = _write_tables(drawer, project, store, {short(batch): batch}, name)
-    return [*drawn, *written], [*notes, *failed, *drawer.close()]
+    notes += (*failed, *drawer.close())
+    _check_models(name, *galleries)
+    return [*drawn, *written], notes
 
 
 def _write_tables(
@@ -76,6 +81,13 @@ def _write_tables(
                 raise
             failed.append(f"table {called}: {error}")
     return written, failed
+
+
+def _check_models(name: str | None, *galleries: Gallery) -> None:
+    """Raise SierraError if the figure that was requested by its name was drawn without a model."""
+    for model, reason in ((model, reason) for one in galleries for model, reason in one.models.failed.items()):
+        if name is not None:
+            raise SierraError(f"figure {name} was drawn without model {model}: {reason}")
 
 
 def _draw_each(
@@ -125,7 +137,7 @@ def overlaid(
     """Draw the figures and tables of several batches together; return the files, and what could not be drawn and why.
 
     `batches` are by target, or by label if `word` is `batch`. Raises NotFound if no figure or table has that name, SierraError
-    if it cannot be drawn.
+    if it cannot be drawn, or is drawn without a model.
     """
     with ExitStack() as frames:
         galleries = _galleries(project, store, batches, frames, word)
@@ -144,8 +156,10 @@ def overlaid(
 
         drawn, undrawn = _draw_each(drawer, wanted, drawing, strict=name is not None)
         notes += (*undrawn, *failed)
-        notes += dict.fromkeys(note for gallery in (first, *others) for note in gallery.time_notes.values())
+        every = [note for gallery in (first, *others) for note in (*gallery.time_notes.values(), *gallery.models.notes())]
+        notes += dict.fromkeys(every)
     notes += drawer.close()
+    _check_models(name, first, *others)
     return [*drawn, *tables], notes
 
 

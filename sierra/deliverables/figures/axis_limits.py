@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from sierra.deliverables.figures import bands, style
+from sierra.deliverables.figures import bands, models, style
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
@@ -44,8 +44,9 @@ def cut(drawing: Drawing) -> Cut | None:
     center, low, high = (_scaled(style.column(table, name), drawing) for name in bands.columns(drawing.figure))
     n = style.column(table, "n")
     few = 2 * n <= n.max(initial=0)
-    outer = _span(center, low, high)
-    inner = _span(center, np.where(few, np.nan, low), np.where(few, np.nan, high))
+    lines = np.append(center, _scaled(models.values(drawing), drawing))
+    outer = _span(lines, low, high)
+    inner = _span(lines, np.where(few, np.nan, low), np.where(few, np.nan, high))
     if outer is None or inner is None or not 0 < (inner[1] - inner[0]) * WIDER < outer[1] - outer[0]:
         return None
     margin = (inner[1] - inner[0]) * MARGIN

@@ -32,6 +32,8 @@ PLOT = frozenset({"log_x", "log_y", "xlim", "ylim", "palette", "labels"})
 """The keys of kinds that have an x axis, a y axis and categories."""
 STATISTICAL = ("seaborn", "pandas")
 """The libraries that draw the kinds in `seaborn_plots`; they come with the extra `figures`."""
+MODELS = "models"
+"""The word in `uses` of kinds that draw `Drawing.models`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +61,7 @@ class FigureKind(Protocol):
     Options: ClassVar[type[Table]]
     """The model of the keys of `[figures.NAME]` that only this kind has."""
     uses: ClassVar[frozenset[str]]
-    """The keys of `sierra.config.deliverable_tables.CHOSEN` that have an effect; others are errors."""
+    """The keys of `sierra.config.deliverable_tables.CHOSEN` that have an effect; others are errors. Also `MODELS`."""
 
     def __init__(self, options: Table) -> None: ...
 

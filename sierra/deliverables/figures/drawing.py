@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from sierra.deliverables.html import Chart
+    from sierra.deliverables.models.predicted import Predicted
 
 LARGEST = 1e300
 """The largest number that can be drawn: above it, the distances that axes need overflow."""
@@ -67,6 +68,10 @@ class Drawing:
     together: Mapping[str, str] = field(default_factory=dict)
     """The batches that the figure shows together, by target or label; `batch` is the first."""
     together_by: Literal["target", "batch"] = "target"
+    models: tuple[Predicted, ...] = ()
+    """The models that the figure shows."""
+    failed_models: Mapping[str, str] = field(default_factory=dict)
+    """The models that the figure should show, and the reason why it cannot."""
     charts: tuple[Chart, ...] = ()
     """The same data as charts that readers can explore; empty for kinds that have none."""
 
@@ -76,6 +81,8 @@ class Drawing:
         runs = {} if self.runs is None else {"": self.runs}
         kinds = {"tables": self.tables, "runs": runs, "rows": self.rows}
         hashes = {kind: {name: data_hash(table) for name, table in named.items()} for kind, named in kinds.items()}
+        if self.models or self.failed_models:
+            hashes["models"] = {one.name: data_hash(one.table) for one in self.models} | dict.fromkeys(self.failed_models, "")
         cells = {str(ordinal): [[name, repr(value)] for name, value in at.items()] for ordinal, at in self.cells.items()}
         return digest("figure data", {**hashes, "cells": cells})
 
@@ -89,6 +96,10 @@ class Drawing:
             "note": self.note,
             "formats": self.formats,
         }
+        if self.models or self.failed_models:
+            definition["models"] = {one.name: one.definition for one in self.models} | {
+                name: {"problem": problem} for name, problem in self.failed_models.items()
+            }
         if self.together:
             definition["targets" if self.together_by == "target" else "batches"] = list(self.together)
         batches = tuple(self.together.values()) or (self.batch,)
@@ -173,7 +184,9 @@ def _freed() -> Iterator[None]:
 
 def noted(drawing: Drawing) -> Drawing:
     """Return the drawing with what its kind adds to the small print."""
-    notes = kind_of(drawing.figure).notes(drawing)
+    from sierra.deliverables.figures import models
+
+    notes = (*kind_of(drawing.figure).notes(drawing), *models.notes(drawing))
     return replace(drawing, note="; ".join(filter(None, (drawing.note, *notes))))
 
 

@@ -102,6 +102,7 @@ def _only(drawing: Drawing, ordinals: list[int]) -> Drawing:
         tables={name: _rows(table, ordinals) for name, table in drawing.tables.items()},
         runs=None if drawing.runs is None else _rows(drawing.runs, ordinals),
         rows={name: _rows(table, ordinals) for name, table in drawing.rows.items()},
+        models=tuple(replace(model, table=_rows(model.table, ordinals)) for model in drawing.models),
     )
 
 

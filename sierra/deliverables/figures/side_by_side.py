@@ -82,6 +82,7 @@ def _figure(drawing: Drawing, paint: Callable[[_Content, Drawing], None]) -> Fig
         for row in content.never:
             place, group = content.at(row)
             summary.never(panel.plot, [place], content.colours[group])
+        summary.marks_of_models(panel, within, len(content.colours))
         style.side_by_side(panel.plot, within.first)
     values = np.concatenate(list(runs.values()))
     looks = [Look(color=colour, linewidth=4) for colour in summary.colours(within)]

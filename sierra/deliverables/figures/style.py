@@ -89,6 +89,8 @@ class Look(TypedDict, total=False):
     linestyle: LineStyleType
     linewidth: float
     marker: str
+    markevery: float
+    markersize: float
 
 
 COLUMN = 3.5
@@ -181,12 +183,27 @@ def panels(count: int) -> tuple[Figure, list[Axes]]:
     columns = 2 if count in (2, 4) else min(6, max(3, int(np.ceil(np.sqrt(count)))), max(2, int(wide / 1.15)))
     rows = -(-count // columns)
     figure = blank(COLUMN if columns == 2 else PAGE, 1.0 + rows * (1.3 if columns == 2 else 1.5))
+    return figure, _grid(figure, rows, columns, count)
+
+
+def maps(count: int, height: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure of `count` maps, two in a row; `height` is that of one map in inches."""
+    if count == 1:
+        figure = blank(COLUMN, height)
+        return figure, [figure.add_subplot()]
+    rows = -(-count // 2)
+    figure = blank(COLUMN, rows * height + 0.3)
+    return figure, _grid(figure, rows, 2, count)
+
+
+def _grid(figure: Figure, rows: int, columns: int, count: int) -> list[Axes]:
+    """Return the first `count` panels of a grid, row by row; the others are removed."""
     every: list[Axes] = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
     for unused in every[count:]:
         unused.remove()
     for above in every[count - columns : count]:
         above.xaxis.set_tick_params(labelbottom=True)
-    return figure, every[:count]
+    return every[:count]
 
 
 def outer_labels(plots: Sequence[Axes], xlabel: str, ylabel: str) -> None:
@@ -384,14 +401,26 @@ def sequential() -> LinearSegmentedColormap:
     return LinearSegmentedColormap.from_list("sierra", mpl.colormaps["viridis"](np.linspace(0, 0.85, 128)))
 
 
-def legend(figure: Figure, plots: Sequence[Axes], axis: Axis, entries: Sequence[str], looks: Sequence[Look]) -> None:
-    """Identify the lines: by a legend above the data if there are few, else by a colour bar."""
-    if len(entries) <= 1:
-        return
+def legend(
+    figure: Figure,
+    plots: Sequence[Axes],
+    axis: Axis,
+    entries: Sequence[str],
+    looks: Sequence[Look],
+    more: Sequence[tuple[Artist, str]] = (),
+) -> None:
+    """Identify the lines: by a legend above the data if there are few, else by a colour bar. `more`: further entries."""
+    handles, names = [handle for handle, _ in more], [name for _, name in more]
     if len(entries) > (FEW if axis.numeric else NAMES):
         colour_bar(figure, plots, axis, entries)
-        return
-    place_legend(figure, [Line2D([], [], **look) for look in looks], entries, shortened(axis_label(axis), 60))
+        title = ""
+    elif len(entries) > 1:
+        handles, names = [*(Line2D([], [], **look) for look in looks), *handles], [*entries, *names]
+        title = shortened(axis_label(axis), 60)
+    else:
+        title = ""
+    if names:
+        place_legend(figure, handles, names, title)
 
 
 def place_legend(figure: Figure, handles: Sequence[Artist], entries: Sequence[str], title: str = "") -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 from matplotlib.typing import ColorType
 
-from sierra.deliverables.figures import axis_limits, bands, facets, style
+from sierra.deliverables.figures import axis_limits, bands, facets, models, style
 from sierra.deliverables.figures.facets import Panel, Panels
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.deliverables.figures.timeseries import value_of, with_n
@@ -38,7 +39,7 @@ HATCHES = ("", "///", "\\\\\\", "...", "xxx", "---", "+++", "ooo")
 def summary(drawing: Drawing) -> Figure:
     """Draw a measure over the first axis, with intervals, and a line for each combination of the others."""
     within = facets.panels(drawing)
-    looks = [Look(marker="o") | look for look in style.looks(within.groups)]
+    looks = models.beside(drawing, [Look(marker="o") | look for look in style.looks(within.groups)])
     shifts = _shifts(within.first, len(within.groups.values))
     (table,) = drawing.tables.values()
     center = style.drawable(style.column(table, bands.columns(drawing.figure)[0]), drawing)
@@ -68,8 +69,21 @@ def _points(panel: Panel, within: Panels, looks: Sequence[Look], shifts: Sequenc
         hollow = look | Look(linestyle="none")
         artists += panel.plot.plot(x[censored], center[rows][censored], **hollow, markerfacecolor="white", zorder=3)
         artists += never(panel.plot, x[censored & (style.column(table, "n")[rows] == 0)], look["color"])
+        artists += _models(panel, within, place, look["color"] if len(looks) > 1 else models.BLACK, len(looks))
         if first.numeric:
             _shift(artists, shifts[place])
+
+
+def _models(panel: Panel, within: Panels, place: int, colour: ColorType, count: int) -> list[Artist]:
+    """Draw the models of one group: lines over numbers, marks at names."""
+    drawing, first = panel.drawing, within.first
+    ordinals = [ordinal for ordinal in drawing.cells if within.group(drawing, ordinal) == place]
+    if first.numeric:
+        places = partial(_places, drawing, first, place=place, count=count)
+        return models.over_numbers(panel.plot, drawing, ordinals, places, colour)
+    for ordinal, x in zip(ordinals, _places(drawing, first, ordinals, place, count), strict=True):
+        models.at(panel.plot, drawing, ordinal, float(x), 0.8 / count, colour)
+    return []
 
 
 def bar(drawing: Drawing) -> Figure:
@@ -102,11 +116,19 @@ def _bars(panel: Panel, within: Panels, looks: Sequence[Look]) -> None:
         if np.isfinite(low[k]) and np.isfinite(high[k]):
             reach = [[center[k] - low[k]], [high[k] - center[k]]]
             panel.plot.errorbar(x, center[k], reach, fmt="none", ecolor="#333333", elinewidth=0.8, capsize=min(2, 8 / count))
+    marks_of_models(panel, within, count)
 
 
 def colours(within: Panels) -> list[ColorType]:
     """Return a colour for each group."""
     return style.colours(within.groups) if len(within.groups.values) > 1 else [style.named_colours()[0]]
+
+
+def marks_of_models(panel: Panel, within: Panels, count: int) -> None:
+    """Draw the models of all experiments of a panel as dashed marks."""
+    for ordinal in panel.drawing.cells if panel.drawing.models else ():
+        x = within.place(panel.drawing, ordinal) + dodge(within.group(panel.drawing, ordinal), count)
+        models.at(panel.plot, panel.drawing, ordinal, x, 0.8 / count)
 
 
 def _interval(plot: Axes, x: Floats, center: Floats, low: Floats, high: Floats, look: Look, *, joined: bool) -> list[Artist]:
@@ -169,4 +191,4 @@ def frame(drawing: Drawing, within: Panels, looks: list[Look], lowest: float, hi
         place = within.group(whole, ordinal)
         counts[place] = max(counts[place], n)
     entries = with_n(style.names(within.groups.values), counts)
-    style.legend(within.figure, within.plots, within.groups, entries, looks)
+    style.legend(within.figure, within.plots, within.groups, entries, looks, models.entries(drawing, looks))

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 
-from sierra.deliverables.figures import axis_limits, bands, style
+from sierra.deliverables.figures import axis_limits, bands, models, style
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
@@ -35,15 +35,19 @@ def timeseries(drawing: Drawing) -> Figure:
     first, rest = first_axis(drawing), others(drawing)
     slices = by_experiment(table)
     figure, plots = style.panels(_panel_count(drawing, rest))
-    looks = style.looks(first)
+    looks = models.beside(drawing, style.looks(first))
     for line in looks:
-        line.pop("marker", None)
+        if drawing.models and not first.numeric:
+            line |= {"markevery": 0.12, "markersize": 2.5}  # solid lines of names also need marks, to differ in grey
+        else:
+            line.pop("marker", None)
     look = dict(zip(first.values, looks, strict=True))
     highest = [0] * len(first.values)
     for ordinal, rows in slices.items():
         value = value_of(drawing, ordinal)
         plot = plots[rest.index(rest_of(drawing, ordinal))]
         _line(plot, drawing, table.slice(rows.start, rows.stop - rows.start), look[value])
+        models.over_time(plot, drawing, ordinal, look[value]["color"] if len(looks) > 1 else models.BLACK, _shown)
         place = first.values.index(value)
         highest[place] = max(highest[place], int(np.max(numpy_of(table.column("n"))[rows])))
     center = style.column(table, bands.columns(drawing.figure)[0])
@@ -54,7 +58,7 @@ def timeseries(drawing: Drawing) -> Figure:
         style.title(plot, _others_of(drawing, values))
     style.outer_labels(plots, style.time_label(drawing), style.value_label(drawing))
     entries = with_n(style.names(first.values), highest)
-    style.legend(figure, plots, first, entries, looks)
+    style.legend(figure, plots, first, entries, looks, models.entries(drawing, looks))
     return figure
 
 

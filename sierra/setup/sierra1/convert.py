@@ -41,7 +41,7 @@ LENGTH, TICKS = 5000, 5
 SCENARIO = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)\.([0-9]+)x([0-9]+)(?:x([0-9]+))?")
 NOT_READ = {
     "collate.yaml": "every column of an output can be queried: sierra sql",
-    "models.yaml": "models are Python; query their inputs with sierra sql",
+    "models.yaml": "models are Python; declare them as [models.NAME] with a command",
     "stage5.yaml": "compare controllers or scenarios by a query: controller=ONE,TWO",
     "perf.yaml": "performance measures are not computed; use SQL",
 }

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from sierra.deliverables.figures import bands
-from sierra.deliverables.figures.base import PLOT, PlainKind, Request
+from sierra.deliverables.figures.base import MODELS, PLOT, PlainKind, Request
 from sierra.stats.aggregate import CENTERS
 from sierra.stats.needs import Needs
 
@@ -23,7 +23,7 @@ MOST_PANELS = 9
 class Timeseries(PlainKind):
     """Lines over time, each with its band."""
 
-    uses: ClassVar[frozenset[str]] = frozenset({"times", "center", "band", "series", "facet"}) | PLOT
+    uses: ClassVar[frozenset[str]] = frozenset({"times", "center", "band", "series", "facet", MODELS}) | PLOT
 
     def needs(self, request: Request) -> Needs:
         return Needs(bands.statistics(request.figure), over="time", shows=bands.words(request.figure))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from sierra.deliverables.figures import bands
-from sierra.deliverables.figures.base import PLOT, STATISTICAL, PlainKind, Request
+from sierra.deliverables.figures.base import MODELS, PLOT, STATISTICAL, PlainKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 
@@ -25,7 +25,7 @@ BOX = ("median", "whiskers")
 class Summary(PlainKind):
     """Points with intervals over the first variable, with a series for each combination of the others."""
 
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "x", "series", "facet"}) | PLOT
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "x", "series", "facet", MODELS}) | PLOT
 
     def needs(self, request: Request) -> Needs:
         return Needs(bands.statistics(request.figure), some="hollow", shows=bands.words(request.figure))
@@ -50,7 +50,7 @@ class Box(PlainKind):
     """Boxes over the first variable: median, quartiles, whiskers, and the runs beyond them."""
 
     libraries: ClassVar[tuple[str, ...]] = STATISTICAL
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "x", "series", "facet"}) | PLOT - NO_LOG_X
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "x", "series", "facet", MODELS}) | PLOT - NO_LOG_X
 
     def needs(self, request: Request) -> Needs:
         return Needs(BOX, runs=True, shows="median, quartiles, whiskers to at most 1.5 IQR")
@@ -96,7 +96,7 @@ class Strip(Box):
 class Bar(PlainKind):
     """Bars over the first variable, with intervals; side by side for the values of the others."""
 
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "x", "series", "facet"}) | SIDE_BY_SIDE
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "x", "series", "facet", MODELS}) | SIDE_BY_SIDE
 
     def needs(self, request: Request) -> Needs:
         return Needs(bands.statistics(request.figure), shows=bands.words(request.figure))
@@ -110,7 +110,7 @@ class Bar(PlainKind):
 class Heatmap(PlainKind):
     """A map of colours over two variables."""
 
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "x", "series", "log_y", "labels"})
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "x", "series", "log_y", "labels", MODELS})
 
     def needs(self, request: Request) -> Needs:
         if (count := len(request.axes)) != 2:

@@ -1,0 +1,205 @@
+"""The models of one batch: which figures each joins, and its values there.
+
+A model joins the figures of its column whose kind draws models: a model over time those over time, and summaries of the last
+value; another one the figures of its measure. `figures` of a model names some of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Protocol
+
+from sierra.config.model_table import Model
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables.figures.base import MODELS, kind_of
+from sierra.deliverables.models import predictions
+from sierra.deliverables.models.predicted import Predicted
+from sierra.deliverables.models.predictions import Listed, NotVaried, Prediction
+from sierra.deliverables.models.values_in_figure import over_time, predicted
+from sierra.errors import Missing, SierraError, UsageError
+from sierra.store.samples import Frame
+from sierra.store.store import Store
+from sierra.util.text import like
+
+if TYPE_CHECKING:
+    from sierra.deliverables.figures.drawing import Drawing
+    from sierra.stats.aggregate import Frame as Samples
+
+ENDS = """
+SELECT experiment, min(last) AS low, max(last) AS high
+FROM (SELECT experiment, run, max(t) AS last FROM samples WHERE isfinite(t) GROUP BY ALL) GROUP BY experiment
+"""
+"""The times at which the runs of each experiment end: the first and the last of them."""
+
+
+class Data(Protocol):
+    """The data of a figure: one output or derived table of the batch."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def time(self) -> str:
+        """The name of the time column; "" if there is none."""
+
+    @property
+    def by_mean(self) -> bool:
+        """True if runs count by their mean, because they wrote events and no measure was chosen."""
+
+    def samples(self, column: str) -> Samples:
+        """Return the frame of one column, for statistics."""
+
+
+class Models:
+    """The models of a project for one batch."""
+
+    def __init__(self, project: LoadedProject, store: Store, frame: Frame) -> None:
+        self._project, self._store, self._frame = project, store, frame
+        self._made: dict[tuple[str, str], Prediction | SierraError] = {}
+        self._joined: set[str] = set()
+        self._notes: dict[str, None] = {}
+        self.failed: dict[str, str] = {}
+        """The models that a figure should show but cannot, and why."""
+
+    def added(self, name: str, drawing: Drawing, data: Data) -> Drawing:
+        """Return the drawing of a figure with the models that join it, before its times become seconds."""
+        found, problems = self._of_figure(name, drawing, data)
+        if not found and not problems:
+            return drawing
+        self.failed |= problems
+        self._notes |= dict.fromkeys(filter(None, (one.problem for one in found)))
+        lost = [f"without model {called}, which failed" for called in problems]
+        texts = [f"-- model {one.name}\n{one.text}" for one in found]
+        return replace(
+            drawing,
+            models=tuple(found),
+            failed_models=problems,
+            note="; ".join(filter(None, (drawing.note, *(one.note for one in found), *lost))),
+            sql="\n\n".join(filter(None, (drawing.sql, *texts))),
+        )
+
+    def _of_figure(self, name: str, drawing: Drawing, data: Data) -> tuple[list[Predicted], dict[str, str]]:
+        """Return the models that join a figure, and why others cannot."""
+        found: list[Predicted] = []
+        problems: dict[str, str] = {}
+        for called, model in self.declared.items():
+            try:
+                if not self._joins(called, model, name, drawing, data):
+                    continue
+                found.append(self._predicted(called, model, drawing, data))
+            except Missing:
+                raise
+            except SierraError as error:
+                self._notes[f"model {called} is left out: {error}"] = None
+                if not isinstance(error, NotVaried):
+                    problems[called] = str(error)
+            self._joined.add(called)
+        return found, problems
+
+    @property
+    def declared(self) -> Mapping[str, Model]:
+        """Return the declared models by name."""
+        return self._project.config.models
+
+    def alone(self, name: str, drawing: Drawing, data: Data) -> Drawing:
+        """Return a drawing of its column with one model. Raises SierraError."""
+        return replace(drawing, models=(self._predicted(name, self.declared[name], drawing, data),))
+
+    def notes(self, figures: Collection[str] = ()) -> list[str]:
+        """Return notes for messages. `figures` has the names of all figures, if all were drawn: then also on unused models."""
+        unknown = [
+            f"model {name}: there is no figure {figure!r}; {like(figure, [*figures])}"
+            for name, model in self.declared.items()
+            for figure in model.figures
+            if figures and figure not in figures
+        ]
+        unused = [name for name in self.declared if figures and name not in self._joined and not self.declared[name].figures]
+        return [*self._notes, *unknown, *(f"model {name} is in no figure: {self._reason(name)}" for name in unused)]
+
+    def prediction(self, name: str, time: str) -> Prediction:
+        """Return what a model predicts for the batch. `time` is the name of the time column. Raises SierraError."""
+        if (name, time) not in self._made:
+            try:
+                self._made[name, time] = self._make(name, self.declared[name], time)
+            except SierraError as error:
+                self._made[name, time] = error
+        found = self._made[name, time]
+        if isinstance(found, SierraError):
+            raise found
+        return found
+
+    def _make(self, name: str, model: Model, time: str) -> Prediction:
+        from sierra.deliverables.models import command
+
+        cells, variables = self._frame.cells(), self._project.config.variables
+        if model.expression:
+            return predictions.formula(model.expression, cells, time, variables)
+        if model.command:
+            table, facts = command.predict(model, self._project, self._store, self._frame, f"[models.{name}] command")
+            text = f"-- command: {' '.join(map(repr, model.command))}"
+        else:
+            definition = self._project.definition(f"model {name}", model, f"[models.{name}]")
+            rows = self._frame.table_of(definition)
+            if not rows.num_rows:
+                raise UsageError(f"{definition.origin}: its statement returns no rows")
+            table = {column: rows.column(column).to_pylist() for column in rows.column_names}
+            text = self._frame.statements(definition.name)
+            facts = {"sql": definition.sql}
+        found, over_time, notes = predictions.listed(table, model.column, cells, time, variables)
+        self._notes |= dict.fromkeys(f"model {name}: {note}" for note in notes)
+        return Listed(found, over_time, text, facts)
+
+    def _joins(self, name: str, model: Model, figure_name: str, drawing: Drawing, data: Data) -> bool:
+        """Return whether a model joins a figure. Raises UsageError if it names the figure, but cannot be drawn in it."""
+        named = figure_name in model.figures
+        if model.figures and not named:
+            return False
+        obstacle = self._obstacle(name, model, drawing, data, named=named)
+        if obstacle and named:
+            raise UsageError(f"figure {figure_name} cannot show it: {obstacle}")
+        return not obstacle
+
+    def _obstacle(self, name: str, model: Model, drawing: Drawing, data: Data, *, named: bool) -> str:
+        """Return why a figure cannot show a model; "" if it can. Its values are computed only if nothing else is in the way."""
+        figure = drawing.figure
+        if figure.columns != (model.column,):
+            return f"it shows {' and '.join(figure.columns)}, not {model.column}"
+        if MODELS not in kind_of(figure).uses:
+            return f"kind {figure.kind!r} shows no models"
+        if not (named and figure.sql) and self._table(model) != data.name:
+            return f"it shows table {data.name!r}"
+        if self.prediction(name, data.time).over_time:
+            is_final = figure.measure == "final" and model.measure is None
+            return "" if over_time(drawing) or is_final else "it predicts values over time"
+        measure = model.measure or ("mean" if data.by_mean else "final")
+        fits = not over_time(drawing) and (figure.measure, figure.threshold) == (measure, model.threshold)
+        return "" if fits else f"it predicts one number for each experiment, the measure {measure!r}"
+
+    def _table(self, model: Model) -> str:
+        """Return the name of the output that a model predicts. Raises UsageError if it may be one of several."""
+        if model.table:
+            return model.table
+        having = self._frame.outputs_with(model.column)
+        if len(having) > 1:
+            raise UsageError(f"set its table to one of {', '.join(having)}, which all have column {model.column!r}")
+        return having[0] if having else ""
+
+    def _reason(self, name: str) -> str:
+        """Return why no figure shows a model, as far as its table and column are the reason."""
+        model = self.declared[name]
+        if model.table and model.table not in self._frame.names:
+            return f"the batch has no output {model.table!r}; {like(model.table, self._frame.names)}"
+        if not model.table and not self._frame.outputs_with(model.column):
+            return f"no output has column {model.column!r}; a derived table must be named (table)"
+        return f"none shows {model.column!r} as it predicts it; see its measure"
+
+    def _predicted(self, name: str, model: Model, drawing: Drawing, data: Data) -> Predicted:
+        prediction = self.prediction(name, data.time)
+        ends = self._ends(model, data) if prediction.over_time and not over_time(drawing) else {}
+        return predicted(name, model.label or name.replace("_", " "), prediction, drawing, ends)
+
+    def _ends(self, model: Model, data: Data) -> Mapping[int, float | None]:
+        """Return the time at which the runs of each experiment end; None if they end at different times."""
+        rows = data.samples(model.column).sql(ENDS).to_pylist()
+        return {row["experiment"]: row["low"] if row["low"] == row["high"] else None for row in rows}
