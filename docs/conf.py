@@ -28,6 +28,7 @@ CONTENTS = {
         "how-to/derived-tables",
         "how-to/figures",
         "how-to/figure-kinds",
+        "how-to/models",
         "how-to/compare",
         "how-to/number-of-runs",
         "how-to/replay",

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
     from sierra.deliverables.comparison import Compared
+    from sierra.deliverables.models.errors_of_models import ModelErrors
     from sierra.deliverables.power import RunsForPower
     from sierra.deliverables.record import Checked, ShownDeliverable
     from sierra.deliverables.sample_size import RunsNeeded
@@ -913,6 +914,23 @@ class Project:
             raise UsageError("name two batches or more, to draw them together")
         found = self._groups_of(words)
         return render.overlaid(self._loaded, self.store, found, name, overlay.BATCH, formats=named(formats))
+
+    def model_errors(self, prefix: str | None = None, name: str | None = None) -> ModelErrors:
+        """Return how far `[models.NAME]` are from the data of a batch: all, or the one called `name`.
+
+        `table` is an Arrow table with a row for each model and experiment: the values of the variables, the number `n` of runs,
+        the number of `compared` points (times, for a model over time), the means of `data` and `predicted` over them, `bias`
+        (mean of predicted − data), `rmse`, the `largest` deviation and the time `at` which it is, and the number of
+        `intervals` of which the model is `inside`. Values have the unit of the column. `failed` has models without a
+        prediction. Commands of models are executed. Raises NotFound, or SierraError if the model called `name` fails.
+
+        >>> project.model_errors(summary.batch)
+        Traceback (most recent call last):
+        sierra.errors.NotFound: sierra.toml declares no [models.NAME]
+        """
+        from sierra.deliverables.models import errors_of_models
+
+        return errors_of_models.errors(self._loaded, self.store, self.batch(prefix), name)
 
     def draw_together(
         self, targets: Sequence[str], prefix: str | None = None, name: str | None = None, *, formats: Sequence[str] = ()

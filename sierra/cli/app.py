@@ -37,6 +37,7 @@ COMMANDS = {
     "sql": "sierra.cli.sql:sql",
     "stats": "sierra.cli.stats:stats",
     "figures": "sierra.cli.figures:figures",
+    "models": "sierra.cli.models:models",
     "cite": "sierra.cli.cite:cite",
     "fsck": "sierra.cli.fsck:fsck",
     "gc": "sierra.cli.gc:gc",

@@ -112,6 +112,11 @@ def figures(incomplete: str) -> list[str]:
     return _named("figures", incomplete)
 
 
+def models(incomplete: str) -> list[str]:
+    """Return the names of the models in `sierra.toml`."""
+    return _named("models", incomplete)
+
+
 def comparisons(incomplete: str) -> list[str]:
     """Return the names of the comparisons and queries in `sierra.toml`, and prefixes of batches' ids."""
     return [*_named("comparisons", incomplete), *_named("queries", incomplete), *batches(incomplete)]

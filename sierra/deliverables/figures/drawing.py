@@ -163,7 +163,7 @@ def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
 def _rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
     shown = noted(drawing)
     figure, kind = painted(shown), kind_of(drawing.figure)
-    if "html" in drawing.formats and isinstance(kind, Explorable):
+    if "html" in drawing.formats and isinstance(kind, Explorable) and not shown.models and not shown.failed_models:
         shown = replace(shown, charts=tuple(kind.charts(shown)))
     return _files(figure, shown, drawing.data)
 

@@ -79,7 +79,7 @@ def gather(
     computed = stats.Computed({}, None, "", "")
     if needs.statistics or needs.runs or needs.single:
         stats.check_times(seen)
-    if needs.statistics or needs.chosen or needs.runs:
+    if needs.statistics or needs.runs:
         frames = {column: source.samples(column) for column in columns}
         computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, rates=rates)
     only = figure.where and f"rows where {' '.join(figure.where.split())}"

@@ -216,6 +216,8 @@ def _tables(drawing: Drawing) -> Iterator[Table]:
         yield _table("runs", drawing.runs, drawing)
     for name, table in drawing.rows.items():
         yield _table(name, table, drawing)
+    for model in drawing.models:
+        yield _table(f"model {model.label}", model.table, drawing)
 
 
 def _table(name: str, table: pa.Table, drawing: Drawing, most: int = POINTS) -> Table:

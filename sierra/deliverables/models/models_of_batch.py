@@ -17,6 +17,7 @@ from sierra.deliverables.models import predictions
 from sierra.deliverables.models.predicted import Predicted
 from sierra.deliverables.models.predictions import Listed, NotVaried, Prediction
 from sierra.deliverables.models.values_in_figure import over_time, predicted
+from sierra.design.factorial_design import GROUPED
 from sierra.errors import Missing, SierraError, UsageError
 from sierra.store.samples import Frame
 from sierra.store.store import Store
@@ -132,7 +133,7 @@ class Models:
     def _make(self, name: str, model: Model, time: str) -> Prediction:
         from sierra.deliverables.models import command
 
-        cells, variables = self._frame.cells(), self._project.config.variables
+        cells, variables = self._frame.cells(), {*self._project.config.variables, *GROUPED}
         if model.expression:
             return predictions.formula(model.expression, cells, time, variables)
         if model.command:

@@ -17,6 +17,8 @@ Cells = Mapping[int, Mapping[str, Value]]
 """The values of the variables of each experiment, by its position in the batch."""
 TIME = "t"
 """The name of the time in expressions and tables; the name of the output's time column is another one."""
+EXPERIMENT = "experiment"
+"""The column of tables with the place of an experiment in the batch."""
 CLOSE = 1e-9
 """The largest difference of numbers that are taken to be equal, as a part of the larger one, or of the span of times."""
 
@@ -135,10 +137,12 @@ def listed(
 ) -> tuple[Mapping[int, Mapping[float | None, float]], bool, list[str]]:
     """Return the rows of a table by experiment, whether they have times, and notes.
 
-    Each column of the table is a variable, the time, or the predicted `column`. A variable that has no column does not matter
-    to the prediction. Raises UsageError for other columns, values that are no numbers, and more than one row for an experiment
-    and a time. Raises NotVaried like `formula`.
+    Each column of the table is a variable, the time, the place of the experiment, or the predicted `column`. A variable that
+    has no column does not matter to the prediction. Raises UsageError for other columns, values that are no numbers, and more
+    than one row for an experiment and a time. Raises NotVaried like `formula`.
     """
+    if EXPERIMENT in table:
+        cells = {ordinal: {**cell, EXPERIMENT: ordinal} for ordinal, cell in cells.items()}
     axes = _axes(cells)
     declared = frozenset(declared)
     clock = [name for name in table if name in {TIME, time} - axes.keys() - declared - {column}]
@@ -204,10 +208,11 @@ def _floats(table: Mapping[str, Sequence[object]], name: str) -> list[float]:
 def _matched(column: Sequence[object], values: Sequence[Value]) -> list[Value | None]:
     """Return for each entry of a column the value of the variable that it stands for; None if it is none of them."""
     known: dict[object, Value | None] = {}
-    for entry in column:
+    entries = [str(entry) if isinstance(entry, list | dict) else entry for entry in column]
+    for entry in entries:
         if entry not in known:
             known[entry] = next((value for value in values if _same(entry, value)), None)
-    return [known[entry] for entry in column]
+    return [known[entry] for entry in entries]
 
 
 def _same(entry: object, value: Value) -> bool:

@@ -90,6 +90,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "figures": "Figure",
         "paper_tables": "TableForPaper",
         "comparisons": "Comparison",
+        "models": "Model",
         "runners": "ClusterTable",
         "services": "ServiceTable",
     }
