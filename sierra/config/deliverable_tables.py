@@ -12,13 +12,16 @@ from sierra.config.field_types import Size as SizeInBytes
 from sierra.util.text import like
 
 CHOSEN = frozenset(
-    {"times", "measure", "center", "band", "x", "series", "facet", "log_x", "log_y", "xlim", "ylim", "palette", "labels"}
+    {"times", "measure", "center", "band", "quantiles", "x", "series", "facet"}
+    | {"log_x", "log_y", "xlim", "ylim", "palette", "labels"}
 )
 """The keys of figures that have an effect on some kinds only: each kind says which in `uses`."""
 
 Size = Literal[
     "ieee-column", "ieee-page", "acm-column", "acm-page", "lncs", "elsevier-column", "elsevier-page", "neurips", "slide"
 ]
+AROUND = {"sd": ("mean", "iqm"), "mad": ("median",)}
+"""The bands that are distances from the center, and the centers that have them."""
 Palette = Literal["okabe-ito", "petroff", "viridis", "cividis", "grey"]
 Format = Literal["png", "pdf", "svg", "html", "pgf"]
 DEFAULT_FORMATS: tuple[Format, ...] = ("png", "pdf", "svg")
@@ -39,6 +42,7 @@ def _different(formats: tuple[Format, ...]) -> tuple[Format, ...]:
 
 Unique = Field(min_length=1, json_schema_extra={"uniqueItems": True})
 Formats = Annotated[tuple[Format, ...], Unique, AfterValidator(_different)]
+Part = Annotated[float, Field(gt=0, lt=1)]
 LimitsOfAxis = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
 
 
@@ -102,13 +106,19 @@ class Figure(Table):
     threshold: Finite | None = Field(
         None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"
     )
-    center: Literal["mean", "median", "iqm"] = Field(
-        "mean", description="mean with its 95 % interval, median with quartiles, or interquartile mean with its 95 % interval"
+    center: str = Field(
+        "mean",
+        description="statistic that is shown, by its name in `sierra stats --statistic`: `mean`, `median`, `iqm`, a quantile "
+        "such as `q90`, … or a plug-in; the mean of flags is a rate",
     )
-    band: Literal["ci", "sd", "iqr", "range"] | None = Field(
+    band: Literal["ci", "sd", "iqr", "mad", "range", "quantiles"] | None = Field(
         None,
-        description="the interval around the center: `ci`: its 95 % interval; `sd`: one standard deviation; `iqr`: quartiles; "
-        "`range`: the smallest and the largest value; default: `ci`, or `iqr` around a median",
+        description="the interval around the center: `ci`: its 95 % interval, as in `sierra stats`; `sd`: one standard "
+        "deviation; `iqr`: quartiles; `mad`: one median absolute deviation, around a median; `range`: the smallest and the "
+        "largest value; `quantiles`: those of the key `quantiles`; default: `ci`, or `iqr` around a median",
+    )
+    quantiles: Annotated[tuple[Part, Part], AfterValidator(_ascending)] = Field(
+        (0.05, 0.95), description='the two quantiles of `band = "quantiles"`, as parts between 0 and 1'
     )
     where: str = Field(
         "", description="rows that count, as an SQL condition on columns of the output and on variables; default: all rows"
@@ -143,8 +153,19 @@ class Figure(Table):
             raise ValueError('measure "time_to" needs a "threshold"')
         if self.measure != "time_to" and self.threshold is not None:
             raise ValueError('"threshold" needs measure = "time_to"')
-        if self.band in ("ci", "sd") and self.center == "median":
-            raise ValueError(f'"band" of a median can be "iqr" or "range", not "{self.band}"')
+        if self.band in AROUND and self.center not in AROUND[self.band]:
+            centers = " or ".join(f'"{name}"' for name in AROUND[self.band])
+            raise ValueError(f'band "{self.band}" is a distance from the center {centers}, not from "{self.center}"')
+        if "quantiles" in self.model_fields_set and self.band != "quantiles":
+            raise ValueError('"quantiles" needs band = "quantiles"')
+        return self
+
+    @model_validator(mode="after")
+    def _known_center(self) -> Figure:
+        from sierra.config.statistic_names import complaint
+
+        if wrong := complaint(self.center):
+            raise ValueError(f"center: {wrong}")
         return self
 
     @model_validator(mode="after")

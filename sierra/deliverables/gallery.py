@@ -245,7 +245,7 @@ class Gallery:
             seen = source.coverage(columns[0])
             planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
             batch = replace(batch.of_experiments(failed.union(seen.runs)), planned=planned)
-        made = gather(name, figure, columns, batch, source, seen, self.rates(output))
+        made = gather(name, figure, columns, batch, source, seen, self.rates(output), self._config.statistics)
         made = self.models.alone(model, made, source) if model else self.models.added(name, made, source)
         declared = self._config.declared(output.name)
         units = dict(declared.units) if declared else {}

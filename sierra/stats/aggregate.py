@@ -27,9 +27,10 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING, Protocol, TypeAlias, cast
 
 from sierra.config.deliverable_tables import Figure
+from sierra.config.field_types import RawTable
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
-from sierra.stats import student_t
+from sierra.stats import student_t, words
 from sierra.stats.base import LEVEL, Parameter
 from sierra.stats.needs import Needs
 from sierra.stats.order_statistics import ranks
@@ -60,6 +61,7 @@ STATISTICS: Mapping[str, tuple[str, ...]] = {
     "median": ("n",),
     "median_interval": ("median",),
     "quartiles": ("n",),
+    "mad": ("median",),
     "whiskers": ("quartiles",),
     "range": ("n",),
     "iqm": ("n",),
@@ -68,13 +70,6 @@ STATISTICS: Mapping[str, tuple[str, ...]] = {
     "iqm_interval": ("iqm_half", "is_rate"),
 }
 """The statistics, and the others that each formula uses."""
-
-CENTERS: Mapping[str, tuple[str, str]] = {
-    "mean": ("mean", "interval"),
-    "median": ("median", "quartiles"),
-    "iqm": ("iqm", "iqm_interval"),
-}
-"""The centers of a figure: by name, the statistic of the center and the statistic of its spread."""
 
 
 Statistics: TypeAlias = "tuple[pa.Table, str]"
@@ -165,16 +160,17 @@ def compute(
     planned: Mapping[int, int] | None = None,
     known: Coverage | None = None,
     rates: Container[str] = (),
+    options: Mapping[str, RawTable] | None = None,
 ) -> Computed:
     """Compute what a figure `needs` from the columns in `frames` (column's name → its samples).
 
     `planned` is the number of runs that each experiment should have, to report absent runs. `known` is the coverage of the
-    same output, if it was computed before. `rates` has the columns whose values 0 and 1 are a rate. Raises SierraError if
-    there is nothing to show, UsageError if the figure does not fit the batch.
+    same output, if it was computed before. `rates` has the columns whose values 0 and 1 are a rate. `options` are the tables
+    `[statistics.NAME]`. Raises SierraError if there is nothing to show, UsageError if the figure does not fit the batch.
     """
     _check(figure, needs, frames)
     seen = known or coverage(next(iter(frames.values())))
-    statistics = _ordered(needs.statistics)
+    statistics = _wanted(needs, options or {})
     notes: dict[str, None] = {}
     tables, texts = {}, []
     for column, frame in frames.items():
@@ -285,7 +281,8 @@ class Samples:
         if selection:
             params |= selection.parameters(most)
         table = self.frame.sql(text, **_used(text, **lists, **params))
-        return selection.complete(table) if selection else table, _documented(text, most, level, **params)
+        explained = _documented(text, most, level, **params)
+        return (selection.complete(table), selection.documented() + explained) if selection else (table, explained)
 
 
 def values_of_runs(frame: Frame, measure: str, threshold: float | None = None) -> pa.Table:
@@ -313,13 +310,26 @@ def statement(observations: str, grouping: str, statistics: Wanted) -> str:
     shown = f"* EXCLUDE ({', '.join(steps)})"
     if selection:
         never = () if grouping == "group_by_time" else ("never",)
-        shown = ",\n  ".join((keys, "n", "missing", "infinite", *never, *selection.columns()))
+        own = [name for one in selection.formulas for name in _columns(one)]
+        shown = ",\n  ".join((keys, "n", "missing", "infinite", *never, *own, *selection.columns()))
     return (
         f"WITH observations AS (\n{observations.rstrip()}\n),\n"
         f"grouped AS (\n{_file(grouping)})\n"
         f"{'FROM (' * len(texts)}FROM grouped\n{''.join(f'SELECT *,{chr(10)}{text})' + chr(10) for text in texts)}"
         f"SELECT {shown}\nORDER BY {keys}"
     )
+
+
+def _wanted(needs: Needs, options: Mapping[str, RawTable]) -> Wanted:
+    """Return the statistics that a figure needs."""
+    from sierra.stats.selection import Selection
+
+    return Selection.of(needs.chosen, options, formulas=needs.statistics) if needs.chosen else _ordered(needs.statistics)
+
+
+def _columns(formula: str) -> list[str]:
+    """Return the columns of a formula that are not intermediate steps."""
+    return re.findall(r" AS ([a-z]\w*)", _code(_file(f"statistics/{formula}")))
 
 
 def _selection(statistics: Wanted) -> Selection | None:
@@ -401,8 +411,10 @@ def _note(
     tables = list(tables)
     counts = [numpy_of(table.column("n")) for table in tables]
     ends = [int(end) for n in counts for end in (n.min(), n.max())]
-    shown = needs.shows or _shown(figure, several=max(ends) > 1, rate=any(map(is_rate, tables)))
-    return [f"{shown}, {n_of(ends)}", *left_out(tables, seen, planned, figure.threshold, _marked(needs, tables[0]))]
+    center = needs.chosen[0] if needs.chosen and not needs.shows else ""
+    shown = needs.shows or f"{words.named(center)}, {words.interval(_methods(tables, center))}"
+    left = left_out(tables, seen, planned, figure.threshold, _marked(needs, tables[0]))
+    return [f"{shown}, {n_of(ends)}", *_without_interval(tables, center), *left]
 
 
 def left_out(
@@ -466,11 +478,19 @@ def may_be_rate(table: pa.Table) -> bool:
     return bool(np.all(np.where(n > 1, np.abs(np.nan_to_num(sd) ** 2 - expected) < 1e-9, (mean == 0) | (mean == 1))))
 
 
-def _shown(figure: Figure, *, several: bool, rate: bool) -> str:
-    """Return a description of a figure's center and interval."""
-    center = figure.center.replace("iqm", "interquartile mean")
-    spread = "quartiles" if figure.center == "median" else "Wilson's 95 % CI of a rate" if rate else "95 % CI"
-    return f"{center}, {spread if several else 'no interval'}"
+def _methods(tables: Iterable[pa.Table], center: str) -> set[str]:
+    """Return the methods of the intervals of a center."""
+    return {method for table in tables for method in table.column(f"{center}_interval").unique().to_pylist() if method}
+
+
+def _without_interval(tables: Sequence[pa.Table], center: str) -> list[str]:
+    """Return a note if only some centers have an interval, because n is too small for the others."""
+    if not center or not _methods(tables, center):
+        return []
+    counts = [(table.column(center), table.column(f"{center}_interval")) for table in tables]
+    known = sum(len(values) - values.null_count for values, _ in counts)
+    lacking = known - sum(len(methods) - methods.null_count for _, methods in counts)
+    return [f"n too small for an interval at {lacking} of {known} points"] if lacking else []
 
 
 def _marked(needs: Needs, table: pa.Table) -> str:

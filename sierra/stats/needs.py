@@ -14,7 +14,10 @@ class Needs:
     """The data that SQL computes for a figure."""
 
     statistics: tuple[str, ...] = ()
-    """Names of statistics of each column, over the runs of each experiment; those that they use are added."""
+    """Formulas for each column, over the runs of each experiment: names of files in `sierra/stats/statistics/`."""
+    chosen: tuple[str, ...] = ()
+    """Statistics by the names that `sierra stats --statistic` has: each has the columns `NAME`, `NAME_low`, `NAME_high` and
+    `NAME_interval`. The first is the center."""
     over: Over = "experiments"
     """`experiments`: each run is reduced by the figure's measure; `time`: statistics at each time."""
     runs: bool = False

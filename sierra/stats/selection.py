@@ -7,15 +7,15 @@ interval is NULL if there is none, for example because there are too few runs.
 from __future__ import annotations
 
 import inspect
-import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
 from typing import TYPE_CHECKING, cast
 
 from sierra.config.field_types import RawTable
 from sierra.config.plugin_registry import STATISTICS
+from sierra.config.statistic_names import complaint, percent
 from sierra.errors import PluginError, UsageError
 from sierra.stats.base import LEVEL, Estimate, Formula, Function, Parameter, Statistic
 from sierra.store.sql_names import quote
@@ -24,7 +24,6 @@ from sierra.util.text import counted
 if TYPE_CHECKING:
     import pyarrow as pa
 
-QUANTILE = re.compile(r"q(\d+)(\.\d+)?")
 PARTS = ("", "_low", "_high", "_interval")
 """The ends of the names of a statistic's columns."""
 CALLS = 5000
@@ -33,25 +32,12 @@ CALLS = 5000
 
 def find(name: str, tables: Mapping[str, RawTable]) -> Statistic:
     """Return a statistic by its name; `tables` has the options of plug-ins. Raises UsageError for an unknown name."""
-    if found := QUANTILE.fullmatch(name):
-        return _quantile(name, found[1], found[2] or "")
-    if name not in STATISTICS.names():
-        known = ", ".join(STATISTICS.names())
-        raise UsageError(f"unknown statistic {name!r}; known are {known}, and quantiles such as q05 or q97.5 (percent)")
-    return cast(Statistic, STATISTICS.make(name, tables))
-
-
-def _quantile(name: str, digits: str, rest: str) -> Statistic:
     from sierra.stats.shipped import Quantile
 
-    if len(digits) == 1 and not rest:
-        quartile = {"1": "25", "2": "50", "3": "75"}.get(digits)
-        other = f"q{quartile} for the quartile, or " if quartile else ""
-        raise UsageError(f"statistic {name!r} is ambiguous; write {other}q0{digits} for the quantile of {digits} %")
-    percent = float(digits + rest)
-    if not 0 < percent < 100:
-        raise UsageError(f"statistic {name!r}: the percentage of a quantile must be between 0 and 100, as in q90")
-    return Quantile(name, percent / 100)
+    if wrong := complaint(name):
+        raise UsageError(wrong)
+    of_quantile = percent(name)
+    return cast(Statistic, STATISTICS.make(name, tables)) if of_quantile is None else Quantile(name, of_quantile / 100)
 
 
 @dataclass(frozen=True)
@@ -61,11 +47,17 @@ class Selection:
     statistics: Mapping[str, Statistic]
     level: float = LEVEL
     """The confidence of their intervals."""
+    formulas: tuple[str, ...] = ()
+    """Shipped formulas whose own columns are wanted too."""
+    tables: Mapping[str, RawTable] = field(default_factory=dict)
+    """The options of statistics."""
 
     @classmethod
-    def of(cls, names: Iterable[str], tables: Mapping[str, RawTable], level: float = LEVEL) -> Selection:
+    def of(
+        cls, names: Iterable[str], tables: Mapping[str, RawTable], level: float = LEVEL, formulas: Iterable[str] = ()
+    ) -> Selection:
         """Return the statistics of these names, each once, with intervals of a confidence. Raises UsageError."""
-        return cls({name: find(name, tables) for name in dict.fromkeys(names)}, level)
+        return cls({name: find(name, tables) for name in dict.fromkeys(names)}, level, tuple(formulas), tables)
 
     @cached_property
     def definitions(self) -> Mapping[str, Formula | Function]:
@@ -73,8 +65,9 @@ class Selection:
 
     @property
     def uses(self) -> tuple[str, ...]:
-        """Return the shipped formulas that the chosen ones use."""
-        return tuple(step for one in self.definitions.values() if isinstance(one, Formula) for step in one.uses)
+        """Return the shipped formulas that the statement has."""
+        steps = (step for one in self.definitions.values() if isinstance(one, Formula) for step in one.uses)
+        return (*self.formulas, *steps)
 
     @property
     def functions(self) -> Mapping[str, Function]:
@@ -96,6 +89,14 @@ class Selection:
         """Return the parameters of the formulas. `most` is the largest number of runs of an experiment."""
         formulas = [one for one in self.definitions.values() if isinstance(one, Formula)]
         return {name: value for one in formulas for name, value in one.parameters(most).items()}
+
+    def documented(self) -> str:
+        """Return comments on the statistics that no statement shows, because Python functions compute them: with options."""
+        lines = []
+        for name in self.functions:
+            keys = (f"{key} = {value}" for key, value in STATISTICS.options(name, self.tables.get(name, {})))
+            lines.append(f"-- {name}: {', '.join([self.statistics[name].interval or 'no interval', *keys])}\n")
+        return "".join(lines)
 
     def complete(self, table: pa.Table) -> pa.Table:
         """Return the table of a statement with the columns of functions, and without the values for them."""

@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from sierra.deliverables.figures import bands, models, style
+from sierra.stats import words
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
@@ -68,8 +69,7 @@ def left_out_centers(drawing: Drawing, *, ends: bool = False) -> list[str]:
     """Return notes on centers, and the ends of intervals, that a logarithmic scale cannot show."""
     (table,) = drawing.tables.values()
     values, *spread = (style.column(table, name) for name in bands.columns(drawing.figure)[: 3 if ends else 1])
-    what = {"mean": "means", "median": "medians", "iqm": "interquartile means"}[drawing.figure.center]
-    return _not_above_0(drawing, values, spread, what)
+    return _not_above_0(drawing, values, spread, words.plural(drawing.figure.center))
 
 
 def left_out_runs(drawing: Drawing) -> list[str]:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
     from sierra.deliverables.html import Chart
 
+CENTER = frozenset({"center", "band", "quantiles"})
+"""The keys of kinds that draw centers with intervals."""
 PLOT = frozenset({"log_x", "log_y", "xlim", "ylim", "palette", "labels"})
 """The keys of kinds that have an x axis, a y axis and categories."""
 STATISTICAL = ("seaborn", "pandas")

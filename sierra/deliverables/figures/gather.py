@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 from sierra.config.deliverable_tables import Figure
+from sierra.config.field_types import RawTable
 from sierra.deliverables.figures import bands
 from sierra.deliverables.figures.base import Request, kind_of
 from sierra.deliverables.figures.drawing import Drawing
@@ -66,22 +67,23 @@ def gather(
     source: Source,
     seen: stats.Coverage,
     rates: Container[str] = (),
+    options: Mapping[str, RawTable] | None = None,
 ) -> Drawing:
     """Return the drawing of a figure, without units. Raises SierraError if there is nothing to draw.
 
     `seen` is the coverage of the output, which may have several rows at the same time. `rates` has the columns
-    whose values 0 and 1 are a rate.
+    whose values 0 and 1 are a rate. `options` are the tables `[statistics.NAME]`.
     """
     batch = labelled(arranged(batch, figure), figure.labels)
     needs = kind_of(figure).needs(Request(figure, batch.axes, len(seen.runs), seen.most, columns))
     source.check(columns, numeric=needs.numeric)
     source.check(needs.others, numeric=False)
     computed = stats.Computed({}, None, "", "")
-    if needs.statistics or needs.runs or needs.single:
+    if needs.statistics or needs.chosen or needs.runs or needs.single:
         stats.check_times(seen)
-    if needs.statistics or needs.runs:
+    if needs.statistics or needs.chosen or needs.runs:
         frames = {column: source.samples(column) for column in columns}
-        computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, rates=rates)
+        computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, rates=rates, options=options)
     only = figure.where and f"rows where {' '.join(figure.where.split())}"
     return Drawing(
         name=name,

@@ -547,6 +547,15 @@ def drawable(values: npt.ArrayLike, drawing: Drawing) -> Floats:
     return np.where(bad, np.nan, floats)
 
 
+def interval(
+    plot: Axes, x: npt.ArrayLike, low: Floats, high: Floats, *, color: ColorType, linewidth: float, cap: float = 2
+) -> list[Artist]:
+    """Draw intervals from `low` to `high`, which need not contain the center. Return the artists."""
+    reach = [np.zeros(len(low)), high - low]
+    bars = plot.errorbar(x, low, reach, fmt="none", ecolor=color, elinewidth=linewidth, capsize=cap, capthick=linewidth)
+    return [*bars[1], *bars[2]]
+
+
 def column(table: pa.Table, name: str) -> Floats:
     """Return a column of a pyarrow table as numpy floats; NULL becomes NaN."""
     values: Floats = numpy_of(table.column(name)).astype(float, copy=False)

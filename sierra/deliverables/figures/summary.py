@@ -114,8 +114,7 @@ def _bars(panel: Panel, within: Panels, looks: Sequence[Look]) -> None:
         colour = looks[place]["color"]
         panel.plot.bar(x, center[k], 0.8 / count, color=to_rgba(colour, 0.55), edgecolor=colour, hatch=hatch, linewidth=0.6)
         if np.isfinite(low[k]) and np.isfinite(high[k]):
-            reach = [[center[k] - low[k]], [high[k] - center[k]]]
-            panel.plot.errorbar(x, center[k], reach, fmt="none", ecolor="#333333", elinewidth=0.8, capsize=min(2, 8 / count))
+            style.interval(panel.plot, [x], low[[k]], high[[k]], color="#333333", linewidth=0.8, cap=min(2, 8 / count))
     marks_of_models(panel, within, count)
 
 
@@ -138,11 +137,7 @@ def _interval(plot: Axes, x: Floats, center: Floats, low: Floats, high: Floats, 
         artists += plot.plot(x[known], center[known], **look | Look(marker="none"))
     some = np.isfinite(center) & np.isfinite(low) & np.isfinite(high)
     if some.any():
-        reach = [(center - low)[some], (high - center)[some]]
-        bars = plot.errorbar(
-            x[some], center[some], reach, fmt="none", ecolor=look["color"], elinewidth=0.9, capsize=2, capthick=0.9
-        )
-        artists += [*bars[1], *bars[2]]
+        artists += style.interval(plot, x[some], low[some], high[some], color=look["color"], linewidth=0.9)
     return [*artists, *plot.plot(x, center, **look | Look(linestyle="none"))]
 
 

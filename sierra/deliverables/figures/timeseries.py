@@ -137,7 +137,7 @@ def _line(plot: Axes, drawing: Drawing, table: pa.Table, look: Look) -> None:
     plot.plot(t[alone], center[alone], "o", color=colour, markersize=3.5 if len(t) == 1 else 1.2)
     some = np.isfinite(low) & np.isfinite(high)
     if len(t) == 1 and some.any():
-        plot.errorbar(t, center, [center - low, high - center], color=colour, capsize=2)
+        style.interval(plot, t[some], low[some], high[some], color=colour, linewidth=1.2)
     elif some.any():
         band = FillBetweenPolyCollection("x", t, low, high, where=some.tolist(), facecolor=colour, alpha=0.2, linewidth=0)
         plot.add_collection(band)

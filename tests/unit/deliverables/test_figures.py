@@ -49,7 +49,7 @@ def table(experiments: int, times: int = 0, **changed: Any) -> pa.Table:
     columns |= {"t": t} if times else {"never": zero}
     columns |= {"missing": zero, "infinite": zero, "n": zero + 10}
     for name, shift in {
-        "mean": 0, "low": -1, "high": 1, "median": 0, "q1": -1, "q3": 1,
+        "mean": 0, "mean_low": -1, "mean_high": 1, "median": 0, "q1": -1, "q3": 1,
         "whisker_low": -2, "whisker_high": 2, "iqm": 0, "iqm_low": -1, "iqm_high": 1,
     }.items():  # fmt: skip
         columns[name] = center + shift
@@ -302,7 +302,7 @@ def test_timeseries_without_intervals_has_no_bands() -> None:
     from sierra.deliverables.figures import style, timeseries
 
     none = pa.nulls(80, pa.float64())
-    alone = drawing(tables={"energy": table(4, 20, low=none, high=none)})
+    alone = drawing(tables={"energy": table(4, 20, mean_low=none, mean_high=none)})
     with style.applied():
         assert len(timeseries.timeseries(drawing()).axes[0].collections) == 4
         assert not timeseries.timeseries(alone).axes[0].collections
@@ -321,7 +321,7 @@ def test_experiments_that_never_reached_the_threshold_are_marked_at_the_upper_ed
     from sierra.deliverables.figures import style
 
     nan = np.array([10.0, 20.0, np.nan, np.nan])
-    late = table(4, n=np.array([10, 7, 0, 0]), never=np.array([0, 3, 10, 10]), mean=nan, low=nan, high=nan)
+    late = table(4, n=np.array([10, 7, 0, 0]), never=np.array([0, 3, 10, 10]), mean=nan, mean_low=nan, mean_high=nan)
     runs = reduced(2)
     for kind, places in {"summary": [4.0, 8.0], "box": [2.0, 3.0], "violin": [2.0, 3.0]}.items():
         shown = replace(drawing(kind, tables={"energy": late}, measure="time_to", threshold=1), runs=runs)
@@ -337,7 +337,7 @@ def ragged(n: int = 2, reach: float = 500.0) -> dict[str, Any]:
     few = np.tile(np.arange(20) >= 15, 4)
     center = table(4, 20).column("mean").to_numpy()
     half = np.where(few, reach, 1.0)
-    return {"energy": table(4, 20, n=np.where(few, n, 10), low=center - half, high=center + half)}
+    return {"energy": table(4, 20, n=np.where(few, n, 10), mean_low=center - half, mean_high=center + half)}
 
 
 def plot_of(shown: Drawing) -> Any:
@@ -363,13 +363,15 @@ def test_intervals_that_fit_or_belong_to_most_runs_are_not_cut_off() -> None:
         shown = drawing(tables=tables)
         low, high = plot_of(shown).get_ylim()
         spread = tables["energy"]
-        assert low <= min(spread["low"].to_pylist())
-        assert high >= max(spread["high"].to_pylist())
+        assert low <= min(spread["mean_low"].to_pylist())
+        assert high >= max(spread["mean_high"].to_pylist())
         assert "cut off" not in flowing(shown)
 
 
 def test_experiment_with_few_runs_does_not_set_the_axis_range_of_a_summary() -> None:
-    few = table(4, n=np.array([10, 2, 10, 10]), low=np.array([9, -980, 29, 39.0]), high=np.array([11, 1020, 31, 41.0]))
+    few = table(
+        4, n=np.array([10, 2, 10, 10]), mean_low=np.array([9, -980, 29, 39.0]), mean_high=np.array([11, 1020, 31, 41.0])
+    )
     shown = drawing("summary", tables={"energy": few})
     assert plot_of(shown).get_ylim() == pytest.approx((9 - 1.6, 41 + 1.6))
     assert "some intervals of n ≤ 2 are cut off" in flowing(shown)
@@ -380,11 +382,11 @@ def test_experiment_with_few_runs_does_not_set_the_axis_range_of_a_summary() -> 
 @pytest.mark.integration
 def test_values_that_a_log_axis_cannot_show_are_noted() -> None:
     means = np.array([0.0, -1.0, 30.0, 40.0])
-    lacking = table(4, mean=means, low=means - 1, high=means + 1)
+    lacking = table(4, mean=means, mean_low=means - 1, mean_high=means + 1)
     for kind, axes in (("summary", (SIZES,)), ("heatmap", (Axis("a", (1, 2)), Axis("b", (1, 2))))):
         assert "log scale: 2 of 4 means not above 0 left out" in flowing(drawing(kind, axes, {"energy": lacking}, log_y=True))
         assert "log scale" not in flowing(drawing(kind, axes, {"energy": lacking}))
-    wide = drawing(tables={"energy": table(4, 20, low=np.full(80, -5.0))}, log_y=True)
+    wide = drawing(tables={"energy": table(4, 20, mean_low=np.full(80, -5.0))}, log_y=True)
     assert "log scale: intervals that reach 0 are cut off" in flowing(wide)
     values = np.where(np.arange(40) % 10 == 0, 0.0, np.arange(40) + 1.0)
     runs = pa.table({"experiment": np.repeat(np.arange(4), 10), "run": [str(k) for k in range(40)], "value": values})
@@ -521,18 +523,21 @@ def test_figure_paths_are_printed_relative_but_are_absolute_in_json(simulate: Ca
 def nan_table(count: int, times: int) -> pa.Table:
     holes = np.where(np.arange(count * (times or 1)) % 3 == 1, np.nan, 5.0)
     holes[: times or 1] = np.nan
-    return table(count, times, **dict.fromkeys(("mean", "low", "high"), holes))
+    return table(count, times, **dict.fromkeys(("mean", "mean_low", "mean_high"), holes))
 
 
 ODD: Mapping[str, Any] = {
     "one experiment": lambda k, n: ((Axis("size", (4,)),), None),
     "no variable": lambda k, n: ((), None),
     "missing values": lambda k, n: ((SIZES,), nan_table(4, n)),
-    "constant": lambda k, n: ((SIZES,), table(4, n, **dict.fromkeys(("mean", "low", "high"), np.full(4 * (n or 1), 3.0)))),
-    "huge": lambda k, n: ((SIZES,), table(4, n, mean=np.full(4 * (n or 1), 1e300), low=np.full(4 * (n or 1), -np.inf))),
+    "constant": lambda k, n: (
+        (SIZES,),
+        table(4, n, **dict.fromkeys(("mean", "mean_low", "mean_high"), np.full(4 * (n or 1), 3.0))),
+    ),
+    "huge": lambda k, n: ((SIZES,), table(4, n, mean=np.full(4 * (n or 1), 1e300), mean_low=np.full(4 * (n or 1), -np.inf))),
     "tiny": lambda k, n: (
         (SIZES,),
-        table(4, n, **dict.fromkeys(("mean", "low", "high"), np.linspace(1e-300, 2e-300, 4 * (n or 1)))),
+        table(4, n, **dict.fromkeys(("mean", "mean_low", "mean_high"), np.linspace(1e-300, 2e-300, 4 * (n or 1)))),
     ),
     "thirty": lambda k, n: ((Axis("size", tuple(range(1, 31))),), None),
     "names": lambda k, n: (

@@ -164,7 +164,7 @@ def test_doctor_and_schema_list_the_keys_of_an_added_kind(dots: Path) -> None:
         (('band = "sd"',), "mean, ± one standard deviation, n = 3"),
         (('band = "range"', 'center = "median"'), "median, smallest to largest value, n = 3"),
         (('band = "iqr"',), "mean, quartiles, n = 3"),
-        (('band = "ci"',), "mean, 95 % CI, n = 3"),
+        (('band = "ci"',), "mean, 95 % CI (Student's t), n = 3"),
     ],
 )
 def test_the_small_print_names_the_band(batch: Path, lines: tuple[str, ...], shown: str) -> None:
@@ -172,9 +172,14 @@ def test_the_small_print_names_the_band(batch: Path, lines: tuple[str, ...], sho
 
 
 def test_a_band_that_does_not_belong_to_the_center_is_refused(batch: Path) -> None:
-    assert 'band" of a median can be "iqr" or "range", not "sd"' in refusal(
-        batch, *COVERAGE, 'center = "median"', 'band = "sd"'
-    )
+    for keys, complaint in (
+        (('center = "median"', 'band = "sd"'), 'band "sd" is a distance from the center "mean" or "iqm", not from "median"'),
+        (("quantiles = [0.1, 0.9]",), '"quantiles" needs band = "quantiles"'),
+        (('band = "quantiles"', "quantiles = [0.9, 0.1]"), "[0.9, 0.1] should be the lower and the upper limit"),
+        (('center = "q9"',), "center: statistic 'q9' is ambiguous; write q09"),
+        (('center = "meen"',), "center: unknown statistic 'meen'; known are mean, median"),
+    ):
+        assert complaint in refusal(batch, *COVERAGE, *keys)
 
 
 @pytest.mark.integration

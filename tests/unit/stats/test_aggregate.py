@@ -424,7 +424,7 @@ def test_unknown_times_are_refused() -> None:
 def test_a_run_that_ended_early_does_not_cause_resampling() -> None:
     frame = Memory((0, run, float(t), 1.0) for run in range(8) for t in range(20 if run else 5))
     computed = compute(figure(), {"energy": frame})
-    assert computed.note == "mean, 95 % CI, n = 7–8"
+    assert computed.note == "mean, 95 % CI (Student's t), n = 7–8"
 
 
 def test_the_note_reports_absent_runs_and_left_out_values() -> None:

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from sierra.deliverables.figures import bands
-from sierra.deliverables.figures.base import MODELS, PLOT, PlainKind, Request
-from sierra.stats.aggregate import CENTERS
+from sierra.deliverables.figures.base import CENTER, MODELS, PLOT, PlainKind, Request
 from sierra.stats.needs import Needs
 
 if TYPE_CHECKING:
@@ -23,10 +22,10 @@ MOST_PANELS = 9
 class Timeseries(PlainKind):
     """Lines over time, each with its band."""
 
-    uses: ClassVar[frozenset[str]] = frozenset({"times", "center", "band", "series", "facet", MODELS}) | PLOT
+    uses: ClassVar[frozenset[str]] = CENTER | frozenset({"times", "series", "facet", MODELS}) | PLOT
 
     def needs(self, request: Request) -> Needs:
-        return Needs(bands.statistics(request.figure), over="time", shows=bands.words(request.figure))
+        return bands.needs(request.figure, over="time")
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
         from sierra.deliverables.figures import axis_limits
@@ -51,9 +50,7 @@ class Stacked(PlainKind):
 
     def needs(self, request: Request) -> Needs:
         timed = request.rows > 1 and (request.experiments <= MOST_PANELS or not request.axes)
-        center, _ = CENTERS[request.figure.center]
-        shows = bands.NAMES[request.figure.center]
-        return Needs((center,), "time" if timed else "experiments", columns=None, shows=shows)
+        return bands.center_only(request.figure, over="time" if timed else "experiments", columns=None)
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         from sierra.deliverables.figures.timeseries import stacked

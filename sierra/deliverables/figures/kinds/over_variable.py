@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from sierra.deliverables.figures import bands
-from sierra.deliverables.figures.base import MODELS, PLOT, STATISTICAL, PlainKind, Request
+from sierra.deliverables.figures.base import CENTER, MODELS, PLOT, STATISTICAL, PlainKind, Request
 from sierra.errors import UsageError
 from sierra.stats.needs import Needs
 
@@ -25,10 +25,10 @@ BOX = ("median", "whiskers")
 class Summary(PlainKind):
     """Points with intervals over the first variable, with a series for each combination of the others."""
 
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "x", "series", "facet", MODELS}) | PLOT
+    uses: ClassVar[frozenset[str]] = CENTER | frozenset({"measure", "x", "series", "facet", MODELS}) | PLOT
 
     def needs(self, request: Request) -> Needs:
-        return Needs(bands.statistics(request.figure), some="hollow", shows=bands.words(request.figure))
+        return bands.needs(request.figure, some="hollow")
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
         from sierra.deliverables.figures import axis_limits
@@ -96,10 +96,10 @@ class Strip(Box):
 class Bar(PlainKind):
     """Bars over the first variable, with intervals; side by side for the values of the others."""
 
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "x", "series", "facet", MODELS}) | SIDE_BY_SIDE
+    uses: ClassVar[frozenset[str]] = CENTER | frozenset({"measure", "x", "series", "facet", MODELS}) | SIDE_BY_SIDE
 
     def needs(self, request: Request) -> Needs:
-        return Needs(bands.statistics(request.figure), shows=bands.words(request.figure))
+        return bands.needs(request.figure)
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         from sierra.deliverables.figures.summary import bar
@@ -115,7 +115,7 @@ class Heatmap(PlainKind):
     def needs(self, request: Request) -> Needs:
         if (count := len(request.axes)) != 2:
             raise UsageError(f"a heatmap needs two independent variables, but this batch has {count}; use a summary")
-        return Needs(bands.statistics(request.figure)[:1], shows=bands.NAMES[request.figure.center], none="hatched")
+        return bands.center_only(request.figure, none="hatched")
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
         from sierra.deliverables.figures import axis_limits

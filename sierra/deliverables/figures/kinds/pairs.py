@@ -9,7 +9,7 @@ from pydantic import Field
 
 from sierra.config.field_types import Table
 from sierra.deliverables.figures import bands
-from sierra.deliverables.figures.base import PLOT, STATISTICAL, Request
+from sierra.deliverables.figures.base import CENTER, PLOT, STATISTICAL, Request
 from sierra.stats.needs import Needs
 
 if TYPE_CHECKING:
@@ -69,14 +69,22 @@ class Pareto:
 
     contract = 1
     Options: ClassVar[type[Table]] = ParetoOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "band", "series", "facet"}) | PLOT - {"log_x", "log_y"}
+    uses: ClassVar[frozenset[str]] = (
+        CENTER
+        | frozenset({"measure", "series", "facet"})
+        | PLOT
+        - {
+            "log_x",
+            "log_y",
+        }
+    )
 
     def __init__(self, options: ParetoOptions) -> None:
         first, second = options.better
         self._better: tuple[Better, Better] = (first, second)
 
     def needs(self, request: Request) -> Needs:
-        return Needs(bands.statistics(request.figure), columns=2, shows=bands.words(request.figure))
+        return bands.needs(request.figure, columns=2)
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
         first, second = drawing.tables

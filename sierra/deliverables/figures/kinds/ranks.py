@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from pydantic import Field
 
 from sierra.config.field_types import Table
-from sierra.deliverables.figures import bands
 from sierra.deliverables.figures.base import Request
 from sierra.errors import UsageError
 from sierra.model import Axis
-from sierra.stats.aggregate import CENTERS
+from sierra.stats import words
 from sierra.stats.needs import Needs
 
 if TYPE_CHECKING:
@@ -54,9 +53,9 @@ class CriticalDifference:
             raise UsageError("a critical_difference figure needs a variable (x) with two values or more: its groups")
         if self._options.blocks == "experiments" and len(request.axes) < 2:
             raise UsageError('blocks = "experiments" needs a second variable, but this batch has one; use blocks = "seeds"')
-        center, _ = CENTERS[request.figure.center]
-        of = f"the {bands.NAMES[request.figure.center]} of the runs" if self.within(request.axes) == "experiments" else "runs"
-        return Needs((center,), runs=True, seeds=True, shows=f"mean ranks of {of}")
+        center = request.figure.center
+        of = f"the {words.named(center)} of the runs" if self.within(request.axes) == "experiments" else "runs"
+        return Needs(chosen=(center,), runs=True, seeds=True, shows=f"mean ranks of {of}")
 
     def within(self, axes: Sequence[Axis]) -> Literal["experiments", "seeds"]:
         """Return what groups are ranked within."""
