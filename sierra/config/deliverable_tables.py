@@ -43,6 +43,9 @@ def _different(formats: tuple[Format, ...]) -> tuple[Format, ...]:
 Unique = Field(min_length=1, json_schema_extra={"uniqueItems": True})
 Formats = Annotated[tuple[Format, ...], Unique, AfterValidator(_different)]
 Part = Annotated[float, Field(gt=0, lt=1)]
+ListOfWords = Annotated[
+    tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
+]
 LimitsOfAxis = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
 
 
@@ -89,11 +92,12 @@ class Figure(Table):
         "runs: `scatter`, `pareto`, `embedding`; rows: `trajectories`, `density`, `matrix`, `network`, `confusion`, `roc`, "
         "`pr`, `risk_coverage`; or a plug-in",
     )
+    inherit: str = Field(
+        "", description="name of another figure, or of `figure_defaults`, whose keys are taken unless this figure has its own"
+    )
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one output")
     sql: str = Field("", description="a SELECT statement whose rows are drawn instead of a `table`, as in `[tables.NAME]`")
-    columns: Annotated[
-        tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
-    ] = Field((), alias="column", description="column, or the columns that the kind needs")
+    columns: ListOfWords = Field((), alias="column", description="column, or the columns that the kind needs")
     times: Literal["own", "carry", "linear"] | None = Field(
         None,
         description="times of values drawn over time: `own`: each run's own times; `carry`, `linear`: common times, with the "
@@ -123,6 +127,12 @@ class Figure(Table):
     where: str = Field(
         "", description="rows that count, as an SQL condition on columns of the output and on variables; default: all rows"
     )
+    controllers: ListOfWords = Field(
+        (),
+        description="controllers that are shown, in this order, by name, label or category (`depth0` stands for all names that "
+        "begin with `depth0.`); default: all",
+    )
+    scenarios: ListOfWords = Field((), description="scenarios that are shown, in this order, as in `controllers`")
     x: str = Field("", description="variable of the x axis; default: the first")
     series: str = Field("", description="variable with a line, colour or mark for each value; default: the next one")
     facet: str = Field("", description="variable with a panel of its own for each value")
@@ -186,17 +196,13 @@ class TableForPaper(Table):
     """One table for papers: statistics of columns in each experiment, or the rows of an SQL statement."""
 
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
-    columns: Annotated[
-        tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
-    ] = Field((), alias="column", description="column, or columns, of which there are statistics; default: the only one")
+    columns: ListOfWords = Field((), alias="column", description="column, or columns, of which there are statistics; default: the only one")
     sql: str = Field(
         "",
         description="a SELECT statement whose rows are the rows of the table; each table that it reads has a column `batch`, "
         "with the label of the batch",
     )
-    statistics: Annotated[
-        tuple[str, ...], BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words)
-    ] = Field(("mean",), min_length=1, description="statistics, each with its interval, as in `sierra stats --statistic`")
+    statistics: ListOfWords = Field(("mean",), min_length=1, description="statistics, each with its interval, as in `sierra stats --statistic`")
     measure: Literal["final", "mean", "time_to"] | None = Field(
         None, description="how a run is reduced to one number; default: `final`, or `mean` in a table of events"
     )
@@ -242,19 +248,15 @@ def _known_method(name: str) -> str:
     return name
 
 
-def _as_list(value: object) -> object:
-    return (value,) if isinstance(value, str) else value
-
-
 class Comparison(Table):
     """One comparison of groups of runs, for `sierra compare NAME`."""
 
-    groups: Annotated[tuple[str, ...], BeforeValidator(_as_list, json_schema_input_type=Words)] = Field(
+    groups: ListOfWords = Field(
         (),
         description="with `by`: the values to compare, the first one first; default: all. Without `by`: two or more batches, "
         "each as the name of a query in `queries` or the prefix of an id, or as `LABEL=` and one of these",
     )
-    by: Annotated[tuple[str, ...], BeforeValidator(_as_list, json_schema_input_type=Words)] = Field(
+    by: ListOfWords = Field(
         (),
         description="the variable whose values are compared within one batch; several: a factorial comparison, with main "
         "effects and interactions; default: the batch's only variable",

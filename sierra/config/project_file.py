@@ -205,6 +205,9 @@ class Project(Table):
         "drawing commands for LaTeX",
     )
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
+    figure_defaults: Mapping[Name, RawTable] = Field(
+        default_factory=dict, description="keys that figures take with `inherit`, by name; they are no figures themselves"
+    )
     paper_tables: Mapping[Name, TableForPaper] = Field(
         default_factory=dict, description="tables for papers, by name; they are drawn with the figures"
     )
@@ -236,6 +239,18 @@ class Project(Table):
     def template_paths(self) -> tuple[str, ...]:
         """Return the paths of all templates; `templates` has paths in the project only."""
         return (self.template,) if self.template is not None else tuple(self.templates.values())
+
+    @model_validator(mode="before")
+    @classmethod
+    def _inherited(cls, table: object) -> object:
+        if not isinstance(table, Mapping):
+            return table
+        figures, defaults = table.get("figures"), table.get("figure_defaults", {})
+        if not isinstance(figures, Mapping) or not isinstance(defaults, Mapping):
+            return table
+        from sierra.config.inherited_figures import resolved
+
+        return {**table, "figures": resolved(figures, defaults)}
 
     @model_validator(mode="after")
     def _templates(self) -> Project:

@@ -27,7 +27,8 @@ PER_TARGET: Mapping[str, tuple[str, ...]] = {
 SHARED = (
     *("target", "targets", *PER_TARGET),
     *("runs", "controller", "scenario", "per_run", "queries", "equivalence", "determinism", "store"),
-    *("tables", "sql", "figure_formats", "figures", "paper_tables", "comparisons", "comparison_methods", "criteria"),
+    *("tables", "sql", "figure_formats", "figures", "figure_defaults", "paper_tables"),
+    *("comparisons", "comparison_methods", "criteria"),
 )
 """Keys that no target has: those that ask a question are the same for all targets."""
 TEMPLATES = ("template", "templates", "template_format")
