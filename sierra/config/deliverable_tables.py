@@ -196,13 +196,17 @@ class TableForPaper(Table):
     """One table for papers: statistics of columns in each experiment, or the rows of an SQL statement."""
 
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
-    columns: ListOfWords = Field((), alias="column", description="column, or columns, of which there are statistics; default: the only one")
+    columns: ListOfWords = Field(
+        (), alias="column", description="column, or columns, of which there are statistics; default: the only one"
+    )
     sql: str = Field(
         "",
         description="a SELECT statement whose rows are the rows of the table; each table that it reads has a column `batch`, "
         "with the label of the batch",
     )
-    statistics: ListOfWords = Field(("mean",), min_length=1, description="statistics, each with its interval, as in `sierra stats --statistic`")
+    statistics: ListOfWords = Field(
+        ("mean",), min_length=1, description="statistics, each with its interval, as in `sierra stats --statistic`"
+    )
     measure: Literal["final", "mean", "time_to"] | None = Field(
         None, description="how a run is reduced to one number; default: `final`, or `mean` in a table of events"
     )

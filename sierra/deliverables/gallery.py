@@ -8,14 +8,14 @@ from __future__ import annotations
 import re
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
 from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import seconds, suggest_tables
+from sierra.deliverables import chosen_groups, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.deliverables.figures.gather import Batch, gather
@@ -46,6 +46,13 @@ def _tables(figures: Mapping[str, Figure], name: str | None) -> Container[str] |
     return {figure.table for figure in wanted} if known else None
 
 
+class _Groups(NamedTuple):
+    """The controller and the scenario of all runs of a batch."""
+
+    controller: str | None
+    scenario: str | None
+
+
 @dataclass(frozen=True, slots=True)
 class _Output:
     """One output of a batch, as a source of figures."""
@@ -55,6 +62,14 @@ class _Output:
     time: str
     where: str = ""
     by_mean: bool = False
+    experiments: tuple[int, ...] | None = None
+    """The positions of the experiments that count; None: all."""
+
+    @property
+    def condition(self) -> str:
+        """Return the SQL condition that rows must fulfil; "" if all rows count."""
+        chosen = "" if self.experiments is None else f'"# ordinal" IN ({", ".join(map(str, self.experiments))})'
+        return f"({self.where}\n) AND {chosen}" if self.where and chosen else self.where or chosen
 
     def check(self, columns: Sequence[str], *, numeric: bool) -> None:
         for column in columns:
@@ -72,17 +87,18 @@ class _Output:
         return self.output.name
 
     def samples(self, column: str) -> Column:
-        return Column(self.frame, self.output.name, column, self.time, self.where)
+        return Column(self.frame, self.output.name, column, self.time, self.condition)
 
     def coverage(self, column: str) -> stats.Coverage:
         """Return the amount of data that fulfils `where`. Raises SierraError if there is none."""
         (row,) = self.rows("SELECT count(*) AS count FROM data").to_pylist()
         if not row["count"]:
-            raise SierraError(f"no row of output {self.output.name!r} fulfils where = {self.where!r}")
+            those = f"fulfils where = {self.where!r}" if self.where else "belongs to a run of the chosen groups"
+            raise SierraError(f"no row of output {self.output.name!r} {those}")
         return replace(stats.coverage(self.samples(column), several=True), selected=True)
 
     def rows(self, statement: str) -> pa.Table:
-        self.frame.data(self.output.name, self.time, self.where)
+        self.frame.data(self.output.name, self.time, self.condition)
         return self.frame.sql(statement)
 
     def seeds(self) -> Mapping[tuple[int, str], int]:
@@ -236,15 +252,20 @@ class Gallery:
             figure = figure.model_copy(update={"measure": "mean"})
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
-        source = _Output(self.frame, output, time, figure.where, by_mean)
         batch = Batch(self._axes, self.cells, self.planned, self.frame.batch)
         seen = self._coverage(output, several=True)
-        if figure.where:
-            asked = self.frame.experiments_with(output.name, figure.where)
+        source, order = _Output(self.frame, output, time, figure.where, by_mean), self._chosen_groups(figure)
+        if order:
+            if figure.where:
+                self.frame.experiments_with(output.name, figure.where)  # complains of `where` as it is written
+            source = replace(source, experiments=self._experiments_of(order))
+        if source.condition:
+            asked = self.frame.experiments_with(output.name, source.condition)
             failed = asked.difference(seen.runs)
-            seen = source.coverage(columns[0])
+            seen = replace(source.coverage(columns[0]), selected=seen.selected or bool(figure.where))
             planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
             batch = replace(batch.of_experiments(failed.union(seen.runs)), planned=planned)
+            batch = batch.in_order({name: [self._label(name, one) for one in order[name]] for name in order})
         made = gather(name, figure, columns, batch, source, seen, self.rates(output), self._config.statistics)
         made = self.models.alone(model, made, source) if model else self.models.added(name, made, source)
         declared = self._config.declared(output.name)
@@ -264,6 +285,32 @@ class Gallery:
         note = "; ".join(filter(None, (*self.target_notes, note)))
         sql = "\n\n".join(filter(None, (self.frame.statements(output.name), made.sql)))
         return replace(made, tables=tables, models=models, note=note, sql=sql, time=time or "row", units=units)
+
+    def _chosen_groups(self, figure: Figure) -> dict[str, tuple[Value, ...]]:
+        """Return the controllers and scenarios that a figure shows, in its order, by the name of the variable.
+
+        Raises NotFound for one that this batch does not have.
+        """
+        raw = {axis.name: axis.values for axis in self.frame.axes()}
+        found = {}
+        for key, words in chosen_groups.of(figure).items():
+            name = chosen_groups.KEYS[key]
+            known = raw.get(name) or self._only(name)
+            chosen = chosen_groups.values(key, words, {value: self._label(name, value) for value in known})
+            if name in raw:
+                found[name] = chosen
+        return found
+
+    def _only(self, name: str) -> tuple[Value, ...]:
+        """Return the one controller or scenario of all runs of the batch; none if it has none."""
+        (row,) = self._store.select(_Groups, "SELECT controller, scenario FROM batches WHERE batch = $b", b=self.frame.batch)
+        value = row._asdict()[name]
+        return (value,) if value else ()
+
+    def _experiments_of(self, groups: Mapping[str, Sequence[Value]]) -> tuple[int, ...]:
+        """Return the positions of the experiments with these values of variables."""
+        cells = self.frame.cells().items()
+        return tuple(ordinal for ordinal, cell in cells if all(cell[name] in values for name, values in groups.items()))
 
     def time(self, output: OutputTable) -> str:
         """Return the name of the time column; "" if there is none.
@@ -360,6 +407,9 @@ class Gallery:
         self._shown[axis.name] = labels
         return replace(axis, values=tuple(labels.get(value, value) for value in axis.values))
 
+    def _label(self, axis: str, value: Value) -> Value:
+        return self._shown.get(axis, {}).get(value, value)
+
     def _labels(self, axis: Axis) -> Mapping[Value, Value]:
         """Return the labels of controllers or scenarios, by their names; none for labels that do not tell the values apart."""
         groups = {"controller": self._config.controllers, "scenario": self._config.scenarios}.get(axis.name, {})
@@ -371,7 +421,7 @@ class Gallery:
         return {value: label for value, label in labels.items() if label not in shared}
 
     def _with_labels(self, values: Mapping[str, Value]) -> Mapping[str, Value]:
-        return {name: self._shown.get(name, {}).get(value, value) for name, value in values.items()}
+        return {name: self._label(name, value) for name, value in values.items()}
 
 
 def _file_name(name: str, taken: Mapping[str, Figure]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,8 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
-from sierra.deliverables.figures import style
+from sierra.deliverables.figures import facets, style
 from sierra.errors import SierraError, UsageError
+from sierra.model import Axis
 from sierra.util.arrow_columns import numpy_of
 
 if TYPE_CHECKING:
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
 
     from sierra.deliverables.figures.drawing import Drawing
 
-PANELS = 36
 PATHS = 8
 """The largest number of robots that are told apart by colour and have an entry in the legend."""
 
@@ -31,8 +32,10 @@ def trajectories(drawing: Drawing) -> Figure:
     table = drawing.rows["paths"]
     names = list(dict.fromkeys(table.column("robot").to_pylist()))
     known = style.named_colours()
-    figure, plots = _panels(drawing, table)
-    for plot, rows in zip(plots, _by_experiment(table).values(), strict=True):
+    parts = _by_experiment(table)
+    figure, plots = facets.experiments(drawing, parts)
+    for ordinal, plot in plots.items():
+        rows = parts[ordinal]
         robots = np.array(rows.column("robot").to_pylist())
         x, y = style.column(rows, "x"), style.column(rows, "y")
         for robot in dict.fromkeys(robots.tolist()):
@@ -43,7 +46,7 @@ def trajectories(drawing: Drawing) -> Figure:
             for at, mark in zip(seen[[0, -1]] if len(seen) else (), "os", strict=False):
                 plot.plot(x[at], y[at], mark, color=colour, markersize=3, markerfacecolor="white", markeredgewidth=0.8)
         plot.set_aspect("equal")
-    _label(drawing, plots)
+    _label(drawing, list(plots.values()))
     if 1 < len(names) <= min(PATHS, len(known)):
         from matplotlib.lines import Line2D
 
@@ -63,11 +66,13 @@ def density(drawing: Drawing) -> Figure:
         counts[numpy_of(rows.column("j")), numpy_of(rows.column("i"))] = numpy_of(rows.column("count"))
         maps[ordinal] = np.where(counts > 0, counts / counts.sum() * 100, np.nan)
     edges = first["x0"] + np.arange(wide + 1.0) * cell, first["y0"] + np.arange(high + 1.0) * cell
-    return _maps(drawing, table, maps, edges, "rows in a cell [%]", aspect=1.0)
+    figure, _ = _maps(drawing, maps, edges, "rows in a cell [%]", aspect=1.0)
+    return figure
 
 
 def matrix(drawing: Drawing, aspect: float) -> Figure:
     """Draw the cells of a matrix, with row 0 above."""
+    drawing = _over_times(drawing)
     table = drawing.rows["cells"]
     rows, places = (np.unique(style.column(table, name)) for name in ("i", "j"))
     maps = {}
@@ -79,8 +84,8 @@ def matrix(drawing: Drawing, aspect: float) -> Figure:
     edges = np.arange(len(places) + 1) - 0.5, np.arange(len(rows) + 1) - 0.5
     column = drawing.figure.columns[2]
     named = style.label(column, drawing.units.get(column, ""))
-    figure = _maps(drawing, table, maps, edges, drawing.figure.ylabel or named, aspect=aspect)
-    for plot in figure.axes[: len(maps)]:
+    figure, plots = _maps(drawing, maps, edges, drawing.figure.ylabel or named, aspect=aspect)
+    for plot in plots:
         plot.set_ylim(len(rows) - 0.5, -0.5)
         _ticks(plot, places, rows)
     return figure
@@ -113,14 +118,16 @@ def notes_on_cells(drawing: Drawing) -> list[str]:
     ]
 
 
-def notes_on_matrix(drawing: Drawing) -> list[str]:
+def notes_on_matrix(drawing: Drawing, times: Sequence[float]) -> list[str]:
     """Return notes on values that are not in the matrix."""
     table = drawing.rows["cells"]
     (counts,) = drawing.rows["counts"].to_pylist()
     values = style.column(table, "value")
     low = int((values <= 0).sum()) if drawing.figure.log_y else 0
     bad = counts["rows"] - counts["finite"]
+    absent = len(set(times)) - len(table.column("t").unique()) if len(times) > 1 else 0
     return [
+        *([f"{absent} of {len(set(times))} times have no row"] if absent else []),
         *([f"{bad} missing or infinite values left out"] if bad else []),
         *([f"log scale: {low} of {len(values)} cells not above 0 left out"] if low else []),
     ]
@@ -128,13 +135,13 @@ def notes_on_matrix(drawing: Drawing) -> list[str]:
 
 def _maps(
     drawing: Drawing,
-    table: pa.Table,
     maps: dict[int, style.Floats],
     edges: Sequence[npt.ArrayLike],
     label: str,
     aspect: float,
-) -> Figure:
-    figure, plots = _panels(drawing, table)
+) -> tuple[Figure, list[Axes]]:
+    figure, panels = facets.experiments(drawing, maps)
+    plots = list(panels.values())
     every = np.concatenate([one.ravel() for one in maps.values()])
     every = every[np.isfinite(every)]
     if not len(every):
@@ -143,8 +150,8 @@ def _maps(
     if not low < high:
         low, high = low - abs(low) * 0.1 - 1e-12, high + abs(high) * 0.1 + 1e-12
     norm = (LogNorm if drawing.figure.log_y else Normalize)(low, high)
-    for plot, values in zip(plots, maps.values(), strict=True):
-        shown = np.ma.masked_invalid(values)
+    for ordinal, plot in panels.items():
+        shown = np.ma.masked_invalid(maps[ordinal])
         mesh = plot.pcolormesh(*edges, shown, norm=norm, cmap=colormaps["viridis"], linewidth=0, rasterized=True)
         plot.set_aspect(aspect)
         plot.grid(visible=False)
@@ -155,24 +162,36 @@ def _maps(
         style.log_ticks(bar.ax.yaxis, low, high)
     bar.set_label(style.shortened(label, 40))
     _label(drawing, plots)
-    return figure
+    return figure, plots
+
+
+def _over_times(drawing: Drawing) -> Drawing:
+    """Return a drawing of matrices at several times as one with the time as a variable, for the columns of panels."""
+    table = drawing.rows["cells"]
+    if "t" not in table.column_names:
+        return drawing
+    times, place = np.unique(style.column(table, "t"), return_inverse=True)
+    unit, label = drawing.units.get(drawing.time, ""), drawing.time.replace("_", " ")
+    axis = Axis(f"# {drawing.time}", tuple(times.tolist()), label=label, unit=unit)
+    ordinals = numpy_of(table.column("experiment")) * len(times) + place
+    cells = {
+        ordinal * len(times) + k: {**cell, axis.name: time}
+        for ordinal, cell in drawing.cells.items()
+        for k, time in enumerate(axis.values)
+    }
+    return replace(
+        drawing,
+        figure=drawing.figure if drawing.figure.facet else drawing.figure.model_copy(update={"facet": axis.name}),
+        axes=(*drawing.axes, axis),
+        cells=cells,
+        rows={"cells": table.set_column(table.column_names.index("experiment"), "experiment", [ordinals])},
+    )
 
 
 def _ticks(plot: Axes, places: style.Floats, rows: style.Floats) -> None:
     for set_ticks, values, most in ((plot.set_xticks, places, 8), (plot.set_yticks, rows, 8)):
         shown = style.thinned(len(values), most)
         set_ticks(shown, [style.number(float(values[k])) for k in shown])
-
-
-def _panels(drawing: Drawing, table: pa.Table) -> tuple[Figure, list[Axes]]:
-    """Return a panel for each experiment that has rows, with its values as title."""
-    ordinals = list(_by_experiment(table))
-    if len(ordinals) > PANELS:
-        raise UsageError(f"the figure needs {len(ordinals)} panels, but at most {PANELS} are possible; use where")
-    figure, plots = style.panels(len(ordinals))
-    for plot, ordinal in zip(plots, ordinals, strict=True):
-        style.title(plot, style.point(drawing, drawing.axes, ordinal))
-    return figure, plots
 
 
 def _label(drawing: Drawing, plots: list[Axes]) -> None:

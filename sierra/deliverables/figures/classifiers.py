@@ -36,11 +36,9 @@ def confusion(drawing: Drawing) -> Figure:
     if len(names) > CATEGORIES:
         raise UsageError(f"there are {len(names)} categories, but at most {CATEGORIES} can be drawn; use where")
     parts = _experiments(drawing.rows["counts"])
-    if len(parts) > facets.MOST:
-        raise UsageError(f"the figure needs {len(parts)} panels, but at most {facets.MOST} are possible; use where")
-    figure, plots = style.panels(len(parts))
-    for plot, (ordinal, part) in zip(plots, parts.items(), strict=True):
-        center, half = mean_of([rates(run, names) for run in _runs(part)])
+    figure, plots = facets.experiments(drawing, parts)
+    for ordinal, plot in plots.items():
+        center, half = mean_of([rates(run, names) for run in _runs(parts[ordinal])])
         legible = len(names) <= (LEGIBLE if len(parts) == 1 else 4)
         seaborn_plots.cells(plot, center, _texts(center, half) if legible else None)
         shown, middles = style.names(names, 10), np.arange(len(names)) + 0.5
@@ -48,9 +46,8 @@ def confusion(drawing: Drawing) -> Figure:
         plot.set_yticks(middles, shown)
         plot.tick_params(length=0)
         plot.grid(visible=False)
-        style.title(plot, style.point(drawing, drawing.axes, ordinal))
     truth, predicted = (style.label(name) for name in drawing.figure.columns)
-    style.outer_labels(plots, drawing.figure.xlabel or predicted, drawing.figure.ylabel or truth)
+    style.outer_labels(list(plots.values()), drawing.figure.xlabel or predicted, drawing.figure.ylabel or truth)
     return figure
 
 

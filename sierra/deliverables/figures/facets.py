@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 MOST = 36
 """The largest number of panels."""
+WIDE = 8
+"""The largest number of columns of panels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +66,74 @@ def panels(drawing: Drawing, *, over_first: bool = True) -> Panels:
     kept = tuple(axis for axis in drawing.axes if axis.name != drawing.figure.facet)
     first = kept[0] if kept and over_first else Axis("", ("",))
     grouped = kept[1:] if over_first else kept
-    rest = list(dict.fromkeys(_values(drawing, grouped, ordinal) for ordinal in sorted(drawing.cells))) or [()]
+    rest = combinations(drawing, grouped)
     whole = replace(drawing, axes=kept)
     facet = next((axis for axis in drawing.axes if axis.name == drawing.figure.facet), None)
     if facet is None:
         figure, (plot,) = style.panels(1)
         return Panels(figure, (Panel(plot, whole),), first, _joined(grouped, rest), tuple(rest), grouped)
-    if len(facet.values) > MOST:
-        raise UsageError(f"{facet.name} needs {len(facet.values)} panels, but at most {MOST} are possible; use `where`")
+    check(len(facet.values))
     figure, plots = style.panels(len(facet.values))
     made = []
     for plot, value in zip(plots, facet.values, strict=True):
         within = [ordinal for ordinal, cell in drawing.cells.items() if cell[facet.name] == value]
         made.append(Panel(plot, _only(whole, within)))
-        style.title(plot, style.point(drawing, [facet], within[0]))
+        style.title(plot, style.point([facet], drawing.cells[within[0]]))
     return Panels(figure, tuple(made), first, _joined(grouped, rest), tuple(rest), grouped)
 
 
-def _values(drawing: Drawing, axes: tuple[Axis, ...], ordinal: int) -> tuple[Value, ...]:
+def combinations(drawing: Drawing, axes: Sequence[Axis], ordinals: Iterable[int] | None = None) -> list[tuple[Value, ...]]:
+    """Return the combinations of values of some variables that experiments (default: all) have, in the order of the values."""
+    found = {_values(drawing, axes, ordinal) for ordinal in (drawing.cells if ordinals is None else ordinals)}
+
+    def order(values: tuple[Value, ...]) -> list[int]:
+        return [axis.values.index(value) for axis, value in zip(axes, values, strict=True)]
+
+    return sorted(found, key=order) or [()]
+
+
+def multiples(drawing: Drawing, axes: Sequence[Axis], shown: Sequence[tuple[Value, ...]]) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a titled panel for each of these combinations of values; `facet` is the variable of its columns."""
+    check(len(shown))
+    columns = next((axis for axis in axes if axis.name == drawing.figure.facet), None)
+    if columns is None or len(shown) == 1:
+        figure, plots = style.panels(len(shown))
+    else:
+        figure, plots = _in_columns(axes, columns, shown)
+    for plot, values in zip(plots, shown, strict=True):
+        style.title(plot, style.point(axes, dict(zip((axis.name for axis in axes), values, strict=True))))
+    return figure, plots
+
+
+def experiments(drawing: Drawing, ordinals: Iterable[int]) -> tuple[Figure, dict[int, Axes]]:
+    """Return a figure with a titled panel for each of these experiments, in the order of the values of the variables."""
+    places = {_values(drawing, drawing.axes, ordinal): ordinal for ordinal in ordinals}
+    shown = combinations(drawing, drawing.axes, places.values())
+    figure, plots = multiples(drawing, drawing.axes, shown)
+    return figure, {places[values]: plot for values, plot in zip(shown, plots, strict=True)}
+
+
+def check(count: int) -> None:
+    """Raise UsageError if there are too many panels."""
+    if count > MOST:
+        raise UsageError(
+            f"the figure needs {count} panels, but at most {MOST} are possible; choose some with where, or draw a summary or a "
+            "heatmap"
+        )
+
+
+def _in_columns(axes: Sequence[Axis], columns: Axis, shown: Sequence[tuple[Value, ...]]) -> tuple[Figure, list[Axes]]:
+    """Return panels in a grid: a column for each value of one variable, and a row for each combination of the others."""
+    at = axes.index(columns)
+    used = [value for value in columns.values if any(values[at] == value for values in shown)]
+    if len(used) > WIDE:
+        raise UsageError(f"facet: {columns.name} has {len(used)} values, but at most {WIDE} columns of panels are possible")
+    rows = list(dict.fromkeys((*values[:at], *values[at + 1 :]) for values in shown))
+    places = [rows.index((*values[:at], *values[at + 1 :])) * len(used) + used.index(values[at]) for values in shown]
+    return style.grid(places, len(used))
+
+
+def _values(drawing: Drawing, axes: Sequence[Axis], ordinal: int) -> tuple[Value, ...]:
     return tuple(drawing.cells[ordinal][axis.name] for axis in axes)
 
 

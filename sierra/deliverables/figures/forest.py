@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from sierra.deliverables.figures import style
-from sierra.deliverables.figures.timeseries import PANELS
+from sierra.deliverables.figures.facets import MOST
 from sierra.errors import UsageError
 from sierra.stats.comparison.model import Effect, Pair, Verdict
 
@@ -59,8 +59,8 @@ def _mark(plot: Axes, place: int, pair: Pair) -> None:
 
 def _over_time(compared: Compared) -> Figure:
     """Draw the difference over time with its interval, a panel for each pair of groups."""
-    if len(compared.bands) > PANELS:
-        raise UsageError(f"the figure needs {len(compared.bands)} panels, but at most {PANELS} are possible")
+    if len(compared.bands) > MOST:
+        raise UsageError(f"the figure needs {len(compared.bands)} panels, but at most {MOST} are possible")
     figure, plots = style.panels(len(compared.bands))
     for plot, band in zip(plots, compared.bands, strict=True):
         plot.axhline(0, color="#333333", linewidth=0.8, linestyle=":")

@@ -15,7 +15,7 @@ from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.stats.needs import Needs
-from sierra.util.text import like, n_of
+from sierra.util.text import few, like, n_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -58,6 +58,16 @@ class Batch:
         planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in ordinals}
         return Batch(tuple(axes), cells, planned, self.id)
 
+    def in_order(self, values: Mapping[str, Sequence[Value]]) -> Batch:
+        """Return the batch with the values of some variables in this order."""
+        return replace(
+            self,
+            axes=tuple(
+                replace(axis, values=tuple(sorted(axis.values, key=values[axis.name].index))) if axis.name in values else axis
+                for axis in self.axes
+            ),
+        )
+
 
 def gather(
     name: str,
@@ -84,7 +94,7 @@ def gather(
     if needs.statistics or needs.chosen or needs.runs:
         frames = {column: source.samples(column) for column in columns}
         computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, rates=rates, options=options)
-    only = figure.where and f"rows where {' '.join(figure.where.split())}"
+    only = "; ".join(_only(figure))
     return Drawing(
         name=name,
         figure=figure if figure.columns == columns else figure.model_copy(update={"columns": columns}),
@@ -93,7 +103,7 @@ def gather(
         tables={column: bands.with_ends(table, figure) for column, table in computed.tables.items()},
         runs=_seeded(computed.runs, source) if needs.seeds else computed.runs,
         rows={key: source.rows(statement) for key, statement in needs.rows.items()},
-        note=f"{computed.note or _note(needs, seen, batch.planned)}{only and f'; only {only}'}",
+        note=f"{computed.note or _note(needs, seen, batch.planned)}{only and f'; {only}'}",
         sql="\n\n".join(filter(None, (only and f"-- {only}", computed.sql, *needs.rows.values()))),
         batch=batch.id,
     )
@@ -104,6 +114,13 @@ def _seeded(runs: pa.Table, source: Source) -> pa.Table:
     seeds = source.seeds()
     keys = zip(runs.column("experiment").to_pylist(), runs.column("run").to_pylist(), strict=True)
     return runs.append_column("seed", [[seeds[key] for key in keys]])
+
+
+def _only(figure: Figure) -> list[str]:
+    """Return notes on the rows that a figure chooses."""
+    where = [f"only rows where {' '.join(figure.where.split())}"] if figure.where else []
+    groups = (("controller", figure.controllers), ("scenario", figure.scenarios))
+    return [*where, *(f"only {noun} {few(words, 6)}" for noun, words in groups if words)]
 
 
 def arranged(batch: Batch, figure: Figure) -> Batch:

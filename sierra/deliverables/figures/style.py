@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import textwrap
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -181,9 +181,7 @@ def panels(count: int) -> tuple[Figure, list[Axes]]:
         return figure, [figure.add_subplot()]
     wide = chosen().width or PAGE
     columns = 2 if count in (2, 4) else min(6, max(3, int(np.ceil(np.sqrt(count)))), max(2, int(wide / 1.15)))
-    rows = -(-count // columns)
-    figure = blank(COLUMN if columns == 2 else PAGE, 1.0 + rows * (1.3 if columns == 2 else 1.5))
-    return figure, _grid(figure, rows, columns, count)
+    return grid(range(count), columns)
 
 
 def maps(count: int, height: float) -> tuple[Figure, list[Axes]]:
@@ -191,29 +189,37 @@ def maps(count: int, height: float) -> tuple[Figure, list[Axes]]:
     if count == 1:
         figure = blank(COLUMN, height)
         return figure, [figure.add_subplot()]
-    rows = -(-count // 2)
-    figure = blank(COLUMN, rows * height + 0.3)
-    return figure, _grid(figure, rows, 2, count)
+    figure, plots = grid(range(count), 2)
+    figure.set_figheight(chosen().height or -(-count // 2) * height + 0.3)
+    return figure, plots
 
 
-def _grid(figure: Figure, rows: int, columns: int, count: int) -> list[Axes]:
-    """Return the first `count` panels of a grid, row by row; the others are removed."""
+def grid(places: Sequence[int], columns: int) -> tuple[Figure, list[Axes]]:
+    """Return a figure of panels that share their axes, at these places of a grid, counted row by row; and the panels."""
+    rows = 1 + max(places) // columns
+    figure = blank(COLUMN if columns <= 2 else PAGE, 1.0 + rows * (1.3 if columns <= 2 else 1.5))
     every: list[Axes] = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
-    for unused in every[count:]:
-        unused.remove()
-    for above in every[count - columns : count]:
-        above.xaxis.set_tick_params(labelbottom=True)
-    return every[:count]
+    for place, plot in enumerate(every):
+        if place not in places:
+            plot.remove()
+            continue
+        if place + columns not in places:
+            plot.xaxis.set_tick_params(labelbottom=True)
+        if place % columns == 0 or place - 1 not in places:
+            plot.yaxis.set_tick_params(labelleft=True)
+    return figure, [every[place] for place in places]
 
 
 def outer_labels(plots: Sequence[Axes], xlabel: str, ylabel: str) -> None:
     """Label the outer panels of each row and column, once each."""
+    first: dict[int, Axes] = {}
     last: dict[int, Axes] = {}
     for plot in plots:
         _, place = _panel(plot)
         last[place.colspan.start] = plot
-        if place.is_first_col():
-            plot.set_ylabel(shortened(ylabel, _letters(plot, 48, down=True)))
+        first.setdefault(place.rowspan.start, plot)
+    for plot in first.values():
+        plot.set_ylabel(shortened(ylabel, _letters(plot, 48, down=True)))
     for plot in last.values():
         plot.set_xlabel(shortened(xlabel, _letters(plot, 60)))
 
@@ -302,11 +308,11 @@ def axis_label(axis: Axis) -> str:
     return label(axis.name, axis.unit, given=axis.label)
 
 
-def point(drawing: Drawing, axes: Sequence[Axis], ordinal: int) -> str:
-    """Return the title of a panel: an experiment's values on some axes."""
+def point(axes: Sequence[Axis], cell: Mapping[str, Value]) -> str:
+    """Return the title of a panel: its values of some variables."""
     words = []
     for axis in axes:
-        value = dict(zip(axis.values, names(axis.values, 16), strict=True))[drawing.cells[ordinal][axis.name]]
+        value = dict(zip(axis.values, names(axis.values, 16), strict=True))[cell[axis.name]]
         words.append(f"{axis.label or axis.name.replace('_', ' ')} = {value}{f' {axis.unit}' if axis.unit else ''}")
     return shortened(", ".join(words), 90)
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 
-from sierra.deliverables.figures import axis_limits, bands, models, style
+from sierra.deliverables.figures import axis_limits, bands, facets, models, style
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 TICKS = 2000
 """The largest number of times that paper can show; of more, every k-th and the last are drawn."""
-PANELS = 36
 
 
 def timeseries(drawing: Drawing) -> Figure:
@@ -34,7 +33,7 @@ def timeseries(drawing: Drawing) -> Figure:
     (table,) = drawing.tables.values()
     first, rest = first_axis(drawing), others(drawing)
     slices = by_experiment(table)
-    figure, plots = style.panels(_panel_count(drawing, rest))
+    figure, plots = facets.multiples(drawing, drawing.axes[1:], rest)
     looks = models.beside(drawing, style.looks(first))
     for line in looks:
         if drawing.models and not first.numeric:
@@ -51,11 +50,10 @@ def timeseries(drawing: Drawing) -> Figure:
         place = first.values.index(value)
         highest[place] = max(highest[place], int(np.max(numpy_of(table.column("n"))[rows])))
     center = style.column(table, bands.columns(drawing.figure)[0])
-    for plot, values in zip(plots, rest, strict=True):
+    for plot in plots:
         style.scale_y(plot, drawing, float(np.nanmin(center)), float(np.nanmax(center)))
         axis_limits.apply(plot, drawing)
         style.scale_time(plot, drawing, float(style.column(table, "t")[0]))
-        style.title(plot, _others_of(drawing, values))
     style.outer_labels(plots, style.time_label(drawing), style.value_label(drawing))
     entries = with_n(style.names(first.values), highest)
     style.legend(figure, plots, first, entries, looks, models.entries(drawing, looks))
@@ -99,8 +97,8 @@ def rest_of(drawing: Drawing, ordinal: int) -> tuple[Value, ...]:
 
 
 def others(drawing: Drawing) -> list[tuple[Value, ...]]:
-    """Return all combinations of the other axes' values, in the order of the experiments."""
-    return list(dict.fromkeys(rest_of(drawing, ordinal) for ordinal in sorted(drawing.cells))) or [()]
+    """Return all combinations of the other axes' values, in their order."""
+    return facets.combinations(drawing, drawing.axes[1:])
 
 
 def with_n(entries: list[str], counts: list[int]) -> list[str]:
@@ -108,20 +106,6 @@ def with_n(entries: list[str], counts: list[int]) -> list[str]:
     if len(set(counts)) <= 1:
         return entries
     return [f"{entry} (n = {count})" for entry, count in zip(entries, counts, strict=True)]
-
-
-def _panel_count(drawing: Drawing, combinations: Sequence[object]) -> int:
-    if len(combinations) > PANELS:
-        raise UsageError(
-            f"the figure needs {len(combinations)} panels, but at most {PANELS} are possible; draw a summary or a heatmap"
-        )
-    return len(combinations)
-
-
-def _others_of(drawing: Drawing, values: tuple[Value, ...]) -> str:
-    """Return the title of the panel for one combination of the other axes' values."""
-    ordinal = next(o for o in drawing.cells if rest_of(drawing, o) == values)
-    return style.point(drawing, drawing.axes[1:], ordinal)
 
 
 def _line(plot: Axes, drawing: Drawing, table: pa.Table, look: Look) -> None:
@@ -153,20 +137,19 @@ def _shown(count: int) -> slice | npt.NDArray[np.int_]:
 def _stacked_over_time(drawing: Drawing, center: str) -> Figure:
     slices = {name: by_experiment(table) for name, table in drawing.tables.items()}
     ordinals = sorted(set.intersection(*(set(found) for found in slices.values())))
-    figure, plots = style.panels(_panel_count(drawing, ordinals))
-    for plot, ordinal in zip(plots, ordinals, strict=True):
+    figure, plots = facets.experiments(drawing, ordinals)
+    for ordinal, plot in plots.items():
         rows = [
             table.slice(s.start, s.stop - s.start) for table, s in ((drawing.tables[n], slices[n][ordinal]) for n in slices)
         ]
         shown = _shown(rows[0].num_rows)
         _areas(plot, drawing, style.column(rows[0], "t")[shown], [style.column(row, center)[shown] for row in rows])
-        style.title(plot, style.point(drawing, drawing.axes, ordinal))
-    return _labelled(figure, plots, drawing, style.time_label(drawing))
+    return _labelled(figure, list(plots.values()), drawing, style.time_label(drawing))
 
 
 def _stacked_over_axis(drawing: Drawing, center: str) -> Figure:
     first, rest = first_axis(drawing), others(drawing)
-    figure, plots = style.panels(_panel_count(drawing, rest))
+    figure, plots = facets.multiples(drawing, drawing.axes[1:], rest)
     ordinals = next(iter(drawing.tables.values())).column("experiment").to_pylist()
     for plot, combination in zip(plots, rest, strict=True):
         rows = [k for k, ordinal in enumerate(ordinals) if rest_of(drawing, ordinal) == combination]
@@ -178,7 +161,6 @@ def _stacked_over_axis(drawing: Drawing, center: str) -> Figure:
         else:
             _bars(plot, places, heights)
         style.scale_values(plot, first, log=drawing.figure.log_x, margin=0)
-        style.title(plot, _others_of(drawing, combination))
     return _labelled(figure, plots, drawing, drawing.figure.xlabel or style.axis_label(first))
 
 

@@ -199,7 +199,7 @@ def test_where_chooses_rows_by_columns_and_variables(batch: Path) -> None:
     assert "1" not in shown
     png = draw(batch, *COVERAGE, 'kind = "box"', 'where = "population_size > 1"')
     with Image.open(png) as image:
-        assert "-- rows where population_size > 1" in image.info["sierra:sql"]
+        assert "-- only rows where population_size > 1" in image.info["sierra:sql"]
     assert said(png).endswith("; only rows where population_size > 1")
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from pydantic import Field, NonNegativeInt
+from pydantic import BeforeValidator, Field, NonNegativeInt
 
 from sierra.config.field_types import Finite, Positive, Table
 from sierra.deliverables.figures.base import Request
@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 MOST = 100_000
 """The largest number of points that are drawn; of more, every k-th of each path."""
-SPACE = frozenset({"xlim", "ylim", "labels"})
+ROUNDING = 1e-9
+"""The largest relative difference of two times that are taken for the same."""
+Times = float | tuple[float, ...]
+SPACE = frozenset({"facet", "xlim", "ylim", "labels"})
 
 
 class TrajectoriesOptions(Table):
@@ -115,7 +118,9 @@ FROM finite, sized WHERE x BETWEEN x0 AND x1 AND y BETWEEN y0 AND y1 GROUP BY AL
 class MatrixOptions(Table):
     """Figures of kind `matrix`."""
 
-    at: Finite | None = Field(None, description="time of the matrix; default: the mean over all times of the run")
+    at: Annotated[
+        tuple[Finite, ...], BeforeValidator(lambda v: v if isinstance(v, tuple) else (v,), json_schema_input_type=Times)
+    ] = Field((), description="time of the matrix, or times with a column of panels each; default: the mean over all times")
     run: NonNegativeInt | None = Field(None, description="number of the run that is shown; default: the mean of all runs")
     aspect: Positive = Field(1.0, description="height of a cell as a multiple of its width")
 
@@ -125,7 +130,7 @@ class Matrix:
 
     contract = 1
     Options: ClassVar[type[Table]] = MatrixOptions
-    uses: ClassVar[frozenset[str]] = frozenset({"log_y", "labels"})
+    uses: ClassVar[frozenset[str]] = frozenset({"facet", "log_y", "labels"})
 
     def __init__(self, options: MatrixOptions) -> None:
         self._options = options
@@ -137,28 +142,36 @@ class Matrix:
         chosen = ["true"]
         if self._options.run is not None:
             chosen.append(f'"# number" = {self._options.run}')
-        if self._options.at is not None:
-            chosen.append(f'"# t" = {self._options.at!r}')
+        if self._options.at:
+            chosen.append(f"({' OR '.join(map(_at, self._options.at))})")
+        several = len(self._options.at) > 1
+        t = ', "# t" AS t' if several else ""
         statement = f"""\
 WITH cells AS (
-  SELECT "# experiment" AS experiment, run, {row} AS i, {place} AS j, list_avg(list_sort(list({value}))) AS value
+  SELECT "# experiment" AS experiment{t}, run, {row} AS i, {place} AS j, list_avg(list_sort(list({value}))) AS value
   FROM data WHERE isfinite({value}) AND {" AND ".join(chosen)} GROUP BY ALL
 )
-SELECT experiment, i, j, list_avg(list_sort(list(value))) AS value, count(*) AS n FROM cells GROUP BY ALL ORDER BY ALL"""
+SELECT experiment{", t" if several else ""}, i, j, list_avg(list_sort(list(value))) AS value, count(*) AS n
+FROM cells GROUP BY ALL ORDER BY ALL"""
         bad = f"SELECT count(*) AS rows, count(*) FILTER (isfinite({value})) AS finite FROM data WHERE {' AND '.join(chosen)}"
         what = "mean of the runs" if self._options.run is None else f"run {self._options.run}"
-        when = "mean over time" if self._options.at is None else f"at {self._options.at:g}"
+        when = f"at {', '.join(f'{time:g}' for time in self._options.at)}" if self._options.at else "mean over time"
         return Needs(rows={"cells": statement, "counts": bad}, columns=3, shows=f"{what}, {when}")
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
         from sierra.deliverables.figures import arena
 
-        return arena.notes_on_matrix(drawing)
+        return arena.notes_on_matrix(drawing, self._options.at)
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         from sierra.deliverables.figures.arena import matrix
 
         return matrix(drawing, self._options.aspect)
+
+
+def _at(time: float) -> str:
+    """Return the condition that a row has a time, except for rounding."""
+    return f'abs("# t" - {time!r}) <= {abs(time) * ROUNDING!r}'
 
 
 def _ends(name: str, limits: tuple[float, float] | None) -> str:

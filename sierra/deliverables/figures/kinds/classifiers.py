@@ -25,7 +25,7 @@ class Confusion(PlainKind):
     """The share of each true category that was predicted as each category, from two columns: the truth and the prediction."""
 
     libraries: ClassVar[tuple[str, ...]] = STATISTICAL
-    uses: ClassVar[frozenset[str]] = frozenset()
+    uses: ClassVar[frozenset[str]] = frozenset({"facet", "labels"})
 
     def needs(self, request: Request) -> Needs:
         truth, predicted = (f"{identifier(name)}::VARCHAR" for name in _two(request, "the truth and the prediction"))

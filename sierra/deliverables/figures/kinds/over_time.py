@@ -46,7 +46,7 @@ class Timeseries(PlainKind):
 class Stacked(PlainKind):
     """Stacked areas of several columns: over time in a panel for each experiment, else over the first variable."""
 
-    uses: ClassVar[frozenset[str]] = frozenset({"times", "measure", "center", "x"}) | PLOT - {"log_y"}
+    uses: ClassVar[frozenset[str]] = frozenset({"times", "measure", "center", "x", "facet"}) | PLOT - {"log_y"}
 
     def needs(self, request: Request) -> Needs:
         timed = request.rows > 1 and (request.experiments <= MOST_PANELS or not request.axes)

@@ -110,11 +110,15 @@ class Bar(PlainKind):
 class Heatmap(PlainKind):
     """A map of colours over two variables."""
 
-    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "x", "series", "log_y", "labels", MODELS})
+    uses: ClassVar[frozenset[str]] = frozenset({"measure", "center", "x", "series", "facet", "log_y", "labels", MODELS})
 
     def needs(self, request: Request) -> Needs:
-        if (count := len(request.axes)) != 2:
-            raise UsageError(f"a heatmap needs two independent variables, but this batch has {count}; use a summary")
+        if (count := len(request.axes)) != (3 if request.figure.facet else 2):
+            besides = " besides facet" if request.figure.facet else ""
+            more = "" if request.figure.facet or count < 3 else ", or facet for the third"
+            raise UsageError(
+                f"a heatmap needs two independent variables{besides}, but this batch has {count}; use a summary{more}"
+            )
         return bands.center_only(request.figure, none="hatched")
 
     def notes(self, drawing: Drawing) -> Sequence[str]:

@@ -1,0 +1,97 @@
+"""Panels: `facet` is the variable of their columns, in the order of its values, in kinds with a panel for each experiment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sierra.deliverables.figures import style
+from sierra.deliverables.figures.drawing import Drawing, noted, painted
+from sierra.model import Axis
+from sierra.testing.figures import Row, Trial
+
+SIZE, NOISE = Axis("size", (1, 2, 4)), Axis("noise", ("calm", "windy"))
+COLUMNS = {
+    "trajectories": ("energy", "distance"),
+    "density": ("energy", "distance"),
+    "matrix": ("place", "place", "energy"),
+    "confusion": ("truth", "guess"),
+    "stacked": ("energy", "distance"),
+    "timeseries": ("energy",),
+}
+
+
+def row(experiment: int, run: int, row: int) -> Row:
+    energy = 10.0 * experiment + row + run
+    guesses: dict[str, float | str] = {"truth": "ab"[row % 2], "guess": "ab"[(row + run) % 2], "place": float(row % 3)}
+    return {"energy": energy, "distance": energy / 2, **guesses}
+
+
+def made(kind: str, axes: tuple[Axis, ...] = (SIZE, NOISE), **keys: Any) -> Drawing:
+    return Trial(kind, {"column": COLUMNS[kind], **keys}, row, axes).drawing()
+
+
+def panels(drawing: Drawing) -> list[Any]:
+    with style.applied(drawing.figure):
+        figure = painted(drawing)
+    return [plot for plot in figure.axes if plot.get_label() != "<colorbar>"]
+
+
+def titles(drawing: Drawing) -> dict[tuple[int, int], str]:
+    """Return the titles of the panels by their row and column."""
+    places = {plot: plot.get_subplotspec() for plot in panels(drawing)}
+    return {(at.rowspan.start, at.colspan.start): " ".join(plot.get_title().split()) for plot, at in places.items()}
+
+
+@pytest.mark.parametrize("kind", ["trajectories", "density", "matrix", "confusion", "stacked"])
+def test_facet_is_the_variable_of_the_columns(kind: str) -> None:
+    names = dict(enumerate(NOISE.values)), dict(enumerate(SIZE.values))
+    by_noise = {(k, j): f"size = {names[1][k]}, noise = {names[0][j]}" for k in range(3) for j in range(2)}
+    assert titles(made(kind, facet="noise")) == by_noise
+    by_size = {(j, k): f"noise = {names[0][j]}, size = {names[1][k]}" for k in range(3) for j in range(2)}
+    assert titles(made(kind, facet="size")) == by_size
+
+
+def test_panels_follow_the_order_of_the_values_and_not_that_of_experiments() -> None:
+    drawing = made("density")
+    turned = replace(drawing, axes=(SIZE, Axis("noise", ("windy", "calm"))))
+    assert list(titles(turned).values())[:2] == ["size = 1, noise = windy", "size = 1, noise = calm"]
+
+
+def test_a_panel_shows_the_data_of_its_title() -> None:
+    (only,) = [
+        plot for plot in panels(made("trajectories", facet="noise")) if "4" in plot.get_title() and "calm" in plot.get_title()
+    ]
+    assert min(float(np.min(line.get_xdata())) for line in only.lines) == 40.0
+
+
+def test_experiments_that_are_missing_leave_a_place_free() -> None:
+    drawing = made("density", facet="noise")
+    cells = drawing.rows["cells"]
+    lacking = replace(drawing, rows={**drawing.rows, "cells": cells.filter(cells.column("experiment").to_numpy() != 2)})
+    assert set(titles(lacking)) == {(0, 0), (0, 1), (1, 1), (2, 0), (2, 1)}
+
+
+def test_a_heat_map_has_a_panel_for_each_value_of_a_third_variable() -> None:
+    drawing = Trial("heatmap", {"facet": "side"}, row, (SIZE, NOISE, Axis("side", (1, 2, 3)))).drawing()
+    plots = panels(drawing)
+    maps = [plot.collections[0].get_array() for plot in plots]
+    expected = [10.0 * (6 * size + 3 * noise + side) + 7 + 2.5 for side in range(3) for noise in range(2) for size in range(3)]
+    assert np.ravel(maps).tolist() == pytest.approx(expected)
+    assert len({(plot.collections[0].norm.vmin, plot.collections[0].norm.vmax) for plot in plots}) == 1
+
+
+def test_matrices_at_several_times_have_a_column_for_each_time() -> None:
+    drawing = made("matrix", (SIZE,), at=[0, 3.0, 99])
+    assert titles(drawing)[1, 1] == "size = 2, time = 3"
+    assert np.nanmax(panels(drawing)[3].collections[0].get_array()) == 10 + 3 + 2.5
+    assert noted(drawing).note == "mean of the runs, at 0, 3, 99, n = 6; 1 of 3 times have no row"
+
+
+def test_too_many_panels_are_one_line_that_says_what_to_do() -> None:
+    drawing = Trial("density", {"column": ("energy", "distance")}, row, (Axis("size", tuple(range(40))),)).drawing()
+    with pytest.raises(Exception, match=r"^the figure needs 40 panels, but at most 36 are possible; choose some with where"):
+        panels(drawing)
