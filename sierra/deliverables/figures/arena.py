@@ -14,6 +14,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
 from sierra.deliverables.figures import facets, style
+from sierra.deliverables.figures.style import Look
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.util.arrow_columns import numpy_of
@@ -40,17 +41,16 @@ def trajectories(drawing: Drawing) -> Figure:
         x, y = style.column(rows, "x"), style.column(rows, "y")
         for robot in dict.fromkeys(robots.tolist()):
             place, mine = names.index(robot), robots == robot
-            colour = known[place % len(known)]
-            plot.plot(x[mine], y[mine], color=colour, linewidth=0.7, alpha=0.85)
+            colour, dashes = known[place % len(known)], style.DASHES[place % len(style.DASHES)]
+            plot.plot(x[mine], y[mine], color=colour, linestyle=dashes, linewidth=0.7, alpha=0.85)
             seen = np.flatnonzero(mine & np.isfinite(x) & np.isfinite(y))
             for at, mark in zip(seen[[0, -1]] if len(seen) else (), "os", strict=False):
                 plot.plot(x[at], y[at], mark, color=colour, markersize=3, markerfacecolor="white", markeredgewidth=0.8)
         plot.set_aspect("equal")
     _label(drawing, list(plots.values()))
     if 1 < len(names) <= min(PATHS, len(known)):
-        from matplotlib.lines import Line2D
-
-        style.place_legend(figure, [Line2D([], [], color=known[k]) for k in range(len(names))], list(map(style.named, names)))
+        looks: list[Look] = [{"color": known[k], "linestyle": style.DASHES[k]} for k in range(len(names))]
+        style.place_legend(figure, style.lines(looks), list(map(style.named, names)))
     return figure
 
 

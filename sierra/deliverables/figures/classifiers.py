@@ -186,7 +186,7 @@ def _curves(drawing: Drawing, of: Curve, xlabel: str, ylabel: str, summed: str, 
     style.outer_labels(within.plots, drawing.figure.xlabel or xlabel, drawing.figure.ylabel or ylabel)
     for look in looks:
         look.pop("marker", None)
-    style.legend(within.figure, within.plots, within.groups, entries, looks)
+    style.legend(within.figure, within.plots, within.groups, entries, style.lines(looks))
     return within.figure
 
 

@@ -172,4 +172,4 @@ def _frame(drawing: Drawing, within: Panels, looks: list[Look], ylabel: str) -> 
         place = within.group(drawing, ordinal)
         counts[place] = max(counts[place], len(values))
     entries = with_n(style.names(within.groups.values), counts)
-    style.legend(within.figure, within.plots, within.groups, entries, looks)
+    style.legend(within.figure, within.plots, within.groups, entries, style.lines(looks))

@@ -120,5 +120,7 @@ def _numbers(plot: Axes, cells: style.Floats, norm: Normalize, *, fits: bool) ->
 
 
 def _limits(cells: style.Floats) -> tuple[float, float]:
-    low, high = float(np.nanmin(cells)), float(np.nanmax(cells))
+    low, high = style.span(cells)
+    if np.isnan(low):
+        raise UsageError("log_y needs values above 0, but there are none")
     return (low, high) if low < high else (low - abs(low) * 0.1 - 1e-12, high + abs(high) * 0.1 + 1e-12)

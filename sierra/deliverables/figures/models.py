@@ -34,13 +34,13 @@ def beside(drawing: Drawing, looks: Sequence[Look]) -> list[Look]:
     return [look | Look(linestyle="-") for look in looks] if drawing.models else list(looks)
 
 
-def entries(drawing: Drawing, looks: Sequence[Look]) -> list[tuple[Artist, str]]:
-    """Return the entries of models in a legend; `looks` are those of the data's lines."""
+def entries(drawing: Drawing, handles: Sequence[Artist]) -> list[tuple[Artist, str]]:
+    """Return the entries of models in a legend; `handles` are those of the data."""
     found: list[tuple[Artist, str]] = [
         (Line2D([], [], color=BLACK, linestyle=dash, linewidth=WIDTH), style.shortened(model.label, 40))
         for model, dash in zip(drawing.models, cycle(DASHES), strict=False)
     ]
-    return [(Line2D([], [], **looks[0]), "data"), *found] if found and len(looks) == 1 else found
+    return [(handles[0], "data"), *found] if found and len(handles) == 1 else found
 
 
 def over_time(plot: Axes, drawing: Drawing, ordinal: int, colour: ColorType, shown: Callable[[int], Shown]) -> None:

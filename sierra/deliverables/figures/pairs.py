@@ -192,4 +192,4 @@ def _frame(drawing: Drawing, within: Panels, looks: list[Look]) -> None:
     style.outer_labels(within.plots, drawing.figure.xlabel or names[0], drawing.figure.ylabel or names[1])
     entries = style.names(within.groups.values)
     marks = [look | Look(linestyle="none") if "marker" in look else look for look in looks]
-    style.legend(within.figure, within.plots, within.groups, entries, marks)
+    style.legend(within.figure, within.plots, within.groups, entries, style.lines(marks))

@@ -37,6 +37,8 @@ WIDTH = 0.8
 GAP = 0.125
 """The part of a group's width that stays empty."""
 LINES = "#333333"
+BOX, VIOLIN = 0.45, 0.3
+"""The strength of the colours of boxes and of densities."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,7 @@ def boxes(side: Side, summaries: Grouped) -> None:
     The quartiles of five numbers are the second and the fourth, so that seaborn draws exactly these numbers.
     """
     look = {"saturation": 1, "linecolor": LINES, "linewidth": 0.7, "medianprops": {"linewidth": 1.6}}
-    _side_by_side("boxplot", side, summaries, 0.45, width=WIDTH, gap=GAP, whis=(0, 100), **look)
+    _side_by_side("boxplot", side, summaries, BOX, width=WIDTH, gap=GAP, whis=(0, 100), **look)
 
 
 def violins(side: Side, values: Grouped) -> None:
@@ -77,12 +79,12 @@ def violins(side: Side, values: Grouped) -> None:
     On a logarithmic axis they are the densities of the logarithms.
     """
     look = {"saturation": 1, "linewidth": 0, "inner": None, "cut": 0}
-    _side_by_side("violinplot", side, values, 0.3, width=WIDTH, gap=GAP, density_norm="width", **look)
+    _side_by_side("violinplot", side, values, VIOLIN, width=WIDTH, gap=GAP, density_norm="width", **look)
 
 
-def dots(side: Side, values: Grouped, *, size: float, jitter: float) -> None:
+def dots(side: Side, values: Grouped, *, size: float, jitter: float, marker: str = "o") -> None:
     """Draw a dot of `size` points for each value, moved aside by at most `jitter` (of the distance of two places)."""
-    _side_by_side("stripplot", side, values, 1, size=size, jitter=jitter or False, alpha=0.7, linewidth=0)
+    _side_by_side("stripplot", side, values, 1, size=size, marker=marker, jitter=jitter or False, alpha=0.7, linewidth=0)
 
 
 def _side_by_side(function: str, side: Side, values: Grouped, strength: float, **look: object) -> None:

@@ -5,17 +5,22 @@ seaborn paints them. The medians, quartiles and whiskers are those that SQL comp
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from sierra.deliverables.figures import facets, sampled_runs, seaborn_plots, style, summary
 from sierra.deliverables.figures.distributions import has_density
 from sierra.deliverables.figures.facets import Panel, Panels
 from sierra.deliverables.figures.seaborn_plots import Grouped, Side
-from sierra.deliverables.figures.style import Floats, Look
+from sierra.deliverables.figures.style import Floats
+from sierra.deliverables.figures.summary import Group
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
@@ -49,7 +54,8 @@ class _Content:
         self.never = [row for row in table.to_pylist() if row["never"] and not row["n"]]
         self.runs = [runs[row["experiment"]] for row in self.rows]
         self._panel, self._within = panel, within
-        self.colours = summary.colours(within)
+        self.groups = summary.looks_of_groups(within)
+        self.colours = [group.colour for group in self.groups]
         self.side = Side(panel.plot, len(within.first.values), self.colours)
         self.width = seaborn_plots.WIDTH * (1 - seaborn_plots.GAP) / len(self.colours)
 
@@ -85,14 +91,31 @@ def _figure(drawing: Drawing, paint: Callable[[_Content, Drawing], None]) -> Fig
         summary.marks_of_models(panel, within, len(content.colours))
         style.side_by_side(panel.plot, within.first)
     values = np.concatenate(list(runs.values()))
-    looks = [Look(color=colour, linewidth=4) for colour in summary.colours(within)]
-    summary.frame(drawing, within, looks, float(values.min()), float(values.max()))
+    groups = summary.looks_of_groups(within)
+    handles = [_dot(group) if paint is _strips else group.patch(0.3) for group in groups]
+    summary.frame(drawing, within, handles, float(values.min()), float(values.max()))
     return within.figure
+
+
+def _dot(group: Group) -> Artist:
+    return Line2D([], [], color=group.colour, marker=group.marker, linestyle="none")
+
+
+def _hatch(content: _Content, surfaces: Sequence[Patch | PolyCollection], strength: float) -> None:
+    """Give the surfaces of each group its pattern; seaborn says by their colour which group they belong to."""
+    tints = np.array([seaborn_plots.tinted(colour, strength) for colour in content.colours])
+    for surface in surfaces:
+        colour = np.ravel(surface.get_facecolor())[:3]
+        group = content.groups[int(np.abs(tints - colour).sum(axis=1).argmin())]
+        if group.hatch:
+            surface.set_hatch(group.hatch)
+            surface.set_edgecolor(group.colour)
 
 
 def _boxes(content: _Content, drawing: Drawing) -> None:
     # Before the axis is logarithmic, because seaborn would leave out the ends of boxes that are not above 0.
     seaborn_plots.boxes(content.side, content.grouped(_five_numbers))
+    _hatch(content, content.side.plot.patches, seaborn_plots.BOX)
     beyond = content.grouped(lambda row, runs: runs[(runs < row["whisker_low"]) | (runs > row["whisker_high"])])
     seaborn_plots.dots(content.side, beyond, size=2.2, jitter=0)
 
@@ -110,6 +133,7 @@ def _violins(content: _Content, drawing: Drawing) -> None:
         plot.set_yscale("log")
     dense = content.grouped(lambda row, runs: runs if has_density(runs) else runs[:0])
     seaborn_plots.violins(content.side, dense)
+    _hatch(content, [one for one in plot.collections if isinstance(one, PolyCollection)], seaborn_plots.VIOLIN)
     dots = content.grouped(lambda row, runs: runs)
     seaborn_plots.dots(content.side, dots, size=1.6, jitter=JITTER * 0.6)
     for row in content.rows:
@@ -122,8 +146,18 @@ def _violins(content: _Content, drawing: Drawing) -> None:
 
 def _strips(content: _Content, drawing: Drawing) -> None:
     most = max(map(len, content.runs))
-    seaborn_plots.dots(content.side, content.grouped(lambda row, runs: runs), size=2.4 if most <= 50 else 1.2, jitter=JITTER)
+    dots, size = content.grouped(lambda row, runs: runs), 2.4 if most <= 50 else 1.2
+    for marker, some in _by_marker(content, dots):
+        seaborn_plots.dots(content.side, some, size=size, jitter=JITTER, marker=marker)
     for row in content.rows:
         x, group = content.at(row)
         ends = x - content.width / 2, x + content.width / 2
         content.side.plot.hlines(row["median"], *ends, color=content.colours[group], linewidth=1.4, capstyle="butt", zorder=3)
+
+
+def _by_marker(content: _Content, dots: Grouped) -> Iterator[tuple[str, Grouped]]:
+    """Yield the dots of all groups that have the same marker."""
+    markers = np.array([content.groups[group].marker for group in dots.group])
+    for marker in dict.fromkeys(group.marker for group in content.groups):
+        mine = markers == marker
+        yield marker, Grouped(dots.place[mine], dots.group[mine], dots.value[mine])

@@ -108,8 +108,16 @@ NAMED = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000
 MARKERS = "osD^vPX*"
 DASHES: tuple[LineStyleType, ...] = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)), (0, (3, 1, 1, 1)))
 """Line styles, so that lines differ in more than colour."""
+MOST = 200
+"""The largest number of lines or groups in a figure."""
+HATCHES = ("", "////", "\\\\\\\\", "....", "xxxx", "----", "++++", "oooo")
+"""Patterns of surfaces, so that they differ in more than colour."""
 NAMES = 24
-"""The largest number of names with an entry each in a legend; more names become a scale of colours."""
+"""The largest number of names with an entry each in a legend, if they differ in colour only; more become a scale of colours."""
+STYLED = 64
+"""The largest number of names with an entry each in a legend, if they differ in colour and dashes."""
+ENTRY = 0.12
+"""The height of an entry of a legend in inches."""
 
 SETTINGS = Path(__file__).with_name("sierra.mplstyle")
 
@@ -372,6 +380,11 @@ def wrapped(text: str, width: float, size: float) -> str:
 def colours(axis: Axis) -> list[ColorType]:
     """Return a colour for each value: along a scale for numbers, which have an order; clearly different ones for names."""
     count, known = len(axis.values), named_colours()
+    if count > MOST:
+        raise UsageError(
+            f"the figure has {count} series, one for each value of {axis.name}, but at most {MOST} can be drawn; "
+            "choose some with where, give some a panel with facet, or draw a summary or a heatmap"
+        )
     if count <= len(known) and (not axis.numeric or chosen().colours):
         return list(known[:count])
     if count == 1:
@@ -392,7 +405,7 @@ def looks(axis: Axis) -> list[Look]:
     count = len(axis.values)
     if count == 1:
         return [{"color": named_colours()[0]}]
-    if count > (FEW if axis.numeric else NAMES):
+    if count > (FEW if axis.numeric else STYLED):
         return [{"color": colour} for colour in colours(axis)]
     several = list(named_colours()) if count > FEW else colours(axis)
     styles = [(k + k // FEW) % FEW for k in range(count)]
@@ -412,28 +425,49 @@ def legend(
     plots: Sequence[Axes],
     axis: Axis,
     entries: Sequence[str],
-    looks: Sequence[Look],
+    handles: Sequence[Artist],
     more: Sequence[tuple[Artist, str]] = (),
 ) -> None:
-    """Identify the lines: by a legend above the data if there are few, else by a colour bar. `more`: further entries."""
-    handles, names = [handle for handle, _ in more], [name for _, name in more]
-    if len(entries) > (FEW if axis.numeric else NAMES):
+    """Identify the series: by a legend above the data if there are few, else by a colour bar. `more`: further entries."""
+    shown, title = list(more), ""
+    if len(entries) > _entries(axis, handles) or not _has_room(figure, entries):
         colour_bar(figure, plots, axis, entries)
-        title = ""
     elif len(entries) > 1:
-        handles, names = [*(Line2D([], [], **look) for look in looks), *handles], [*entries, *names]
+        shown = [*zip(handles, entries, strict=True), *more]
         title = shortened(axis_label(axis), 60)
-    else:
-        title = ""
-    if names:
-        place_legend(figure, handles, names, title)
+    if shown:
+        place_legend(figure, [handle for handle, _ in shown], [name for _, name in shown], title)
+
+
+def lines(looks: Sequence[Look]) -> list[Line2D]:
+    """Return the handles of a legend of lines."""
+    return [Line2D([], [], **look) for look in looks]
+
+
+def _entries(axis: Axis, handles: Sequence[Artist]) -> int:
+    """Return the largest number of entries of a legend. Lines of many names differ in colour and dashes."""
+    if axis.numeric:
+        return FEW
+    return STYLED if all(isinstance(handle, Line2D) and handle.get_linestyle() != "None" for handle in handles) else NAMES
+
+
+def _columns(figure: Figure, entries: Sequence[str]) -> int:
+    """Return the number of columns of a legend that the width of the figure has room for."""
+    wide = max(len(entry) for entry in entries) * LETTER + 0.38
+    return max(1, min(len(entries), int(figure.get_figwidth() * 0.98 / wide)))
+
+
+def _has_room(figure: Figure, entries: Sequence[str]) -> bool:
+    """Return whether a legend leaves at least half of a given height to the plots."""
+    rows = -(-len(entries) // _columns(figure, entries))
+    return len(entries) <= FEW or rows * ENTRY <= (chosen().height or np.inf) / 2
 
 
 def place_legend(figure: Figure, handles: Sequence[Artist], entries: Sequence[str], title: str = "") -> None:
     """Add a legend in as few rows as possible, with its title before the first entry if there is room."""
     room = figure.get_figwidth() * 0.98
     wide = max(len(entry) for entry in entries) * LETTER + 0.38
-    columns = max(1, min(len(entries), int(room / wide)))
+    columns = _columns(figure, entries)
     if title and len(title) * LETTER + 0.1 + wide * len(entries) < room:
         handles, entries, title = [Line2D([], [], linestyle="none"), *handles], [title, *entries], ""
         columns = len(entries)
@@ -560,6 +594,12 @@ def interval(
     reach = [np.zeros(len(low)), high - low]
     bars = plot.errorbar(x, low, reach, fmt="none", ecolor=color, elinewidth=linewidth, capsize=cap, capthick=linewidth)
     return [*bars[1], *bars[2]]
+
+
+def span(values: Floats) -> tuple[float, float]:
+    """Return the smallest and the largest finite value; NaN if there is none."""
+    known = values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
 
 
 def column(table: pa.Table, name: str) -> Floats:

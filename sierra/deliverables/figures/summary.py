@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.transforms import ScaledTranslation
 from matplotlib.typing import ColorType
 
@@ -32,8 +33,6 @@ CAP = 4
 """The largest extent in points of a mark, or of an interval's end, to each side."""
 WIDTH = 0.7 * 72 * style.COLUMN
 """The approximate width of a plot in points."""
-HATCHES = ("", "///", "\\\\\\", "...", "xxx", "---", "+++", "ooo")
-"""The patterns of bars side by side, so that they differ in grey too."""
 
 
 def summary(drawing: Drawing) -> Figure:
@@ -48,7 +47,7 @@ def summary(drawing: Drawing) -> Figure:
     for panel in within.panels:
         _points(panel, within, looks, shifts)
         style.scale_values(panel.plot, within.first, log=drawing.figure.log_x, margin=margin)
-    frame(drawing, within, looks, float(np.nanmin(center)), float(np.nanmax(center)))
+    frame(drawing, within, style.lines(looks), *style.span(center))
     return within.figure
 
 
@@ -91,36 +90,56 @@ def bar(drawing: Drawing) -> Figure:
     within = facets.panels(drawing)
     (table,) = drawing.tables.values()
     center = style.drawable(style.column(table, bands.columns(drawing.figure)[0]), drawing)
-    looks: list[Look] = [{"color": colour, "linewidth": 4} for colour in colours(within)]
+    groups = looks_of_groups(within)
     for panel in within.panels:
-        _bars(panel, within, looks)
+        _bars(panel, within, groups)
         style.side_by_side(panel.plot, within.first)
         panel.plot.set_xlim(-0.6, len(within.first.values) - 0.4)
         panel.plot.axhline(0, color="#333333", linewidth=0.6)
-    frame(drawing, within, looks, float(np.nanmin(center)), float(np.nanmax(center)))
+    frame(drawing, within, [group.patch(0.55) for group in groups], *style.span(center))
     return within.figure
 
 
-def _bars(panel: Panel, within: Panels, looks: Sequence[Look]) -> None:
+def _bars(panel: Panel, within: Panels, groups: Sequence[Group]) -> None:
     (table,) = panel.drawing.tables.values()
     center, low, high = (style.column(table, name) for name in bands.columns(panel.drawing.figure))
-    count = len(looks)
+    count = len(groups)
     for k, ordinal in enumerate(table.column("experiment").to_pylist()):
         place = within.group(panel.drawing, ordinal)
         x = within.place(panel.drawing, ordinal) + dodge(place, count)
         if not np.isfinite(center[k]):
             continue
-        hatch = HATCHES[place % len(HATCHES)] if count > 1 else ""
-        colour = looks[place]["color"]
-        panel.plot.bar(x, center[k], 0.8 / count, color=to_rgba(colour, 0.55), edgecolor=colour, hatch=hatch, linewidth=0.6)
+        panel.plot.bar(x, center[k], 0.8 / count, **groups[place].face(0.55))
         if np.isfinite(low[k]) and np.isfinite(high[k]):
             style.interval(panel.plot, [x], low[[k]], high[[k]], color="#333333", linewidth=0.8, cap=min(2, 8 / count))
     marks_of_models(panel, within, count)
 
 
-def colours(within: Panels) -> list[ColorType]:
-    """Return a colour for each group."""
-    return style.colours(within.groups) if len(within.groups.values) > 1 else [style.named_colours()[0]]
+@dataclass(frozen=True, slots=True)
+class Group:
+    """The look of one of several groups side by side: in colour, and in grey too."""
+
+    colour: ColorType
+    hatch: str
+    marker: str
+
+    def face(self, alpha: float) -> dict[str, Any]:
+        """Return the look of a surface, as matplotlib's keyword arguments."""
+        return {"facecolor": to_rgba(self.colour, alpha), "edgecolor": self.colour, "hatch": self.hatch, "linewidth": 0.6}
+
+    def patch(self, alpha: float) -> Artist:
+        return Patch(**self.face(alpha))
+
+
+def looks_of_groups(within: Panels) -> list[Group]:
+    """Return the look of each group."""
+    if len(within.groups.values) == 1:
+        return [Group(style.named_colours()[0], "", "o")]
+    kinds = len(style.HATCHES)
+    return [
+        Group(colour, style.HATCHES[place % kinds], style.MARKERS[place % kinds])
+        for place, colour in enumerate(style.colours(within.groups))
+    ]
 
 
 def marks_of_models(panel: Panel, within: Panels, count: int) -> None:
@@ -173,7 +192,7 @@ def dodge(place: int, count: int) -> float:
     return (place - (count - 1) / 2) * 0.8 / count
 
 
-def frame(drawing: Drawing, within: Panels, looks: list[Look], lowest: float, highest: float) -> None:
+def frame(drawing: Drawing, within: Panels, handles: Sequence[Artist], lowest: float, highest: float) -> None:
     """Scale and label the axes of all panels, and add the legend."""
     (table,) = drawing.tables.values()
     for panel in within.panels:
@@ -186,4 +205,4 @@ def frame(drawing: Drawing, within: Panels, looks: list[Look], lowest: float, hi
         place = within.group(whole, ordinal)
         counts[place] = max(counts[place], n)
     entries = with_n(style.names(within.groups.values), counts)
-    style.legend(within.figure, within.plots, within.groups, entries, looks, models.entries(drawing, looks))
+    style.legend(within.figure, within.plots, within.groups, entries, handles, models.entries(drawing, handles))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.typing import ColorType
 
-from sierra.deliverables.figures import axis_limits, bands, facets, models, style
+from sierra.deliverables.figures import axis_limits, bands, facets, models, style, thinning
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from sierra.deliverables.figures.drawing import Drawing
-
-TICKS = 2000
-"""The largest number of times that paper can show; of more, every k-th and the last are drawn."""
 
 
 def timeseries(drawing: Drawing) -> Figure:
@@ -51,12 +48,13 @@ def timeseries(drawing: Drawing) -> Figure:
         highest[place] = max(highest[place], int(np.max(numpy_of(table.column("n"))[rows])))
     center = style.column(table, bands.columns(drawing.figure)[0])
     for plot in plots:
-        style.scale_y(plot, drawing, float(np.nanmin(center)), float(np.nanmax(center)))
+        style.scale_y(plot, drawing, *style.span(center))
         axis_limits.apply(plot, drawing)
         style.scale_time(plot, drawing, float(style.column(table, "t")[0]))
     style.outer_labels(plots, style.time_label(drawing), style.value_label(drawing))
     entries = with_n(style.names(first.values), highest)
-    style.legend(figure, plots, first, entries, looks, models.entries(drawing, looks))
+    handles = style.lines(looks)
+    style.legend(figure, plots, first, entries, handles, models.entries(drawing, handles))
     return figure
 
 
@@ -110,10 +108,11 @@ def with_n(entries: list[str], counts: list[int]) -> list[str]:
 
 def _line(plot: Axes, drawing: Drawing, table: pa.Table, look: Look) -> None:
     colour = look["color"]
-    shown = _shown(table.num_rows)
-    t = style.column(table, "t")[shown]
-    center, low, high = (style.column(table, name)[shown] for name in bands.columns(drawing.figure))
-    center = style.drawable(center, drawing)
+    names = ("t", *bands.columns(drawing.figure))
+    t, *lines = (style.column(table, name) for name in names)
+    lines[0] = style.drawable(lines[0], drawing)
+    shown = thinning.kept(t, *lines, log=drawing.figure.log_x)
+    t, (center, low, high) = t[shown], (line[shown] for line in lines)
     known = np.isfinite(center)
     padded = np.concatenate(([False], known, [False]))
     alone = known & ~padded[:-2] & ~padded[2:]
@@ -128,12 +127,6 @@ def _line(plot: Axes, drawing: Drawing, table: pa.Table, look: Look) -> None:
         plot.autoscale_view()
 
 
-def _shown(count: int) -> slice | npt.NDArray[np.int_]:
-    if count <= TICKS:
-        return slice(None)
-    return np.unique(np.append(np.arange(0, count, -(-count // TICKS)), count - 1))
-
-
 def _stacked_over_time(drawing: Drawing, center: str) -> Figure:
     slices = {name: by_experiment(table) for name, table in drawing.tables.items()}
     ordinals = sorted(set.intersection(*(set(found) for found in slices.values())))
@@ -142,8 +135,9 @@ def _stacked_over_time(drawing: Drawing, center: str) -> Figure:
         rows = [
             table.slice(s.start, s.stop - s.start) for table, s in ((drawing.tables[n], slices[n][ordinal]) for n in slices)
         ]
-        shown = _shown(rows[0].num_rows)
-        _areas(plot, drawing, style.column(rows[0], "t")[shown], [style.column(row, center)[shown] for row in rows])
+        t, lines = style.column(rows[0], "t"), [style.column(row, center) for row in rows]
+        shown = thinning.kept(t, *lines, log=drawing.figure.log_x)
+        _areas(plot, drawing, t[shown], [line[shown] for line in lines])
     return _labelled(figure, list(plots.values()), drawing, style.time_label(drawing))
 
 
@@ -166,15 +160,24 @@ def _stacked_over_axis(drawing: Drawing, center: str) -> Figure:
 
 def _areas(plot: Axes, drawing: Drawing, places: npt.ArrayLike, heights: list[Floats]) -> None:
     known = [np.nan_to_num(height) for height in heights]
-    plot.stackplot(places, known, colors=_stack_colours(len(heights)), linewidth=0.4, edgecolor="white")
+    hatches = [style.HATCHES[k % len(style.HATCHES)] for k in range(len(heights))]
+    plot.stackplot(places, known, colors=_stack_colours(len(heights)), hatch=hatches, linewidth=0.4, edgecolor="white")
     plot.margins(x=0)
 
 
 def _bars(plot: Axes, places: Sequence[float], heights: list[Floats]) -> None:
     base = np.zeros(len(places))
-    for height, colour in zip(heights, _stack_colours(len(heights)), strict=True):
-        plot.bar(places, np.nan_to_num(height), 0.7, base, color=colour, edgecolor="white", linewidth=0.4)
+    for height, look in zip(heights, _stack_looks(len(heights)), strict=True):
+        plot.bar(places, np.nan_to_num(height), 0.7, base, **look)
         base = base + np.nan_to_num(height)
+
+
+def _stack_looks(count: int) -> list[dict[str, Any]]:
+    """Return the look of each column, as matplotlib's keyword arguments of a surface."""
+    return [
+        {"facecolor": colour, "edgecolor": "white", "hatch": style.HATCHES[k % len(style.HATCHES)], "linewidth": 0.4}
+        for k, colour in enumerate(_stack_colours(count))
+    ]
 
 
 def _stack_colours(count: int) -> list[ColorType]:
@@ -187,5 +190,5 @@ def _labelled(figure: Figure, plots: Sequence[Axes], drawing: Drawing, xlabel: s
     total = style.label("sum", drawing.units.get(next(iter(drawing.tables)), ""))
     style.outer_labels(plots, xlabel, drawing.figure.ylabel or total)
     names = style.names([name.replace("_", " ") for name in drawing.tables])
-    style.place_legend(figure, [Patch(color=colour) for colour in _stack_colours(len(names))], names)
+    style.place_legend(figure, [Patch(**look) for look in _stack_looks(len(names))], names)
     return figure

@@ -28,9 +28,9 @@ class Timeseries(PlainKind):
         return bands.needs(request.figure, over="time")
 
     def notes(self, drawing: Drawing) -> Sequence[str]:
-        from sierra.deliverables.figures import axis_limits
+        from sierra.deliverables.figures import axis_limits, thinning
 
-        return axis_limits.notes(drawing)
+        return [*axis_limits.notes(drawing), *thinning.notes(drawing)]
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         from sierra.deliverables.figures.timeseries import timeseries
@@ -51,6 +51,11 @@ class Stacked(PlainKind):
     def needs(self, request: Request) -> Needs:
         timed = request.rows > 1 and (request.experiments <= MOST_PANELS or not request.axes)
         return bands.center_only(request.figure, over="time" if timed else "experiments", columns=None)
+
+    def notes(self, drawing: Drawing) -> Sequence[str]:
+        from sierra.deliverables.figures import thinning
+
+        return thinning.notes(drawing)
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         from sierra.deliverables.figures.timeseries import stacked

@@ -85,7 +85,7 @@ class Strip(Box):
     """A dot for each run over the first variable, and a line at the median."""
 
     def needs(self, request: Request) -> Needs:
-        return Needs(("median",), runs=True, shows="each dot a run, line: median")
+        return Needs(("median",), runs=True, shows="each mark a run, line: median")
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         from sierra.deliverables.figures.side_by_side import strip
