@@ -23,8 +23,9 @@ Size = Literal[
 AROUND = {"sd": ("mean", "iqm"), "mad": ("median",)}
 """The bands that are distances from the center, and the centers that have them."""
 Palette = Literal["okabe-ito", "petroff", "viridis", "cividis", "grey"]
-Format = Literal["png", "pdf", "svg", "html", "pgf"]
-DEFAULT_FORMATS: tuple[Format, ...] = ("png", "pdf", "svg")
+Format = Literal["png", "pdf", "svg", "html", "pgf", "txt", "tex"]
+PRINTED: tuple[Format, ...] = ("png", "pdf", "svg")
+DEFAULT_FORMATS: tuple[Format, ...] = (*PRINTED, "txt", "tex")
 """The formats in which figures are drawn by default."""
 
 

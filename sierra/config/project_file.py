@@ -201,7 +201,7 @@ class Project(Table):
     sql: SqlLimits = SqlLimits()
     figure_formats: Formats = Field(
         DEFAULT_FORMATS,
-        description="formats of the files of figures: `png`, `pdf`, `svg`; `html`: an interactive page in one file; `pgf`: "
+        description="formats of the files of figures: `png`, `pdf`, `svg`; `html`: an interactive page in one file; `txt`, `tex`: the caption; `pgf`: "
         "drawing commands for LaTeX",
     )
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")

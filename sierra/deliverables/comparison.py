@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sierra.config import plugin_registry
-from sierra.config.deliverable_tables import DEFAULT_FORMATS, Comparison, Figure, Format
+from sierra.config.deliverable_tables import PRINTED, Comparison, Figure, Format
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.record import Content, Recorder, marked_folder
 from sierra.deliverables.run_statistics import RunSeries, RunTable, runs_over_time, values_of_runs
@@ -354,7 +354,7 @@ def _row(one: Pair | Omnibus | Effect, title: str) -> dict[str, object]:
             return row | {"effect": one.name, "test": title, "statistic": one.f, "partial_eta_squared": one.eta}
 
 
-def draw(compared: Compared, store: Store, paths: ProjectPaths, formats: tuple[Format, ...] = DEFAULT_FORMATS) -> list[Path]:
+def draw(compared: Compared, store: Store, paths: ProjectPaths, formats: tuple[Format, ...] = PRINTED) -> list[Path]:
     """Draw the figure of a comparison in these formats, and record it; return the files.
 
     Raises UsageError if there is nothing to draw, Missing if the store cannot be written.

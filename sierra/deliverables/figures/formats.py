@@ -8,6 +8,8 @@ A file has the name of its format as its ending. No file holds a date. Each hold
     SVG     dc:identifier, dc:source (the SQL)
     HTML    meta elements `sierra`, `sierra:sql`; also as text
     PGF     comments at the beginning
+    TXT     the caption, without the SQL (see `sierra.deliverables.figures.captions`)
+    TEX     the caption for LaTeX, without the SQL
 
 To add a format, write its function, and add its name to `sierra.config.deliverable_tables.Format`.
 """
@@ -58,12 +60,26 @@ def html(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> byt
 
 
 def pgf(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
-    from sierra.deliverables.figures import tex
+    from sierra.deliverables.figures.tex import picture
 
-    return tex.picture(figure, [title(drawing), origin, *plain(drawing.sql).splitlines()])
+    return picture(figure, [title(drawing), origin, *plain(drawing.sql).splitlines()])
 
 
-FORMATS: Mapping[Format, Writer] = {"png": png, "pdf": pdf, "svg": svg, "html": html, "pgf": pgf}
+def txt(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
+    from sierra.deliverables.figures import captions
+
+    del figure
+    return captions.text(drawing, origin)
+
+
+def tex(figure: matplotlib.figure.Figure, drawing: Drawing, origin: str) -> bytes:
+    from sierra.deliverables.figures import captions
+
+    del figure
+    return captions.latex(drawing, origin)
+
+
+FORMATS: Mapping[Format, Writer] = {"png": png, "pdf": pdf, "svg": svg, "html": html, "pgf": pgf, "txt": txt, "tex": tex}
 
 
 def named(names: Iterable[str]) -> tuple[Format, ...]:

@@ -7,13 +7,12 @@ from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.typing import ColorType, LineStyleType
 
-from sierra.deliverables.figures import style
+from sierra.deliverables.figures import style, thinning
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.util.arrow_columns import numpy_of
 
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
 DASHES: tuple[LineStyleType, ...] = ((0, (3.5, 1.8)), (0, (1, 1.4)), (0, (5, 1.5, 1, 1.5)), (0, (7, 1.5)))
 """The line styles of models, in their order; the data's lines are solid beside them."""
 WIDTH = 1.1
-Shown = slice | npt.NDArray[np.int_]
-"""Which of a number of points are drawn."""
 BLACK = "#000000"
 
 
@@ -43,12 +40,12 @@ def entries(drawing: Drawing, handles: Sequence[Artist]) -> list[tuple[Artist, s
     return [(handles[0], "data"), *found] if found and len(handles) == 1 else found
 
 
-def over_time(plot: Axes, drawing: Drawing, ordinal: int, colour: ColorType, shown: Callable[[int], Shown]) -> None:
-    """Draw the models of one experiment over time; `shown` returns which of a number of times are drawn."""
+def over_time(plot: Axes, drawing: Drawing, ordinal: int, colour: ColorType) -> None:
+    """Draw the models of one experiment over time."""
     for model, dash in zip(drawing.models, cycle(DASHES), strict=False):
         rows = _rows(model, [ordinal])
         t, values = style.column(model.table, "t")[rows], style.drawable(_values(model)[rows], drawing)
-        some = shown(len(t))
+        some = thinning.kept(t, values, log=drawing.figure.log_x)
         (line,) = plot.plot(t[some], values[some], color=colour, linestyle=dash, linewidth=WIDTH, zorder=3)
         if len(t) == 1:
             line.set(marker="_", markersize=8)

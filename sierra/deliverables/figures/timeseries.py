@@ -43,7 +43,7 @@ def timeseries(drawing: Drawing) -> Figure:
         value = value_of(drawing, ordinal)
         plot = plots[rest.index(rest_of(drawing, ordinal))]
         _line(plot, drawing, table.slice(rows.start, rows.stop - rows.start), look[value])
-        models.over_time(plot, drawing, ordinal, look[value]["color"] if len(looks) > 1 else models.BLACK, _shown)
+        models.over_time(plot, drawing, ordinal, look[value]["color"] if len(looks) > 1 else models.BLACK)
         place = first.values.index(value)
         highest[place] = max(highest[place], int(np.max(numpy_of(table.column("n"))[rows])))
     center = style.column(table, bands.columns(drawing.figure)[0])

@@ -123,11 +123,11 @@ def once(kind: str) -> list[tuple[str, bytes]]:
 
 @pytest.mark.integration
 @pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
-def test_every_kind_of_figure_is_written_in_three_formats(kind: str, tmp_path: Path) -> None:
+def test_every_kind_of_figure_is_written_in_three_formats_with_captions(kind: str, tmp_path: Path) -> None:
     axes = (SIZES, NAMES) if kind == "heatmap" else (SIZES,)
     paths = figures.draw(drawing(kind, axes), tmp_path / "new")
-    assert [path.name for path in paths] == [f"{kind}.png", f"{kind}.pdf", f"{kind}.svg"]
-    assert [path.read_bytes()[:4] for path in paths] == [b"\x89PNG", b"%PDF", b"<?xm"]
+    assert [path.name for path in paths] == [f"{kind}.{ending}" for ending in ("png", "pdf", "svg", "txt", "tex")]
+    assert [path.read_bytes()[:4] for path in paths[:3]] == [b"\x89PNG", b"%PDF", b"<?xm"]
     assert sorted(paths) == sorted((tmp_path / "new").iterdir())
 
 
@@ -170,7 +170,7 @@ def test_importing_figures_loads_neither_plotting_nor_array_libraries() -> None:
 
 
 def test_png_contains_its_batch_sql_and_note(tmp_path: Path) -> None:
-    png, _, _ = figures.draw(drawing(), tmp_path)
+    png, *_ = figures.draw(drawing(), tmp_path)
     with Image.open(png) as image:
         image.load()
         held: Mapping[str, str] = image.text  # type: ignore[attr-defined]
@@ -512,10 +512,8 @@ def test_figure_paths_are_printed_relative_but_are_absolute_in_json(simulate: Ca
     project.quick("run", "size=1,2", "--runs", "2", "--no-figures")
     listed = project.quick("figures").stdout.splitlines()
     assert listed
-    assert all(re.fullmatch(r"figures/\w{10}/\w+\.(png|pdf|svg)", line) for line in listed)
-    assert set(listed) == {str(path.relative_to(project.folder)) for path in project.folder.glob("figures/*/*.*g")} | {
-        str(path.relative_to(project.folder)) for path in project.folder.glob("figures/*/*.pdf")
-    }
+    assert all(re.fullmatch(r"figures/\w{10}/\w+\.(png|pdf|svg|txt|tex)", line) for line in listed)
+    assert set(listed) == {str(path.relative_to(project.folder)) for path in project.folder.glob("figures/*/*.*")}
     whole = json.loads(project.quick("figures", "--json").stdout)
     assert whole == [str(project.folder / line) for line in listed]
 

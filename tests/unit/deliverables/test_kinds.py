@@ -294,4 +294,4 @@ def test_default_figures_of_two_variables_are_maps_and_summaries_without_pandas_
     for kind in ("timeseries", "heatmap", "summary"):
         words = [sys.executable, "-c", code, str(batch), batch_of(batch), kind]
         done = subprocess.run(words, capture_output=True, text=True, check=True)
-        assert done.stdout == "3 []\n"
+        assert done.stdout == "5 []\n"
