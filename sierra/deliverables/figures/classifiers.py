@@ -135,8 +135,9 @@ def mean_of(samples: list[Floats]) -> tuple[Floats, Floats]:
 def notes_on_confusion(drawing: Drawing) -> list[str]:
     """Return the accuracy of each experiment, and notes on rows that are left out."""
     notes = []
-    for part in _experiments(drawing.rows["counts"]).values():
-        center, half = mean_of([np.array(accuracy(run)) for run in _runs(part)])
+    parts = _experiments(drawing.rows["counts"])
+    for ordinal in facets.ordered(drawing, parts):
+        center, half = mean_of([np.array(accuracy(run)) for run in _runs(parts[ordinal])])
         notes.append(f"{float(center):.3f}" + (f" ± {float(half):.3f}" if np.isfinite(half) else ""))
     shown = ", ".join(notes[:6]) + (" …" if len(notes) > 6 else "")
     return [f"accuracy {shown}", *left_out_rows(drawing, drawing.rows["counts"])]

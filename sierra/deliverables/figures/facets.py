@@ -106,11 +106,16 @@ def multiples(drawing: Drawing, axes: Sequence[Axis], shown: Sequence[tuple[Valu
 
 
 def experiments(drawing: Drawing, ordinals: Iterable[int]) -> tuple[Figure, dict[int, Axes]]:
-    """Return a figure with a titled panel for each of these experiments, in the order of the values of the variables."""
+    """Return a figure with a titled panel for each of these experiments, in the order of `ordered`."""
+    placed = ordered(drawing, ordinals)
+    figure, plots = multiples(drawing, drawing.axes, [_values(drawing, drawing.axes, ordinal) for ordinal in placed])
+    return figure, dict(zip(placed, plots, strict=True))
+
+
+def ordered(drawing: Drawing, ordinals: Iterable[int]) -> list[int]:
+    """Return experiments in the order of the values of their variables, which is that of their panels."""
     places = {_values(drawing, drawing.axes, ordinal): ordinal for ordinal in ordinals}
-    shown = combinations(drawing, drawing.axes, places.values())
-    figure, plots = multiples(drawing, drawing.axes, shown)
-    return figure, {places[values]: plot for values, plot in zip(shown, plots, strict=True)}
+    return [places[values] for values in combinations(drawing, drawing.axes, places.values())] if places else []
 
 
 def check(count: int) -> None:

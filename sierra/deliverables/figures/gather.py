@@ -120,7 +120,7 @@ def _only(figure: Figure) -> list[str]:
     """Return notes on the rows that a figure chooses."""
     where = [f"only rows where {' '.join(figure.where.split())}"] if figure.where else []
     groups = (("controller", figure.controllers), ("scenario", figure.scenarios))
-    return [*where, *(f"only {noun} {few(words, 6)}" for noun, words in groups if words)]
+    return [*where, *(f"only {noun}{'s' * (len(words) > 1)} {few(words, 6)}" for noun, words in groups if words)]
 
 
 def arranged(batch: Batch, figure: Figure) -> Batch:

@@ -60,7 +60,7 @@ def places(svg: str, *words: str) -> list[int]:
 
 def test_controllers_are_shown_in_the_order_of_their_names_and_labels(batch: Path) -> None:
     note, svg = draw(batch, 'controllers = ["depth0.DPO", "random walk"]')
-    assert note == "mean, 95 % CI (Student's t), n = 2; only controller depth0.DPO, random walk"
+    assert note == "mean, 95 % CI (Student's t), n = 2; only controllers depth0.DPO, random walk"
     first, second = places(svg, "depth0.DPO", "random walk")
     assert first < second
     assert ">plain<" not in svg
@@ -78,7 +78,7 @@ def test_a_category_stands_for_its_controllers_and_where_holds_too(batch: Path) 
 
 def test_chosen_controllers_whose_runs_failed_are_reported(batch: Path) -> None:
     note, _ = draw(batch, 'controllers = ["plain", "depth0.CRW"]')
-    assert "; 2 of 4 runs missing; only controller plain, depth0.CRW" in note
+    assert "; 2 of 4 runs missing; only controllers plain, depth0.CRW" in note
     assert "no row of output 'swarm' belongs to a run of the chosen groups" in draw(batch, 'controllers = ["plain"]')[1]
 
 

@@ -68,6 +68,16 @@ def test_a_panel_shows_the_data_of_its_title() -> None:
     assert min(float(np.min(line.get_xdata())) for line in only.lines) == 40.0
 
 
+def test_the_accuracies_of_confusion_matrices_have_the_order_of_the_panels() -> None:
+    def better(experiment: int, run: int, row: int) -> Row:
+        return {"truth": "ab"[row % 2], "guess": "ab"[row % 2] if row <= experiment else "c"}
+
+    drawing = Trial("confusion", {"column": ("truth", "guess")}, better, (Axis("size", (1, 2, 3)),)).drawing()
+    turned = replace(drawing, axes=(Axis("size", (3, 1, 2)),))
+    assert "accuracy 0.125 ± 0.000, 0.250 ± 0.000, 0.375 ± 0.000" in noted(drawing).note
+    assert "accuracy 0.375 ± 0.000, 0.125 ± 0.000, 0.250 ± 0.000" in noted(turned).note
+
+
 def test_experiments_that_are_missing_leave_a_place_free() -> None:
     drawing = made("density", facet="noise")
     cells = drawing.rows["cells"]
