@@ -310,7 +310,10 @@ class Gallery:
     def _experiments_of(self, groups: Mapping[str, Sequence[Value]]) -> tuple[int, ...]:
         """Return the positions of the experiments with these values of variables."""
         cells = self.frame.cells().items()
-        return tuple(ordinal for ordinal, cell in cells if all(cell[name] in values for name, values in groups.items()))
+        found = tuple(ordinal for ordinal, cell in cells if all(cell[name] in values for name, values in groups.items()))
+        if not found:
+            raise NotFound(f"no experiment of this batch has {' and '.join(f'one of the chosen {name}s' for name in groups)}")
+        return found
 
     def time(self, output: OutputTable) -> str:
         """Return the name of the time column; "" if there is none.

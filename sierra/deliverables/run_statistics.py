@@ -56,7 +56,7 @@ def statistics(
         raise UsageError("the Kaplan-Meier curve (time_to at own times) has no statistics to choose, and no table for papers")
     others = [name for name in chosen if name not in survival.STATISTICS]
     selection = Selection.of(others, project.config.statistics) if chosen else None
-    wanted = stats.STATISTICS if selection is None else selection
+    wanted = stats.USUAL if selection is None else selection
     with Frame(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output})
         figure = Figure(table=output, column=(column,))

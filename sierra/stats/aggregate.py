@@ -70,6 +70,8 @@ STATISTICS: Mapping[str, tuple[str, ...]] = {
     "iqm_interval": ("iqm_half", "is_rate"),
 }
 """The statistics, and the others that each formula uses."""
+USUAL = tuple(name for name in STATISTICS if name != "mad")
+"""The statistics of `sierra stats` if none are chosen; `mad` would sort all values once more."""
 
 
 Statistics: TypeAlias = "tuple[pa.Table, str]"
