@@ -28,7 +28,7 @@ def resolved(figures: Mapping[str, object], defaults: Mapping[str, object]) -> d
 def _whole(name: str, figures: Mapping[str, object], known: Mapping[str, object], children: tuple[str, ...]) -> object:
     """Return a table with inherited keys. `children`: the tables that inherit from it, the nearest last."""
     table = known[name]
-    if not isinstance(table, Mapping) or "inherit" not in table:
+    if not isinstance(table, Mapping) or not table.get("inherit"):
         return table
     parent, where = table["inherit"], f"{'figures' if name in figures else 'figure_defaults'}.{name}.inherit"
     if parent in (*children, name):
