@@ -201,8 +201,8 @@ class Project(Table):
     sql: SqlLimits = SqlLimits()
     figure_formats: Formats = Field(
         DEFAULT_FORMATS,
-        description="formats of the files of figures: `png`, `pdf`, `svg`; `html`: an interactive page in one file; `txt`, `tex`: the caption; `pgf`: "
-        "drawing commands for LaTeX",
+        description="formats of the files of figures: `png`, `pdf`, `svg`; `html`: an interactive page in one file; `pgf`: "
+        "drawing commands for LaTeX; `txt`, `tex`: the caption",
     )
     figures: Mapping[Name, Figure] = Field(default_factory=dict, description="figures, by name")
     figure_defaults: Mapping[Name, RawTable] = Field(

@@ -56,7 +56,7 @@ def embedding(drawing: Drawing, perplexity: float | None) -> Figure:
             look, mine = looks[within.group(panel.drawing, ordinal)], points[ordinals == ordinal]
             panel.plot.plot(mine[:, 0], mine[:, 1], **look, alpha=0.8, markeredgewidth=0, markersize=size)
     style.outer_labels(within.plots, drawing.figure.xlabel or names[0], drawing.figure.ylabel or names[1])
-    style.legend(within.figure, within.plots, within.groups, style.names(within.groups.values), looks)
+    style.legend(within.figure, within.plots, within.groups, style.names(within.groups.values), style.lines(looks))
     return within.figure
 
 

@@ -80,7 +80,7 @@ def over_time(drawing: Drawing) -> list[Chart]:
         own = [ordinal for ordinal in ordered if timeseries.rest_of(drawing, ordinal) == values]
         lines = [_Line(*entries[timeseries.value_of(drawing, ordinal)], _some(slices[ordinal])) for ordinal in own]
         if lines:
-            panels.append(_Panel(style.point(drawing, drawing.axes[1:], own[0]), lines))
+            panels.append(_Panel(style.point(drawing.axes[1:], drawing.cells[own[0]]), lines))
     form: Literal["lines", "points"] = "lines" if any(part.stop - part.start > 1 for part in slices.values()) else "points"
     x = ChartAxis(len(drawing.axes), style.time_label(drawing), 10 if drawing.figure.log_x else 0, drawing.figure.xlim)
     return _charts(drawing, panels, x, style.axis_label(first) if drawing.axes else "", form=form, joined=True)
@@ -101,7 +101,7 @@ def over_variable(drawing: Drawing) -> list[Chart]:
             groups[within.group(drawing, ordinals[row])].append(row)
         lines = [_Line(*entry, rows) for entry, rows in zip(entries, groups, strict=True) if rows]
         if lines:
-            panels.append(_Panel(style.point(drawing, facet, ordinals[own[0]]) if facet else "", lines))
+            panels.append(_Panel(style.point(facet, drawing.cells[ordinals[own[0]]]) if facet else "", lines))
     x = _variable(drawing, first, [axis.name for axis in drawing.axes].index(first.name) if drawing.axes else -1)
     return _charts(drawing, panels, x, style.axis_label(within.groups), form="points", joined=first.numeric)
 

@@ -95,7 +95,7 @@ def _panels(drawing: Drawing, ordinals: list[int]) -> tuple[Figure, list[Axes]]:
         raise UsageError(f"the figure needs {len(ordinals)} panels, but at most {MOST} are possible; use where")
     figure, plots = style.panels(len(ordinals))
     for plot, ordinal in zip(plots, ordinals, strict=True):
-        style.title(plot, style.point(drawing, drawing.axes, ordinal))
+        style.title(plot, style.point(drawing.axes, drawing.cells[ordinal]))
     return figure, plots
 
 

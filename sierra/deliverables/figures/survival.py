@@ -92,7 +92,7 @@ def _frame(drawing: Drawing, within: Panels, looks: list[Look], known: Mapping[i
         place = within.group(drawing, ordinal)
         counts[place] = max(counts[place], steps[0].at_risk)
     names = style.names(within.groups.values)
-    style.legend(within.figure, within.plots, within.groups, with_n(names, counts), looks)
+    style.legend(within.figure, within.plots, within.groups, with_n(names, counts), style.lines(looks))
     if len(within.panels) == 1 and len(names) <= ROWS and (style.chosen().height or LOW) >= LOW:
         _at_risk(drawing, within, looks, known)
 
