@@ -102,7 +102,7 @@ def _paint(figure: Figure, plots: Sequence[Axes], maps: Sequence[style.Floats], 
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=6, length=2)
     if drawing.figure.log_y:
-        style.log_ticks(bar.ax, *norm_limits)
+        style.log_ticks(bar.ax.yaxis, *norm_limits)
     bar.set_label(style.shortened(style.value_label(drawing), 40))
 
 

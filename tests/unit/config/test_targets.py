@@ -103,6 +103,7 @@ ASKING = (
     "queries",
     "figure_formats",
     "figures",
+    "figure_defaults",
     "paper_tables",
     "comparison_methods",
     "criteria",

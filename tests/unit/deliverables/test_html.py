@@ -110,7 +110,7 @@ def test_a_chart_has_the_rows_of_the_figure() -> None:
     assert (charts[0]["y"]["label"], charts[0]["x"]["label"]) == ("energy [J]", "time [s]")
     low, high = charts[0]["y"]["limits"]
     assert charts[1]["y"]["limits"] == [low, high]
-    assert low < min(columns["low"]) < max(columns["high"]) < high
+    assert low < min(columns["mean_low"]) < max(columns["mean_high"]) < high
 
 
 def test_a_chart_over_a_variable_has_its_groups_and_panels() -> None:

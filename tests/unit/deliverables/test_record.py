@@ -100,7 +100,7 @@ def test_formats_are_drawn_on_request_and_all_of_their_files_are_checked(drawn: 
     assert {Path(path).suffix for path in json.loads(done.stdout)} == {".html", ".pgf"}
     code, said = check(drawn)
     assert code == 0
-    assert {f"{name} (html, pgf): follows from the store", f"{name} (png, pdf, svg): follows from the store"} <= set(
+    assert {f"{name} (html, pgf): follows from the store", f"{name} (png, pdf, svg, txt, tex): follows from the store"} <= set(
         said.splitlines()
     )
     page, before = a_figure(drawn, "html"), a_figure(drawn, "png").stat().st_ino
@@ -155,7 +155,10 @@ def test_formats_that_cannot_be_drawn_are_refused_in_one_line(drawn_once: Path, 
     [
         ('figure_formats = ["pdf", "pdf"]\n', "figure_formats: 'pdf' is named twice"),
         ("figure_formats = []\n", "figure_formats should not be empty"),
-        ('[figures.a]\nformats = ["doc"]\n', "figures.a.formats.0 should be 'png', 'pdf', 'svg', 'html' or 'pgf'"),
+        (
+            '[figures.a]\nformats = ["doc"]\n',
+            "figures.a.formats.0 should be 'png', 'pdf', 'svg', 'html', 'pgf', 'txt' or 'tex'",
+        ),
     ],
 )
 def test_declared_formats_are_checked(drawn: Path, text: str, said: str) -> None:
