@@ -41,7 +41,7 @@ SPREADS = {
 
 def needs(figure: Figure, *, over: Over = "experiments", columns: int | None = 1, some: str = "") -> Needs:
     """Return what a kind with centers and intervals needs. The arguments are those of `Needs`."""
-    band, spread = _band(figure), SPREADS.get(_band(figure))
+    band, spread = band_of(figure), SPREADS.get(band_of(figure))
     levels = tuple(map(quantile, figure.quantiles)) if band == "quantiles" else ()
     formulas = (spread.formula,) if spread else ()
     return Needs(formulas, (figure.center, *levels), over=over, columns=columns, shows=_words(figure), some=some)
@@ -54,7 +54,7 @@ def center_only(figure: Figure, *, over: Over = "experiments", columns: int | No
 
 def columns(figure: Figure) -> tuple[str, str, str]:
     """Return the names of the columns of the center, and of the lower and the upper end of its interval."""
-    band, center = _band(figure), figure.center
+    band, center = band_of(figure), figure.center
     if band == "quantiles":
         low, high = figure.quantiles
         return center, quantile(low), quantile(high)
@@ -63,7 +63,7 @@ def columns(figure: Figure) -> tuple[str, str, str]:
 
 def with_ends(table: pa.Table, figure: Figure) -> pa.Table:
     """Return statistics with the columns of the ends of the interval."""
-    spread = SPREADS.get(_band(figure))
+    spread = SPREADS.get(band_of(figure))
     if spread is None or not spread.half or spread.half not in table.column_names:
         return table
     import pyarrow.compute as pc
@@ -77,12 +77,12 @@ def with_ends(table: pa.Table, figure: Figure) -> pa.Table:
 
 def _words(figure: Figure) -> str:
     """Return what the marks are if the interval is not the center's own; else "", because it depends on the data."""
-    band = _band(figure)
+    band = band_of(figure)
     if band == "quantiles":
         low, high = (f"{level * 100:.6g}" for level in figure.quantiles)
         return f"{named(figure.center)}, quantiles of {low} % and {high} %"
     return f"{named(figure.center)}, {SPREADS[band].words}" if band in SPREADS else ""
 
 
-def _band(figure: Figure) -> str:
+def band_of(figure: Figure) -> str:
     return figure.band or ("iqr" if figure.center == "median" else "ci")

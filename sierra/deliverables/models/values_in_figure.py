@@ -107,5 +107,5 @@ def _compared(drawing: Drawing) -> tuple[str, tuple[str, str] | None]:
     center, *ends = bands.columns(drawing.figure)
     if center not in table.column_names:
         return "median", None
-    confident = drawing.figure.band in (None, "ci") and drawing.figure.center != "median"
+    confident = bands.band_of(drawing.figure) == "ci"
     return center, (ends[0], ends[1]) if confident and set(ends) <= {*table.column_names} else None
