@@ -89,7 +89,7 @@ def _drawing(gallery: Gallery, name: str) -> Drawing:
 
 def _rows(drawing: Drawing) -> list[dict[str, object]]:
     (model,), (data,) = drawing.models, drawing.tables.values()
-    points = deviation.points(model.table, data, "mean", ("low", "high"))
+    points = deviation.points(model.table, data, "mean", ("mean_low", "mean_high"))
     runs: dict[int, int] = {}
     for ordinal, n in zip(data.column("experiment").to_pylist(), data.column("n").to_pylist(), strict=True):
         runs[ordinal] = max(runs.get(ordinal, 0), n)
