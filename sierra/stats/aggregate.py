@@ -414,7 +414,7 @@ def _note(
     counts = [numpy_of(table.column("n")) for table in tables]
     ends = [int(end) for n in counts for end in (n.min(), n.max())]
     center = needs.chosen[0] if needs.chosen and not needs.shows else ""
-    shown = needs.shows or f"{words.named(center)}, {words.interval(_methods(tables, center))}"
+    shown = needs.shows or _shown(needs, tables)
     left = left_out(tables, seen, planned, figure.threshold, _marked(needs, tables[0]))
     return [f"{shown}, {n_of(ends)}", *_without_interval(tables, center), *left]
 
@@ -480,9 +480,18 @@ def may_be_rate(table: pa.Table) -> bool:
     return bool(np.all(np.where(n > 1, np.abs(np.nan_to_num(sd) ** 2 - expected) < 1e-9, (mean == 0) | (mean == 1))))
 
 
-def _methods(tables: Iterable[pa.Table], center: str) -> set[str]:
-    """Return the methods of the intervals of a center."""
-    return {method for table in tables for method in table.column(f"{center}_interval").unique().to_pylist() if method}
+def _shown(needs: Needs, tables: Sequence[pa.Table]) -> str:
+    """Return a description of the statistics of a figure and of their interval."""
+    if needs.chosen:
+        return f"{words.named(needs.chosen[0])}, {words.interval(_methods(tables, needs.chosen[0]))}"
+    names = [words.named(name) for name in needs.statistics if name != "interval"]
+    return ", ".join([*names, *([words.interval(_methods(tables))] if "interval" in needs.statistics else [])])
+
+
+def _methods(tables: Iterable[pa.Table], center: str = "") -> set[str]:
+    """Return the methods of the intervals of a center, or those of the formula `interval`."""
+    name = f"{center}_interval" if center else "interval"
+    return {method for table in tables for method in table.column(name).unique().to_pylist() if method}
 
 
 def _without_interval(tables: Sequence[pa.Table], center: str) -> list[str]:
