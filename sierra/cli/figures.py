@@ -73,7 +73,7 @@ def figures(
       sierra figures --target sim,robots
       sierra figures 3f9a1c swarm_coverage_summary
       sierra figures --format pdf,html
-      sierra figures calm=3f9a1c noisy=518b72 swarm_coverage_summary
+      sierra figures calm=3f9a1c noisy=518b72
       sierra figures 3f9a1c --check
     """
     from sierra.cli.open_project import project
