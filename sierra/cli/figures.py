@@ -29,7 +29,7 @@ def figures(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[HASH...] [NAME]",
+            metavar="HASH|NAME",
             autocompletion=complete.batches_and_figures,
             help="Batch id or prefix (default: the last batch); several, also as LABEL=HASH or the name of a query, are drawn "
             "together. Then the name of one figure or table (default: all).",
@@ -49,7 +49,8 @@ def figures(
         typer.Option(
             "--format",
             metavar="NAME[,NAME...]",
-            help="Formats of the files: png, pdf, svg, html, pgf (default: those that sierra.toml declares, or png,pdf,svg).",
+            help="Formats of the files: png, pdf, svg, html, pgf, txt, tex (default: those that sierra.toml declares, or "
+            "png,pdf,svg,txt,tex).",
         ),
     ] = None,
     check: Annotated[
