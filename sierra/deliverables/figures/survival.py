@@ -14,7 +14,7 @@ from sierra.deliverables.figures import facets, style
 from sierra.deliverables.figures.facets import Panels
 from sierra.deliverables.figures.style import Look
 from sierra.deliverables.figures.timeseries import with_n
-from sierra.errors import SierraError
+from sierra.errors import SierraError, UsageError
 from sierra.stats.survival import Step, Time, curve
 from sierra.util.text import counted
 
@@ -43,6 +43,11 @@ def notes(drawing: Drawing) -> list[str]:
     reached = drawing.rows["times"].column("reached").to_pylist()
     censored, lost, missing = reached.count(False), counts["runs"] - len(reached), counts["missing"]
     threshold = f"{drawing.figure.threshold:.12g}"
+    if drawing.time == "row" and len(set(drawing.rows["times"].column("time").to_pylist())) == 1:
+        raise UsageError(
+            f"table {drawing.figure.table!r} has no time, so all runs end at the same row; set time in [outputs.…] or "
+            "[tables.…] to the column with the duration of each run"
+        )
     if not any(reached):
         (column,) = drawing.figure.columns
         runs = counted(len(reached), "run")
@@ -68,7 +73,7 @@ def survival(drawing: Drawing) -> Figure:
         for ordinal in panel.drawing.cells.keys() & known.keys():
             _curve(panel.plot, known[ordinal], first, looks[within.group(panel.drawing, ordinal)])
         panel.plot.set_ylim(0, 1.02)
-        panel.plot.set_xlim(first, last + (last - first) * 0.03)
+        panel.plot.set_xlim(first, last + (last - first) * 0.03 if last > first else first + 1)
     _frame(drawing, within, looks, known)
     return within.figure
 
@@ -76,8 +81,10 @@ def survival(drawing: Drawing) -> Figure:
 def _curve(plot: Axes, steps: tuple[Step, ...], first: float, look: Look) -> None:
     times = [first, *(step.time for step in steps)]
     plot.step(times, [1.0, *(step.remaining for step in steps)], where="post", **look)
-    low, high = (np.array([None, *side], dtype=float) for side in zip(*((step.low, step.high) for step in steps), strict=True))
-    plot.fill_between(times, low, high, step="post", facecolor=look["color"], alpha=0.15, linewidth=0)
+    ends = [*(step.time for step in steps[1:]), steps[-1].time]  # each interval holds until the next step
+    low, high = (np.repeat(np.array(side, dtype=float), 2) for side in zip(*((s.low, s.high) for s in steps), strict=True))
+    between = np.column_stack(([step.time for step in steps], ends)).ravel()
+    plot.fill_between(between, low, high, facecolor=look["color"], alpha=0.15, linewidth=0)
     censored = [step for step in steps if step.censored]
     places = [step.time for step in censored], [step.remaining for step in censored]
     plot.plot(*places, "|", color=look["color"], markersize=5, markeredgewidth=0.8)

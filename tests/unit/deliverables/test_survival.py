@@ -38,6 +38,14 @@ def test_runs_that_never_reach_the_threshold_are_censored_and_not_dropped() -> N
     assert at_risk[:3] == ["4", "4", "3"], "at the times 0, 1.5 and 3"
 
 
+def test_an_interval_holds_until_the_next_time_also_where_the_curve_reaches_zero() -> None:
+    """S is 1/4 from 2 to 3, and 0 from 3 on."""
+    (band,) = plot(reaching(2, 2, 2, 3)).collections
+    corners = band.get_paths()[0].vertices
+    assert {*corners[:, 0]} == {2.0, 3.0}
+    assert 0 < min(corners[:, 1]) < 0.25 < max(corners[:, 1]) < 1
+
+
 def test_survival_without_an_event_a_threshold_or_a_value_is_refused() -> None:
     assert "done reaches the threshold 1 in none of 3 runs; there is no event to draw" in refusal(reaching(None, None, None))
     assert "no row is what the keys of the figure ask for" in refusal(reaching(None, None, before=math.nan))
