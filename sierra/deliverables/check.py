@@ -18,7 +18,7 @@ from sierra.store.store import Store
 def check(project: LoadedProject, store: Store, batch: str) -> list[Checked]:
     """Return whether each recorded deliverable of a batch still follows from the store, in the order of kinds and names."""
     with Frame(store, batch) as frame:
-        gallery = cache(partial(Gallery, project, store, frame))
+        gallery = cache(partial(Gallery, project, store, frame, only=frame.names))
         return list(record.checked(frame, project.root, batch, partial(_again, project, store, shared=gallery)))
 
 

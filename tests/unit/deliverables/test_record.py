@@ -72,6 +72,13 @@ def test_check_is_successful_while_files_and_data_are_unchanged(drawn: Path) -> 
     assert said.count("follows from the store") == len(rows(drawn)) > 0
 
 
+def test_figures_of_tables_that_no_declared_figure_shows_are_checked_too(drawn: Path) -> None:
+    config = drawn / "sierra.toml"
+    other = '[tables.other]\nsql = "SELECT run, coverage FROM swarm"\n[figures.other]\ntable = "other"\ncolumn = "coverage"\n'
+    config.write_text(config.read_text() + other)
+    assert check(drawn)[0] == 0
+
+
 @pytest.mark.parametrize("change", ["edited", "removed"])
 def test_check_names_a_file_that_is_not_the_one_that_was_drawn(drawn: Path, change: str) -> None:
     file = a_figure(drawn)
