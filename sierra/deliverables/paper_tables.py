@@ -19,6 +19,7 @@ from sierra.config.project_file import LoadedProject, Project
 from sierra.errors import UsageError
 from sierra.execution import targets
 from sierra.model import Value
+from sierra.stats import survival
 from sierra.stats.rounding import Rounded, rounded
 
 if TYPE_CHECKING:
@@ -130,6 +131,8 @@ def estimates_of(statistics: pa.Table, name: str, axes: int, ordinals: Container
     """Return value, low, high and n of a statistic by the position of the experiment, and the methods of its intervals."""
     rest = statistics.rename_columns([*map(str, range(1 + axes)), *_own_names(statistics)[1 + axes :]])
     columns = [rest.column(column).to_pylist() for column in ("0", name, f"{name}_low", f"{name}_high", "n")]
+    if name in survival.STATISTICS:  # these count the runs that never reached the threshold too
+        columns[-1] = [n + never for n, never in zip(columns[-1], rest.column("never").to_pylist(), strict=True)]
     methods = rest.column(f"{name}_interval").to_pylist()
     rows = [row for row in zip(*columns, methods, strict=True) if row[0] in ordinals]
     return {row[0]: row[1:5] for row in rows}, list(dict.fromkeys(row[5] for row in rows if row[5]))

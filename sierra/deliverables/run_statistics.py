@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -41,8 +41,11 @@ def statistics(
     threshold: float | None = None,
     times: str | None = None,
     chosen: Sequence[str] = (),
+    among: Callable[[Frame], Container[int]] | None = None,
 ) -> pa.Table:
     """Return statistics of one column, as `sierra.api.Project.statistics` does, with the values of the axes.
+
+    `among` returns the positions of the experiments that the notes count, if a reader sees only these.
 
     The columns are `experiment`, one for each axis, and those of the statistics. If an axis has the name of another column,
     that column gets a `_` after its name, as outputs' columns do in SQL. The schema's metadata hold the statement
@@ -76,13 +79,19 @@ def statistics(
         if curves and times is None:
             table = survival.with_statistics(table, curves, of_times)
             notes += _about_times(curves, of_times, others=bool(others) or not chosen)
+        shown, coverage, planned = table, samples.coverage, gallery.planned
+        if among:
+            kept = among(frame)
+            shown = table.filter([place in kept for place in table.column("experiment").to_pylist()])
+            coverage = replace(coverage, runs={place: runs for place, runs in coverage.runs.items() if place in kept})
+            planned = {place: runs for place, runs in planned.items() if place in kept}
         if selection:
-            notes += selection.notes(table)
+            notes += selection.notes(shown)
         if not selection or "mean" in chosen:
-            notes += _about_rates(table, column, output, asked=samples.rate and measure != "time_to")
+            notes += _about_rates(shown, column, output, asked=samples.rate and measure != "time_to")
         notes = [
             *gallery.notes,
-            *stats.left_out([] if "remaining" in table.column_names else [table], samples.coverage, gallery.planned, threshold),
+            *stats.left_out([] if "remaining" in table.column_names else [shown], coverage, planned, threshold),
             *notes,
         ]
         text = "\n\n".join(filter(None, (frame.statements(output), text)))

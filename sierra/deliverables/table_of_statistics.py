@@ -17,6 +17,7 @@ from sierra.execution import targets
 from sierra.model import Axis, Value
 from sierra.query import condition
 from sierra.stats.rounding import rounded
+from sierra.store.samples import Frame
 from sierra.store.store import Store
 
 if TYPE_CHECKING:
@@ -88,8 +89,12 @@ def _notes(found: Mapping[str, _Estimates]) -> dict[str, str]:
 def _estimates(project: LoadedProject, store: Store, declared: TableForPaper, batch: str) -> _Estimates:
     output, columns = of_tables(project, store, batch, declared.table, declared.columns)
     measure = declared.measure or "auto"
+
+    def rows(frame: Frame) -> frozenset[int]:
+        return _experiments(declared, [axis.name for axis in frame.axes()], frame.cells())
+
     tables = {
-        column: statistics(project, store, batch, output, column, measure, declared.threshold, None, declared.statistics)
+        column: statistics(project, store, batch, output, column, measure, declared.threshold, None, declared.statistics, rows)
         for column in columns
     }
     config = targets.of_batch(project, store, batch).config

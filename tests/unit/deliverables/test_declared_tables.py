@@ -43,6 +43,14 @@ experiments = "population_size=1,2"
 headers = { noise = "noise level" }
 formats = ["csv"]
 
+[paper_tables.one]
+column = "coverage"
+measure = "time_to"
+threshold = 4.0
+statistics = ["median", "km_median"]
+experiments = "population_size=1 and noise=0.1"
+formats = ["markdown"]
+
 [paper_tables.rows]
 sql = '''
 SELECT batch, population_size, count(*) AS n, avg(peak) AS peak, avg(peak) - 1 AS peak_low, avg(peak) + 1 AS peak_high
@@ -93,7 +101,7 @@ def test_tables_are_written_with_the_figures_recorded_and_checked(drawn: tuple[P
     assert page.index("-->") < page.index("<table"), "hyphens in SQL do not end the comment"
     assert page.count("-->") == 1
     said = projects.quick(root, "figures", "--check", first)
-    assert (said.returncode, said.stdout.count("follows from the store")) == (0, 5)
+    assert (said.returncode, said.stdout.count("follows from the store")) == (0, 6)
     shown = projects.quick(root, "show", str(tex)).stdout
     assert "deliverable_kind  table" in shown
     assert "state: follows from the store" in shown
@@ -109,13 +117,20 @@ def test_numbers_are_those_of_the_runs_and_a_variable_can_be_side_by_side(drawn:
     assert float(found[1][4]) == pytest.approx(statistics.median(finals(root, first, 2, 0.5)), rel=1e-3)
 
 
+def test_notes_and_n_are_those_of_the_rows_that_are_shown(drawn: tuple[Path, str, str]) -> None:
+    root, _, _ = drawn
+    [file] = root.glob("figures/*/one.md")
+    text = file.read_text()
+    assert "n is too small for the 95 % interval of median in 1 row" in text
+
+
 def test_batches_are_side_by_side_in_the_order_given(drawn: tuple[Path, str, str], tmp_path: Path) -> None:
     root = stores.copy(drawn[0], tmp_path / "project")
     _, first, second = drawn
     done = projects.quick(root, "figures", f"five={second[:9]}", f"a/b={first[:9]}")
     assert done.returncode == 0, done.stderr
     names = {Path(line).stem for line in done.stdout.splitlines()}
-    assert names == {f"{name}_five_a_b" for name in ("over_time", "coverage", "noises", "rows", "sums")}
+    assert names == {f"{name}_five_a_b" for name in ("over_time", "coverage", "noises", "one", "rows", "sums")}
     header, one, *_ = rows(root, "coverage_five_a_b", "*-*")
     assert header[:4] == ["population size", "noise", "coverage [m²] (five)", "n (five)"]
     assert (one[3], one[5]) == ("5", "3")
@@ -124,7 +139,7 @@ def test_batches_are_side_by_side_in_the_order_given(drawn: tuple[Path, str, str
     assert header == ["batch", "population size", "n", "peak"]
     assert [row[:3] for row in found[:2]] == [["five", "1", "10"], ["a/b", "1", "6"]]
     said = projects.quick(root, "figures", "--check", second)
-    assert (said.returncode, said.stdout.count("follows from the store")) == (0, 5)
+    assert (said.returncode, said.stdout.count("follows from the store")) == (0, 6)
 
 
 def test_sums_of_a_statement_are_the_same_each_time(drawn: tuple[Path, str, str]) -> None:
