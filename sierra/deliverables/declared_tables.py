@@ -74,7 +74,8 @@ class Made:
     def _text(self, format: str) -> str:
         if format == "csv":
             return paper_tables.csv(self.table)
-        lines = [origin_of(next(iter(self.batches.values())), data_hash(self.data)), *self.sql.splitlines()]
+        first, *others = self.batches.values()
+        lines = [origin_of(first, data_hash(self.data), *others), *self.sql.splitlines()]
         return f"{_comment(format, lines)}\n{paper_tables.FORMATS[format](self.table)}"
 
 

@@ -118,9 +118,9 @@ ORIGIN = re.compile(rb"sierra (\S{1,40}) batch ([0-9a-f]{64}) data ([0-9a-f]{64}
 FIND = "SELECT * FROM deliverables WHERE list_contains(sha256s, $sha256) ORDER BY lamport DESC, made DESC LIMIT 1"
 
 
-def origin_of(batch: str, data: str) -> str:
+def origin_of(batch: str, data: str, *others: str) -> str:
     """Return the line that every file of a deliverable contains, whatever its format; `data` is the hash of its data."""
-    return f"sierra {__version__} batch {batch} data {data}"
+    return " ".join([f"sierra {__version__} batch {batch} data {data}", *(f"with batch {other}" for other in others)])
 
 
 @dataclass(frozen=True, slots=True)

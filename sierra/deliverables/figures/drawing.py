@@ -203,5 +203,5 @@ def _files(figure: matplotlib.figure.Figure, drawing: Drawing, data: str) -> lis
     """Return the content of the files, by format; `data` is the hash of the drawing's data."""
     from sierra.deliverables.figures import formats
 
-    origin = origin_of(drawing.batch, data)
+    origin = origin_of(drawing.batch, data, *(other for other in drawing.together.values() if other != drawing.batch))
     return [(ending, formats.FORMATS[ending](figure, drawing, origin)) for ending in drawing.formats]
