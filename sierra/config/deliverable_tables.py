@@ -22,6 +22,8 @@ Size = Literal[
 ]
 AROUND = {"sd": ("mean", "iqm"), "mad": ("median",)}
 """The bands that are distances from the center, and the centers that have them."""
+WIDTHS = ("sd", "iqr", "mad", "range")
+"""The centers that are no places among the runs."""
 Palette = Literal["okabe-ito", "petroff", "viridis", "cividis", "grey"]
 Format = Literal["png", "pdf", "svg", "html", "pgf", "txt", "tex"]
 PRINTED: tuple[Format, ...] = ("png", "pdf", "svg")
@@ -167,6 +169,8 @@ class Figure(Table):
         if self.band in AROUND and self.center not in AROUND[self.band]:
             centers = " or ".join(f'"{name}"' for name in AROUND[self.band])
             raise ValueError(f'band "{self.band}" is a distance from the center {centers}, not from "{self.center}"')
+        if self.center in WIDTHS and self.band not in (None, "ci"):
+            raise ValueError(f'band "{self.band}" shows where runs are, but "{self.center}" is a width; use band = "ci"')
         if "quantiles" in self.model_fields_set and self.band != "quantiles":
             raise ValueError('"quantiles" needs band = "quantiles"')
         return self

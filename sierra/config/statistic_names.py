@@ -6,6 +6,8 @@ import re
 
 from sierra.config.plugin_registry import STATISTICS
 
+CENSORED = ("km_median", "restricted_mean")
+"""The statistics of times of which some are censored; they need all times of an experiment, and are no plug-ins."""
 QUANTILE = re.compile(r"q(\d+)(\.\d+)?")
 
 
@@ -38,5 +40,7 @@ def complaint(name: str) -> str:
             return ""
     except ValueError as error:
         return str(error)
+    if name in CENSORED:
+        return f"{name!r} is for tables and `sierra stats`; a figure of kind survival shows the curve"
     known = ", ".join(STATISTICS.names())
     return f"unknown statistic {name!r}; known are {known}, and quantiles such as q05 or q97.5 (percent)"

@@ -28,7 +28,8 @@ def heatmap(drawing: Drawing) -> Figure:
 
     Pairs without a value are hatched.
     """
-    figure, plots, maps, (across, up) = _of_models(drawing) if drawing.models else _of_facets(drawing)
+    with_models = drawing.models and not drawing.figure.facet
+    figure, plots, maps, (across, up) = _of_models(drawing) if with_models else _of_facets(drawing)
     _paint(figure, plots, maps, drawing)
     for plot in plots:
         _frame(plot, across, up, most=20 // min(2, len(plots)))
@@ -46,8 +47,6 @@ def _of_facets(drawing: Drawing) -> tuple[Figure, list[Axes], list[style.Floats]
 
 
 def _of_models(drawing: Drawing) -> tuple[Figure, list[Axes], list[style.Floats], tuple[Axis, ...]]:
-    if drawing.figure.facet:
-        raise UsageError("a heatmap shows either models or facets; leave out facet, or name other figures in the models")
     named = [("data", _data(drawing)), *((one.label, models.by_experiment(one)) for one in drawing.models)]
     figure, plots = style.maps(len(named), _height(drawing.axes[1]))
     for plot, (name, _) in zip(plots, named, strict=True):

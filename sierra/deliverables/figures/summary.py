@@ -108,6 +108,8 @@ def _bars(panel: Panel, within: Panels, groups: Sequence[Group]) -> None:
         place = within.group(panel.drawing, ordinal)
         x = within.place(panel.drawing, ordinal) + dodge(place, count)
         if not np.isfinite(center[k]):
+            if "never" in table.column_names and table.column("never")[k].as_py():
+                never(panel.plot, [x], groups[place].colour)
             continue
         panel.plot.bar(x, center[k], 0.8 / count, **groups[place].face(0.55))
         if np.isfinite(low[k]) and np.isfinite(high[k]):

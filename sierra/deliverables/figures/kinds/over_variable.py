@@ -124,7 +124,8 @@ class Heatmap(PlainKind):
     def notes(self, drawing: Drawing) -> Sequence[str]:
         from sierra.deliverables.figures import axis_limits
 
-        return axis_limits.left_out_centers(drawing)
+        without = ["models are not drawn beside facets"] if drawing.models and drawing.figure.facet else []
+        return [*axis_limits.left_out_centers(drawing), *without]
 
     def draw(self, drawing: Drawing) -> matplotlib.figure.Figure:
         from sierra.deliverables.figures.heatmap import heatmap
