@@ -49,7 +49,7 @@ def rounded(value: float, low: float | None = None, high: float | None = None) -
         and isclose(high - value, value - low, rel_tol=1e-6, abs_tol=1e-9 * abs(float(half)))
     ):
         return Rounded(text, half=_text(float(half), exponent, place) if half else "0", exponent=exponent)
-    first, second = ("∞" if end is None else _text(end, exponent, place) for end in (low, high))
+    first, second = ("∞" if end is None else _text(end, exponent, place, whole=not half) for end in (low, high))
     return Rounded(text, ends=(f"−{first}" if low is None else first, second), exponent=exponent)
 
 

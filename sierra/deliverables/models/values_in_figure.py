@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from sierra.deliverables.figures import bands
+from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import LARGEST
 from sierra.deliverables.models.predicted import Predicted
 from sierra.deliverables.models.predictions import NoValue, Prediction
@@ -107,5 +108,5 @@ def _compared(drawing: Drawing) -> tuple[str, tuple[str, str] | None]:
     center, *ends = bands.columns(drawing.figure)
     if center not in table.column_names:
         return "median", None
-    confident = bands.band_of(drawing.figure) == "ci"
+    confident = "band" in kind_of(drawing.figure).uses and bands.band_of(drawing.figure) == "ci"
     return center, (ends[0], ends[1]) if confident and set(ends) <= {*table.column_names} else None

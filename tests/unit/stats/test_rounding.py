@@ -36,6 +36,7 @@ def test_a_number_has_two_significant_digits_of_its_uncertainty(value: float, ha
         ((0.71362, 0.65111, 0.70999), Rounded("0.714", ends=("0.651", "0.710"))),
         ((1.0, 0.7575, 1.0), Rounded("1.00", ends=("0.76", "1.00"))),
         ((23.0, 13.0, None), Rounded("23", ends=("13", "∞"))),
+        ((2.0, 2.0, None), Rounded("2", ends=("2", "∞"))),
         ((0.123456, None, None), Rounded("0.1235")),
         ((5.0, None, None), Rounded("5")),
         ((123456.0, None, None), Rounded("123500")),
