@@ -125,7 +125,7 @@ def test_the_table_the_text_and_the_figure_are_made(compared: tuple[Path, str, s
     assert empty == ""
     assert text.startswith("The final value of coverage was compared between a and b in 2 experiments.")
     assert "The p values are corrected for 2 tests (Holm)." in text
-    assert [Path(file).suffix for file in files] == [".png", ".pdf", ".svg"]
+    assert [Path(file).suffix for file in files] == [".png", ".pdf", ".svg", ".txt", ".tex"]
     assert sierra.open(root).plan("population_size=1,2", runs=8).batch.id == compared[1], "figures are no source"
     before = [(root / file).read_bytes() for file in files]
     assert compared[1].encode() in before[0]

@@ -513,7 +513,7 @@ def test_figure_paths_are_printed_relative_but_are_absolute_in_json(simulate: Ca
     listed = project.quick("figures").stdout.splitlines()
     assert listed
     assert all(re.fullmatch(r"figures/\w{10}/\w+\.(png|pdf|svg|txt|tex)", line) for line in listed)
-    assert set(listed) == {str(path.relative_to(project.folder)) for path in project.folder.glob("figures/*/*.*")}
+    assert set(listed) == {str(path.relative_to(project.folder)) for path in project.folder.glob("figures/*/[!.]*")}
     whole = json.loads(project.quick("figures", "--json").stdout)
     assert whole == [str(project.folder / line) for line in listed]
 
