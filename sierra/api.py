@@ -491,7 +491,7 @@ class Project:
     def batches(self) -> list[ListedBatch]:
         """All batches, the most recently requested last: see `sierra.execution.list_batches.ListedBatch`.
 
-        >>> project.batches[-1].query
+        >>> project.batches[0].query
         'population_size=1,2'
         """
         from sierra.execution import list_batches
@@ -871,7 +871,7 @@ class Project:
         and UsageError for an unknown format.
 
         >>> sorted({path.suffix for path in project.figures(summary.batch)})
-        ['.pdf', '.png', '.svg']
+        ['.pdf', '.png', '.svg', '.tex', '.txt']
         """
         return self.draw(prefix, name, formats=formats)[0]
 
@@ -1172,7 +1172,7 @@ class Project:
 
         >>> compared = project.compare(summary.batch, by=["population_size"])
         >>> sorted({path.suffix for path in project.draw_comparison(compared)})
-        ['.pdf', '.png', '.svg']
+        ['.pdf', '.png', '.svg', '.tex', '.txt']
         """
         from sierra.deliverables import comparison
 

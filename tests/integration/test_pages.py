@@ -168,4 +168,4 @@ def test_a_page_that_may_not_use_the_clipboard_shows_the_text(browser: Browser, 
 def test_other_kinds_are_shown_as_they_are_printed(browser: Browser, tmp_path: Path) -> None:
     opened(browser, drawing("box"), tmp_path)
     assert browser.run("document.querySelector('.picture img').naturalWidth") > 200
-    assert has(browser, tmp_path, "#0072b2")
+    assert has(browser, tmp_path, "#8cc0dc")

@@ -70,6 +70,6 @@ def test_default_figures_import_neither_pandas_nor_seaborn(root: Path) -> None:
 
 @pytest.mark.integration
 def test_show_imports_git_for_a_batch_with_a_commit(root: Path) -> None:
-    [batch] = json.loads(projects.quick(root, "ls", "--json").stdout)
+    batch = json.loads(projects.quick(root, "ls", "--json").stdout)[0]
     assert "git" in imported(root, "show", batch["batch"])
     assert not imported(root, "show", batch["batch"]) & NEVER

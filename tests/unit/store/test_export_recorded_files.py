@@ -188,7 +188,7 @@ def test_paths_that_match_no_file_or_several_are_reported(project: Path) -> None
     refused(quick(project, "files", run, "nope.csv"), 2, "no recorded file 'nope.csv'", "'output/swarm.csv'")
     refused(quick(project, "files", run, "*.csv"), 2, "2 files", "--to FOLDER")
     refused(quick(project, "files", batch_of(project), STDOUT), 2, "4 files match")
-    refused(quick(project, "files", "0000000"), 2, "no batch, experiment, run or execution")
+    refused(quick(project, "files", "0000000"), 2, "no batch, experiment, run, execution or study")
 
 
 # a folder
