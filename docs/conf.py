@@ -35,6 +35,7 @@ CONTENTS = {
         "how-to/containers",
         "how-to/clusters",
         "how-to/share",
+        "how-to/packages",
         "how-to/maintain",
         "how-to/python",
         "how-to/plugins",

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from sierra.maintenance.remove import Removal
     from sierra.maintenance.repair import Repair
     from sierra.packages.metadata import Metadata
+    from sierra.packages.pack import Packed, Preview
     from sierra.provenance.commits_between import Known as CommitInRepository
     from sierra.provenance.source.share_refs import Shared
     from sierra.query.query_request import QueryRequest
@@ -1238,6 +1239,26 @@ class Project:
         from sierra.packages import metadata
 
         return metadata.compare(self.config.package, self.root, write=write)
+
+    def package(
+        self,
+        *batches: str,
+        path: str | os.PathLike[str],
+        agree: Callable[[Preview], bool] = lambda preview: True,
+    ) -> Packed | None:
+        """Write a reproduction package of these batches, if `agree` returns true for the preview: see `sierra.packages.pack`.
+
+        Raises UsageError if the file exists, ConfigError if `[package]` has no title, authors or licence, Missing for a source
+        that no longer exists.
+
+        >>> project.package(summary.batch, path="results.zip")
+        Traceback (most recent call last):
+            ...
+        sierra.errors.ConfigError: [package] in sierra.toml needs title, authors, license
+        """
+        from sierra.packages import pack
+
+        return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree)
 
     def outputs(self, *query: str, target: str | None = None) -> TakenOutputs:
         """Return how a batch's outputs were read: its tables, and the files that became no table, with the reasons.

@@ -39,6 +39,8 @@ COMMANDS = {
     "figures": "sierra.cli.figures:figures",
     "models": "sierra.cli.models:models",
     "cite": "sierra.cli.cite:cite",
+    "package": "sierra.cli.package:package",
+    "open": "sierra.cli.open:app",
     "fsck": "sierra.cli.fsck:fsck",
     "gc": "sierra.cli.gc:gc",
     "rm": "sierra.cli.rm:rm",

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
 from types import ModuleType
 
 from sierra.api import Project
@@ -13,8 +16,22 @@ from sierra.api import Project
 ALLOCATOR = "ARROW_DEFAULT_MEMORY_POOL"
 
 
+_folder = ContextVar("_folder", default=Path())
+"""The folder in which the project is looked for."""
+
+
+@contextmanager
+def using(folder: Path) -> Iterator[None]:
+    """Make the project in `folder` the one that commands work on, until the end of the context."""
+    before = _folder.set(folder)
+    try:
+        yield
+    finally:
+        _folder.reset(before)
+
+
 def project() -> Project:
-    """Return the project of the working directory, as `sierra.open` does.
+    """Return the project of the working directory, as `sierra.open` does, or that of `using`.
 
     pyarrow loads pandas when it makes its first array, which takes half a second. No command converts to pandas, so pandas is
     hidden from pyarrow if a command loads pyarrow. It also gets the system's allocator instead of its own, which keeps freed
@@ -22,7 +39,7 @@ def project() -> Project:
     """
     if not {"pandas", "pyarrow"} & sys.modules.keys():
         sys.meta_path.insert(0, _LeanArrow())
-    return Project()
+    return Project(_folder.get())
 
 
 class _LeanArrow:

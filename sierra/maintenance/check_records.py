@@ -620,10 +620,12 @@ HEALS = "sierra source fetch gets sources that were shared with sierra source pu
 
 
 def _gone(records: Records, root: Path) -> Iterator[Finding]:
-    """Yield the sources that git no longer has."""
+    """Yield the sources of which neither git nor the store has all files."""
+    stored: set[str] = set(records.column("SELECT DISTINCT blob FROM blobs"))
     for tree, files in list(records.each("SELECT tree, any_value(files) FROM sources WHERE vcs = 'git' GROUP BY tree")):
+        manifest = _object(records, files)
         try:
-            there = source.is_available(root, tree, _object(records, files))
+            there = source.blobs(manifest) <= stored or source.is_available(root, tree, manifest)
         except Missing as error:
             yield Finding(Kind.GONE, "sources", str(error))
             return

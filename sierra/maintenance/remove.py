@@ -30,6 +30,8 @@ from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
 from sierra.util.text import few
 
+KINDS = ("batch", "experiment", "run", "execution", "study")
+"""The kinds of objects that have ids."""
 SHOWN = 5
 
 
@@ -117,7 +119,7 @@ def remove(store: Store, prefixes: Sequence[str], agree: Callable[[Removal], boo
 
 
 def _resolve(store: Store, prefixes: Sequence[str]) -> dict[str, set[str]]:
-    named: dict[str, set[str]] = {kind: set() for kind in ("batch", "experiment", "run", "execution", "study")}
+    named: dict[str, set[str]] = {kind: set() for kind in KINDS}
     for prefix in prefixes:
         found = store.identify(prefix)
         if found.kind == "study":
@@ -257,17 +259,26 @@ EXCEPT
 
 def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
     with store.snapshot() as snapshot:
-        snapshot.views.make((*(RECORDED.keys() - {"objects"}), "all_judgements", "all_artifacts", "effective"))
-        pairs = [(kind, identity) for kind, ids in named.items() for identity in sorted(ids)]
-        snapshot.add_table("named", kind=[kind for kind, _ in pairs], id=[one for _, one in pairs])
-        snapshot.run(FIND)
+        drop = rows_of(snapshot, store, named)
         made = _Plan(_removal(snapshot, named))
-        made.drop = _drop(snapshot, store, named)
+        made.drop = drop
         made.touched = touched(snapshot, snapshot.segments, made.drop)
         made.seen = {segment.name for segment in snapshot.segments}
         concerned = "SELECT batch FROM batch_runs WHERE run IN (SELECT run FROM gone) UNION SELECT batch FROM gone_batches"
         made.concerned = _column(snapshot, concerned)
         return made
+
+
+def rows_of(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]]) -> dict[str, dict[str, AbstractSet[str]]]:
+    """Return the rows that belong only to these objects, by table and column: the values of the column.
+
+    `named`: the ids of each kind (batch, experiment, run, execution, study).
+    """
+    snapshot.views.make((*(RECORDED.keys() - {"objects"}), "all_judgements", "all_artifacts", "effective"))
+    pairs = [(kind, identity) for kind, ids in named.items() for identity in sorted(ids)]
+    snapshot.add_table("named", kind=[kind for kind, _ in pairs], id=[one for _, one in pairs])
+    snapshot.run(FIND)
+    return _drop(snapshot, store, named)
 
 
 def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Removal:
@@ -331,11 +342,11 @@ def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]
 
 
 def _blobs(snapshot: Snapshot, store: Store) -> set[str]:
-    """Return the git hashes of the files that only removed sources outside git have."""
-    gone = _column(snapshot, "SELECT files FROM gone_sources WHERE vcs = 'none'")
+    """Return the git hashes of the files that only removed sources have. Packages have the files of sources in git too."""
+    gone = _column(snapshot, "SELECT files FROM gone_sources") if snapshot.holds("blobs") else set()
     if not gone:
         return set()
-    stay = _column(snapshot, "SELECT files FROM sources WHERE vcs = 'none' AND source NOT IN (SELECT source FROM gone_sources)")
+    stay = _column(snapshot, "SELECT files FROM sources WHERE source NOT IN (SELECT source FROM gone_sources)")
     theirs = {blob for files in stay for blob in source.blobs(store.object(files))}
     return {blob for files in gone for blob in source.blobs(store.object(files))} - theirs
 

@@ -1,1 +1,1 @@
-"""Reproduction packages: one file with everything that results rest on, which proves itself."""
+"""Reproduction packages: batches, all that they need and all that they produced, in one file; see `sierra.packages.pack`."""

@@ -68,7 +68,7 @@ def write(path: Path, contents: Mapping[str, Content], executable: Iterable[str]
     the file exists.
     """
     members.check_names([*contents, MANIFEST])
-    _check_new(path)
+    check_new(path)
     programs = frozenset(executable)
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     with disk_errors(path.parent):
@@ -83,14 +83,15 @@ def write(path: Path, contents: Mapping[str, Content], executable: Iterable[str]
     return members.package_id(hashes)
 
 
-def _check_new(path: Path) -> None:
+def check_new(path: Path) -> None:
+    """Raise UsageError if the file exists."""
     if path.is_symlink() or path.exists():
         raise UsageError(f"{path} exists already; remove it, or choose another name")
 
 
 def _name(unfinished: Path, path: Path) -> None:
     """Give a complete file its name, unless a file of that name has appeared meanwhile."""
-    _check_new(path)
+    check_new(path)
     unfinished.rename(path)
 
 

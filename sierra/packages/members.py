@@ -67,7 +67,7 @@ def check_names(names: Iterable[str]) -> None:
     for count, name in enumerate(names, 1):
         if count > MOST:
             raise Damaged(f"the package has more than {MOST:,} members")
-        if problem := _problem(name):
+        if problem := unsafe(name):
             raise Damaged(f"the package has a member {name[:100]!r}, but {problem}")
         same = _folded(name)
         if same in seen:
@@ -80,8 +80,8 @@ def check_names(names: Iterable[str]) -> None:
         raise Damaged(f"the package has the member {seen[same][:100]!r}, which is a folder of {folders[same][:100]!r}")
 
 
-def _problem(name: str) -> str:
-    """Return the reason why a name is not safe; "" if it is."""
+def unsafe(name: str) -> str:
+    """Return the reason why a name is not safe on all systems; "" if it is."""
     parts = name.split("/")
     if not name.isprintable() or FORBIDDEN.intersection(name):
         return 'names have only printable characters, without \\ : * ? " < > |'

@@ -17,6 +17,7 @@ from typing import Any
 
 from sierra.config.package_table import DOI, Author, Package
 from sierra.errors import ConfigError
+from sierra.packages.subject import Made, Member, Subject
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
 
@@ -72,6 +73,14 @@ def files(package: Package, date: str = "") -> dict[str, bytes]:
     if names := lacking(package):
         raise ConfigError(f"[package] in sierra.toml needs {', '.join(names)}")
     return {name: make(package, package.date or date) for name, make in MAKERS.items()}
+
+
+def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+    """Return the metadata files of a package: the project's own ones, else those made from `[package]`."""
+    package = subject.project.config.package
+    made = {**files(package, subject.date), **own(subject.project.root)}
+    parts = [Member(name, content, "metadata for archives and citations") for name, content in made.items()]
+    return Made(parts, notes=tuple(differences(package, own(subject.project.root))))
 
 
 def citation(package: Package, date: str) -> bytes:

@@ -45,6 +45,7 @@ from sierra.util.json_types import Json
 TOML = "sierra.toml.schema.json"
 QUERY = "query.schema.json"
 PLAN = "plan.schema.json"
+PACKAGE = "package.schema.json"
 STORE = "store.sql"
 WIDTH = 118
 INTRODUCTION = """\
@@ -120,6 +121,13 @@ def query_schema() -> str:
 def plan_schema() -> str:
     """Return the JSON Schema of the JSON of a dry run."""
     return _schema_text("plan.json", PlanPreview.model_json_schema())
+
+
+def package_schema() -> str:
+    """Return the JSON Schema of the file `package.json` in packages."""
+    from sierra.packages.manifest import PackageManifest
+
+    return _schema_text("package.json", PackageManifest.model_json_schema())
 
 
 def _schema_text(title: str, schema: Mapping[str, object]) -> str:
@@ -212,7 +220,7 @@ def tables() -> Mapping[str, Table]:
 
 def generated() -> Mapping[str, str]:
     """Return the content of the files of `schemas/`, by name."""
-    return {TOML: toml_schema(), QUERY: query_schema(), PLAN: plan_schema(), STORE: sql()}
+    return {TOML: toml_schema(), QUERY: query_schema(), PLAN: plan_schema(), PACKAGE: package_schema(), STORE: sql()}
 
 
 def write(folder: Path) -> None:

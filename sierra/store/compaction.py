@@ -110,10 +110,7 @@ class Compaction:
     def write(self, group: Group, drop: Drop) -> None:
         """Write the kept rows of a group. Raises Missing if the disk is full, Damaged if an old file cannot be read."""
         writer = Writer(self._folder / str(len(self._replaced)), group[0].batch)
-        for name in sorted({name for segment in group for name in segment.files}):
-            paths = [segment.files[name] for segment in group if name in segment.files]
-            with disk_errors(self._folder):
-                _write(writer.path(name), name, paths, drop.get(_table(name), {}))
+        write_kept(group, drop, writer)
         self._replaced += group
         if any(writer.folder.iterdir()):
             self._writers.append((group[0].batch, writer))
@@ -136,6 +133,14 @@ class Compaction:
             writer.mark(AFTER, [name])
             writer.publish(self._paths.segments)
         last.publish(self._paths.segments)
+
+
+def write_kept(group: Group, drop: Drop, writer: Writer) -> None:
+    """Write the kept rows of a group into one new segment. Raises Missing if the disk is full, Damaged for unreadable files."""
+    for name in sorted({name for segment in group for name in segment.files}):
+        paths = [segment.files[name] for segment in group if name in segment.files]
+        with disk_errors(writer.folder):
+            _write(writer.path(name), name, paths, drop.get(_table(name), {}))
 
 
 def _write(target: Path, name: str, paths: Sequence[str], drop: Mapping[str, AbstractSet[str]]) -> None:

@@ -2,7 +2,7 @@
 
 $XDG_CONFIG_HOME/sierra/config.toml user settings
 $XDG_CACHE_HOME/sierra/             caches that can be rebuilt: digests.json, versions.json, images.json,
-                                    engines.json, clusters.json, apptainer/
+                                    engines.json, clusters.json, apptainer/, packages/<id>/
 $XDG_STATE_HOME/sierra/             crash reports; the history of the SQL prompt
 PROJECT/sierra.toml
 PROJECT/sierra.lock                 the images that image names stand for; committed with the project
@@ -283,3 +283,5 @@ user_clusters = partial(_user_cache, "clusters.json")
 """Return the cache of clusters whose nodes passed the checks."""
 user_apptainer = partial(_user_cache, "apptainer")
 """Return the folder of apptainer's configuration for runs."""
+user_packages = partial(_user_cache, "packages")
+"""Return the folder of the stores of opened packages, each in a folder with the package's id."""

@@ -1,0 +1,68 @@
+"""`sierra open`: read the records of a received package."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+
+from sierra.cli import lazy_parameters
+from sierra.cli.app import COMMANDS
+from sierra.cli.lazy_commands import Commands
+from sierra.util.text import counted
+
+if TYPE_CHECKING:
+    from typer._click.core import Command
+
+    from sierra.packages.received import Received
+
+READING = ("ls", "show", "sql", "stats", "outputs", "files", "compare", "diff", "why", "fsck")
+"""Commands that read records, and execute nothing of the package."""
+
+
+class Reading(lazy_parameters.Group):
+    """The group of the commands that read a package."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = cast("dict[str, Command]", Commands({name: COMMANDS[name] for name in READING}))  # only read
+
+
+app = typer.Typer(name="open", cls=Reading, invoke_without_command=True, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.callback()
+def open_(
+    context: typer.Context,
+    package: Annotated[Path, typer.Argument(metavar="FILE.zip", help="A package.", show_default=False)],
+) -> None:
+    """Show a package, or run a command that reads its records.
+
+    Nothing of the package is executed. The records are checked, and extracted to your cache.
+
+    \b
+    Examples:
+      sierra open results.zip
+      sierra open results.zip ls
+      sierra open results.zip sql "SELECT * FROM runs"
+    """
+    from sierra.cli import open_project
+    from sierra.packages import received
+
+    found = received.open_package(package)
+    context.with_resource(open_project.using(found.project.root))
+    if context.invoked_subcommand is None:
+        print("\n".join(_lines(found)))
+
+
+def _lines(found: Received) -> Iterator[str]:
+    described = found.manifest
+    yield f"package {found.id[:10]}: {described.title}, {described.date}"
+    for batch in described.batches:
+        runs = f"{counted(batch.runs, 'run')}, {batch.successful:,} successful"
+        yield f"batch {batch.batch[:10]}: {batch.query} ({counted(batch.experiments, 'experiment')}, {runs})"
+    for source in described.sources:
+        yield f"source {source.tree}: {source.folder}"
+    yield from described.notes

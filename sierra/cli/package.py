@@ -1,0 +1,49 @@
+"""`sierra package`: write a reproduction package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sierra.cli import complete
+from sierra.cli.arguments import AsJson, Yes
+from sierra.cli.output import print_json, size
+
+if TYPE_CHECKING:
+    from sierra.packages.pack import Preview
+
+
+def package(
+    batches: Annotated[
+        list[str], typer.Argument(metavar="BATCH", autocompletion=complete.ids, help="Ids of batches; prefixes are enough.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.zip", help="The file to write.")],
+    yes: Yes = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write batches with their code and results to one file.
+
+    The file contains the records and outputs of the batches, their source, sierra.toml with the files that it names, and
+    metadata made from [package] in sierra.toml. Things that are left out are listed first, and must be confirmed.
+
+    \b
+    Examples:
+      sierra package 3f2a -o results.zip
+    """
+    from sierra.cli.confirm import agreed
+    from sierra.cli.open_project import project
+
+    def agree(preview: Preview) -> bool:
+        lines = [f"{output}: {preview.members:,} files, {size(preview.bytes)}", *preview.notes]
+        return not preview.notes or agreed(lines, yes, as_json, "to be packed")
+
+    packed = project().package(*batches, path=output, agree=agree)
+    if packed is None:
+        print("nothing was written")
+        raise typer.Exit(1)
+    if as_json:
+        print_json(packed)
+    else:
+        print(f"{packed.path}: package {packed.id[:10]}, {packed.preview.members:,} files")

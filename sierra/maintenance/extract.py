@@ -1,0 +1,65 @@
+"""Extracting batches: a new store with some batches of a store, and nothing that belongs only to others.
+
+Segments of which nothing is left out are copied byte for byte. Of others, new segments with the remaining rows are written.
+So the new store depends only on the records and the libraries that write Parquet, and not on time or names of processes.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Collection
+from pathlib import Path
+
+from sierra.errors import NotFound
+from sierra.maintenance import remove
+from sierra.store.compaction import groups, touched, write_kept
+from sierra.store.segments import disk_errors
+from sierra.store.store import Snapshot, Store
+from sierra.store.study_records import looks
+
+
+def extract(store: Store, batches: Collection[str], root: Path) -> Store:
+    """Write a store with these batches (full ids) to the new folder `root`, and return it. Later records are left out.
+
+    Raises NotFound for a batch that the store does not have, Missing if the disk is full, Damaged for unreadable segments.
+    """
+    with store.snapshot() as snapshot:
+        if unknown := sorted(set(batches) - set(snapshot.values(str, "SELECT batch FROM batches"))):
+            raise NotFound(f"the store has no batch {unknown[0][:10]}")
+        other = Store.create(root)
+        other.rules = store.rules
+        drop = remove.rows_of(snapshot, store, _others(snapshot, store, batches))
+        changed = touched(snapshot, snapshot.segments, drop)
+        names = {segment.name for segment in changed}
+        for segment in snapshot.segments:
+            if segment.name not in names:
+                _copy(store.paths.segments / segment.name, other)
+        for number, group in enumerate(groups(changed)):
+            writer = other.writer(root / "work" / str(number), group[0].batch)
+            write_kept(group, drop, writer)
+            other.publish(writer)
+    return other
+
+
+def _others(snapshot: Snapshot, store: Store, batches: Collection[str]) -> dict[str, set[str]]:
+    """Return the ids of all other batches, and of the studies that have no look at one of these batches."""
+    named: dict[str, set[str]] = {kind: set() for kind in remove.KINDS}
+    named["batch"] = set(snapshot.values(str, "SELECT batch FROM batches")) - set(batches)
+    for study in snapshot.values(str, "SELECT study FROM studies"):
+        if not any(look.batch in batches for look in looks(store, study)):
+            named["study"].add(study)
+    return named
+
+
+def _copy(segment: Path, other: Store) -> None:
+    with disk_errors(other.paths.segments):
+        shutil.copytree(segment, other.paths.segments / segment.name, copy_function=_link)
+
+
+def _link(source: str, target: str) -> None:
+    """Give a file that never changes a second name, or copy it if the file system has no second names."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)

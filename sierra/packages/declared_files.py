@@ -1,0 +1,23 @@
+"""The part of a package with the files that SIERRA itself reads: `sierra.toml`, `sierra.lock`, templates, statements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from sierra.packages.layout import PROJECT
+from sierra.packages.subject import Made, Member, Subject
+from sierra.store.layout import LOCK
+
+
+def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+    """Return the files of the project that are not part of its source."""
+    return Made(_members(subject))
+
+
+def _members(subject: Subject) -> Iterator[Member]:
+    root = subject.project.root
+    config = subject.project.config
+    named = [subject.project.file.name, LOCK, *config.template_paths, *(table.file for table in config.tables.values())]
+    for name in dict.fromkeys(str(name) for name in named if name):
+        if (root / name).is_file():
+            yield Member(PROJECT + name, root / name, "file that SIERRA reads")

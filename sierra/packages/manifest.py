@@ -1,0 +1,103 @@
+"""`package.json`: a package's description for programs. Its JSON Schema is published in `schemas/package.schema.json`.
+
+It is written last but for the crate and the list of hashes, and contains no hash of a member. Nothing in it is trusted:
+programs that open a package use it to show what there is to do, and the records in the store decide.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sierra.errors import Damaged
+from sierra.packages.layout import PACKAGE, PROJECT, SOURCE
+from sierra.packages.sources import trees
+from sierra.packages.subject import Subject
+from sierra.version import __version__
+
+FORMAT: Literal["sierra package 1"] = "sierra package 1"
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class PackedBatch(_Part):
+    """A batch in the package."""
+
+    batch: str = Field(description="id, 64 hexadecimal digits")
+    query: str = Field(description="research query")
+    experiments: int = Field(ge=0, description="number of experiments")
+    runs: int = Field(ge=0, description="number of runs")
+    successful: int = Field(ge=0, description="number of runs with a successful execution")
+
+
+class PackedSource(_Part):
+    """A source in the package."""
+
+    tree: str = Field(description="identifier of its content, an SWHID")
+    commit: str | None = Field(None, description="commit that was checked out; null outside git and in anonymous packages")
+    folder: str = Field(description="folder in the package")
+
+
+class PackageManifest(_Part):
+    """The content of `package.json`."""
+
+    format: Literal["sierra package 1"] = Field(FORMAT, description="format of the package")
+    sierra: str = Field(description="version of SIERRA that wrote it")
+    title: str = Field("", description="title")
+    date: str = Field("", description="date of publication, in ISO 8601")
+    batches: tuple[PackedBatch, ...] = Field(description="packed batches, in the order in which they were requested")
+    sources: tuple[PackedSource, ...] = Field((), description="sources of the runs")
+    notes: tuple[str, ...] = Field((), description="things that the package does not contain, one sentence each")
+    redacted: Annotated[bool, Field(description="true in packages for double-blind review")] = False
+
+
+BATCHES = """
+SELECT b.batch, b.query, count(DISTINCT m.ordinal) AS experiments, count(DISTINCT m.run) AS runs,
+count(DISTINCT f.run) AS successful
+FROM batches b JOIN batch_runs m USING (batch) LEFT JOIN effective f ON f.run = m.run AND f.batch = m.batch
+GROUP BY ALL
+"""
+
+
+class _Batch(NamedTuple):
+    batch: str
+    query: str
+    experiments: int
+    runs: int
+    successful: int
+
+
+def describe(subject: Subject, notes: tuple[str, ...]) -> PackageManifest:
+    """Return the description of a package with these notes."""
+    rows = {row.batch: row for row in subject.store.select(_Batch, BATCHES)}
+    return PackageManifest(
+        sierra=__version__,
+        title=subject.project.config.package.title,
+        date=subject.date,
+        batches=tuple(PackedBatch(**rows[batch]._asdict()) for batch in subject.batches),
+        sources=tuple(
+            PackedSource(tree=tree.tree, commit=tree.commit, folder=PROJECT if number == 0 else f"{SOURCE}{tree.folder}/")
+            for number, tree in enumerate(trees(subject))
+        ),
+        notes=notes,
+    )
+
+
+def written(manifest: PackageManifest) -> bytes:
+    """Return the content of the file."""
+    return (manifest.model_dump_json(indent=2) + "\n").encode()
+
+
+def read(content: bytes) -> PackageManifest:
+    """Return the description from the content of the file. Raises Damaged if it is not valid, or of another format."""
+    try:
+        found = json.loads(content)
+        if isinstance(found, dict) and found.get("format") != FORMAT:
+            raise Damaged(f"{PACKAGE}: the format is {str(found.get('format'))[:60]!r}, but this SIERRA reads {FORMAT!r}")
+        return PackageManifest.model_validate(found)
+    except (ValueError, RecursionError, ValidationError) as error:
+        raise Damaged(f"{PACKAGE} is not valid: {str(error).splitlines()[0][:120]}") from error

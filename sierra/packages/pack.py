@@ -1,0 +1,102 @@
+"""Packing: batches of a project become one file.
+
+The batches are extracted to a temporary store first, from which all parts of the package are made. Each part is a function of
+`PARTS`, in this order; see `sierra.packages.subject.Part`. Everything that is left out is listed before the file is written.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sierra.config.project_file import LoadedProject
+from sierra.errors import UsageError
+from sierra.maintenance.extract import extract
+from sierra.packages import archive, declared_files, manifest, metadata, sources, stored
+from sierra.packages.layout import PACKAGE
+from sierra.packages.subject import Made, Member, Part, Subject
+from sierra.store.store import Store
+
+PARTS: tuple[Part, ...] = (sources.members, stored.members, declared_files.members, metadata.members)
+
+
+@dataclass(frozen=True, slots=True)
+class Preview:
+    """A package that has not been written yet."""
+
+    members: int
+    bytes: int
+    """The size of all members in bytes."""
+    notes: tuple[str, ...]
+    """One line for each thing that is left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Packed:
+    """A package that has been written."""
+
+    path: Path
+    id: str
+    """The identity of the package: the hash of its members."""
+    preview: Preview
+
+
+def pack(
+    project: LoadedProject,
+    store: Store,
+    prefixes: Sequence[str],
+    path: Path,
+    agree: Callable[[Preview], bool] = lambda preview: True,
+) -> Packed | None:
+    """Write a package of these batches, if `agree` returns true for the preview; return None if it returns false.
+
+    Raises UsageError if `path` exists or an id is not that of a batch, Missing and ConfigError for what cannot be packed.
+    """
+    path = path.parent.resolve() / path.name
+    archive.check_new(path)
+    batches = _batches(store, prefixes)
+    with tempfile.TemporaryDirectory(prefix=".sierra-package-", dir=path.parent, ignore_cleanup_errors=True) as folder:
+        scratch = Path(folder)
+        part = extract(store, batches, scratch / "store")
+        subject = Subject(project, store, part, batches, scratch, _date(project, part))
+        members, notes = _collect(subject)
+        described = manifest.written(manifest.describe(subject, notes))
+        members[PACKAGE] = Member(PACKAGE, described, "description of the package for programs")
+        preview = Preview(len(members), sum(member.size for member in members.values()), notes)
+        if not agree(preview):
+            return None
+        programs = [name for name, member in members.items() if member.executable]
+        return Packed(path, archive.write(path, members, programs), preview)
+
+
+def _batches(store: Store, prefixes: Sequence[str]) -> tuple[str, ...]:
+    """Return the ids of the named batches in the order in which they were requested."""
+    named = [store.resolve(prefix) for prefix in prefixes]
+    for prefix, found in zip(prefixes, named, strict=True):
+        if found.kind != "batch":
+            raise UsageError(f"{prefix} is the id of a {found.kind}; sierra package takes batches: see sierra ls")
+    known = store.values(str, "SELECT batch FROM batches ORDER BY lamport, batch")
+    return tuple(batch for batch in known if batch in {found.id for found in named})
+
+
+def _date(project: LoadedProject, store: Store) -> str:
+    newest = store.values(str, "SELECT coalesce(strftime(max(ended), '%Y-%m-%dT%H:%M:%SZ'), '') FROM executions")
+    return project.config.package.date or newest[0]
+
+
+def _collect(subject: Subject) -> tuple[dict[str, Member], tuple[str, ...]]:
+    """Return the members of all parts, and their notes. A later part never replaces a member of an earlier one."""
+    members: dict[str, Member] = {}
+    notes: list[str] = []
+    problems: list[str] = []
+    for part in PARTS:
+        made: Made = part(subject, members)
+        for member in made.members:
+            members.setdefault(member.name, member)
+        notes += made.notes
+        problems += made.problems
+    if problems:
+        raise UsageError("; ".join(problems))
+    return members, tuple(notes)

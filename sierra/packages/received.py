@@ -1,0 +1,67 @@
+"""Opening a received package: its records can be read, and nothing of it is executed.
+
+Only the store, the project's file and SQL statements are extracted, to a folder in the user's cache that the package's id
+names. Each file is checked while it is extracted.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from sierra.config import project_file
+from sierra.config.project_file import LoadedProject
+from sierra.errors import Damaged
+from sierra.packages import manifest
+from sierra.packages.archive import Archive
+from sierra.packages.layout import PACKAGE, PROJECT, STORED
+from sierra.packages.manifest import PackageManifest
+from sierra.store.layout import STORE, user_packages
+from sierra.store.store import Store
+
+READ = (".toml", ".sql")
+"""Endings of the project's files that commands read to show records."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A package that was opened."""
+
+    path: Path
+    id: str
+    manifest: PackageManifest
+    project: LoadedProject
+    """Its project, in a folder without the source."""
+    store: Store
+
+
+def open_package(path: Path) -> Received:
+    """Open a package to read its records.
+
+    Raises Missing if it cannot be read, Damaged if it is no package or not a safe one.
+    """
+    with Archive(path) as archive:
+        described = manifest.read(archive.read(PACKAGE))
+        folder = user_packages() / archive.id
+        if not folder.is_dir():
+            _extract(archive, folder)
+        identity = archive.id
+    project = project_file.load(folder)
+    return Received(path, identity, described, project, Store(folder / STORE, project.rules))
+
+
+def _extract(archive: Archive, folder: Path) -> None:
+    """Extract what is read of a package; `folder` appears complete or not at all."""
+    files = [name for name in archive.names(PROJECT) if not name.startswith(STORED) and name.endswith(READ)]
+    wanted = [*archive.names(STORED), *files]
+    if not archive.names(STORED):
+        raise Damaged(f"{archive.path} has no store")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = Path(tempfile.mkdtemp(prefix=".", dir=folder.parent))
+    try:
+        archive.extract(wanted, unfinished)
+        (unfinished / PROJECT).rename(folder)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)

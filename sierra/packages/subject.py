@@ -1,0 +1,73 @@
+"""The subject of a package: the packed batches in a store of their own, from which all parts of the package are made."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+from sierra.config.project_file import LoadedProject
+from sierra.store.store import Store
+from sierra.util.hashing import CHUNK
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """The packed batches, and where they come from."""
+
+    project: LoadedProject
+    origin: Store
+    """The store from which the batches were taken."""
+    store: Store
+    """A temporary store with these batches and nothing else. Parts before `sierra.packages.stored` may add segments."""
+    batches: tuple[str, ...]
+    """Their ids, in the order in which they were requested."""
+    folder: Path
+    """A folder for temporary files."""
+    date: str
+    """The date of the package, in ISO 8601: that of `[package]`, else of the newest record."""
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A file of a package. Its content is in a file, or is a few bytes."""
+
+    name: str
+    content: Path | bytes
+    about: str
+    """A sentence for people who read the list of files."""
+    executable: bool = False
+
+    def open(self) -> IO[bytes]:
+        """Return a binary stream from the beginning of the content."""
+        return io.BytesIO(self.content) if isinstance(self.content, bytes) else self.content.open("rb")
+
+    @property
+    def size(self) -> int:
+        """The number of bytes."""
+        return len(self.content) if isinstance(self.content, bytes) else self.content.stat().st_size
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the content."""
+        digest = hashlib.sha256()
+        with self.open() as file:
+            while block := file.read(CHUNK):
+                digest.update(block)
+        return digest.hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """The result of a part: its members, and one line for each thing that is left out or not as a reader expects."""
+
+    members: Iterable[Member]
+    notes: tuple[str, ...] = ()
+    problems: tuple[str, ...] = field(default=())
+    """One line for each reason why the package must not be written."""
+
+
+Part = Callable[[Subject, Mapping[str, Member]], Made]
+"""A part of a package: a function of the subject and the members of all parts before it."""

@@ -1,0 +1,151 @@
+"""A package has all that its batches need and nothing of others, and is a project that replays them without git."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import sierra
+from sierra.errors import ConfigError, NotFound, UsageError
+from tests import projects
+
+TOML = """
+[package]
+title = "Coverage of a swarm"
+authors = [{ name = "Jane Doe", orcid = "0000-0002-1825-0097" }]
+license = "MIT"
+"""
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project in git with a batch, and another batch of a later, dirty source."""
+    root = projects.commit(projects.make(tmp_path_factory.mktemp("pack") / "project", projects.CONFIG + TOML))
+    for size in ("1,2", "2,3"):
+        sierra.open(root).run(f"population_size={size}", runs=2, figures=False)
+        (root / "sim.py").write_text((root / "sim.py").read_text() + "# later\n")
+        (root / "tool.sh").write_text("#!/bin/sh\n")
+        (root / "tool.sh").chmod(0o755)
+        (root / "link").unlink(missing_ok=True)
+        (root / "link").symlink_to("sim.py")
+    return root
+
+
+def batches(root: Path) -> list[str]:
+    return [one.batch for one in sierra.open(root).batches]
+
+
+def extracted(package: Path, folder: Path) -> Path:
+    with zipfile.ZipFile(package) as file:
+        file.extractall(folder)
+    return folder / "project"
+
+
+def test_a_package_is_a_project_that_replays_its_batch_without_git(root: Path, tmp_path: Path) -> None:
+    first, second = batches(root)
+    packed = sierra.open(root).package(first, path=tmp_path / "one.zip")
+    assert packed is not None
+    assert packed.preview.notes == ()
+    project = sierra.open(extracted(tmp_path / "one.zip", tmp_path / "one"))
+    assert [one.batch for one in project.batches] == [first]
+    assert project.sql("SELECT count(*) AS n FROM executions").to_pylist() == [{"n": 4}]
+    assert project.fsck().sound
+    assert "# later" not in (project.root / "sim.py").read_text()
+    shown = [row["run"] for row in project.sql("SELECT run FROM runs").to_pylist()]
+    assert len(shown) == 4
+    verdict = project.replay(first)
+    assert [one.verdict for experiment in verdict.experiments for one in experiment.runs] == ["identical"] * 4
+    subprocess.run(["sha256sum", "--quiet", "--check", "manifest-sha256.txt"], cwd=tmp_path / "one", check=True)
+    with pytest.raises(NotFound):
+        project.replay(second)
+
+
+def test_sources_of_several_batches_are_folders_and_dirty_ones_are_complete(root: Path, tmp_path: Path) -> None:
+    first, second = batches(root)
+    packed = sierra.open(root).package(second, first, path=tmp_path / "two.zip")
+    assert packed is not None
+    assert [note for note in packed.preview.notes if "link" in note] == [
+        "project/link is a symbolic link; it is in the store only"
+    ]
+    folder = extracted(tmp_path / "two.zip", tmp_path / "two").parent
+    described = json.loads((folder / "package.json").read_text())
+    assert [one["batch"] for one in described["batches"]] == [first, second]
+    older = described["sources"][1]["folder"]
+    assert "# later" in (folder / "project" / "sim.py").read_text()
+    assert "# later" not in (folder / older / "sim.py").read_text()
+    with zipfile.ZipFile(tmp_path / "two.zip") as file:
+        assert file.getinfo("project/tool.sh").external_attr >> 16 & 0o111
+    assert sierra.open(folder / "project").fsck().sound
+    assert sierra.open(folder / "project").replay(second, runs=1).verdict == "identical"
+
+
+def test_the_same_records_give_the_same_package(root: Path, tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        sierra.open(root).package(batches(root)[0], path=tmp_path / f"{name}.zip")
+    assert (tmp_path / "one.zip").read_bytes() == (tmp_path / "two.zip").read_bytes()
+
+
+def test_packing_changes_nothing_in_the_project_and_leaves_nothing_beside_the_file(root: Path, tmp_path: Path) -> None:
+    before = sorted(path for path in root.rglob("*") if ".git/" not in str(path))
+    assert sierra.open(root).package(batches(root)[0], path=tmp_path / "no.zip", agree=lambda preview: False) is None
+    sierra.open(root).package(batches(root)[0], path=tmp_path / "one.zip")
+    assert sorted(path for path in root.rglob("*") if ".git/" not in str(path)) == before
+    assert os.listdir(tmp_path) == ["one.zip"]  # noqa: PTH208 - names only
+    with pytest.raises(UsageError, match="exists already"):
+        sierra.open(root).package(batches(root)[0], path=tmp_path / "one.zip")
+
+
+def test_things_that_cannot_be_packed_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+    plain = projects.make(tmp_path / "plain")
+    summary = sierra.open(plain).run("population_size=1", runs=1, figures=False)
+    with pytest.raises(ConfigError, match="title, authors, license"):
+        sierra.open(plain).package(summary.batch, path=tmp_path / "x.zip")
+    [run] = sierra.open(plain).sql("SELECT run FROM runs").to_pylist()
+    with pytest.raises(UsageError, match="is the id of a run"):
+        sierra.open(plain).package(run["run"], path=tmp_path / "x.zip")
+    crlf = projects.make(tmp_path / "crlf", projects.CONFIG + TOML)
+    (crlf / ".gitattributes").write_text("notes.txt text eol=crlf\n")
+    (crlf / "notes.txt").write_text("one\ntwo\n")
+    projects.commit(crlf)
+    batch = sierra.open(crlf).run("population_size=1", runs=1, figures=False).batch
+    with pytest.raises(UsageError, match=r"git changes notes\.txt when it checks it out"):
+        sierra.open(crlf).package(batch, path=tmp_path / "x.zip")
+    assert not (tmp_path / "x.zip").exists()
+
+
+def test_an_opened_package_answers_commands_that_read(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    first, _ = batches(root)
+    sierra.open(root).package(first, path=tmp_path / "one.zip")
+    told = projects.quick(tmp_path, "open", "one.zip")
+    assert (told.returncode, "Coverage of a swarm" in told.stdout, first[:10] in told.stdout) == (0, True, True)
+    count = projects.quick(tmp_path, "open", "one.zip", "sql", "SELECT count(*) AS n FROM executions", "--json")
+    assert json.loads(count.stdout) == [{"n": 4}]
+    assert json.loads(projects.quick(tmp_path, "open", "one.zip", "ls", "--json").stdout)[0]["batch"] == first
+    assert projects.quick(tmp_path, "open", "one.zip", "fsck").returncode == 0
+    refused = projects.quick(tmp_path, "open", "one.zip", "run", "population_size=1")
+    assert (refused.returncode, "'run'" in refused.stderr) == (2, True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cache", "one.zip"]
+    assert not list((tmp_path / "cache").rglob("sim.py"))
+
+
+def test_a_damaged_package_is_not_opened_and_leaves_nothing(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    sierra.open(root).package(batches(root)[0], path=tmp_path / "one.zip")
+    whole = (tmp_path / "one.zip").read_bytes()
+    with zipfile.ZipFile(tmp_path / "one.zip") as file:
+        [segment] = [one for one in file.infolist() if one.filename.endswith("executions.parquet")]
+    for damaged in (whole[:-100], whole[: segment.header_offset + 200] + b"?" + whole[segment.header_offset + 201 :]):
+        (tmp_path / "bad.zip").write_bytes(damaged)
+        ended = projects.quick(tmp_path, "open", "bad.zip", "ls")
+        assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (1, "", 1)
+    assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file() and "packages" in path.parts]
+    assert projects.quick(tmp_path, "open", "nothing.zip").returncode == 3
