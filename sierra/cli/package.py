@@ -46,4 +46,5 @@ def package(
     if as_json:
         print_json(packed)
     else:
+        print("".join(f"{fact}\n" for fact in packed.preview.facts), end="")
         print(f"{packed.path}: package {packed.id[:10]}, {packed.preview.members:,} files")

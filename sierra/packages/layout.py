@@ -14,7 +14,7 @@ works in it once it is extracted.
     project/figures/          figures and tables as they were drawn
     source/<tree, 12 digits>/ sources of the other batches
     source.bundle             the history of the sources, as git bundles it
-    environment/              image.tar  image.sif  wheels/  requirements.lock
+    environment/              used-files.txt: files of the machine that runs used; image.tar  image.sif  wheels/
 """
 
 from __future__ import annotations
@@ -31,4 +31,5 @@ SOURCE = "source/"
 BUNDLE = "source.bundle"
 ENVIRONMENT = "environment/"
 IMAGE, SIF = f"{ENVIRONMENT}image.tar", f"{ENVIRONMENT}image.sif"
+USED = f"{ENVIRONMENT}used-files.txt"
 WHEELS = f"{ENVIRONMENT}wheels/"

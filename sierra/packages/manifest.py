@@ -51,7 +51,7 @@ class PackageManifest(_Part):
     date: str = Field("", description="date of publication, in ISO 8601")
     batches: tuple[PackedBatch, ...] = Field(description="packed batches, in the order in which they were requested")
     sources: tuple[PackedSource, ...] = Field((), description="sources of the runs")
-    notes: tuple[str, ...] = Field((), description="things that the package does not contain, one sentence each")
+    notes: tuple[str, ...] = Field((), description="things that the package does not contain, and other facts, one line each")
     redacted: Annotated[bool, Field(description="true in packages for double-blind review")] = False
 
 

@@ -14,12 +14,18 @@ from pathlib import Path
 from sierra.config.project_file import LoadedProject
 from sierra.errors import UsageError
 from sierra.maintenance.extract import extract
-from sierra.packages import archive, declared_files, manifest, metadata, sources, stored
+from sierra.packages import archive, declared_files, manifest, metadata, sources, stored, used_files
 from sierra.packages.layout import PACKAGE
 from sierra.packages.subject import Made, Member, Part, Subject
 from sierra.store.store import Store
 
-PARTS: tuple[Part, ...] = (sources.members, stored.members, declared_files.members, metadata.members)
+PARTS: tuple[Part, ...] = (
+    sources.members,
+    stored.members,
+    declared_files.members,
+    used_files.members,
+    metadata.members,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +37,8 @@ class Preview:
     """The size of all members in bytes."""
     notes: tuple[str, ...]
     """One line for each thing that is left out."""
+    facts: tuple[str, ...]
+    """Further lines for whoever opens the package."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +69,10 @@ def pack(
         scratch = Path(folder)
         part = extract(store, batches, scratch / "store")
         subject = Subject(project, store, part, batches, scratch, _date(project, part))
-        members, notes = _collect(subject)
-        described = manifest.written(manifest.describe(subject, notes))
+        members, notes, facts = _collect(subject)
+        described = manifest.written(manifest.describe(subject, (*notes, *facts)))
         members[PACKAGE] = Member(PACKAGE, described, "description of the package for programs")
-        preview = Preview(len(members), sum(member.size for member in members.values()), notes)
+        preview = Preview(len(members), sum(member.size for member in members.values()), notes, facts)
         if not agree(preview):
             return None
         programs = [name for name, member in members.items() if member.executable]
@@ -86,17 +94,19 @@ def _date(project: LoadedProject, store: Store) -> str:
     return project.config.package.date or newest[0]
 
 
-def _collect(subject: Subject) -> tuple[dict[str, Member], tuple[str, ...]]:
-    """Return the members of all parts, and their notes. A later part never replaces a member of an earlier one."""
+def _collect(subject: Subject) -> tuple[dict[str, Member], tuple[str, ...], tuple[str, ...]]:
+    """Return the members of all parts, their notes, and their facts. A later part never replaces a member of an earlier one."""
     members: dict[str, Member] = {}
     notes: list[str] = []
+    facts: list[str] = []
     problems: list[str] = []
     for part in PARTS:
         made: Made = part(subject, members)
         for member in made.members:
             members.setdefault(member.name, member)
         notes += made.notes
+        facts += made.facts
         problems += made.problems
     if problems:
         raise UsageError("; ".join(problems))
-    return members, tuple(notes)
+    return members, tuple(notes), tuple(facts)

@@ -67,7 +67,7 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
         contents.update(folder.contents if tree.vcs == "git" else {})
     if not problems:
         _keep(subject, contents)
-    return Made(made, tuple(notes), tuple(problems))
+    return Made(made, notes=tuple(notes), problems=tuple(problems))
 
 
 class _Folder:

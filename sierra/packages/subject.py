@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -61,11 +61,14 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """The result of a part: its members, and one line for each thing that is left out or not as a reader expects."""
+    """The result of a part."""
 
     members: Iterable[Member]
     notes: tuple[str, ...] = ()
-    problems: tuple[str, ...] = field(default=())
+    """One line for each thing that is left out, which the user confirms."""
+    facts: tuple[str, ...] = ()
+    """Lines for whoever opens the package, which nobody confirms."""
+    problems: tuple[str, ...] = ()
     """One line for each reason why the package must not be written."""
 
 

@@ -149,3 +149,27 @@ def test_a_damaged_package_is_not_opened_and_leaves_nothing(
         assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (1, "", 1)
     assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file() and "packages" in path.parts]
     assert projects.quick(tmp_path, "open", "nothing.zip").returncode == 3
+
+
+def test_files_that_runs_used_outside_the_source_are_packed_or_named(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG + TOML)
+    (root / ".gitignore").write_text("*.dat\n")
+    for name in ("kept.dat", "changed.dat"):
+        (root / name).write_text(name)
+    code = (root / "sim.py").read_text()
+    reading = "[Path(__file__).with_name(name).read_text() for name in ('kept.dat', 'changed.dat')]"
+    (root / "sim.py").write_text(f"from pathlib import Path\n{reading}\n{code}")
+    projects.commit(root)
+    batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
+    (root / "changed.dat").write_text("other")
+    ended = projects.quick(root, "package", batch, "-o", "../one.zip")
+    assert (ended.returncode, "'changed.dat', which is not packed: it has changed since" in ended.stderr) == (2, True)
+    assert not (tmp_path / "one.zip").exists()
+    assert projects.quick(root, "package", batch, "-o", "../one.zip", "--yes").returncode == 0
+    with zipfile.ZipFile(tmp_path / "one.zip") as file:
+        names = set(file.namelist())
+        listed = file.read("environment/used-files.txt").decode()
+    assert "project/kept.dat" in names
+    assert "project/changed.dat" not in names
+    assert "python" in listed
+    assert "kept.dat" not in listed
