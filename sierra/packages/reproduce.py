@@ -1,0 +1,657 @@
+"""The program at the root of a reproduction package: checks all of its files, and unpacks it safely.
+
+It is one file that needs only the standard library (Python 3.8 or newer), so that a package can be checked where nothing is
+installed:
+
+    python3 reproduce.py [PACKAGE] [--unpack FOLDER]
+
+PACKAGE is a zip, or the folder of an extracted package. Without PACKAGE, it is the folder of this program or the working
+folder, whichever has a manifest; otherwise the only zip in the working folder.
+
+It reaches level 1 of 3: the package is complete, and each file has the SHA-256 of `manifest-sha256.txt`. It executes nothing of
+the package and uses no network. It then states what levels 2 (execute the runs) and 3 (values and claims) need, and names the
+commands. The exit status is 0 if all files are as listed, 1 if any is not, 2 for wrong arguments, 3 if a file or space that is
+needed is missing, and 130 after Ctrl-C.
+
+A package may come from anybody. The rules are those of `sierra.packages.archive` and `sierra.packages.members`, which tests
+compare with these: safe and different names, regular files only, exactly the members of the manifest, no more bytes than a zip
+states. Like those, they use this Python's Unicode tables: a Python that is older than a character refuses names with it. In an
+extracted package, the folder `reproduction` is for what an evaluator makes: files in it need not be listed.
+
+The hashes prove that the files belong together, not who made them. Therefore the program prints the package's id, which its
+authors can publish.
+"""
+
+from __future__ import annotations
+
+import sys
+
+if __name__ == "__main__" and not (sys.flags.isolated or getattr(sys.flags, "safe_path", False)):
+    sys.path.pop(0)  # this program's folder: a package could bring its own zipfile.py
+
+import argparse
+import collections
+import contextlib
+import errno
+import hashlib
+import io
+import itertools
+import json
+import os
+import platform
+import re
+import shlex
+import shutil
+import stat
+import struct
+import sysconfig
+import unicodedata
+import zipfile
+import zlib
+from pathlib import Path
+from typing import IO, Any, Callable, Iterable, Iterator, NamedTuple
+
+MANIFEST = "manifest-sha256.txt"
+ABOUT = "package.json"
+CREATED = "reproduction"  # the folder for what an evaluator makes; files below it need not be listed
+PROJECT = "project"
+WHEELS = "environment/wheels/"
+LOCK = "environment/requirements.lock"
+ENGINES = ("podman", "apptainer")
+LEVELS = 3
+USAGE = "python3 reproduce.py [PACKAGE] [--unpack FOLDER]"
+
+MOST = 1_000_000  # members
+LONGEST = 1024  # bytes of a name
+LARGEST_MANIFEST = 256 << 20
+LARGEST_ABOUT = 64 << 20
+CHUNK = 1 << 20
+SHOWN = 200  # characters of a text, and faults, that are printed
+NAMED = 10  # batches that are printed
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+EXECUTABLE = 0o100755
+LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
+DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
+FORBIDDEN = frozenset('\\:*?"<>|')
+HASH = re.compile(r"[0-9a-f]{64}")
+SHORT = 10  # digits of an id for display
+WHEEL = re.compile(r"([^-]+)-[^-]+(?:-[0-9][^-]*)?-([^-]+)-([^-]+)-([^-]+)\.whl")
+GLIBC = {"manylinux1": (2, 5), "manylinux2010": (2, 12), "manylinux2014": (2, 17)}  # PEP 600
+NOT_A_ZIP = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    NotImplementedError,
+    OverflowError,
+    RuntimeError,
+    ValueError,
+)
+"""Errors of `zipfile` for a damaged file, in any version of Python."""
+
+
+class Stop(Exception):
+    """The reason why the program ends, in one line, and its exit status."""
+
+    def __init__(self, reason: str, status: int) -> None:
+        super().__init__(reason)
+        self.status = status
+
+
+def damaged(reason: str) -> Stop:
+    return Stop(reason, 1)
+
+
+def missing(path: Path, error: OSError) -> Stop:
+    if error.errno == errno.EINVAL:  # a damaged zip names a place before its beginning
+        return damaged(f"{path} is damaged: it names a place outside itself")
+    return Stop(f"{path}: {error.strerror or error}", 3)
+
+
+def printable(text: object) -> str:
+    """Return a text for the terminal: one line without control characters."""
+    return "".join(one if one.isprintable() else "?" for one in str(text))
+
+
+def clean(text: object) -> str:
+    """Return a text that a package may have made, for the terminal: not a long line, without control characters."""
+    line = str(text)
+    return printable(line if len(line) <= SHOWN else line[:SHOWN] + "...")
+
+
+# Names and the manifest, as in sierra.packages.members
+
+
+def check_names(names: Iterable[str]) -> None:
+    """Raise Stop unless all names are safe and different."""
+    seen: dict[str, str] = {}
+    folders: dict[str, str] = {}
+    for count, name in enumerate(names, 1):
+        problem = name_problem(name) if count <= MOST else f"packages have at most {MOST:,} members"
+        if problem:
+            raise damaged(f"the package has a member {name[:100]!r}, but {problem}")
+        same = folded(name)
+        if same in seen:
+            raise damaged(f"the package has two members with one name on some systems: {seen[same]!r} and {name!r}")
+        seen[same] = name
+        for place in (at for at, character in enumerate(same) if character == "/"):
+            folders.setdefault(same[:place], name)
+    for same in sorted(seen.keys() & folders.keys()):
+        raise damaged(f"the package has the member {seen[same]!r}, which is a folder of {folders[same]!r}")
+
+
+def name_problem(name: str) -> str:
+    """Return the reason why a name is not safe; "" if it is."""
+    parts = name.split("/")
+    if not name.isprintable() or FORBIDDEN.intersection(name):
+        return 'names have only printable characters, without \\ : * ? " < > |'
+    if name.startswith("/") or ".." in parts:
+        return "names must stay inside the package"
+    if any(part in ("", ".") or part[-1] in ". " or part[0] == " " for part in parts):
+        return "a part of the name is empty, or begins or ends with a blank or a dot"
+    if any(map(DEVICE.fullmatch, parts)):
+        return "that is a device on Windows"
+    return f"names have at most {LONGEST} bytes" if len(name.encode()) > LONGEST else ""
+
+
+def folded(name: str) -> str:
+    """Return a text that is the same for names that are one name on some systems."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFD", name).casefold())
+
+
+def read_manifest(content: bytes) -> dict[str, str]:
+    """Return the SHA-256 of each member by name. Raises Stop unless the content is as SIERRA writes it."""
+    try:
+        lines = content.decode().splitlines()
+    except UnicodeDecodeError:
+        raise damaged(f"{MANIFEST} is not UTF-8 text") from None
+    found: dict[str, str] = {}
+    for number, line in enumerate(lines, 1):
+        parts = LINE.fullmatch(line)
+        if parts is None:
+            raise damaged(f"{MANIFEST}, line {number}: {line[:80]!r} is not a SHA-256 and a name")
+        found[parts.group(2)] = parts.group(1)
+    check_names([*found, MANIFEST])
+    if "".join(f"{found[name]}  {name}\n" for name in sorted(found)).encode() != content:
+        raise damaged(f"{MANIFEST} is not in the form that SIERRA writes: names in order, each once")
+    return found
+
+
+def package_id(hashes: dict[str, str]) -> str:
+    """Return the identity of a package. The names have no character that JSON escapes, so this JSON is canonical (RFC 8785)."""
+    fields = {"format": 1, "members": [[name, hashes[name]] for name in sorted(hashes)], "sierra": "package"}
+    return hashlib.sha256(json.dumps(fields, separators=(",", ":"), ensure_ascii=False).encode()).hexdigest()
+
+
+# The two forms of a package
+
+
+class Zip:
+    """A package in one file. Raises Stop if its list of members is not safe; contents are checked when they are read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self.file = zipfile.ZipFile(path)
+        except OSError as error:
+            raise missing(path, error) from None
+        except NOT_A_ZIP as error:
+            raise damaged(f"{path} is no package, or not all of it: {error}") from None
+        infos = self.file.infolist()
+        check_names(info.orig_filename for info in infos)
+        for info in infos:
+            problem = member_problem(info)
+            if problem:
+                raise damaged(f"member {info.orig_filename!r} {problem}")
+        self.infos = {info.orig_filename: info for info in infos}
+        if MANIFEST not in self.infos:
+            raise damaged(f"{path} is no package of SIERRA: it has no {MANIFEST}")
+
+    def names(self) -> Iterable[str]:
+        """Return the names of all members."""
+        return self.infos
+
+    def size(self, name: str) -> int:
+        return self.infos[name].file_size
+
+    def blocks(self, name: str) -> Iterator[bytes]:
+        """Yield the content of a member, not more than its stated size. Raises Stop if it is damaged."""
+        left = self.size(name)
+        try:
+            with self.file.open(self.infos[name]) as member:
+                for block in pieces(member):
+                    left -= len(block)
+                    if left < 0:
+                        raise damaged(f"member {name!r} is longer than it says")
+                    yield block
+        except OSError as error:
+            raise missing(self.path, error) from None
+        except NOT_A_ZIP as error:
+            raise damaged(f"member {name!r} is damaged: {str(error) or type(error).__name__}") from None
+        if left:
+            raise damaged(f"member {name!r} is shorter than it says")
+
+    def is_program(self, name: str) -> bool:
+        return self.infos[name].external_attr >> 16 == EXECUTABLE
+
+
+class Folder:
+    """An extracted package. Links are not followed."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.sizes: dict[str, int] = {}
+        self.irregular: list[str] = []
+        """A line for each entry that is neither a file nor a folder."""
+        try:
+            self._scan()
+        except OSError as error:
+            raise missing(Path(error.filename or path), error) from None
+        if MANIFEST not in self.sizes:
+            raise damaged(f"{path} is no extracted package: it has no {MANIFEST}")
+
+    def _scan(self) -> None:
+        folders = [(self.path, "")]
+        while folders:
+            folder, before = folders.pop()
+            with os.scandir(folder) as entries:
+                for entry in entries:
+                    name = before + entry.name
+                    if entry.is_dir(follow_symlinks=False):
+                        folders.append((folder / entry.name, name + "/"))
+                    elif entry.is_file(follow_symlinks=False):
+                        self.sizes[name] = entry.stat(follow_symlinks=False).st_size
+                    elif not name.startswith(CREATED + "/"):  # below it are virtual environments, which have links
+                        self.irregular.append(f"{name!r} is a link or a device: only files and folders are accepted")
+
+    def names(self) -> Iterable[str]:
+        return self.sizes
+
+    def size(self, name: str) -> int:
+        return self.sizes[name]
+
+    def blocks(self, name: str) -> Iterator[bytes]:
+        """Yield the content of a file. Raises Stop if it cannot be read."""
+        try:
+            with (self.path / name).open("rb", buffering=0) as file:
+                yield from pieces(file)
+        except OSError as error:
+            raise missing(self.path / name, error) from None
+
+
+def pieces(file: IO[bytes]) -> Iterator[bytes]:
+    """Yield the content of a file in blocks."""
+    return iter(lambda: file.read(CHUNK), b"")
+
+
+def member_problem(info: zipfile.ZipInfo) -> str:
+    """Return the reason why a member of a zip is not accepted; "" if it is."""
+    if info.is_dir() or stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG):
+        return "is no regular file: links, folders and devices are refused"
+    if info.flag_bits & 0x1:
+        return "needs a password"
+    if info.compress_type not in METHODS:
+        return "is compressed by a method that SIERRA does not write"
+    return "" if info.filename == info.orig_filename else "has a name with a character that systems treat differently"
+
+
+# Level 1
+
+
+class Checked(NamedTuple):
+    """A package with a safe manifest."""
+
+    package: Zip | Folder
+    hashes: dict[str, str]
+    faults: list[str]
+    """A line for each difference between the files that are present and those that are listed."""
+
+
+def listed(package: Zip | Folder) -> Checked:
+    """Compare the names of a package with its manifest. Raises Stop if the manifest is not safe."""
+    if package.size(MANIFEST) > LARGEST_MANIFEST:
+        raise damaged(f"{MANIFEST} is too large")
+    hashes = read_manifest(b"".join(package.blocks(MANIFEST)))
+    present = set(package.names()) - {MANIFEST}
+    lost = [f"{name!r} is missing, but {MANIFEST} lists it" for name in sorted(hashes.keys() - present)]
+    extra = [f"{name!r} is not listed in {MANIFEST}" for name in sorted(present - hashes.keys()) if not created(package, name)]
+    irregular = sorted(package.irregular) if isinstance(package, Folder) else []
+    return Checked(package, hashes, irregular + lost + extra)
+
+
+def created(package: Zip | Folder, name: str) -> bool:
+    """Check whether a file need not be listed, because an evaluator has made it in an extracted package."""
+    return isinstance(package, Folder) and name.startswith(CREATED + "/")
+
+
+def verified(checked: Checked, name: str) -> Iterator[bytes]:
+    """Yield the content of a member. Raises Stop at the end if it is not that of the manifest."""
+    digest = hashlib.sha256()
+    for block in checked.package.blocks(name):
+        digest.update(block)
+        yield block
+    if digest.hexdigest() != checked.hashes[name]:
+        raise damaged(f"{name!r} is not what {MANIFEST} says: its SHA-256 is {digest.hexdigest()[:10]}...")
+
+
+def content_faults(checked: Checked, use: Callable[[str, Iterator[bytes]], object]) -> Iterator[str]:
+    """Give all listed files that are present to `use`; yield a line for each one that is wrong or cannot be read."""
+    for name in sorted(checked.hashes.keys() & set(checked.package.names())):
+        try:
+            use(name, verified(checked, name))
+        except Stop as fault:
+            yield str(fault)
+
+
+def read_only(name: str, blocks: Iterator[bytes]) -> None:
+    """Read the content of a member."""
+    collections.deque(blocks, maxlen=0)
+
+
+def report(faults: Iterable[str]) -> int:
+    """Print a line for each fault, at most SHOWN of them; return their number."""
+    count = 0
+    for count, fault in enumerate(faults, 1):
+        if count <= SHOWN:
+            print(f"fault: {clean(fault)}")
+    if count > SHOWN:
+        print(f"fault: {count - SHOWN:,} more")
+    return count
+
+
+def verify(checked: Checked, target: Path | None) -> int:
+    """Print all faults of a package; return their number. `target`: the folder to unpack it to, if there are none."""
+    if checked.faults and isinstance(checked.package, Zip):
+        return report(checked.faults)  # it was made to deceive, or is damaged: its contents are not read
+    if target is None or isinstance(checked.package, Folder):
+        return report(itertools.chain(checked.faults, content_faults(checked, read_only)))
+    return unpack(checked, checked.package, target)
+
+
+# Unpacking
+
+
+def unpack(checked: Checked, package: Zip, target: Path) -> int:
+    """Write all members of a zip to a new folder, which appears complete or not at all; return the number of faults."""
+    needed, free = sum(map(package.size, checked.hashes)), shutil.disk_usage(target.parent).free
+    if needed > free:
+        raise Stop(f"{target.parent} has {free:,} bytes of free space, but {needed:,} are needed", 3)
+    unfinished = target.parent / f".{target.name}.{os.getpid()}"
+    unfinished.mkdir()
+    try:
+        faults = report(
+            content_faults(checked, lambda name, blocks: write(unfinished / name, blocks, package.is_program(name)))
+        )
+        if not faults:
+            write(unfinished / MANIFEST, package.blocks(MANIFEST), False)
+            check_new(target)
+            unfinished.rename(target)
+        return faults
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def write(path: Path, blocks: Iterator[bytes], is_program: bool) -> None:
+    """Write a file, which has its name only after `blocks` has checked its content."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unchecked = path.with_name(f".unchecked.{os.getpid()}")
+    try:
+        with unchecked.open("xb") as file:
+            file.writelines(blocks)
+        if is_program:
+            unchecked.chmod(0o755)
+        check_new(path)
+        unchecked.rename(path)
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            unchecked.unlink()
+
+
+def check_new(path: Path) -> None:
+    """Raise Stop if there is a file or folder of this name."""
+    if os.path.lexists(path):
+        raise Stop(f"{path} exists already; choose a new folder", 2)
+
+
+# The description and the next levels
+
+
+def describe(checked: Checked) -> list[str]:
+    """Print the id of a package, and the title, date and batches that it states; return the ids of its batches."""
+    print(f"  id:      {package_id(checked.hashes)} (of all names and hashes: compare it with the one that the authors state)")
+    try:
+        about = stated(checked)
+    except (Stop, ValueError, RecursionError):
+        print(f"  {ABOUT} cannot be read: title, date and batches are unknown")
+        return []
+    for key in ("title", "date"):
+        if about.get(key):
+            print(f"  {key + ':':9}{clean(about[key])}")
+    batches = about.get("batches", [])
+    for batch in batches[:NAMED]:
+        print(f"  batch:   {clean(batch_id(batch))[:SHORT]} {clean(query(batch))}")
+    if len(batches) > NAMED:
+        print(f"  and {len(batches) - NAMED:,} batches more")
+    return [batch_id(one)[:SHORT] for one in batches if HASH.fullmatch(batch_id(one))]
+
+
+def stated(checked: Checked) -> dict[str, Any]:
+    """Return the object in a package's description; an empty one if there is none. Raises ValueError or Stop."""
+    if ABOUT not in checked.hashes:
+        return {}
+    if checked.package.size(ABOUT) > LARGEST_ABOUT:
+        raise ValueError(f"{ABOUT} is too large")
+    found = json.loads(b"".join(verified(checked, ABOUT)))
+    if not isinstance(found, dict) or not isinstance(found.get("batches", []), list):
+        raise ValueError(f"{ABOUT} is no description of a package")
+    return found
+
+
+def batch_id(batch: object) -> str:
+    """Return the id of a batch in a package's description; "?" if there is none."""
+    return str(batch.get("batch", "?")) if isinstance(batch, dict) else "?"
+
+
+def query(batch: object) -> str:
+    """Return the query of a batch in a package's description."""
+    return str(batch.get("query", "?")) if isinstance(batch, dict) else "?"
+
+
+def next_levels(checked: Checked, folder: Path | None, batches: list[str]) -> None:
+    """Print what the levels above this one need, and the commands. `folder`: where the package is extracted, if it is."""
+    print(f"Level 1 of {LEVELS} reached: the files are verified. Nothing of the package was executed.")
+    engines = [name for name in ENGINES if shutil.which(name)]
+    print("Level 2 (execute the runs, compare their bytes) needs podman or apptainer, or the project's programs, and SIERRA:")
+    print(f"  {' and '.join(engines) or 'neither podman nor apptainer'} found on this machine")
+    print("Level 3 (values, figures and claims) needs SIERRA, or wheels of it for this Python:")
+    for line in installation(set(checked.hashes)):
+        print(f"  {line}")
+    if folder is None:
+        print("The next levels need an extracted package: give --unpack FOLDER.")
+        return
+    print("Commands, which this program does not execute. They start programs of the package: use a machine that may run them.")
+    for command in commands(set(checked.hashes), folder, batches):
+        print(f"  {command}")
+
+
+def installation(names: set[str]) -> Iterator[str]:
+    """Yield lines that state whether SIERRA is installed, and whether the package has wheels for this Python."""
+    yield f"SIERRA found: {sierra()}" if sierra() else "SIERRA is not installed for this Python, and not on the PATH"
+    wheels = [name[len(WHEELS) :] for name in names if name.startswith(WHEELS) and name.endswith(".whl")]
+    lacking = unusable(wheels)
+    version = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
+    if not wheels:
+        yield f"the package has no wheels in {WHEELS}"
+    elif lacking:
+        yield f"the package has no wheel for {version} of {clean(', '.join(lacking))}"
+    else:
+        yield f"the package has {len(wheels)} wheels in {WHEELS}, and they fit {version}"
+
+
+def commands(names: set[str], folder: Path, batches: list[str]) -> Iterator[str]:
+    """Yield the commands that install SIERRA from the package, if they are needed and possible, and replay its batches.
+
+    They work on a copy of the project, so that the package stays as it is.
+    """
+    yield f"cd {printable(shlex.quote(str(folder)))} && mkdir -p {CREATED}"
+    program, wheels = sierra(), [name for name in names if name.startswith(WHEELS) and name.endswith(".whl")]
+    if not program and wheels and not unusable([name[len(WHEELS) :] for name in wheels]):
+        program = "../venv/bin/sierra"
+        wanted = f"--require-hashes -r {LOCK}" if LOCK in names else "sierra-experiments"
+        yield f"{printable(shlex.quote(sys.executable))} -m venv {CREATED}/venv"
+        yield f"{CREATED}/venv/bin/pip install --no-index --find-links {WHEELS} {wanted}"
+    elif not program:
+        program = "sierra"
+        yield "(install SIERRA)"
+    if any(name.startswith(PROJECT + "/") for name in names):
+        yield f"cp -R {PROJECT} {CREATED}/ && cd {CREATED}/{PROJECT}"
+        yield from (f"{program} replay {batch}" for batch in batches[:NAMED] or ["BATCH"])
+
+
+def sierra() -> str:
+    """Return the command that starts SIERRA on this machine, in the PATH or beside this Python; "" if there is none."""
+    found = shutil.which("sierra") or shutil.which("sierra", path=sysconfig.get_path("scripts"))
+    return printable(shlex.quote(found)) if found else ""
+
+
+# Wheels
+
+
+def unusable(wheels: Iterable[str]) -> list[str]:
+    """Return the names of the distributions of which no wheel fits this Python. A name is compared as PEP 427 writes it."""
+    fits: dict[str, bool] = {}
+    for wheel in wheels:
+        parts = WHEEL.fullmatch(wheel)
+        name = parts.group(1) if parts else wheel
+        fits[name] = fits.get(name, False) or bool(parts and fits_here(*parts.groups()[1:]))
+    return sorted(name for name in fits if not fits[name])
+
+
+def fits_here(pythons: str, abis: str, platforms: str) -> bool:
+    """Check the compressed tags of a wheel (PEP 425). pip has the last word: macOS versions, for example, are not compared."""
+    python_fits = any(abi_fits(python, abi) for python in pythons.split(".") for abi in abis.split("."))
+    return python_fits and any(map(platform_fits, platforms.split(".")))
+
+
+def abi_fits(python: str, abi: str) -> bool:
+    major, minor = sys.version_info[:2]
+    parts = re.fullmatch(r"(py|cp)(\d)(\d*)", python)
+    if not parts or int(parts.group(2)) != major:
+        return False
+    older = int(parts.group(3) or 0) <= minor
+    if parts.group(1) == "py":
+        return older and abi == "none"
+    if sys.implementation.name != "cpython":
+        return False
+    flags = getattr(sys, "abiflags", "")
+    return (abi == "abi3" and older and "t" not in flags) or (
+        parts.group(3) == str(minor) and abi in ("none", f"cp{major}{minor}{flags}")
+    )
+
+
+def platform_fits(tag: str) -> bool:
+    own = sysconfig.get_platform().replace("-", "_").replace(".", "_")  # linux_x86_64, macosx_11_0_arm64, win_amd64
+    machine = platform.machine()
+    if tag in ("any", own):
+        return True
+    if own.startswith("macosx"):
+        return tag.startswith("macosx") and tag.endswith((machine, "universal2"))
+    parts = re.fullmatch(rf"(manylinux\d+|manylinux_(\d+)_(\d+))_{re.escape(machine)}", tag)
+    if parts is None:
+        return False
+    needed = (int(parts.group(2)), int(parts.group(3))) if parts.group(2) else GLIBC.get(parts.group(1), (9, 9))
+    return needed <= glibc()
+
+
+def glibc() -> tuple[int, int]:
+    """Return the version of the GNU C library; (0, 0) if there is another one."""
+    found = re.fullmatch(r"(\d+)\.(\d+).*", platform.libc_ver()[1] if platform.libc_ver()[0] == "glibc" else "")
+    return (int(found.group(1)), int(found.group(2))) if found else (0, 0)
+
+
+# The command
+
+
+def find(given: str | None) -> Zip | Folder:
+    """Return the package of the command line, or the one nearby. Raises Stop if there is none, or more than one."""
+    if given is not None:
+        path = Path(given)
+        return Folder(path) if path.is_dir() else Zip(path)
+    for folder in (Path(__file__).resolve().parent, Path.cwd()):
+        if os.path.lexists(folder / MANIFEST):
+            return Folder(folder)
+    zips = sorted(Path.cwd().glob("*.zip"))
+    if len(zips) != 1:
+        reason = f"there are {len(zips)} zips here" if zips else f"there is neither a {MANIFEST} nor a zip here"
+        raise Stop(f"{reason}; name the package: {USAGE}", 2)
+    return Zip(zips[0])
+
+
+def parsed(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="reproduce.py",
+        usage=USAGE,
+        description="Check that a reproduction package is complete and unchanged, and unpack it safely. Nothing of the package "
+        "is executed, and no network is used. Then the program states what is needed to execute the runs again.",
+        epilog="Exit status: 0 if all files are as the manifest lists them, 1 if any is not, 2 for wrong arguments, "
+        "3 if a file or space that is needed is missing, 130 after Ctrl-C.",
+    )
+    parser.add_argument("package", nargs="?", metavar="PACKAGE", help="a zip, or the folder of an extracted package")
+    parser.add_argument("--unpack", metavar="FOLDER", help="write the files of a zip to this new folder, if all are as listed")
+    return parser.parse_args(arguments)
+
+
+def reproduce(given: str | None, to: str | None) -> int:
+    """Verify a package, unpack it if that is requested, and print the next levels; return the exit status."""
+    package = find(given)
+    target = None if to is None else Path(to).absolute()
+    if target and isinstance(package, Folder):
+        raise Stop(f"--unpack needs a zip, but {package.path} is a folder", 2)
+    if target:
+        check_new(target)
+    checked = listed(package)
+    if verify(checked, target):
+        return not_verified()
+    print(f"VERIFIED: {clean(package.path)} has {len(checked.hashes):,} files, all as {MANIFEST} lists them")
+    batches = describe(checked)
+    if target:
+        print(f"Unpacked to {clean(target)}")
+    next_levels(checked, target or (package.path.absolute() if isinstance(package, Folder) else None), batches)
+    return 0
+
+
+def not_verified() -> int:
+    """Print the verdict on a package with faults; return the exit status."""
+    print(f"NOT VERIFIED: this is not what its authors packed. Level 0 of {LEVELS} reached; do not use its files.")
+    return 1
+
+
+def main(arguments: list[str]) -> int:
+    options = parsed(arguments)
+    try:
+        status = reproduce(options.package, options.unpack)
+        sys.stdout.flush()  # fails here, and not at the end of Python
+        return status
+    except Stop as stop:
+        if stop.status == 1:
+            report([str(stop)])
+            return not_verified()
+        reason, status = str(stop), stop.status
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # nobody reads on; Python flushes once more at its end
+        return 1
+    except OSError as error:
+        reason, status = f"{error.filename or 'a file'}: {error.strerror or error}", 3
+    except MemoryError:
+        reason, status = "the memory of this machine is too small for the package", 3
+    except KeyboardInterrupt:
+        reason, status = "interrupted", 130
+    print(f"reproduce.py: {clean(reason)}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a terminal without UTF-8 can print all names
+    sys.exit(main(sys.argv[1:]))
