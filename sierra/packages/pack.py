@@ -14,7 +14,7 @@ from pathlib import Path
 from sierra.config.project_file import LoadedProject
 from sierra.errors import UsageError
 from sierra.maintenance.extract import extract
-from sierra.packages import archive, declared_files, manifest, metadata, sources, stored, used_files
+from sierra.packages import archive, declared_files, manifest, metadata, sources, stored, used_files, verifier
 from sierra.packages.layout import PACKAGE
 from sierra.packages.subject import Made, Member, Part, Subject
 from sierra.store.store import Store
@@ -25,6 +25,7 @@ PARTS: tuple[Part, ...] = (
     declared_files.members,
     used_files.members,
     metadata.members,
+    verifier.members,
 )
 
 

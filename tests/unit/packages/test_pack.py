@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -53,6 +54,12 @@ def test_a_package_is_a_project_that_replays_its_batch_without_git(root: Path, t
     assert packed is not None
     assert packed.preview.notes == ()
     project = sierra.open(extracted(tmp_path / "one.zip", tmp_path / "one"))
+    command = [sys.executable, "-I", tmp_path / "one/reproduce.py"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "VERIFIED: " in said
+    assert f"  id:      {packed.id} " in said
+    assert f"  batch:   {first[:10]} " in said
+    assert f" replay {first[:10]}\n" in said
     assert [one.batch for one in project.batches] == [first]
     assert project.sql("SELECT count(*) AS n FROM executions").to_pylist() == [{"n": 4}]
     assert project.fsck().sound

@@ -1,0 +1,15 @@
+"""The part `reproduce.py` of a package: the program that verifies it where SIERRA is not installed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from sierra.packages import reproduce
+from sierra.packages.layout import PROGRAM
+from sierra.packages.subject import Made, Member, Subject
+
+
+def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+    """Return the program, which is the same in all packages of a version."""
+    return Made([Member(PROGRAM, Path(reproduce.__file__), "program that verifies the package; it needs only Python")])
