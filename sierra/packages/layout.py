@@ -3,6 +3,7 @@
 A package is a folder in one file. Its folder `project/` is an ordinary project of SIERRA with its store, so that every command
 works in it once it is extracted.
 
+    README.md                 first text to read
     REPRODUCING.md            the way to reproduce the results, for people
     reproduce.py              the same as a program on Python's standard library
     package.json              the same for programs; see sierra.packages.manifest
@@ -21,6 +22,7 @@ from __future__ import annotations
 
 from sierra.store.layout import STORE
 
+README = "README.md"
 REPRODUCING = "REPRODUCING.md"
 PROGRAM = "reproduce.py"
 PACKAGE = "package.json"

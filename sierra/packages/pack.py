@@ -14,7 +14,7 @@ from pathlib import Path
 from sierra.config.project_file import LoadedProject
 from sierra.errors import UsageError
 from sierra.maintenance.extract import extract
-from sierra.packages import archive, declared_files, manifest, metadata, sources, stored, used_files, verifier
+from sierra.packages import archive, crate, declared_files, manifest, metadata, sources, stored, used_files, verifier
 from sierra.packages.layout import PACKAGE
 from sierra.packages.subject import Made, Member, Part, Subject
 from sierra.store.store import Store
@@ -73,6 +73,7 @@ def pack(
         members, notes, facts = _collect(subject)
         described = manifest.written(manifest.describe(subject, (*notes, *facts)))
         members[PACKAGE] = Member(PACKAGE, described, "description of the package for programs")
+        members |= {member.name: member for member in crate.members(subject, members).members}
         preview = Preview(len(members), sum(member.size for member in members.values()), notes, facts)
         if not agree(preview):
             return None
