@@ -48,7 +48,14 @@ demo: install ## copy the example to ./demo, unless it is there, and run a query
 test: install ## run the tests that need no cluster, container or network; more at once with WORKERS=8
 	$(PYTEST) -m "not integration and not nightly" --ignore tests/integration --ignore tests/nightly
 
-integration: install ## run a real case of each part: podman, apptainer, SLURM, PBS, and what takes longer
+# Validators of other projects' formats, apart from our own packages: they need other versions of some of them.
+.venv-validators/installed: tests/system/validators.lock .venv/locked
+	$(BIN)/python -m venv --clear .venv-validators
+	.venv-validators/bin/python -m pip --disable-pip-version-check --quiet install --no-compile --require-hashes \
+		--requirement tests/system/validators.lock
+	@touch $@
+
+integration: install .venv-validators/installed ## run a real case of each part: podman, apptainer, SLURM, PBS, and what takes longer
 	$(PYTEST) -m "integration and not nightly"
 
 nightly: install ## run the tests that take too long for each change, and ten minutes of soak
@@ -90,6 +97,9 @@ lock: ## write requirements.lock from pyproject.toml
 	.venv-lock/bin/uv pip compile --quiet --universal --python-version 3.11 --fork-strategy fewest --extra all \
 		--generate-hashes --no-header --no-emit-index-url --no-emit-find-links $(UPGRADE) \
 		--output-file requirements.lock pyproject.toml
+	.venv-lock/bin/uv pip compile --quiet --universal --python-version 3.11 \
+		--generate-hashes --no-header --no-emit-index-url --no-emit-find-links $(UPGRADE) \
+		--output-file tests/system/validators.lock tests/system/validators.in
 	rm -rf .venv-lock
 
 # What tests need besides comes as packages of Debian; apptainer, which it has no package of, by tests/system/apptainer.sh.
@@ -111,4 +121,4 @@ dist: install ## build the sdist and the wheel into dist/
 	$(BIN)/python -m build --no-isolation
 
 clean: ## remove what make made, except ./demo
-	rm -rf .venv .venv-lock .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist
+	rm -rf .venv .venv-lock .venv-validators .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist
