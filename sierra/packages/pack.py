@@ -9,6 +9,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
@@ -92,8 +93,10 @@ def _batches(store: Store, prefixes: Sequence[str]) -> tuple[str, ...]:
 
 
 def _date(project: LoadedProject, store: Store) -> str:
-    newest = store.values(str, "SELECT coalesce(strftime(max(ended), '%Y-%m-%dT%H:%M:%SZ'), '') FROM executions")
-    return project.config.package.date or newest[0]
+    """Return the date of `[package]`, else the end of the newest execution in UTC."""
+    newest = store.values(float, "SELECT epoch(max(ended)) FROM executions HAVING count(ended) > 0")
+    ended = f"{datetime.fromtimestamp(newest[0], UTC):%Y-%m-%dT%H:%M:%SZ}" if newest else ""
+    return project.config.package.date or ended
 
 
 def _collect(subject: Subject) -> tuple[dict[str, Member], tuple[str, ...], tuple[str, ...]]:

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 import zipfile
 from pathlib import Path
 
@@ -92,9 +93,15 @@ def test_sources_of_several_batches_are_folders_and_dirty_ones_are_complete(root
     assert sierra.open(folder / "project").replay(second, runs=1).verdict == "identical"
 
 
-def test_the_same_records_give_the_same_package(root: Path, tmp_path: Path) -> None:
-    for name in ("one", "two"):
+def test_the_same_records_give_the_same_package_in_any_time_zone(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, zone in (("one", "UTC"), ("two", "America/New_York")):
+        monkeypatch.setenv("TZ", zone)
+        time.tzset()
         sierra.open(root).package(batches(root)[0], path=tmp_path / f"{name}.zip")
+    monkeypatch.undo()
+    time.tzset()
     assert (tmp_path / "one.zip").read_bytes() == (tmp_path / "two.zip").read_bytes()
 
 
