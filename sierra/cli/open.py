@@ -11,7 +11,7 @@ import typer
 from sierra.cli import lazy_parameters
 from sierra.cli.app import COMMANDS
 from sierra.cli.lazy_commands import Commands
-from sierra.util.text import counted
+from sierra.util.text import counted, one_line
 
 if TYPE_CHECKING:
     from typer._click.core import Command
@@ -54,7 +54,7 @@ def open_(
     found = received.open_package(package)
     context.with_resource(open_project.using(found.project.root))
     if context.invoked_subcommand is None:
-        print("\n".join(_lines(found)))
+        print("\n".join(map(one_line, _lines(found))))
 
 
 def _lines(found: Received) -> Iterator[str]:

@@ -6,7 +6,7 @@ There is a line for each member except the manifest itself, in the order of the 
 identity of a package is the hash of this list, and not that of the file, whose bytes depend on the version of zlib.
 
 A package may come from anybody. A name is accepted only if it means the same place on all systems: a relative path with `/`,
-without `.`, `..`, backslashes, colons, control characters and surrogates. No two names may be equal if case and Unicode
+without `.`, `..`, `.git`, backslashes, colons, control characters and surrogates. No two names may be equal if case and Unicode
 normalization are ignored, and no name may lead through another one.
 """
 
@@ -91,6 +91,8 @@ def unsafe(name: str) -> str:
         return "a part of the name is empty, or begins or ends with a blank or a dot"
     if any(map(DEVICE.fullmatch, parts)):
         return "that is a device on Windows"
+    if any(part.casefold() == ".git" for part in parts):
+        return "git would execute what such a folder says"
     if len(name.encode()) > LONGEST:
         return f"names have at most {LONGEST} bytes"
     return "" if PurePosixPath(name).as_posix() == name else "that is not the shortest form of the path"

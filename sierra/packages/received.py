@@ -18,7 +18,9 @@ from sierra.packages import manifest
 from sierra.packages.archive import Archive
 from sierra.packages.layout import PACKAGE, PROJECT, STORED
 from sierra.packages.manifest import PackageManifest
+from sierra.packages.stored import is_record
 from sierra.store.layout import STORE, user_packages
+from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 
 READ = (".toml", ".sql")
@@ -55,13 +57,27 @@ def open_package(path: Path) -> Received:
 def _extract(archive: Archive, folder: Path) -> None:
     """Extract what is read of a package; `folder` appears complete or not at all."""
     files = [name for name in archive.names(PROJECT) if not name.startswith(STORED) and name.endswith(READ)]
-    wanted = [*archive.names(STORED), *files]
-    if not archive.names(STORED):
+    records = archive.names(STORED)
+    if strange := [name for name in records if not is_record(name)]:
+        raise Damaged(f"{archive.path}: the member {strange[0]!r} is no record, but it is in the store")
+    wanted = [*records, *files]
+    if not records:
         raise Damaged(f"{archive.path} has no store")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = Path(tempfile.mkdtemp(prefix=".", dir=folder.parent))
+    with disk_errors(folder.parent):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        unfinished = Path(tempfile.mkdtemp(prefix=".", dir=folder.parent))
     try:
         archive.extract(wanted, unfinished)
-        (unfinished / PROJECT).rename(folder)
+        with disk_errors(folder.parent):
+            _name(unfinished / PROJECT, folder)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _name(extracted: Path, folder: Path) -> None:
+    """Give the extracted files their name, unless another process has extracted the same package meanwhile."""
+    try:
+        extracted.rename(folder)
+    except OSError:
+        if not folder.is_dir():
+            raise

@@ -151,6 +151,8 @@ def name_problem(name: str) -> str:
         return "a part of the name is empty, or begins or ends with a blank or a dot"
     if any(map(DEVICE.fullmatch, parts)):
         return "that is a device on Windows"
+    if any(part.casefold() == ".git" for part in parts):
+        return "git would execute what such a folder says"
     return f"names have at most {LONGEST} bytes" if len(name.encode()) > LONGEST else ""
 
 

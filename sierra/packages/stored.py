@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import PurePosixPath
 
 from sierra.packages.layout import STORED
 from sierra.packages.subject import Made, Member, Subject
@@ -17,3 +18,9 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     for segment in sorted(subject.store.paths.segments.iterdir()):
         files += sorted(segment.iterdir())
     return Made([Member(STORED + file.relative_to(root).as_posix(), file, "records of the packed batches") for file in files])
+
+
+def is_record(name: str) -> bool:
+    """Return whether a member is a file that the store of a package may have: only records, and no work of sessions."""
+    parts = PurePosixPath(name.removeprefix(STORED)).parts
+    return parts[:1] == ("segments",) and len(parts) == 3 if len(parts) > 1 else name.removeprefix(STORED) in FILES

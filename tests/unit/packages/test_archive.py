@@ -104,6 +104,7 @@ def test_an_existing_file_is_not_replaced(tmp_path: Path) -> None:
             "a\nb",
             "a\x1b[2J",
             "aux.txt",
+            "project/.GIT/config",
             "a/NUL",
         ),
         *("a ", "a.", " a", "x" * 1100, "a\u202eb", "a/NUL"),

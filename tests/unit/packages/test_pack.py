@@ -14,6 +14,9 @@ import pytest
 
 import sierra
 from sierra.errors import ConfigError, NotFound, UsageError
+from sierra.packages import archive
+from sierra.packages.members import MANIFEST
+from sierra.packages.subject import Member
 from tests import projects
 
 TOML = """
@@ -187,3 +190,34 @@ def test_files_that_runs_used_outside_the_source_are_packed_or_named(tmp_path: P
     assert "project/changed.dat" not in names
     assert "python" in listed
     assert "kept.dat" not in listed
+
+
+@pytest.mark.parametrize("name", ["project/.sierra/work/1/elsewhere", "project/.sierra/id", "project/.sierra/segments/x"])
+def test_a_package_whose_store_has_more_than_records_is_not_opened(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    sierra.open(root).package(batches(root)[0], path=tmp_path / "one.zip")
+    with zipfile.ZipFile(tmp_path / "one.zip") as file:
+        contents = {one: Member(one, file.read(one), "") for one in file.namelist() if one != MANIFEST}
+    archive.write(tmp_path / "bad.zip", {**contents, name: Member(name, b"/", "")})
+    ended = projects.quick(tmp_path, "open", "bad.zip", "ls")
+    assert (ended.returncode, ended.stdout, f"{name!r} is no record" in ended.stderr) == (1, "", True)
+
+
+def test_a_package_with_an_unknown_description_is_not_opened_and_texts_control_no_terminal(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    sierra.open(root).package(batches(root)[0], path=tmp_path / "one.zip")
+    with zipfile.ZipFile(tmp_path / "one.zip") as file:
+        contents = {one: Member(one, file.read(one), "") for one in file.namelist() if one != MANIFEST}
+    loud = contents["package.json"].content.replace(b"Coverage of a swarm", b"\\u001b[2J")
+    archive.write(tmp_path / "loud.zip", {**contents, "package.json": Member("package.json", loud, "")})
+    assert "\x1b" not in projects.quick(tmp_path, "open", "loud.zip").stdout
+    newer = b'{"format": "sierra package 2"}'
+    for number, described in enumerate((newer, b"[" * 100_000, b"[]", b"\xff")):
+        archive.write(tmp_path / f"{number}.zip", {**contents, "package.json": Member("package.json", described, "")})
+        ended = projects.quick(tmp_path, "open", f"{number}.zip")
+        assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (1, "", 1)
+        assert "package.json" in ended.stderr

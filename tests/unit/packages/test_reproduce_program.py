@@ -201,7 +201,9 @@ def test_hostile_packages_are_refused_by_both_readers_and_nothing_is_left(
 
 
 PARTS = st.one_of(
-    st.sampled_from(["a", "A", "b", "é", "e\u0301", "straße", "STRASSE", "..", ".", "", "nul", "Com1.txt", "a.", " a", "a b"]),
+    st.sampled_from(
+        ["a", "A", "b", "é", "e\u0301", "straße", "STRASSE", "..", ".", "", "nul", ".git", "Com1.txt", "a.", " a", "a b"]
+    ),
     st.sampled_from(["a\\b", "C:", "a\nb", "a\u202eb", "x" * 600, "\ud800", "a\u0130", "ﬁ", "fi", "\x85", "a?"]),
     st.text(max_size=4),
 )
