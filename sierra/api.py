@@ -136,11 +136,11 @@ class Project:
         return Store(self.paths.store, self._rules)
 
     def _rules(self) -> Rules:
-        """Return the derived tables. A project without any is not validated for this: that takes longer than a query."""
+        """Return the derived tables, and the limits on SQL. A project without either is not validated: that takes too long."""
         from sierra.store.derived_tables import Rules
 
         declared = (find_project.settings(self._found.file) or {}) if self._found.written else {}
-        return self._loaded.rules() if "tables" in declared else Rules()
+        return self._loaded.rules() if {"tables", "sql"} & declared.keys() else Rules()
 
     def stored(self) -> Store | None:
         """Return the project's store; None if there is none yet."""

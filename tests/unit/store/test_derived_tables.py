@@ -144,6 +144,14 @@ def test_a_statement_that_never_ends_is_ended(root: Path, sql: str) -> None:
     assert "[tables.x]: the statement did not end within 0.2 s" in done.stderr
 
 
+def test_the_limits_hold_without_derived_tables(root: Path) -> None:
+    figure = f"[figures.x]\nkind = 'bar'\nsql = '{ENDLESS[0]}'\nx = 'n'\n"
+    opened(root, {}, f"{figure}[sql]\nwall = 0.2\n")
+    done = projects.quick(root, "figures", "x")
+    assert done.returncode == 1
+    assert "did not end within 0.2 s" in done.stderr
+
+
 def test_a_statement_that_needs_too_much_memory_is_ended(root: Path) -> None:
     project = opened(root, {"x": "SELECT list(range) AS l FROM range(1000000000)"}, '[sql]\nmemory = "100 MB"\n')
     with pytest.raises(SierraError, match=r"out of memory: the derived tables of a command have 0\.1 GB"):
