@@ -12,8 +12,8 @@ from typing import Annotated, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sierra.errors import Damaged
-from sierra.packages.layout import PACKAGE, PROJECT, SOURCE
-from sierra.packages.sources import trees
+from sierra.packages.layout import PACKAGE
+from sierra.packages.sources import folders
 from sierra.packages.subject import Subject
 from sierra.version import __version__
 
@@ -80,8 +80,7 @@ def describe(subject: Subject, notes: tuple[str, ...]) -> PackageManifest:
         date=subject.date,
         batches=tuple(PackedBatch(**rows[batch]._asdict()) for batch in subject.batches),
         sources=tuple(
-            PackedSource(tree=tree.tree, commit=tree.commit, folder=PROJECT if number == 0 else f"{SOURCE}{tree.folder}/")
-            for number, tree in enumerate(trees(subject))
+            PackedSource(tree=tree.tree, commit=tree.commit, folder=folder) for folder, tree in folders(subject).items()
         ),
         notes=notes,
     )

@@ -70,7 +70,7 @@ def pack(
     with tempfile.TemporaryDirectory(prefix=".sierra-package-", dir=path.parent, ignore_cleanup_errors=True) as folder:
         scratch = Path(folder)
         part = extract(store, batches, scratch / "store")
-        subject = Subject(project, store, part, batches, scratch, _date(project, part))
+        subject = Subject(project, part, batches, scratch, _date(project, part))
         members, notes, facts = _collect(subject)
         described = manifest.written(manifest.describe(subject, (*notes, *facts)))
         members[PACKAGE] = Member(PACKAGE, described, "description of the package for programs")

@@ -39,15 +39,15 @@ class Tree(NamedTuple):
     files: str
     vcs: str
 
-    @property
-    def folder(self) -> str:
-        """The name of its folder below `source/`."""
-        return self.tree.rpartition(":")[2][:12]
+
+def folders(subject: Subject) -> dict[str, Tree]:
+    """Return the sources of the packed batches, that of the newest batch first, by their folders in the package."""
+    trees = subject.store.select(Tree, TREES)
+    return {f"{SOURCE}{_digits(tree)[:12]}/" if number else PROJECT: tree for number, tree in enumerate(trees)}
 
 
-def trees(subject: Subject) -> list[Tree]:
-    """Return the sources of the packed batches, that of the newest batch first."""
-    return subject.store.select(Tree, TREES)
+def _digits(tree: Tree) -> str:
+    return tree.tree.rpartition(":")[2]
 
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
@@ -59,8 +59,8 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     notes: list[str] = []
     problems: list[str] = []
     contents: dict[str, Path] = {}
-    for number, tree in enumerate(trees(subject)):
-        folder = _Folder(subject, tree, PROJECT if number == 0 else f"{SOURCE}{tree.folder}/")
+    for name, tree in folders(subject).items():
+        folder = _Folder(subject, tree, name)
         made += folder.members()
         notes += folder.notes
         problems += folder.problems
@@ -76,7 +76,7 @@ class _Folder:
     def __init__(self, subject: Subject, tree: Tree, name: str) -> None:
         manifest = subject.store.object(tree.files)
         self._files = read(manifest)
-        self._root = subject.folder / "source" / tree.folder
+        self._root = subject.folder / "source" / _digits(tree)
         self._name = name
         self.notes: list[str] = []
         self.problems = [

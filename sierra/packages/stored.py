@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import PurePosixPath
 
 from sierra.packages.layout import STORED
 from sierra.packages.subject import Made, Member, Subject
@@ -22,5 +21,5 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
 
 def is_record(name: str) -> bool:
     """Return whether a member is a file that the store of a package may have: only records, and no work of sessions."""
-    parts = PurePosixPath(name.removeprefix(STORED)).parts
-    return parts[:1] == ("segments",) and len(parts) == 3 if len(parts) > 1 else name.removeprefix(STORED) in FILES
+    path = name.removeprefix(STORED)
+    return path in FILES or (path.startswith("segments/") and path.count("/") == 2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import IO
 
 from sierra.config.project_file import LoadedProject
 from sierra.store.store import Store
-from sierra.util.hashing import CHUNK
+from sierra.util.hashing import sha256, sha256_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +18,6 @@ class Subject:
     """The packed batches, and where they come from."""
 
     project: LoadedProject
-    origin: Store
-    """The store from which the batches were taken."""
     store: Store
     """A temporary store with these batches and nothing else. Parts before `sierra.packages.stored` may add segments."""
     batches: tuple[str, ...]
@@ -52,11 +49,7 @@ class Member:
 
     def sha256(self) -> str:
         """Return the SHA-256 of the content."""
-        digest = hashlib.sha256()
-        with self.open() as file:
-            while block := file.read(CHUNK):
-                digest.update(block)
-        return digest.hexdigest()
+        return sha256(self.content) if isinstance(self.content, bytes) else sha256_file(self.content)
 
 
 @dataclass(frozen=True, slots=True)

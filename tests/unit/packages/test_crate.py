@@ -35,7 +35,7 @@ def subject(recorded: Path, tmp_path: Path) -> Subject:
     project = dataclasses.replace(project, config=project.config.model_copy(update={"package": PACKAGE}))
     store = Store(recorded / ".sierra")
     batches = tuple(store.values(str, "SELECT batch FROM batches ORDER BY lamport")[:2])
-    return Subject(project, store, extract(store, batches, tmp_path / "store"), batches, tmp_path, PACKAGE.date)
+    return Subject(project, extract(store, batches, tmp_path / "store"), batches, tmp_path, PACKAGE.date)
 
 
 def written(subject: Subject) -> dict[str, Any]:
