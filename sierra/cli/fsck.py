@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli.arguments import AsJson
-from sierra.cli.output import print_json, readable, size
-from sierra.util.text import counted
+from sierra.cli.output import print_json, readable
+from sierra.util.text import counted, size
 
 if TYPE_CHECKING:
     from sierra.maintenance.fsck import Report

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sierra.cli import lazy_parameters
-from sierra.cli.output import cell, fields, note, print_json, readable, size, table
+from sierra.cli.output import cell, fields, note, print_json, readable, table
+from sierra.util.text import size
 
 if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from sierra.cli.output import fields, readable, size, table
-from sierra.util.text import counted, few
+from sierra.cli.output import fields, readable, table
+from sierra.util.text import counted, few, size
 
 if TYPE_CHECKING:
     from sierra.execution.row_queries import RecordedProgram

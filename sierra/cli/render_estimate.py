@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from sierra.cli.output import size, table
-from sierra.util.text import counted
+from sierra.cli.output import table
+from sierra.util.text import counted, size
 
 if TYPE_CHECKING:
     from sierra.runners.cluster.resource_estimate import Estimate

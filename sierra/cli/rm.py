@@ -9,8 +9,8 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson, Yes
-from sierra.cli.output import print_json, size
-from sierra.util.text import counted
+from sierra.cli.output import print_json
+from sierra.util.text import counted, size
 
 if TYPE_CHECKING:
     from sierra.maintenance.remove import Removal

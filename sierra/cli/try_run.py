@@ -13,8 +13,8 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson, Controller, EngineOfRuns, Scenario, Sets, TargetName
-from sierra.cli.output import fields, note, print_json, size, table
-from sierra.util.text import counted, few
+from sierra.cli.output import fields, note, print_json, table
+from sierra.util.text import counted, few, size
 
 if TYPE_CHECKING:
     from sierra.execution.trial import Trial

@@ -21,7 +21,7 @@ from urllib.parse import quote
 from sierra.config.package_table import DOI, Author, Package
 from sierra.packages.crate_actions import Around, add, batches, parameter
 from sierra.packages.crate_graph import Entity, Graph, local, moment, purl, ref
-from sierra.packages.layout import CRATE, PROJECT, README, STORED
+from sierra.packages.layout import CRATE, INSTRUCTIONS, PROJECT, README, STORED
 from sierra.packages.subject import Made, Member, Subject
 from sierra.version import __version__
 
@@ -119,6 +119,7 @@ def _readme(subject: Subject, found: Mapping[str, Member]) -> bytes:
     parts = (
         f"# {package.title}",
         package.description.strip(),
+        f"`{INSTRUCTIONS}` tells how to check the results, and what that needs.",
         f"`{PROJECT}` is a project of SIERRA {__version__} with its records: `sierra ls`, run there, lists its batches.",
         f"`{CRATE}` describes all files and runs as an RO-Crate.",
     )

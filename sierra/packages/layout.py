@@ -3,8 +3,8 @@
 A package is a folder in one file. Its folder `project/` is an ordinary project of SIERRA with its store, so that every command
 works in it once it is extracted.
 
-    README.md                 first text to read
-    README.md                 the first text to read
+    README.md                 the first text to read, which archives show
+    REPRODUCING.md            instructions for evaluators; see sierra.packages.instructions
     reproduce.py              the program that verifies the package, on Python's standard library
     package.json              the description for programs; see sierra.packages.manifest
     manifest-sha256.txt       the hashes of all members; see sierra.packages.members
@@ -21,6 +21,7 @@ from __future__ import annotations
 from sierra.store.layout import STORE
 
 README = "README.md"
+INSTRUCTIONS = "REPRODUCING.md"
 PROGRAM = "reproduce.py"
 PACKAGE = "package.json"
 CRATE = "ro-crate-metadata.json"

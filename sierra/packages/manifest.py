@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sierra.errors import Damaged
 from sierra.packages.layout import PACKAGE
+from sierra.packages.needs import Machine, Measured, machines, of_batches
 from sierra.packages.sources import folders
 from sierra.packages.subject import Subject
 from sierra.version import __version__
@@ -32,6 +33,7 @@ class PackedBatch(_Part):
     experiments: int = Field(ge=0, description="number of experiments")
     runs: int = Field(ge=0, description="number of runs")
     successful: int = Field(ge=0, description="number of runs with a successful execution")
+    needs: Measured | None = Field(None, description="time and memory; null if no run was measured")
 
 
 class PackedSource(_Part):
@@ -51,6 +53,7 @@ class PackageManifest(_Part):
     date: str = Field("", description="date of publication, in ISO 8601")
     batches: tuple[PackedBatch, ...] = Field(description="packed batches, in the order in which they were requested")
     sources: tuple[PackedSource, ...] = Field((), description="sources of the runs")
+    machines: tuple[Machine, ...] = Field((), description="machines that the runs were executed on")
     notes: tuple[str, ...] = Field((), description="things that the package does not contain, and other facts, one line each")
     redacted: Annotated[bool, Field(description="true in packages for double-blind review")] = False
 
@@ -74,14 +77,16 @@ class _Batch(NamedTuple):
 def describe(subject: Subject, notes: tuple[str, ...]) -> PackageManifest:
     """Return the description of a package with these notes."""
     rows = {row.batch: row for row in subject.store.select(_Batch, BATCHES)}
+    needs = of_batches(subject.store)
     return PackageManifest(
         sierra=__version__,
         title=subject.project.config.package.title,
         date=subject.date,
-        batches=tuple(PackedBatch(**rows[batch]._asdict()) for batch in subject.batches),
+        batches=tuple(PackedBatch(**rows[batch]._asdict(), needs=needs.get(batch)) for batch in subject.batches),
         sources=tuple(
             PackedSource(tree=tree.tree, commit=tree.commit, folder=folder) for folder, tree in folders(subject).items()
         ),
+        machines=machines(subject.store),
         notes=notes,
     )
 

@@ -15,8 +15,19 @@ from pathlib import Path
 from sierra.config.project_file import LoadedProject
 from sierra.errors import UsageError
 from sierra.maintenance.extract import extract
-from sierra.packages import archive, crate, declared_files, manifest, metadata, sources, stored, used_files, verifier
-from sierra.packages.layout import PACKAGE
+from sierra.packages import (
+    archive,
+    crate,
+    declared_files,
+    instructions,
+    manifest,
+    metadata,
+    sources,
+    stored,
+    used_files,
+    verifier,
+)
+from sierra.packages.layout import INSTRUCTIONS, PACKAGE
 from sierra.packages.subject import Made, Member, Part, Subject
 from sierra.store.store import Store
 
@@ -72,8 +83,9 @@ def pack(
         part = extract(store, batches, scratch / "store")
         subject = Subject(project, part, batches, scratch, _date(project, part))
         members, notes, facts = _collect(subject)
-        described = manifest.written(manifest.describe(subject, (*notes, *facts)))
-        members[PACKAGE] = Member(PACKAGE, described, "description of the package for programs")
+        described = manifest.describe(subject, (*notes, *facts))
+        members[PACKAGE] = Member(PACKAGE, manifest.written(described), "description of the package for programs")
+        members[INSTRUCTIONS] = instructions.member(described, members)
         members |= {member.name: member for member in crate.members(subject, members).members}
         preview = Preview(len(members), sum(member.size for member in members.values()), notes, facts)
         if not agree(preview):

@@ -71,3 +71,13 @@ def like(name: str, known: Sequence[str], others: str = "it has") -> str:
     close = difflib.get_close_matches(name, known, 1, cutoff=0.5)
     shown = f"{others} {', '.join(known[:10])}{', …' if len(known) > 10 else ''}"
     return f"did you mean {close[0]!r}?" if close else shown
+
+
+def size(count: int) -> str:
+    """Return a number of bytes in a readable unit: 1.5 MB."""
+    amount, unit = float(count), "bytes"
+    for larger in ("kB", "MB", "GB", "TB"):
+        if amount < 1000:
+            break
+        amount, unit = amount / 1000, larger
+    return f"{amount:.3g} {unit}" if unit != "bytes" else f"{count} bytes"

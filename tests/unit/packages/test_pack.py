@@ -25,6 +25,12 @@ title = "Coverage of a swarm"
 authors = [{ name = "Jane Doe", orcid = "0000-0002-1825-0097" }]
 license = "MIT"
 """
+NEEDS = """
+SELECT sum(total) AS seconds, sum(least) AS shortest, max(most) AS longest, max(memory) AS memory, sum(runs)::INT AS measured
+FROM (
+    SELECT sum(wall_s) AS total, min(wall_s) AS least, max(wall_s) AS most, max(max_rss_bytes) AS memory, count(*) AS runs
+    FROM executions JOIN batch_runs USING (batch, run) WHERE batch = '{}' GROUP BY ordinal)
+"""
 pytestmark = pytest.mark.integration
 
 
@@ -221,3 +227,20 @@ def test_a_package_with_an_unknown_description_is_not_opened_and_texts_control_n
         ended = projects.quick(tmp_path, "open", f"{number}.zip")
         assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (1, "", 1)
         assert "package.json" in ended.stderr
+
+
+def test_the_instructions_have_commands_that_work_and_measured_needs(root: Path, tmp_path: Path) -> None:
+    first, second = batches(root)
+    assert sierra.open(root).package(first, second, path=tmp_path / "both.zip")
+    project = extracted(tmp_path / "both.zip", tmp_path / "both")
+    text = (project.parent / "REPRODUCING.md").read_text()
+    described = json.loads((project.parent / "package.json").read_text())
+    for batch in described["batches"]:
+        assert batch["needs"] == pytest.approx(sierra.open(root).sql(NEEDS.format(batch["batch"])).to_pylist()[0], abs=1e-4)
+        assert f"| `{batch['batch'][:10]}` | `{batch['query']}` | 2 | 4 | 4 |" in text
+    [machine] = described["machines"]
+    assert f"{machine['cores']} core" in text
+    last = text.split("```sh\n")[-1].split("```")[0]
+    path = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    subprocess.run(["sh", "-ec", last], cwd=project.parent, env=path, check=True)
+    subprocess.run([sys.executable, "reproduce.py"], cwd=project.parent, check=True)

@@ -1,0 +1,135 @@
+"""`REPRODUCING.md`: the first text that an evaluator reads, made from the description of the package."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterator, Mapping
+
+from sierra.packages.layout import CRATE, INSTRUCTIONS, README
+from sierra.packages.manifest import PackageManifest, PackedBatch
+from sierra.packages.members import MANIFEST
+from sierra.packages.needs import Machine
+from sierra.packages.subject import Member
+from sierra.util.text import counted, one_line, size
+
+QUICK_S = 600
+"""The time in seconds that a first look may take."""
+SPARE = 2
+"""An evaluator's machine may be slower by this factor."""
+HOUR_S, MINUTE_S = 3600, 60
+DIFFERENCES = """
+| verdict | meaning |
+|---|---|
+| identical | the same bytes as recorded |
+| same values | other bytes, but each value is the same |
+| within tolerance | values differ by no more than `sierra.toml` allows |
+| equivalent | values differ, but the metrics that `sierra.toml` names are statistically equivalent over all runs |
+| different | values differ: the command ends with exit status 1 |
+
+Another processor or another version of a library may change the last digits of floating-point numbers, and chaotic simulations
+amplify such differences. In the recorded image, on the same kind of processor, all bytes should be the same unless the runs are
+not deterministic. `sierra why BATCH` in `project/` shows how a batch differs from the project as it is.
+"""
+PLACES = {
+    "README.md": "the text that archives show",
+    "reproduce.py": "verifies the package, and tells what is needed to execute it",
+    "package.json": "this description for programs, with the measured needs",
+    "manifest-sha256.txt": "the SHA-256 of all files",
+    "ro-crate-metadata.json": "the description as a Provenance Run Crate",
+    "project/": "the project: `sierra.toml`, templates and source",
+    "project/.sierra/": "the records: inputs, outputs, environments and logs of all runs",
+    "source/": "the source of batches that ran with an older source than the newest batch",
+    "figures/": "figures as they were drawn",
+    "execution/": "what `reproduce.py` executes without SIERRA",
+    "environment/": "descriptions of the environment: files of the machine, image, wheels",
+}
+
+
+def member(described: PackageManifest, members: Mapping[str, Member]) -> Member:
+    """Return the text for a package with these other members."""
+    lines = "\n".join(_lines(described, members)).rstrip("\n") + "\n"
+    return Member(INSTRUCTIONS, lines.encode(), "instructions for evaluators")
+
+
+def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterator[str]:
+    yield f"# {_text(described.title)}"
+    yield f"\nThis package has all that is needed to check the results below. SIERRA {described.sierra} wrote it from records."
+    yield "\n## Results\n"
+    yield "| batch | research query | experiments | runs | successful |\n|---|---|---|---|---|"
+    for batch in described.batches:
+        numbers = f"{batch.experiments:,} | {batch.runs:,} | {batch.successful:,}"
+        yield f"| `{batch.batch[:10]}` | `{_text(batch.query)}` | {numbers} |"
+    yield ""
+    yield from (f"- {_text(note)}" for note in described.notes)
+    yield "\n## Needs\n"
+    yield from _needs(described, sum(one.size for one in members.values()))
+    yield "\n## First look\n"
+    yield from _first_look(described.batches)
+    yield "\n## Full evaluation\n"
+    yield from _full(described.batches)
+    yield "\n## Differences that may occur"
+    yield DIFFERENCES
+    yield "## Contents\n"
+    there = (*members, README, CRATE, MANIFEST)
+    yield from (f"- `{name}`: {about}" for name, about in PLACES.items() if any(one.startswith(name) for one in there))
+    yield "\n## Other parameters\n"
+    yield "A copy of `project/` is an ordinary project of SIERRA. In it, a research query with other values makes new runs:\n"
+    copy = "mkdir -p reproduction\ncp -r project reproduction/project\ncd reproduction/project"
+    yield f"```sh\n{copy}\nsierra run {shlex.quote(one_line(described.batches[0].query))}\n```"
+
+
+def _needs(described: PackageManifest, content: int) -> Iterator[str]:
+    """Yield the needs as they were measured."""
+    measured = [batch.needs for batch in described.batches if batch.needs]
+    yield f"- disk: {size(content)} for the extracted package, and about as much again for new results"
+    if memory := max((one.memory or 0 for one in measured), default=0):
+        yield f"- memory: {size(memory)} for each run that is executed at the same time (measured)"
+    if measured:
+        total = sum(one.seconds for one in measured)
+        longest = max(one.longest for one in measured)
+        yield f"- time: {_time(total)} for all runs one after the other; the longest took {_time(longest)} (measured)"
+    yield "- network: none"
+    yield from (f"- measured on: {_machine(one)}" for one in described.machines)
+
+
+def _machine(one: Machine) -> str:
+    processor = " with ".join(filter(None, (one.cpu, counted(one.cores, "core") if one.cores else None)))
+    memory = f"{size(one.memory)} of memory" if one.memory else None
+    image = f"in the image {one.image[:19]}" if one.image else None
+    parts = filter(None, (processor, one.architecture, memory, one.os, *one.gpus, image))
+    return _text(", ".join(parts)) or "a machine that was not recorded"
+
+
+def _first_look(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
+    """Yield how to check the files, and the shortest run of each experiment, within a short time."""
+    yield "Check the files. It takes seconds, needs only Python 3.8 or newer, and executes nothing of the package:\n"
+    yield "```sh\npython3 reproduce.py\n```\n"
+    yield "Then execute a few runs of each batch again, with SIERRA. The command states what it executes, and asks first:\n"
+    shortest = SPARE * sum(one.needs.shortest for one in batches if one.needs)
+    yield f"```sh\nsierra reproduce . --budget {QUICK_S // MINUTE_S}m\n```\n"
+    if shortest <= QUICK_S:
+        yield f"The shortest run of each experiment takes {_time(shortest)} together, on a machine of half the speed."
+    else:
+        yield f"The shortest run of each experiment would take {_time(shortest)} together: the command says which are left out."
+
+
+def _full(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
+    total = SPARE * sum(one.needs.seconds for one in batches if one.needs)
+    yield "```sh\nsierra reproduce .\n```\n"
+    yield f"It executes all runs again: {_time(total)} on one core of half the speed, less if several run at the same time."
+    yield "The exit status is 0 if everything was reproduced, 1 if anything differs, and 3 if something needed is missing."
+
+
+def _time(seconds: float) -> str:
+    """Return a duration, rounded up."""
+    if seconds <= MINUTE_S:
+        return counted(math.ceil(seconds), "second")
+    if seconds <= HOUR_S:
+        return counted(math.ceil(seconds / MINUTE_S), "minute")
+    return counted(math.ceil(seconds / HOUR_S), "hour")
+
+
+def _text(text: str) -> str:
+    """Return a text on one line that ends no cell and no code."""
+    return one_line(text).replace("|", "\\|").replace("`", "'")
