@@ -20,6 +20,8 @@ Value = int | float | str
 """A value of an independent variable: a number, or the name of a group of changes."""
 FOLDER = "sierraFolder7d1c0e4b"
 """The beginning of the marks that stand for folders in generated inputs. No template may contain it."""
+IN_PROJECT = "{project}/"
+"""The beginning of a path in the project, wherever the project is."""
 
 
 # ---------------------------------------------------------------- the query

@@ -15,7 +15,7 @@ from sierra.containers import images
 from sierra.containers.engines.base import PROJECT, PYTHON, Capabilities, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images.image import Image
 from sierra.errors import ConfigError, Missing
-from sierra.model import Limits, Requirement, RunSpec
+from sierra.model import IN_PROJECT, Limits, Requirement, RunSpec
 from sierra.provenance.change_guard import ChangeGuard, guard_file
 from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache, cached_sha256
@@ -84,7 +84,7 @@ def data(named: Programs, container: Container, project: Path) -> Programs:
                 continue
             mounted.append(Program(f"{MOUNTS}{Path(target, path.relative_to(root))}", str(path), found, kind))
     digests.save()
-    own = (one for one in named.all if one.name.startswith("{project}/"))
+    own = (one for one in named.all if one.name.startswith(IN_PROJECT))
     return Programs((*own, *mounted), named.notes)
 
 

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 
 from sierra.errors import Missing
 from sierra.execution import commands
-from sierra.model import RunSpec
+from sierra.model import IN_PROJECT, RunSpec
 from sierra.provenance import fingerprint_programs as programs
 from sierra.provenance import referenced_files, source
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
@@ -25,8 +25,6 @@ from sierra.provenance.hash_cache import VENV
 from sierra.store.layout import FIGURES, STORE
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
-
-INSIDE = "{project}/"
 
 
 def programs_in(
@@ -65,7 +63,7 @@ def _without_leftovers(found: Programs, spec: RunSpec, data: Programs, made: Abs
     words = (*spec.words, *spec.environment.values())
 
     def counts(one: Program) -> bool:
-        name = one.name.removeprefix(INSIDE)
+        name = one.name.removeprefix(IN_PROJECT)
         if one.kind is not Kind.FILE or name == one.name or name in made or one.path in kept:
             return True
         return folders.isdisjoint(PurePosixPath(name).parents) or any(one.name in word for word in words)
@@ -78,7 +76,7 @@ def _beside_image(spec: RunSpec, manifest: bytes, root: Path, data: Programs) ->
     words = [word for word in (*spec.words, *spec.environment.values()) if "{project}" in word]
     files = referenced_files.files(words, root, source.paths(manifest), data)
     kept = {one.path for one in data.all}
-    return replace(files, all=tuple(one for one in files.all if one.path in kept or one.name.startswith(INSIDE)))
+    return replace(files, all=tuple(one for one in files.all if one.path in kept or one.name.startswith(IN_PROJECT)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,10 +127,10 @@ class Checkout:
         Raises Missing if a file does not exist, or if a product in the project is not the recorded one.
         """
         for name in names:
-            path = Path(name.removeprefix(INSIDE))
+            path = Path(name.removeprefix(IN_PROJECT))
             if path.as_posix() in self.built and not (root / path).exists():
                 self._check_product(path)
-            if not name.startswith(INSIDE) or path.is_absolute() or ".." in path.parts:
+            if not name.startswith(IN_PROJECT) or path.is_absolute() or ".." in path.parts:
                 continue
             if path.as_posix() in self.built or not self._put_back(root, path, self.recorded.get(name)):
                 _copy_in(self.project / path, root, path)
@@ -143,9 +141,9 @@ class Checkout:
         A file that exists there stays. One of which nobody has the recorded content any more is left out.
         """
         for name, digest in self.observed.items():
-            path = Path(name.removeprefix(INSIDE))
+            path = Path(name.removeprefix(IN_PROJECT))
             original = self.project / path
-            if not name.startswith(INSIDE) or path.is_absolute() or ".." in path.parts or (root / path).exists():
+            if not name.startswith(IN_PROJECT) or path.is_absolute() or ".." in path.parts or (root / path).exists():
                 continue
             if not self._put_back(root, path, digest) and original.is_file() and sha256_file(original) == digest:
                 _copy_in(original, root, path)
@@ -177,13 +175,13 @@ class Checkout:
 
         The text is empty if there are none.
         """
-        brought = (name.removeprefix(INSIDE) for name, _ in self.used if name.startswith(INSIDE))
+        brought = (name.removeprefix(IN_PROJECT) for name, _ in self.used if name.startswith(IN_PROJECT))
         return source.ignored(self.project, (STORE, FIGURES, *brought))
 
     def programs_in(self, root: Path) -> Programs:
         """Return the programs that the command starts in the checkout `root`, and the files that it needed, as they are now."""
         contained = self.spec.image is not None
-        kept = (name for name, kind in self.used if kind == Kind.FILE and (not contained or name.startswith(INSIDE)))
+        kept = (name for name, kind in self.used if kind == Kind.FILE and (not contained or name.startswith(IN_PROJECT)))
         files = referenced_files.existing(kept, root)
         files = replace(files, all=(*files.all, *self.mounted.all))
         return programs_in(self.spec, self.manifest, root, files, self.project, made=self.built.keys())

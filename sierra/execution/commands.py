@@ -28,7 +28,7 @@ from sierra.design import run_values
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError, QueryError
 from sierra.execution.build.products import matches
-from sierra.model import FOLDER, Client, Job, Limits, Run, RunSpec, Service
+from sierra.model import FOLDER, IN_PROJECT, Client, Job, Limits, Run, RunSpec, Service
 from sierra.platforms.base import Platform
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.templates.base import ARGUMENTS, FOLDERS, Files
@@ -465,4 +465,4 @@ def _in_project(word: str, root: Path, made: Sequence[str]) -> str:
         exists = any(matches(word, pattern) for pattern in made) or (root / word).is_file()
     except (OSError, ValueError):
         return word
-    return "{project}/" + word.removeprefix("./") if exists else word
+    return IN_PROJECT + word.removeprefix("./") if exists else word

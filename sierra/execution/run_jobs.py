@@ -18,7 +18,7 @@ from sierra.execution.follow import Followed, follow
 from sierra.execution.observation import choose_runs
 from sierra.execution.observation.plan_files import folders
 from sierra.execution.observer import Tally
-from sierra.execution.resolve_plan import not_in_checkouts
+from sierra.execution.project_source import not_in_checkouts
 from sierra.execution.sessions import Session
 from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context

@@ -19,11 +19,12 @@ from sierra.errors import Missing, SierraError, UsageError
 from sierra.execution import commands, session_records, show_record
 from sierra.execution.execute import check_packages
 from sierra.execution.observer import Observer, Progress, Relay, Tally
-from sierra.execution.resolve_plan import Plan, context, out_of_reach, versioned
+from sierra.execution.plan_notes import out_of_reach
+from sierra.execution.resolve_plan import Plan, context, versioned
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session, locked
 from sierra.execution.unread_files import UnreadFiles, of_run
-from sierra.model import Experiment, Run, Status, Value
+from sierra.model import IN_PROJECT, Experiment, Run, Status, Value
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, StorePaths, TrialPaths
 from sierra.store.row_types import ArtifactRow
 from sierra.store.segments import disk_errors
@@ -272,7 +273,7 @@ def _read(store: Store, execution: str, values: Mapping[str, Value], seed: int, 
     row = shown.row
     used = None
     if shown.observation is not None:
-        own = (path.removeprefix("{project}/") for path in store.values(str, OF_PROJECT, e=execution))
+        own = (path.removeprefix(IN_PROJECT) for path in store.values(str, OF_PROJECT, e=execution))
         used = Used(shown.observation.used, tuple(own), shown.observation.row.reason)
     return Trial(
         values=values,

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from sierra.errors import NotFound
 from sierra.execution import row_queries
 from sierra.execution.resolve_plan import Plan
+from sierra.model import IN_PROJECT
 from sierra.provenance import source
 from sierra.provenance.compiled_languages import is_code, is_compiled
 from sierra.store.store import Store
@@ -16,7 +17,6 @@ from sierra.util.hashing import short
 from sierra.util.text import few
 
 SHOWN = 3
-PREFIX = "{project}/"
 
 
 class Before(NamedTuple):
@@ -46,12 +46,14 @@ def unbuilt(plan: Plan, store: Store | None) -> Iterator[str]:
     used = {
         one.name: one.sha256
         for one in plan.programs.all
-        if one.name.startswith(PREFIX) and os.fsencode(one.name.removeprefix(PREFIX)) not in held and is_compiled(one.path)
+        if one.name.startswith(IN_PROJECT)
+        and os.fsencode(one.name.removeprefix(IN_PROJECT)) not in held
+        and is_compiled(one.path)
     }
     if not used:
         return
     if plan.project.config.source.dirty == "refuse":
-        names = [name.removeprefix(PREFIX) for name in sorted(used)]
+        names = [name.removeprefix(IN_PROJECT) for name in sorted(used)]
         yield (
             f'[source] dirty = "refuse": everything is committed, but {few(names, SHOWN)} may have been built from other code; '
             "declare [build], and SIERRA builds it from this code"
@@ -61,7 +63,7 @@ def unbuilt(plan: Plan, store: Store | None) -> Iterator[str]:
     with store.snapshot() as snapshot:
         found = snapshot.select(Before, BEFORE, tree=plan.source.tree)
         recorded = {one.name: one.sha256 for one in row_queries.programs(snapshot, [before.programs for before in found])}
-    same = [name.removeprefix(PREFIX) for name, digest in used.items() if recorded.get(name) == digest]
+    same = [name.removeprefix(IN_PROJECT) for name, digest in used.items() if recorded.get(name) == digest]
     changed = list(_changed(found, plan.source.manifest, store)) if same else []
     if changed:
         yield (

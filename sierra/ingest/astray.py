@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from sierra.config.output_tables import Output
 from sierra.ingest.recording_context import Context
-from sierra.model import Result, Status
+from sierra.model import IN_PROJECT, Result, Status
 from sierra.store.layout import RUN_HOME, SessionPaths
 from sierra.store.row_types import FindingRow
 from sierra.store.store import Store
@@ -22,7 +22,6 @@ from sierra.util.text import few
 
 NAMED = 3
 RUN = "{run}/"
-PROJECT = "{project}/"
 HOME = f"{RUN}{RUN_HOME}/"
 NO_RESULTS = re.compile(r"/(?:tmp|var|run|dev)/.*|.*/\..*")
 """Temporary files, those of services, and hidden ones: a run that writes nothing else has perhaps only printed its results."""
@@ -54,8 +53,8 @@ def notes(places: Collection[str]) -> Iterator[str]:
     """Yield warnings about files that runs wrote elsewhere, each with what would keep them."""
     inputs = sorted(place for place in places if place.startswith(RUN) and not place.startswith(HOME))
     homes = sorted(place for place in places if place.startswith(HOME))
-    inside = sorted(place for place in places if place.startswith(PROJECT))
-    others = sorted(place for place in places if not place.startswith((RUN, PROJECT)))
+    inside = sorted(place for place in places if place.startswith(IN_PROJECT))
+    others = sorted(place for place in places if not place.startswith((RUN, IN_PROJECT)))
     if inputs:
         cure = f"call it output/{inputs[0].removeprefix(RUN)} in the template, or pass {{output}} to the program in command"
         yield _note("beside their input", inputs, cure)

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
+from sierra.model import IN_PROJECT
 from sierra.packages.layout import PROJECT, USED
 from sierra.packages.members import unsafe
 from sierra.packages.subject import Made, Member, Subject
@@ -18,7 +19,6 @@ from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
 from sierra.util.text import counted
 
-INSIDE = "{project}/"
 USED_FILES = """
 CREATE TEMP TABLE used AS SELECT DISTINCT path, sha256 FROM (
     SELECT path, sha256 FROM files_read WHERE use IN ('executed', 'read') AND sha256 IS NOT NULL
@@ -59,7 +59,7 @@ def _of_project(subject: Subject, snapshot: Snapshot, found: Mapping[str, Member
     made: list[Member] = []
     notes: list[str] = []
     for used in snapshot.select(_Used, OF_PROJECT):
-        name = used.path.removeprefix(INSIDE)
+        name = used.path.removeprefix(IN_PROJECT)
         member = found.get(PROJECT + name)
         if member is not None and member.sha256() == used.sha256:
             continue

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from sierra.model import IN_PROJECT
 from sierra.provenance.dependency_model import Kind, Programs
 from sierra.provenance.source import suggest_exclusions
 from sierra.provenance.source.manifest import REPOSITORY, read
@@ -47,7 +48,7 @@ class ChangeGuard:
         names = [path.removeprefix(self.root + b"/") for path in changed]
         if not frozenset(self.source).issuperset(names) or None in map(_state, changed):
             return None
-        return frozenset("{project}/" + os.fsdecode(name) for name in names)
+        return frozenset(IN_PROJECT + os.fsdecode(name) for name in names)
 
     def advice(self, names: Iterable[bytes]) -> str:
         """Return advice for the case that the changed files are not code."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+from sierra.model import IN_PROJECT
 from sierra.store.row_types import ProgramRow
 from sierra.util.hashing import digest
 
@@ -110,7 +111,7 @@ def mentioned(command: Iterable[str], root: Path) -> frozenset[str]:
     words: set[str] = set()
     for word in command:
         words |= set(re.findall(r"[a-z][a-z0-9_]{2,}", word.lower().replace("-", "_")))
-        with contextlib.suppress(OSError, ValueError), (root / word.removeprefix("{project}/")).open("rb") as script:
+        with contextlib.suppress(OSError, ValueError), (root / word.removeprefix(IN_PROJECT)).open("rb") as script:
             if word.endswith(".py"):
                 words |= {name.lower() for name in IMPORT.findall(script.read(MAX_SEARCHED).decode("utf-8", "replace"))}
     return frozenset(words) - EVERYWHERE

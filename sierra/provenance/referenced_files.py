@@ -17,6 +17,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from sierra.errors import Missing
+from sierra.model import IN_PROJECT
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
 
@@ -41,7 +42,7 @@ def files(
     """
     found, digests = {}, HashCache()
     for word in words:
-        for path in _named(word.replace(f"{root}/", "{project}/"), root, (project or root).resolve()):
+        for path in _named(word.replace(f"{root}/", IN_PROJECT), root, (project or root).resolve()):
             if not _holds(source, path, root):
                 found[str(path)] = _file(path, root, digests)
     digests.save()

@@ -20,14 +20,14 @@ from pathlib import Path
 
 from sierra.containers import engines
 from sierra.errors import ConfigError, SierraError
-from sierra.execution import recover, resolve_plan
+from sierra.execution import project_source, recover, resolve_plan
 from sierra.execution.build import products
 from sierra.execution.build.perform import Ended, Place, failure, perform, record
 from sierra.execution.build.state import BuildState
 from sierra.execution.observer import Observer
 from sierra.execution.resolve_plan import Plan
 from sierra.execution.sessions import Session, locked
-from sierra.model import Purpose
+from sierra.model import IN_PROJECT, Purpose
 from sierra.provenance import source
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
@@ -72,7 +72,7 @@ def _planned_again(plan: Plan) -> Plan:
 def _other_batch(plan: Plan, built: Plan) -> str:
     """Return why a build changed the ids of the runs, in one line."""
     was, now = plan.batch.spec.command, built.batch.spec.command
-    words = [new.removeprefix("{project}/") for old, new in zip(was, now, strict=False) if old != new]
+    words = [new.removeprefix(IN_PROJECT) for old, new in zip(was, now, strict=False) if old != new]
     if words:
         return f"the command names {words[0]!r}, which the build makes; add it to [build] produces"
     return "the project has changed while its products were built; run the command again"
@@ -144,7 +144,7 @@ def _checked(plan: Plan, state: BuildState, ended: Ended) -> Ended:
     """Return the end of a build; as a failure, if the source is another one after it."""
     if ended.reason is not None:
         return ended
-    changed = source.changed(state.recipe.manifest, resolve_plan.code(plan.project, dirty="record").manifest)
+    changed = source.changed(state.recipe.manifest, project_source.code(plan.project, dirty="record").manifest)
     if not changed:
         return ended
     held = [one.name for one in ended.products if one.name in changed]

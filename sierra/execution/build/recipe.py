@@ -16,7 +16,7 @@ from sierra.containers import container_setup
 from sierra.errors import ConfigError, Missing
 from sierra.execution import checkout, commands
 from sierra.execution.build import products
-from sierra.model import Around, RunSpec
+from sierra.model import IN_PROJECT, Around, RunSpec
 from sierra.provenance import fingerprint_programs, source
 from sierra.provenance.compiled_languages import LANGUAGES, compilers
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
@@ -89,7 +89,7 @@ def declared(table: BuildTable, runs: RunSpec, manifest: bytes) -> Recipe:
 def complete(recipe: Recipe, root: Path, project: Path, box: Container | None) -> Recipe:
     """Return the recipe with the programs that it uses; the code is in `root`. Raises Missing if a program is not found."""
     placed = recipe.placed(root)
-    made = {f"{checkout.INSIDE}{name}" for name in products.names(root, recipe.produces)}
+    made = {f"{IN_PROJECT}{name}" for name in products.names(root, recipe.produces)}
     if recipe.spec.image is not None:
         mounted = container_setup.data(NOTHING, box, project) if box else NOTHING
         used = checkout.programs_in(placed, recipe.manifest, root, mounted, project)
@@ -111,7 +111,7 @@ def _inputs(used: Programs, placed: RunSpec, made: AbstractSet[str]) -> Programs
     words = (*placed.command, *placed.environment.values())
 
     def counts(one: Program) -> bool:
-        inside = one.kind is Kind.FILE and one.name.startswith(checkout.INSIDE)
+        inside = one.kind is Kind.FILE and one.name.startswith(IN_PROJECT)
         return one.name not in made and (not inside or any(one.name in word for word in words))
 
     return replace(used, all=tuple(one for one in used.all if counts(one)))

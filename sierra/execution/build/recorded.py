@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
-from sierra.execution import checkout, commands, row_queries
+from sierra.execution import commands, row_queries
 from sierra.execution.build.products import Product
 from sierra.execution.build.recipe import PLATFORM, Recipe, complete
 from sierra.execution.build.state import BuildState
-from sierra.model import Purpose, RunSpec
+from sierra.model import IN_PROJECT, Purpose, RunSpec
 from sierra.provenance.dependency_model import Programs
 from sierra.store.row_types import BuildProductRow, BuildRow
 from sierra.store.store import Snapshot, Store
@@ -36,7 +36,7 @@ class RecordedBuild:
     @property
     def inputs(self) -> tuple[str, ...]:
         """Return the names of the project's files outside the source that the build used."""
-        return tuple(one.name for one in self.programs.all if one.name.startswith(checkout.INSIDE))
+        return tuple(one.name for one in self.programs.all if one.name.startswith(IN_PROJECT))
 
     def state(self, manifest: bytes) -> BuildState:
         """Return the state of the products if they are those of this build; `manifest` is that of its source."""

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.execution.checkout import INSIDE
 from sierra.execution.resolve_plan import Plan
+from sierra.model import IN_PROJECT
 from sierra.provenance import source
 from sierra.provenance.hash_cache import VENV
 from sierra.store.store import Store
@@ -54,11 +54,11 @@ def contents(plan: Plan, store: Store, session: str) -> Iterator[bytes]:
 
 def _used(plan: Plan, store: Store, session: str) -> Mapping[Path, _Used]:
     """Return the project's files outside the source that are known to be used."""
-    derived = [_Used(one.name, str(one.kind), one.sha256) for one in plan.programs.all if one.name.startswith(INSIDE)]
-    observed = [] if plan.project.config.observe == "none" else store.select(_Used, OBSERVED, s=session, inside=INSIDE)
+    derived = [_Used(one.name, str(one.kind), one.sha256) for one in plan.programs.all if one.name.startswith(IN_PROJECT)]
+    observed = [] if plan.project.config.observe == "none" else store.select(_Used, OBSERVED, s=session, inside=IN_PROJECT)
     root, known = plan.project.root, source.paths(plan.source.manifest) if plan.source else set()
     made = {one.name for one in plan.build.products} if plan.build else set()
-    found = {one.path.removeprefix(INSIDE): one for one in (*derived, *observed)}
+    found = {one.path.removeprefix(IN_PROJECT): one for one in (*derived, *observed)}
     return {
         root / name: one
         for name, one in found.items()

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from sierra.errors import SierraError
+from sierra.model import IN_PROJECT
 from sierra.provenance import referenced_files
 from sierra.setup.init import variables
 from sierra.store.layout import CONFIG, RUN_NAMES
@@ -97,7 +98,7 @@ def by_command(root: Path, words: Sequence[str]) -> dict[int, str]:
     """Return the templates that the words of a command name as files, by the indices of the words."""
     found: dict[int, str] = {}
     for number, word in enumerate(words[1:], 1):
-        name = word.rpartition("=")[2].removeprefix("{project}/")
+        name = word.rpartition("=")[2].removeprefix(IN_PROJECT)
         inside = not name.startswith("/") and (root / name).is_file() and not os.path.normpath(name).startswith(os.pardir)
         if inside and name.endswith(TREES) and can_change(root / name):
             found[number] = os.path.normpath(name)

@@ -1,0 +1,57 @@
+"""The source of a project: its code, without the paths that SIERRA writes or hashes by their meaning."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from sierra.config.project_file import LoadedProject
+from sierra.provenance import source
+from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
+
+
+def code(project: LoadedProject, *, dirty: str | None = None) -> source.Source:
+    """Return the source of a project as it is now; `dirty` replaces the project's setting."""
+    wanted, store = project.config.source, StorePaths(ProjectPaths(project.root).store)
+    return source.capture(
+        project.root,
+        paths=wanted.paths,
+        without=own_paths(project),
+        prose=bool(wanted.paths) or project.config.build is not None,  # a build may read what describes the project
+        dirty=dirty or wanted.dirty,
+        large=wanted.max_untracked,
+        memory=store.files if store.format.is_file() else None,
+    )
+
+
+def own_paths(project: LoadedProject) -> tuple[str, ...]:
+    """Return the paths that SIERRA writes, or whose meaning it hashes; they do not belong to the source."""
+    return (
+        STORE,
+        LOCK,
+        *_drawn(project.root),
+        CONFIG,
+        PYPROJECT if project.file.name == PYPROJECT else CONFIG,
+        *(path for template in project.config.template_paths for path in _inside(template)),
+        *(table.file for table in project.config.tables.values() if table.file is not None),
+        *(model.file for model in project.config.models.values() if model.file is not None),
+    )
+
+
+def not_in_checkouts(project: LoadedProject) -> tuple[str, ...]:
+    """Return the files and folders of a project that no checkout of its source has, except those that git ignores."""
+    return (*own_paths(project), ".git")
+
+
+def _drawn(root: Path) -> list[str]:
+    """Return the folders that figures were drawn to; other files in `figures` belong to the project."""
+    return [f"{FIGURES}/{mark.parent.name}" for mark in ProjectPaths(root).figures.glob(f"*/{DRAWN}*")]
+
+
+def _inside(template: str) -> list[str]:
+    """Return the template's path if it is in the project.
+
+    The source leaves it out, because the inputs that are made from it are hashed.
+    """
+    path = os.path.normpath(template)
+    return [] if path.startswith((os.pardir, os.sep)) else [path]
