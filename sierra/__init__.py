@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         UsageError,
     )
     from sierra.execution.observer import Observer, Progress
-    from sierra.execution.resolve_plan import Plan
+    from sierra.execution.plan import Plan
     from sierra.execution.summary import Summary
     from sierra.replay.verdicts import Replay
     from sierra.store.public_result import Result
@@ -43,7 +43,7 @@ HOMES = {
     "Missing": "sierra.errors",
     "NotFound": "sierra.errors",
     "Observer": "sierra.execution.observer",
-    "Plan": "sierra.execution.resolve_plan",
+    "Plan": "sierra.execution.plan",
     "Progress": "sierra.execution.observer",
     "Project": "sierra.api",
     "QueryError": "sierra.errors",

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from sierra.execution.list_batches import ListedBatch
     from sierra.execution.observer import Observer
     from sierra.execution.outputs_taken import TakenOutputs
-    from sierra.execution.resolve_plan import Plan
+    from sierra.execution.plan import Plan
     from sierra.execution.run_options import RunOptions
     from sierra.execution.show_record import Shown, ShownSession
     from sierra.execution.summary import Summary

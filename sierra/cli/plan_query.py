@@ -11,7 +11,7 @@ from sierra.errors import UsageError
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.execution.observer import Observer
-    from sierra.execution.resolve_plan import Plan
+    from sierra.execution.plan import Plan
 
 
 class Settings(TypedDict):

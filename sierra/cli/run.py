@@ -32,8 +32,8 @@ from sierra.util.text import counted
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.execution.observer import Observer
+    from sierra.execution.plan import Plan
     from sierra.execution.plan_json import PlanPreview
-    from sierra.execution.resolve_plan import Plan
     from sierra.execution.summary import Summary
     from sierra.query.condition import Selection
 

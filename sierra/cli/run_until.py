@@ -14,8 +14,8 @@ from sierra.util.hashing import short
 
 if TYPE_CHECKING:
     from sierra.api import Project
+    from sierra.execution.plan import Plan
     from sierra.execution.plan_json import PlanPreview
-    from sierra.execution.resolve_plan import Plan
     from sierra.execution.summary import Summary
     from sierra.query.query_request import QueryRequest
     from sierra.studies.study import Outcome

@@ -8,8 +8,8 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 from sierra.execution.cluster_status import claimed
+from sierra.execution.plan import Plan
 from sierra.execution.reasons import ChangeReason, Reason
-from sierra.execution.resolve_plan import Plan
 from sierra.execution.reuse import State, foreseen, states
 from sierra.store.store import Store
 

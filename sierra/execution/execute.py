@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 from sierra.errors import Missing
 from sierra.execution import recover, session_records
 from sierra.execution.observation import reusable_executions, shared_services, stale_sessions
+from sierra.execution.plan import Plan, context, versioned
 from sierra.execution.reasons import FAILED
-from sierra.execution.resolve_plan import Plan, context, versioned
 from sierra.execution.reuse import FileCheck, is_answered, states
 from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session

@@ -12,7 +12,7 @@ from sierra.errors import Missing
 from sierra.execution import expected_durations, recover, sessions
 from sierra.execution.attach import attach
 from sierra.execution.observer import Relay, Tally
-from sierra.execution.resolve_plan import Plan, context
+from sierra.execution.plan import Plan, context
 from sierra.execution.reuse import FileCheck, rules_changed, states
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.run_options import RunOptions

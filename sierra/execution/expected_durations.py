@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.model import Times, Value
 from sierra.store.store import Store
 

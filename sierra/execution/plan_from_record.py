@@ -24,7 +24,8 @@ from sierra.execution import around, commands, row_queries, targets
 from sierra.execution.build import recorded as recorded_build
 from sierra.execution.build.recorded import RecordedBuild
 from sierra.execution.checkout import Checkout
-from sierra.execution.resolve_plan import Plan, this_environment
+from sierra.execution.plan import Plan
+from sierra.execution.resolve_plan import this_environment
 from sierra.execution.row_queries import RecordedProgram, axis_values, required_row
 from sierra.ingest.base import Used, check_packages, described
 from sierra.ingest.recording_context import rules_of
@@ -224,7 +225,7 @@ def inputs(store: Store, runs: Iterable[ChosenExecution]) -> Iterator[tuple[Chos
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """Recorded input files of a batch; see `sierra.execution.resolve_plan.Inputs`."""
+    """Recorded input files of a batch; see `sierra.execution.plan.Inputs`."""
 
     store: Store
 

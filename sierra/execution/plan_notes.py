@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from sierra import templates
 from sierra.config.project_file import Project
@@ -16,15 +15,13 @@ from sierra.containers.images.image import Image
 from sierra.design.factorial_design import mentions
 from sierra.execution import commands, input_texts
 from sierra.execution.build.state import BuildState
+from sierra.execution.plan import Plan
 from sierra.model import IN_PROJECT, Batch, Design, Experiment
 from sierra.provenance import referenced_files
 from sierra.provenance.compiled_languages import is_compiled
 from sierra.provenance.dependency_model import Programs
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.util.text import few
-
-if TYPE_CHECKING:
-    from sierra.execution.resolve_plan import Plan
 
 
 def unobserved(config: Project, image: Image | None) -> Iterator[str]:

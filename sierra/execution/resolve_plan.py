@@ -1,16 +1,13 @@
-"""Plans: a resolved query with everything that its results depend on, before anything executes: query → design → inputs."""
+"""Making plans of requested queries: query → design → inputs."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 from sierra import platforms, templates
 from sierra.config import plugin_registry
-from sierra.config.output_tables import Output, Success
 from sierra.config.project_file import LoadedProject, Project
 from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import Engine
@@ -32,85 +29,19 @@ from sierra.execution import (
 from sierra.execution.build import recipe as build_recipe
 from sierra.execution.build.state import BuildState, look
 from sierra.execution.checkout import Checkout, programs_in
-from sierra.ingest.base import Used
+from sierra.execution.plan import Plan
 from sierra.ingest.base import used as used_readers
-from sierra.ingest.recording_context import Context
-from sierra.model import IN_PROJECT, Batch, Limits, Purpose, Query, Run, RunSpec
-from sierra.provenance import environment, referenced_files, reported_versions, source
-from sierra.provenance.change_guard import ChangeGuard, guard
+from sierra.model import IN_PROJECT, Query, RunSpec
+from sierra.provenance import environment, referenced_files, source
+from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Programs
 from sierra.query import grammar
 from sierra.query.query_request import QueryRequest
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.row_mapper import of_fields
-from sierra.store.row_types import EnvironmentRow, SharedFileRow
+from sierra.store.row_types import EnvironmentRow
 from sierra.store.store import Store
-from sierra.templates.base import Files
-from sierra.util import html
-from sierra.util.hashing import short
 from sierra.version import __version__
-
-
-class Inputs(Protocol):
-    """Source of the input files of runs."""
-
-    def files(self, batch: Batch, wanted: Callable[[Run], bool]) -> Iterator[tuple[Run, Files]]:
-        """Yield the input files of the wanted runs, one run at a time; a run that is twice in the batch may come twice."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """A resolved query with everything that its results depend on, before anything executes."""
-
-    project: LoadedProject
-    request: QueryRequest
-    query: Query
-    text: str
-    batch: Batch
-    inputs: Inputs
-    source: source.Source | None
-    """Source of the code; None for a recorded batch."""
-    source_id: str | None
-    checkout: Checkout | None
-    """Checkout to execute instead of the project's current files; None to execute those."""
-    programs: Programs
-    environment: EnvironmentRow
-    engine: Engine
-    image: Image | None
-    """Image that runs execute in."""
-    limits: Limits
-    template_sha256: str
-    outputs: Mapping[str, Output]
-    success: Success
-    readers: Used
-    """Readers of other packages that the outputs need."""
-    seen: ChangeGuard
-    """Guard that notices changes of the code and programs since planning."""
-    notes: tuple[str, ...] = ()
-    shared_files: tuple[SharedFileRow, ...] = ()
-    """Files beside the inputs of runs; empty for a recorded batch, whose files the store has."""
-    build: BuildState | None = None
-    """State of the products of `[build]`; None without it."""
-
-    @property
-    def target(self) -> str | None:
-        """Return the target that the batch is requested for; None if there is none."""
-        return self.project.config.target if self.source else self.request.target  # a recorded batch has the recorded one
-
-    def _repr_html_(self) -> str:
-        batch = self.batch
-        axes = tuple(axis.name for axis in batch.axes)
-        rows = ((*experiment.values.values(), len(experiment.runs)) for experiment in batch.experiments)
-        title = f"plan of batch {short(batch.id)}: {self.text}, {len(batch.runs)} runs"
-        return html.page(title, (*axes, "runs"), rows, self.notes, total=len(batch.experiments))
-
-    def snapshot(self, content: Callable[[str], bytes | None]) -> Checkout:
-        """Return a checkout of the current code; `content` returns a file that git does not have, by git's hash."""
-        manifest = self.source.manifest if self.source else b""
-        used = tuple((program.name, program.kind) for program in self.programs.all)
-        mounted = Programs(tuple(program for program in self.programs.all if program.name.startswith(container_setup.MOUNTS)))
-        return Checkout(self.project.root, self.batch.spec, manifest, used, content, mounted)
 
 
 def plan(
@@ -267,32 +198,6 @@ def _committed(root: Path, spec: RunSpec, code: source.Source, used: Programs) -
     """Return a checkout of the commit's code, which is executed instead of the current files."""
     known = tuple((program.name, program.kind) for program in used.all)
     return Checkout(root, spec, code.manifest, known, lambda blob: None)
-
-
-def versioned(plan: Plan) -> Plan:
-    """Return the plan with the versions that its programs report; this executes the programs."""
-    variables = commands.declared(plan.batch.spec.environment, plan.project.root)
-    return replace(
-        plan,
-        programs=reported_versions.with_versions(plan.programs, plan.project.config.programs, variables, plan.project.root),
-    )
-
-
-def context(plan: Plan, session: str = "", number: int | None = None) -> Context:
-    """Return the context that recording needs for a session that executes this plan."""
-    return Context(
-        session=session,
-        batch=plan.batch.id,
-        purpose=Purpose.RUN,
-        environment=plan.environment.environment,
-        programs=plan.programs.id,
-        outputs=plan.outputs,
-        success=plan.success,
-        number=number,
-        raw=plan.project.config.store.raw,
-        readers=plan.readers,
-        engines=plan.project.config.engines,
-    )
 
 
 def _named_values(query: Query, config: Project) -> list[str]:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 
 from sierra.execution.observation import reusable_executions, stale_sessions
 from sierra.execution.observation.reusable_executions import Reusable
+from sierra.execution.plan import Plan, context
 from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
-from sierra.execution.resolve_plan import Plan, context
 from sierra.store.store import Snapshot, Store
 
 MANY = 4

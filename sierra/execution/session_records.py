@@ -11,7 +11,7 @@ from sierra.errors import Damaged
 from sierra.execution import sessions, shared_files
 from sierra.execution.observation import kept_programs
 from sierra.execution.observation.reusable_executions import unused_changes
-from sierra.execution.resolve_plan import Plan, context
+from sierra.execution.plan import Plan, context
 from sierra.execution.reuse import FileCheck, check
 from sierra.execution.sessions import Session
 from sierra.model import Batch

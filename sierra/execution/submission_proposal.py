@@ -10,7 +10,7 @@ from typing import NamedTuple
 from sierra import runners
 from sierra.execution import expected_durations
 from sierra.execution.dry_run import forecast
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.provenance import source
 from sierra.runners.cluster.resource_estimate import Estimate, propose
 from sierra.store.layout import ProjectPaths, StorePaths

@@ -7,8 +7,8 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from sierra.execution.plan import Plan
 from sierra.execution.plan_notes import out_of_reach
-from sierra.execution.resolve_plan import Plan
 from sierra.model import Batch, Value
 from sierra.store.store import Store
 from sierra.util import html

@@ -17,7 +17,7 @@ from sierra.store.store import Store
 from sierra.util.text import few
 
 if TYPE_CHECKING:
-    from sierra.execution.resolve_plan import Plan
+    from sierra.execution.plan import Plan
 
 LAST = "SELECT coalesce(target, '') FROM sessions WHERE batch = $b ORDER BY lamport DESC LIMIT 1"
 

@@ -19,8 +19,8 @@ from sierra.errors import Missing, SierraError, UsageError
 from sierra.execution import commands, session_records, show_record
 from sierra.execution.execute import check_packages
 from sierra.execution.observer import Observer, Progress, Relay, Tally
+from sierra.execution.plan import Plan, context, versioned
 from sierra.execution.plan_notes import out_of_reach
-from sierra.execution.resolve_plan import Plan, context, versioned
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session, locked
 from sierra.execution.unread_files import UnreadFiles, of_run

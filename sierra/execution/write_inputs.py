@@ -25,7 +25,7 @@ from pathlib import Path
 from sierra.containers.engines.base import PROJECT
 from sierra.errors import Missing, UsageError
 from sierra.execution.commands import HERE, CommandBuilder
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.model import Job
 from sierra.query.condition import Selection
 from sierra.query.query_request import KEY

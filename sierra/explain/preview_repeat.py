@@ -10,8 +10,8 @@ from sierra.errors import SierraError
 from sierra.execution import resolve_plan, targets
 from sierra.execution.build.state import BuildState
 from sierra.execution.dry_run import forecast
+from sierra.execution.plan import Plan
 from sierra.execution.reasons import ChangeReason, Reason
-from sierra.execution.resolve_plan import Plan
 from sierra.explain.plan_changes import PlanChange
 from sierra.explain.why_new_runs import other_programs, why_other
 from sierra.query.query_request import repeated

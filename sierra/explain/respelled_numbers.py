@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from sierra.errors import SierraError
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.execution.session_records import batch_row
 from sierra.model import Value
 from sierra.query import grammar, ranges

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from sierra.errors import NotFound
 from sierra.execution import row_queries
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.model import IN_PROJECT
 from sierra.provenance import source
 from sierra.provenance.compiled_languages import is_code, is_compiled

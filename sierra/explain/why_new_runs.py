@@ -13,7 +13,7 @@ from sierra.containers.container_setup import other_host_access
 from sierra.errors import Damaged, Missing, NotFound
 from sierra.execution import around, row_queries
 from sierra.execution.observation import stale_sessions
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.execution.session_records import batch_row, is_kept
 from sierra.explain.plan_changes import Aspect, Basis, NewRuns, PlanChange
 from sierra.provenance import fingerprint_programs, source

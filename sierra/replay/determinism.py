@@ -10,7 +10,7 @@ from dataclasses import replace as replaced
 from sierra.errors import Missing
 from sierra.execution import execute
 from sierra.execution.observer import Observer
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.execution.reuse import states
 from sierra.execution.run_options import RunOptions
 from sierra.replay import replay

@@ -21,7 +21,7 @@ from typing import ClassVar, NamedTuple, TypeVar
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError
 from sierra.execution.observer import Observer
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary
 from sierra.model import Value

@@ -15,7 +15,7 @@ from sierra.containers.container_setup import Isolation
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, NoEngine, Process
 from sierra.containers.images.image import Image, Kind
 from sierra.design.seeds import seed
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.ingest.recorder import result_hash
 from sierra.ingest.recording_context import Context
 from sierra.model import Client, OutputFile, RunSpec

@@ -25,7 +25,7 @@ from sierra.execution.build import products
 from sierra.execution.build.perform import Ended, Place, failure, perform, record
 from sierra.execution.build.state import BuildState
 from sierra.execution.observer import Observer
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.execution.sessions import Session, locked
 from sierra.model import IN_PROJECT, Purpose
 from sierra.provenance import source

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.model import IN_PROJECT
 from sierra.provenance import source
 from sierra.provenance.hash_cache import VENV

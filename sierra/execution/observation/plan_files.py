@@ -7,8 +7,8 @@ from pathlib import Path
 
 from sierra.execution import commands
 from sierra.execution.observation.current_files import Current
+from sierra.execution.plan import Plan
 from sierra.execution.project_source import not_in_checkouts
-from sierra.execution.resolve_plan import Plan
 from sierra.provenance import pythons
 from sierra.provenance.dependency_model import Programs
 

@@ -19,7 +19,7 @@ from sierra.execution import row_queries
 from sierra.execution.observation import file_sets, plan_files
 from sierra.execution.observation.current_files import Current
 from sierra.execution.observation.unchanged_files import unchanged
-from sierra.execution.resolve_plan import Plan, context
+from sierra.execution.plan import Plan, context
 from sierra.model import RunSpec
 from sierra.provenance import source
 from sierra.provenance.dependency_model import Kind, Programs

@@ -5,7 +5,7 @@ If they were observed, their files belong to the sets of files of the observed r
 
 from __future__ import annotations
 
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.store.store import Store
 from sierra.util.text import few
 from sierra.worker.worker import UNOBSERVED

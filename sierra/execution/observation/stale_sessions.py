@@ -14,7 +14,7 @@ from sierra.execution.observation import file_sets, plan_files
 from sierra.execution.observation.current_files import Current
 from sierra.execution.observation.file_sets import FileSets, UsedFile
 from sierra.execution.observation.unchanged_files import changes, found_differently
-from sierra.execution.resolve_plan import Plan
+from sierra.execution.plan import Plan
 from sierra.provenance import source
 from sierra.store.store import Snapshot
 from sierra.util.text import few
