@@ -30,6 +30,7 @@ CONTENTS = {
         "how-to/figure-kinds",
         "how-to/models",
         "how-to/compare",
+        "how-to/claims",
         "how-to/number-of-runs",
         "how-to/replay",
         "how-to/containers",

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sierra.containers.images.image import Image
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
+    from sierra.deliverables.claims.evaluate import Evaluated
     from sierra.deliverables.comparison import Compared
     from sierra.deliverables.models.errors_of_models import ModelErrors
     from sierra.deliverables.power import RunsForPower
@@ -1100,6 +1101,22 @@ class Project:
         if rest in self.config.queries:
             return label or rest, self._asked((rest,), None)
         return label, self.batch(rest)
+
+    def claims(self, *names: str) -> tuple[Evaluated, ...]:
+        """Return whether the claims of `sierra.toml` hold on the recorded runs: all, or those with these names.
+
+        Each has a `verdict`, its numbers as `text`, `n`, and the `ground` of the verdict. p values are corrected for all claims
+        of the project that tests decide, also if only some are evaluated. A claim that cannot be evaluated is no error: its
+        verdict is "can't tell". Raises NotFound for an unknown name, and if there are no claims.
+
+        >>> project.claims()
+        Traceback (most recent call last):
+            ...
+        sierra.errors.NotFound: sierra.toml declares no [claims.NAME]
+        """
+        from sierra.deliverables.claims import evaluate
+
+        return evaluate.evaluate(self._loaded, self.store, names)
 
     def runs_needed(
         self,

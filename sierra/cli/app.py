@@ -38,6 +38,7 @@ COMMANDS = {
     "stats": "sierra.cli.stats:stats",
     "figures": "sierra.cli.figures:figures",
     "models": "sierra.cli.models:models",
+    "claims": "sierra.cli.claims:claims",
     "cite": "sierra.cli.cite:cite",
     "package": "sierra.cli.package:package",
     "open": "sierra.cli.open:app",

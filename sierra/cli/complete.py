@@ -117,6 +117,11 @@ def models(incomplete: str) -> list[str]:
     return _named("models", incomplete)
 
 
+def claims(incomplete: str) -> list[str]:
+    """Return the names of the claims in `sierra.toml`."""
+    return _named("claims", incomplete)
+
+
 def comparisons(incomplete: str) -> list[str]:
     """Return the names of the comparisons and queries in `sierra.toml`, and prefixes of batches' ids."""
     return [*_named("comparisons", incomplete), *_named("queries", incomplete), *batches(incomplete)]

@@ -249,7 +249,8 @@ class TableForPaper(Table):
         return self
 
 
-def _known_method(name: str) -> str:
+def known_method(name: str) -> str:
+    """Return the name of a comparison method. Raises ValueError for an unknown one."""
     from sierra.config.plugin_registry import COMPARISONS
 
     if name not in ("auto", *COMPARISONS.shipped) and name not in COMPARISONS.names():
@@ -280,12 +281,16 @@ class Comparison(Table):
     threshold: Finite | None = Field(
         None, description="for `time_to`: the value that must be reached or exceeded, in the column's unit"
     )
+    where: str = Field("", description="rows that count, as an SQL condition on columns of the output; default: all rows")
+    experiments: str = Field(
+        "", description="experiments that count, as in `sierra run --only`: `noise=0 and size<=4`; default: all"
+    )
     over_time: bool = Field(
         False,
         description="draw the difference over time, with its interval at each time, which is no test; what is tested is "
         "the mean of each run over time",
     )
-    method: Annotated[str, Field(min_length=1), AfterValidator(_known_method)] = Field(
+    method: Annotated[str, Field(min_length=1), AfterValidator(known_method)] = Field(
         "auto",
         description="how groups are tested: `signed_rank`, `friedman` (pairs), `rank_sum`, `kruskal` (no pairs), `log_rank` "
         "(times that runs never reached), `aligned_ranks` (several variables in `by`), or a plug-in; `auto`: what suits the "
@@ -310,4 +315,6 @@ class Comparison(Table):
             raise ValueError('measure "time_to" and "threshold" must be used together')
         if self.over_time and self.measure not in (None, "mean"):
             raise ValueError(f'"over_time" tests the mean over time, not measure {self.measure!r}')
+        if self.over_time and self.where:
+            raise ValueError('"where" chooses rows, so it cannot be used with "over_time"')
         return self

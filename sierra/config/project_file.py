@@ -19,6 +19,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, PositiveInt, model_
 from sierra.config import forbidden_directives as directives
 from sierra.config import group_names, targets
 from sierra.config.change_tables import NO_CHANGE, OWN_PLACEHOLDERS, ChangeTable, Group, Seed, Variable, set_to
+from sierra.config.claim_table import Claim
 from sierra.config.cluster_table import ClusterTable, check_directives
 from sierra.config.deliverable_tables import (
     DEFAULT_FORMATS,
@@ -48,6 +49,7 @@ from sierra.config.package_table import Package
 from sierra.config.validate import options
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.store.layout import CONFIG, PYPROJECT
+from sierra.util.text import like
 
 if TYPE_CHECKING:
     from sierra.store.derived_tables import Definition, Rules
@@ -217,6 +219,9 @@ class Project(Table):
     comparisons: Mapping[Name, Comparison] = Field(
         default_factory=dict, description="comparisons of groups of runs, by name, for `sierra compare`"
     )
+    claims: Mapping[Name, Claim] = Field(
+        default_factory=dict, description="claims of a paper that recorded runs decide, by name, for `sierra claims`"
+    )
     package: Package = Package()
     platforms: Mapping[str, RawTable] = Field(default_factory=dict, description="options of platforms, by name")
     runners: Mapping[str, RawTable] = Field(
@@ -292,6 +297,15 @@ class Project(Table):
     def _one_deliverable_each(self) -> Project:
         if both := sorted(self.figures.keys() & self.paper_tables.keys()):
             raise ValueError(f"[figures.{both[0]}] and [paper_tables.{both[0]}] would have files of the same name; rename one")
+        return self
+
+    @model_validator(mode="after")
+    def _shown_claims(self) -> Project:
+        for name, claim in self.claims.items():
+            for key, shown in (("figures", claim.figure), ("paper_tables", claim.table)):
+                known = getattr(self, key)
+                if shown and shown not in known:
+                    raise ValueError(f"claims.{name}: there is no [{key}.{shown}]; {like(shown, list(known), 'there are')}")
         return self
 
     @model_validator(mode="after")

@@ -155,7 +155,9 @@ def gather_cells(
         raise UsageError("--by compares the values of a variable within one batch; leave it out for several batches")
     measure = "mean" if asked.over_time else asked.measure
     found = {
-        group: values_of_runs(project, store, batch, asked.table, asked.column, measure, asked.threshold)
+        group: values_of_runs(project, store, batch, asked.table, asked.column, measure, asked.threshold, asked.where).among(
+            asked.experiments
+        )
         for group, batch in batches.items()
     }
     first = next(iter(found.values()))

@@ -227,12 +227,16 @@ class Gallery:
         return declared.units.get(column, "") if declared else ""
 
     def column(self, figure: Figure) -> stats.Samples:
-        """Return the samples of the one column that a figure names."""
+        """Return the samples of the one column that a figure names, in the rows of its `where`."""
         output = self.output(figure)
         (column,) = figure.columns
-        source = _Output(self.frame, output, self.time(output))
+        source = _Output(self.frame, output, self.time(output), figure.where)
         source.check(figure.columns, numeric=True)
-        return stats.Samples(source.samples(column), self._coverage(output), column in self.rates(output))
+        seen = self._coverage(output, several=bool(figure.where))
+        if figure.where:
+            seen = source.coverage(column)
+            stats.check_times(seen)
+        return stats.Samples(source.samples(column), seen, column in self.rates(output))
 
     def rates(self, output: OutputTable) -> tuple[str, ...]:
         """Return the columns whose values 0 and 1 are a rate: those of flags, and those that are declared."""

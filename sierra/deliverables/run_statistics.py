@@ -12,7 +12,8 @@ from sierra.config.deliverable_tables import Figure
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.gallery import Gallery
 from sierra.errors import UsageError
-from sierra.model import Value
+from sierra.model import Axis, Value
+from sierra.query import condition
 from sierra.stats import aggregate as stats
 from sierra.stats import survival
 from sierra.stats.comparison.model import RunValue
@@ -42,10 +43,12 @@ def statistics(
     times: str | None = None,
     chosen: Sequence[str] = (),
     among: Callable[[Frame], Container[int]] | None = None,
+    where: str = "",
 ) -> pa.Table:
     """Return statistics of one column, as `sierra.api.Project.statistics` does, with the values of the axes.
 
-    `among` returns the positions of the experiments that the notes count, if a reader sees only these.
+    `among` returns the positions of the experiments that the notes count, if a reader sees only these. `where` is an SQL
+    condition on the rows that count.
 
     The columns are `experiment`, one for each axis, and those of the statistics. If an axis has the name of another column,
     that column gets a `_` after its name, as outputs' columns do in SQL. The schema's metadata hold the statement
@@ -62,7 +65,7 @@ def statistics(
     wanted = stats.USUAL if selection is None else selection
     with Frame(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output})
-        figure = Figure(table=output, column=(column,))
+        figure = Figure(table=output, column=(column,), where=where)
         samples = gallery.column(figure)
         if measure == AUTO:
             measure = "mean" if gallery.takes_mean(gallery.output(figure)) else "final"
@@ -148,6 +151,20 @@ class RunTable:
         """Return the values of the axes in an experiment, as a reader sees them."""
         return {name: self.labelled[ordinal][name] for name in self.axes}
 
+    def among(self, experiments: str) -> RunTable:
+        """Return the runs of the experiments that a condition on variables selects; "": all. Raises QueryError."""
+        if not experiments:
+            return self
+        axes = [Axis(name, tuple(dict.fromkeys(cell[name] for cell in self.cells.values()))) for name in self.axes]
+        kept = condition.matching(experiments, axes, self.cells, "experiments")
+        return replace(
+            self,
+            cells={place: self.cells[place] for place in self.cells if place in kept},
+            labelled={place: self.labelled[place] for place in self.labelled if place in kept},
+            values={place: self.values[place] for place in self.values if place in kept},
+            planned={place: self.planned[place] for place in self.planned if place in kept},
+        )
+
 
 def values_of_runs(
     project: LoadedProject,
@@ -157,17 +174,19 @@ def values_of_runs(
     column: str,
     measure: str | None,
     threshold: float | None = None,
+    where: str = "",
 ) -> RunTable:
     """Return the runs of a batch, each reduced to one number by a measure (None: `AUTO`).
 
-    Without `output` and `column`, it is the only numeric column. Raises NotFound, UsageError.
+    `where` is an SQL condition on the rows that count. Without `output` and `column`, it is the only numeric column. Raises
+    NotFound, UsageError.
     """
     _check_reduction(measure, threshold, None)
     with Frame(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output} if output else frame.names)
         found = gallery.output(Figure(table=output, column=(column,) if column else ()))
         chosen = column or gallery.only_column(found)
-        samples = gallery.column(Figure(table=found.name, column=(chosen,)))
+        samples = gallery.column(Figure(table=found.name, column=(chosen,), where=where))
         measure = measure or ("mean" if gallery.takes_mean(found) else "final")
         rows = stats.values_of_runs(samples.frame, measure, threshold).to_pylist()
         seeds = frame.seeds()

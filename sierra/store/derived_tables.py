@@ -213,7 +213,11 @@ class DerivedTables:
         known = [*self._outputs, *self.definitions, *TABLE_NAMES]
         for name, spelled in found.tables.items():
             if name not in known:
-                names = [*self._outputs.values(), *(one.name for one in self.definitions.values()), *sorted(TABLE_NAMES)]
+                names = [
+                    *self._outputs.values(),
+                    *(one.name for one in self.definitions.values() if not one.name.startswith("# ")),
+                    *sorted(TABLE_NAMES),
+                ]
                 raise SqlError(f"{definition.origin}: there is no table {spelled!r}; {like(spelled, names, 'tables are')}")
         return found
 

@@ -8,7 +8,8 @@ time.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 BATCH = "batch"
+TELLING_NAN = frozenset(("isfinite", "isnan"))
+"""Functions of a statement that considers NaN itself."""
+STAR = re.compile(r"(?i)(?:\b(?:select|distinct)|[.,]|columns\s*\()\s*\*|\bcolumns\b|\bunpivot\b")
+"""A part of a statement that uses columns without naming them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +38,13 @@ class Joined:
 
     table: pa.Table
     sql: str
+    undefined: tuple[str, ...] = ()
+    """If wanted: the columns with NaN, as `table.column`, that the statement names, or that of a derived table that it reads.
+
+    Statements that call a function that tells NaN apart are left out."""
 
 
-def joined(store: Store, batches: Mapping[str, str], text: str, origin: str) -> Joined:
+def joined(store: Store, batches: Mapping[str, str], text: str, origin: str, *, find_undefined: bool = False) -> Joined:
     """Return the rows of a statement over batches, by label. Messages call it `origin`. Raises SierraError."""
     limits = store.rules().limits
     with ExitStack() as opened:
@@ -50,6 +59,7 @@ def joined(store: Store, batches: Mapping[str, str], text: str, origin: str) -> 
         for name in used.tables:
             parts = {label: _rows(snapshot, name, limits, origin) for label, snapshot in snapshots.items()}
             tables[name] = _union(parts, name, origin)
+        undefined = tuple(dict.fromkeys(_undefined(snapshots, text, tables, limits, origin))) if find_undefined else ()
         needed = [sql for name in used.tables if (sql := first.derived.statements(name))]
     database = connect()
     try:
@@ -60,7 +70,7 @@ def joined(store: Store, batches: Mapping[str, str], text: str, origin: str) -> 
         rows = text.strip().rstrip(";")
         rows = rows if used.ordered else f"SELECT * FROM (\n{rows}\n) ORDER BY ALL"
         with limited(database, limits, origin) as connection:
-            return Joined(connection.sql(rows).to_arrow_table(), "\n\n".join([*needed, text.strip()]))
+            return Joined(connection.sql(rows).to_arrow_table(), "\n\n".join([*needed, text.strip()]), undefined)
     finally:
         database.close()
 
@@ -103,3 +113,29 @@ def _union(parts: Mapping[str, pa.Table], name: str, origin: str) -> pa.Table:
         return pa.concat_tables(labelled, promote_options="permissive")
     except pa.ArrowInvalid as error:
         raise SierraError(f"{origin}: the batches have columns of different types in {name!r}: {error}") from error
+
+
+def _undefined(
+    snapshots: Mapping[str, Snapshot], text: str, known: Mapping[str, pa.Table], limits: Limits, origin: str
+) -> Iterator[str]:
+    """Yield the columns with NaN that a statement names, and then those that the derived tables name which it reads."""
+    first = next(iter(snapshots.values()))
+    used = statement.used(first.connection, text)
+    for name in used.tables:
+        if not TELLING_NAN & {function for function, _ in used.calls}:
+            parts = [known[name]] if name in known else [_rows(one, name, limits, origin) for one in snapshots.values()]
+            yield from (f"{name}.{column}" for part in parts for column in _with_nan(part, text))
+        if name not in TABLE_NAMES and name in first.derived.definitions:
+            yield from _undefined(snapshots, first.derived.definitions[name].sql, {}, limits, origin)
+
+
+def _with_nan(rows: pa.Table, text: str) -> Iterator[str]:
+    """Yield the columns of floats that have NaN, and whose name is a word of the statement, or all if it has a `*`."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    words = set(re.findall(r"\w+", text.lower()))
+    for column in rows.column_names:
+        named = words.issuperset(re.findall(r"\w+", column.lower())) or STAR.search(text)
+        if named and pa.types.is_floating(rows.schema.field(column).type) and pc.any(pc.is_nan(rows.column(column))).as_py():
+            yield column

@@ -114,6 +114,13 @@ class Pair:
     verdict: Verdict = Verdict.open
 
     @property
+    def direction(self) -> float:
+        """Return a number above 0 if `second` has the greater values or later times, and below 0 if `first` has them."""
+        if self.statistic is not None:
+            return self.statistic
+        return self.difference or (0.5 if self.a12 is None else self.a12) - 0.5
+
+    @property
     def delta(self) -> float | None:
         """Return Cliff's delta: 2 · A12 − 1."""
         return None if self.a12 is None else 2 * self.a12 - 1

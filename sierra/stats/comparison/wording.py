@@ -121,8 +121,8 @@ def _conclusion(pair: Pair, result: Analysis) -> str:
 
 def _direction(pair: Pair) -> str:
     if pair.statistic is not None:
-        return "reaches the threshold later" if pair.statistic > 0 else "reaches the threshold earlier"
-    return "is greater" if (pair.difference or (pair.a12 or 0.0) - 0.5) > 0 else "is less"
+        return "reaches the threshold later" if pair.direction > 0 else "reaches the threshold earlier"
+    return "is greater" if pair.direction > 0 else "is less"
 
 
 def _sentence(text: str) -> str:

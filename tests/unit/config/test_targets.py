@@ -113,6 +113,7 @@ ASKING = (
     "tables",
     "sql",
     "comparisons",
+    "claims",
 )
 OWN_TARGETS = ("target", "targets", "variables", "controllers", "scenarios", "seed")
 

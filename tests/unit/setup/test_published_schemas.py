@@ -90,12 +90,15 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "figures": "Figure",
         "paper_tables": "TableForPaper",
         "comparisons": "Comparison",
+        "claims": "Claim",
         "models": "Model",
         "runners": "ClusterTable",
         "services": "ServiceTable",
     }
     for name, model in groups.items():
         found[model] = set().union(*table[name].values())
+    for name, model in {"value": "ClaimedValue", "order": "ClaimedOrder", "equivalence": "ClaimedEquivalence"}.items():
+        found[model] = set().union(*(claim.get(name, {}) for claim in table["claims"].values()))
     found["Ready"] = set().union(*(service["ready"] for service in table["services"].values()))
     found["Tolerance"] = set().union(*(one for output in table["outputs"].values() for one in output["tolerance"].values()))
     return found

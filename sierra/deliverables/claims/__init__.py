@@ -1,0 +1,1 @@
+"""Claims of a paper: which runs decide them, and whether they hold."""

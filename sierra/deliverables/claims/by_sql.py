@@ -1,0 +1,68 @@
+"""Claims that one SQL statement decides: it yields one row, whose first column says whether the claim holds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from sierra.config.claim_table import Claim
+from sierra.deliverables.claims.model import Found, Verdict
+from sierra.errors import SierraError
+from sierra.store.samples import Frame
+from sierra.store.several_batches import joined
+from sierra.store.sql_result import SqlValue
+from sierra.store.store import Store
+from sierra.util.text import few
+
+SHOWN = 8
+"""The largest number of columns in the text."""
+
+
+def find(store: Store, name: str, claim: Claim, batches: Mapping[str, str]) -> Found:
+    """Return what the statement of a claim says about batches, by label. Raises SierraError for one that decides nothing."""
+    n = _runs(store, claim, batches)
+    if isinstance(n, Found):
+        return n
+    origin = f"[claims.{name}] sql"
+    made = joined(store, batches, claim.sql, origin, find_undefined=True)
+    if made.table.num_rows != 1:
+        raise SierraError(f"{origin}: it has {made.table.num_rows} rows; a claim needs one")
+    first, *others = made.table.column_names
+    row: dict[str, SqlValue] = dict(zip(made.table.column_names, made.table.to_pylist()[0].values(), strict=True))
+    if (kind := str(made.table.schema.field(0).type)) != "bool":
+        raise SierraError(f"{origin}: its first column {first!r} is {kind}, not true or false; write a condition, as in x > 1")
+    numbers = {other: row[other] for other in others}
+    text = few([f"{other} = {_shown(value)}" for other, value in numbers.items()], SHOWN) or f"{first} = {_shown(row[first])}"
+    if row[first] is None:
+        return Found(Verdict.cannot_tell, f"the statement yields NULL; {text}", n, numbers=numbers)
+    undefined = [other for other, value in numbers.items() if isinstance(value, float) and math.isnan(value)]
+    if undefined or made.undefined:
+        where = (
+            f"{undefined[0]} is NaN" if undefined else f"{made.undefined[0]} has NaN, which SQL takes for the largest number"
+        )
+        return Found(Verdict.cannot_tell, f"{where}; use isfinite() in the statement", n, numbers=numbers)
+    value = next((v for v in numbers.values() if isinstance(v, int | float) and not isinstance(v, bool)), None)
+    return Found(Verdict.holds if row[first] else Verdict.does_not_hold, text, n, value, numbers=numbers)
+
+
+def _runs(store: Store, claim: Claim, batches: Mapping[str, str]) -> int | Found:
+    """Return the number of successful runs; if too many are lost, what that means."""
+    counts: list[tuple[int, int]] = []
+    for batch in batches.values():
+        with Frame(store, batch) as frame:
+            counts += frame.counts().values()
+    n, planned = (sum(part) for part in zip(*counts, strict=True))
+    return lost(claim, n, planned) or n
+
+
+def lost(claim: Claim, n: int, planned: int) -> Found | None:
+    """Return what it means that only n of the planned runs have a value; None if the claim allows that, and n is not 0."""
+    if n and planned - n <= claim.allowed(planned):
+        return None
+    why = "failed, were cut off, are missing or have no finite value"
+    more = f"; the claim allows {claim.allowed(planned)} (lost)" if n else ""
+    return Found(Verdict.cannot_tell, f"{planned - n} of {planned} runs {why}{more}", n)
+
+
+def _shown(value: SqlValue) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)

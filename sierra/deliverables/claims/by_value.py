@@ -1,0 +1,68 @@
+"""Claims about a value: it holds if the whole 95 % interval lies within the margin around the expected value.
+
+It does not hold if the whole interval lies outside. If the interval has a part on either side, or does not exist, nothing can
+be told. The intervals of several claims are not corrected for each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sierra.config.claim_table import Claim, ClaimedValue, distance
+from sierra.config.project_file import LoadedProject
+from sierra.config.statistic_names import CENSORED
+from sierra.deliverables import paper_tables
+from sierra.deliverables.claims.by_sql import lost
+from sierra.deliverables.claims.model import Found, Verdict
+from sierra.deliverables.run_statistics import statistics, values_of_runs
+from sierra.errors import UsageError
+from sierra.stats.words import named
+from sierra.store.store import Store
+
+
+def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue, batches: Mapping[str, str]) -> Found:
+    """Return what the runs of a batch say about a value. Raises SierraError for a value that cannot be computed."""
+    (batch,) = batches.values()
+    runs = values_of_runs(project, store, batch, value.table, value.column, value.measure, value.threshold, value.where)
+    chosen = runs.among(value.experiments)
+    if len(chosen.cells) != 1:
+        raise UsageError(
+            f"experiments = {value.experiments!r} are {len(chosen.cells)}, but a value is that of one; "
+            f'select one by {", ".join(runs.axes)}, as in experiments = "{runs.axes[0]}=…"'
+        )
+    [(ordinal, planned)] = chosen.planned.items()
+    counted = [run for run in chosen.values[ordinal] if run.reached or value.statistic in CENSORED]
+    if (too_many := lost(claim, len(counted), planned)) is not None:
+        return too_many
+    table = statistics(
+        project,
+        store,
+        batch,
+        runs.output,
+        runs.column,
+        runs.measure,
+        runs.threshold,
+        chosen=(value.statistic,),
+        among=lambda _: {ordinal},
+        where=value.where,
+    )
+    notes = tuple(filter(None, paper_tables.notes_and_sql(table)[0].split("; ")))
+    estimates, _ = paper_tables.estimates_of(table, value.statistic, len(runs.axes), {ordinal})
+    estimate, low, high, n = estimates[ordinal]
+    unit = f" {runs.unit}" if runs.unit not in ("", "1") else ""
+    margin = distance(value.margin, value.expected)
+    expected = f"expected {value.expected:.6g} ± {margin:.6g}{unit}"
+    what = f"{named(value.statistic)} of {runs.column}"
+    if estimate is None or low is None or high is None:
+        known = f"{what} = {estimate:.6g}{unit}, but " if estimate is not None else ""
+        return Found(Verdict.cannot_tell, f"{known}{n} runs are too few for its interval; {expected}", n, estimate, notes=notes)
+    text = f"{what} = {estimate:.6g}{unit}, 95 % CI [{low:.6g}, {high:.6g}], {expected}"
+    verdict = decide(low, high, value.expected - margin, value.expected + margin)
+    return Found(verdict, text, n, estimate, low, high, notes=notes)
+
+
+def decide(low: float, high: float, least: float, most: float) -> Verdict:
+    """Return the verdict on an interval: within the limits, outside of them, or neither."""
+    if least <= low and high <= most:
+        return Verdict.holds
+    return Verdict.does_not_hold if high < least or low > most else Verdict.cannot_tell

@@ -1,0 +1,101 @@
+"""Evaluate the claims of a project on the recorded runs.
+
+A claim that cannot be evaluated is not an error: its verdict is that nothing can be told, with the reason, and the other claims
+are still evaluated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+
+from sierra.config.claim_table import DECISIONS, Claim
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables.claims import by_sql, by_test, by_value
+from sierra.deliverables.claims.by_test import Tested
+from sierra.deliverables.claims.model import Evaluated, Found, Ground, Verdict
+from sierra.deliverables.claims.rests_on import BatchesOfClaims
+from sierra.errors import NotFound, SierraError, UsageError
+from sierra.store.store import Store
+from sierra.util.text import like, one_line
+
+__all__ = ["Evaluated", "Ground", "Verdict", "batches", "evaluate"]
+
+
+def evaluate(
+    project: LoadedProject, store: Store, names: Sequence[str] = (), *, ground: Ground = Ground.RECORDED
+) -> tuple[Evaluated, ...]:
+    """Return the evaluation of the claims with these names, by default of all, in the order of `sierra.toml`.
+
+    `ground` is the origin of the data in the store, which the caller knows. p values are corrected for all claims of the
+    project that tests decide, also if only some are evaluated. Raises NotFound for an unknown name, and if there are no claims.
+    """
+    chosen, every = _named(project, names), project.config.claims
+    known = BatchesOfClaims(project, store)
+    tested = [name for name, claim in every.items() if claim.tested]
+    needed = {*chosen, *(() if chosen.keys().isdisjoint(tested) else tested)}
+    rests: dict[str, tuple[str, ...]] = {}
+    found = _corrected(
+        {name: _find(project, store, known, name, len(tested), rests) for name in every if name in needed}, tested
+    )
+    return tuple(_evaluated(name, claim, found[name], ground, rests.get(name, ())) for name, claim in chosen.items())
+
+
+def batches(project: LoadedProject, store: Store, names: Sequence[str] = ()) -> dict[str, tuple[str, ...]]:
+    """Return the ids of the batches of each claim, by its name. Raises NotFound, which names a query that has to be run."""
+    known = BatchesOfClaims(project, store)
+    return {name: tuple(known.of(name, claim).values()) for name, claim in _named(project, names).items()}
+
+
+def _named(project: LoadedProject, names: Sequence[str]) -> dict[str, Claim]:
+    """Return the claims with these names; without names, all."""
+    every = project.config.claims
+    if not every:
+        raise NotFound("sierra.toml declares no [claims.NAME]")
+    if unknown := [name for name in names if name not in every]:
+        raise NotFound(f"sierra.toml has no [claims.{unknown[0]}]; {like(unknown[0], list(every))}")
+    return {name: claim for name, claim in every.items() if not names or name in names}
+
+
+def _find(
+    project: LoadedProject, store: Store, known: BatchesOfClaims, name: str, tests: int, rests: dict[str, tuple[str, ...]]
+) -> Found | Tested:
+    """Return the finding about a claim, or its test, which needs the others; note the batches that it rests on."""
+    claim = project.config.claims[name]
+    try:
+        own = known.of(name, claim)
+        rests[name] = tuple(own.values())
+        if claim.sql:
+            return by_sql.find(store, name, claim, own)
+        if claim.value:
+            return by_value.find(project, store, claim, claim.value, own)
+        if claim.tested:
+            return by_test.test(project, store, claim, claim.tested, own, tests)
+        raise UsageError(f"[claims.{name}] says not how it is decided")  # the model of the table refuses that
+    except SierraError as error:
+        return Found(Verdict.cannot_tell, one_line(error))
+
+
+def _corrected(found: Mapping[str, Found | Tested], tested: Sequence[str]) -> dict[str, Found]:
+    """Return the findings, with all tests corrected together; a claim whose test is not possible counts with p = 1."""
+    done = {name: one for name, one in found.items() if isinstance(one, Found)}
+    tests = {name: one for name, one in found.items() if isinstance(one, Tested)}
+    if tests:
+        from sierra.stats.comparison.rank_tests import holm
+
+        adjusted = holm([*(one.p for one in tests.values()), *[1.0] * (len(tested) - len(tests))])
+        done |= {name: by_test.conclude(one, p, len(tested)) for (name, one), p in zip(tests.items(), adjusted, strict=False)}
+    return done
+
+
+def _evaluated(name: str, claim: Claim, found: Found, ground: Ground, rests: tuple[str, ...]) -> Evaluated:
+    shown = [f"figure {claim.figure}" if claim.figure else "", f"table {claim.table}" if claim.table else "", claim.paper]
+    return Evaluated(
+        **{one.name: getattr(found, one.name) for one in fields(Found)},
+        name=name,
+        says=claim.says,
+        shown=", ".join(filter(None, shown)),
+        kind=next(kind for kind in DECISIONS if getattr(claim, kind)),
+        ground=ground,
+        batches=rests,
+    )

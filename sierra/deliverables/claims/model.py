@@ -1,0 +1,65 @@
+"""The terms of claims: verdicts, grounds, and what an evaluation finds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from sierra.store.sql_result import SqlValue
+
+
+class Verdict(StrEnum):
+    """The conclusion about a claim."""
+
+    holds = "holds"
+    does_not_hold = "does not hold"
+    cannot_tell = "can't tell"
+    """The runs decide neither: there are too few or none, too many have no value, or nothing was shown."""
+
+
+class Ground(StrEnum):
+    """The origin of the data that a verdict rests on."""
+
+    RECORDED = "recomputed from recorded data"
+    REEXECUTED = "re-executed"
+    STATISTICALLY_REEXECUTED = "statistically re-executed"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The finding about one claim, without its name."""
+
+    verdict: Verdict
+    text: str
+    """The numbers, in one line."""
+    n: int = 0
+    """The number of runs with a value that counts."""
+    value: float | None = None
+    """The value of a claim about one, in the column's unit; of two groups, the estimated difference: first minus second."""
+    low: float | None = None
+    """The lower end of the interval of `value`; None if there is none."""
+    high: float | None = None
+    p: float | None = None
+    """The p value of the claim's test, corrected for all `tests`; None if it is not decided by a test."""
+    tests: int | None = None
+    """The number of the project's claims that tests decide."""
+    numbers: Mapping[str, SqlValue] = field(default_factory=dict)
+    """The further columns of a claim's SQL."""
+    notes: tuple[str, ...] = ()
+    """Notes on data that are not in the numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluated(Found):
+    """The evaluation of one claim."""
+
+    name: str = ""
+    says: str = ""
+    shown: str = ""
+    """The figure, table or place in the paper."""
+    kind: str = ""
+    """The way it is decided: sql, value, order or equivalence."""
+    ground: Ground = Ground.RECORDED
+    batches: tuple[str, ...] = ()
+    """The ids of the batches that decide it; none if they are not recorded."""

@@ -1,0 +1,70 @@
+"""The batches that decide claims: those of their queries, as the project is now, or those that they name."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from sierra.config.claim_table import Claim
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables import comparison
+from sierra.errors import NotFound, UsageError
+from sierra.execution import resolve_plan
+from sierra.query import query_request
+from sierra.query.query_request import QueryRequest
+from sierra.store.store import Store
+
+RECORDED = "SELECT batch FROM batches WHERE batch = $b"
+
+
+@dataclass(frozen=True, slots=True)
+class BatchesOfClaims:
+    """The batches of a project's claims. The same query is resolved once only, because that reads the whole source."""
+
+    project: LoadedProject
+    store: Store
+    _resolved: dict[QueryRequest, str] = field(default_factory=dict)
+
+    def of(self, name: str, claim: Claim) -> Mapping[str, str]:
+        """Return the ids of a claim's batches by label, in order. Raises NotFound, which names a query that has to be run."""
+        if claim.query:
+            request = query_request.request(
+                claim.query, runs=claim.runs, controller=claim.controller, scenario=claim.scenario, target=claim.target
+            )
+            named = [("", self._of_query(name, request))]
+        else:
+            named = [self._labelled(name, word) for word in claim.batches]
+        ids = [batch for _, batch in named]
+        if len(set(ids)) < len(ids):
+            raise UsageError(f"[claims.{name}] batches: two of them are the same batch")
+        proposed = comparison.labels(self.project, self.store, ids)
+        labels = [label or other for (label, _), other in zip(named, proposed, strict=True)]
+        if len(set(labels)) < len(labels):
+            raise UsageError(f"[claims.{name}] batches: two have the same label; give them different ones: LABEL=HASH")
+        return dict(zip(labels, ids, strict=True))
+
+    def _labelled(self, name: str, word: str) -> tuple[str, str]:
+        """Return the label ("" for none) and the batch of a word: `LABEL=PREFIX`, `PREFIX`, or a query's name instead."""
+        label, _, rest = word.rpartition("=")
+        if rest in self.project.config.queries:
+            return label or rest, self._of_query(name, query_request.request([rest]))
+        found = self.store.resolve(rest)
+        if found.kind != "batch":
+            raise NotFound(f"[claims.{name}] batches: {rest!r} is the id of another kind ({found.kind})")
+        return label, found.id
+
+    def _of_query(self, name: str, request: QueryRequest) -> str:
+        if request not in self._resolved:
+            self._resolved[request] = resolve_plan.plan(self.project, request).batch.id
+        batch = self._resolved[request]
+        if not self.store.values(str, RECORDED, b=batch):
+            raise NotFound(f"[claims.{name}] its query has not been run with this project as it is; run: {command(request)}")
+        return batch
+
+
+def command(request: QueryRequest) -> str:
+    """Return the command that runs a query."""
+    options = {name: getattr(request, name) for name in ("runs", "controller", "scenario", "target")}
+    given = (word for name, value in options.items() if value is not None for word in (f"--{name}", str(value)))
+    return shlex.join(["sierra", "run", *request.criteria, *given])
