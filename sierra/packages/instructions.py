@@ -15,7 +15,7 @@ from sierra.util.text import counted, one_line, size
 
 QUICK_S = 600
 """The time in seconds that a first look may take."""
-SPARE = 2
+SPARE, SLOWER = 2, "half the"
 """An evaluator's machine may be slower by this factor."""
 HOUR_S, MINUTE_S = 3600, 60
 DIFFERENCES = """
@@ -62,6 +62,7 @@ def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterato
         yield f"| `{batch.batch[:10]}` | `{_text(batch.query)}` | {numbers} |"
     yield ""
     yield from (f"- {_text(note)}" for note in described.notes)
+    yield from _claims(described)
     yield "\n## Needs\n"
     yield from _needs(described, sum(one.size for one in members.values()))
     yield "\n## First look\n"
@@ -77,6 +78,25 @@ def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterato
     yield "A copy of `project/` is an ordinary project of SIERRA. In it, a research query with other values makes new runs:\n"
     copy = "mkdir -p reproduction\ncp -r project reproduction/project\ncd reproduction/project"
     yield f"```sh\n{copy}\nsierra run {shlex.quote(one_line(described.batches[0].query))}\n```"
+
+
+def _claims(described: PackageManifest) -> Iterator[str]:
+    """Yield the claims with their verdicts on the recorded data, and commands that decide them again."""
+    if described.claims:
+        yield "\n## Claims\n"
+        yield "| claim | in the paper | recorded verdict | command | time |\n|---|---|---|---|---|"
+        for one in described.claims:
+            command = f"`sierra reproduce . --claim {one.name}`"
+            cells = (
+                _text(one.says),
+                _text(one.shown),
+                f"{one.verdict}: {_text(one.text)}",
+                command,
+                _time(SPARE * one.seconds),
+            )
+            yield f"| {' | '.join(cells)} |"
+        yield f"\nEach command executes the runs behind a claim again. The time is that of one core of {SLOWER} speed."
+        yield "In `project/`, `sierra claims` decides all claims on the recorded data, within seconds."
 
 
 def _needs(described: PackageManifest, content: int) -> Iterator[str]:
@@ -109,7 +129,7 @@ def _first_look(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
     shortest = SPARE * sum(one.needs.shortest for one in batches if one.needs)
     yield f"```sh\nsierra reproduce . --budget {QUICK_S // MINUTE_S}m\n```\n"
     if shortest <= QUICK_S:
-        yield f"The shortest run of each experiment takes {_time(shortest)} together, on a machine of half the speed."
+        yield f"The shortest run of each experiment takes {_time(shortest)} together, on a machine of {SLOWER} speed."
     else:
         yield f"The shortest run of each experiment would take {_time(shortest)} together: the command says which are left out."
 
@@ -117,7 +137,7 @@ def _first_look(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
 def _full(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
     total = SPARE * sum(one.needs.seconds for one in batches if one.needs)
     yield "```sh\nsierra reproduce .\n```\n"
-    yield f"It executes all runs again: {_time(total)} on one core of half the speed, less if several run at the same time."
+    yield f"It executes all runs again: {_time(total)} on one core of {SLOWER} speed, less if several run at the same time."
     yield "The exit status is 0 if everything was reproduced, 1 if anything differs, and 3 if something needed is missing."
 
 

@@ -7,15 +7,17 @@ programs that open a package use it to show what there is to do, and the records
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from sierra.deliverables.claims.evaluate import Verdict, evaluate
 from sierra.errors import Damaged
 from sierra.packages.layout import PACKAGE
 from sierra.packages.needs import Machine, Measured, machines, of_batches
 from sierra.packages.sources import folders
-from sierra.packages.subject import Subject
+from sierra.packages.subject import Member, Subject, packed_project
 from sierra.version import __version__
 
 FORMAT: Literal["sierra package 1"] = "sierra package 1"
@@ -44,6 +46,18 @@ class PackedSource(_Part):
     folder: str = Field(description="folder in the package")
 
 
+class PackedClaim(_Part):
+    """A claim of the paper, as the packed records decide it."""
+
+    name: str = Field(description="name in sierra.toml")
+    says: str = Field(description="the sentence")
+    shown: str = Field("", description="figure, table or place in the paper")
+    verdict: Verdict = Field(description="verdict on the recorded data")
+    text: str = Field(description="numbers behind the verdict")
+    batches: tuple[str, ...] = Field(description="ids of the batches that decide it; none if they are not packed")
+    seconds: float = Field(ge=0, description="sum of the durations of all runs of these batches, in seconds")
+
+
 class PackageManifest(_Part):
     """The content of `package.json`."""
 
@@ -53,6 +67,7 @@ class PackageManifest(_Part):
     date: str = Field("", description="date of publication, in ISO 8601")
     batches: tuple[PackedBatch, ...] = Field(description="packed batches, in the order in which they were requested")
     sources: tuple[PackedSource, ...] = Field((), description="sources of the runs")
+    claims: tuple[PackedClaim, ...] = Field((), description="claims of the paper")
     machines: tuple[Machine, ...] = Field((), description="machines that the runs were executed on")
     notes: tuple[str, ...] = Field((), description="things that the package does not contain, and other facts, one line each")
     redacted: Annotated[bool, Field(description="true in packages for double-blind review")] = False
@@ -74,8 +89,8 @@ class _Batch(NamedTuple):
     successful: int
 
 
-def describe(subject: Subject, notes: tuple[str, ...]) -> PackageManifest:
-    """Return the description of a package with these notes."""
+def describe(subject: Subject, members: Mapping[str, Member], notes: tuple[str, ...]) -> PackageManifest:
+    """Return the description of a package with these members and notes."""
     rows = {row.batch: row for row in subject.store.select(_Batch, BATCHES)}
     needs = of_batches(subject.store)
     return PackageManifest(
@@ -86,9 +101,18 @@ def describe(subject: Subject, notes: tuple[str, ...]) -> PackageManifest:
         sources=tuple(
             PackedSource(tree=tree.tree, commit=tree.commit, folder=folder) for folder, tree in folders(subject).items()
         ),
+        claims=tuple(_claims(subject, members, needs)),
         machines=machines(subject.store),
         notes=notes,
     )
+
+
+def _claims(subject: Subject, members: Mapping[str, Member], needs: Mapping[str, Measured]) -> Iterator[PackedClaim]:
+    """Yield the claims, evaluated on the packed records in the packed project, whose source may not be that of today."""
+    for one in evaluate(packed_project(subject, members), subject.store) if subject.project.config.claims else ():
+        seconds = sum(needs[batch].seconds for batch in one.batches if batch in needs)
+        same = {name: getattr(one, name) for name in ("name", "says", "shown", "verdict", "text", "batches")}
+        yield PackedClaim(**same, seconds=seconds)
 
 
 def written(manifest: PackageManifest) -> bytes:

@@ -83,7 +83,7 @@ def pack(
         part = extract(store, batches, scratch / "store")
         subject = Subject(project, part, batches, scratch, _date(project, part))
         members, notes, facts = _collect(subject)
-        described = manifest.describe(subject, (*notes, *facts))
+        described = manifest.describe(subject, members, (*notes, *facts))
         members[PACKAGE] = Member(PACKAGE, manifest.written(described), "description of the package for programs")
         members[INSTRUCTIONS] = instructions.member(described, members)
         members |= {member.name: member for member in crate.members(subject, members).members}
