@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents
     from sierra.containers.images.listing import Known
     from sierra.deliverables.claims.evaluate import Evaluated
+    from sierra.deliverables.claims.regression import Changed
     from sierra.deliverables.comparison import Compared
     from sierra.deliverables.models.errors_of_models import ModelErrors
     from sierra.deliverables.power import RunsForPower
@@ -61,6 +62,11 @@ if TYPE_CHECKING:
     from sierra.store.public_result import Result
     from sierra.store.row_types import SourceRow
     from sierra.studies.study import Outcome as StudyOutcome
+
+PACKAGED = ".zip"
+"""The ending of packages."""
+IN_PACKAGE = re.compile(r"(?:([^=/]+)=)?(.+\.zip)(?::(\w+))?")
+"""A batch in a package: an optional label, the path, and an optional prefix of the batch's id."""
 
 
 class Project:
@@ -1117,6 +1123,62 @@ class Project:
         from sierra.deliverables.claims import evaluate
 
         return evaluate.evaluate(self._loaded, self.store, names)
+
+    def claims_against(self, baseline: str, *names: str) -> tuple[Changed, ...]:
+        """Return how claims have changed since a baseline: all, or those with these names.
+
+        Each has a `verdict`, its numbers as `text`, and the evaluation as `now`. Raises NotFound for an unknown baseline or
+        claim.
+
+        >>> project.claims_against("v1")
+        Traceback (most recent call last):
+            ...
+        sierra.errors.NotFound: sierra.baselines.json has no baseline 'v1'; set it by: sierra baseline set v1
+        """
+        from sierra.deliverables.claims import baseline as baselines
+        from sierra.deliverables.claims import regression
+
+        before = baselines.read(self.paths.root, baseline)
+        return regression.compare(self.config, self.claims(*names), before)
+
+    def set_baseline(self, name: str, *words: str) -> tuple[Path, tuple[Evaluated, ...], tuple[str, ...]]:
+        """Write the results of claims to `sierra.baselines.json`; return the file, the results, and the claims left out.
+
+        `words` are prefixes of batches' ids, or the path of one package; without any, the batches are those of the project as
+        it is now. Raises NotFound if no batch decides any claim.
+
+        >>> project.set_baseline("v1")
+        Traceback (most recent call last):
+            ...
+        sierra.errors.NotFound: sierra.toml declares no [claims.NAME]
+        """
+        from sierra.deliverables.claims import baseline, evaluate
+
+        if not re.fullmatch(r"[\w.-]+", name):
+            raise UsageError(f"{name!r} is no name of a baseline; use letters, digits, '.', '_' and '-'")
+        store, among = self._chosen_batches(words)
+        found = evaluate.evaluate(self._loaded, store, among=among)
+        kept = tuple(one for one in found if one.batches)
+        if not kept:
+            raise NotFound(f"no claim can be evaluated: {found[0].text}")
+        left = tuple(one.name for one in found if not one.batches)
+        return baseline.write(self.paths.root, name, self.config, kept), kept, left
+
+    def _chosen_batches(self, words: Sequence[str]) -> tuple[Store, list[str] | None]:
+        """Return the store and the ids of the batches that words name, or those of a package; None for no words."""
+        packages = [word for word in words if word.endswith(PACKAGED)]
+        if packages and len(words) > 1:
+            raise UsageError("name one package, or batches of this project")
+        if packages:
+            return self._packaged(packages[0])
+        return self.store, [self.batch(word) for word in words] or None
+
+    def _packaged(self, path: str) -> tuple[Store, list[str]]:
+        """Return the store of a package and the ids of its batches. Raises Missing, Damaged."""
+        from sierra.packages import received
+
+        opened = received.open_package(Path(path))
+        return opened.store, [one.batch for one in opened.manifest.batches]
 
     def runs_needed(
         self,

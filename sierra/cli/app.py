@@ -39,6 +39,7 @@ COMMANDS = {
     "figures": "sierra.cli.figures:figures",
     "models": "sierra.cli.models:models",
     "claims": "sierra.cli.claims:claims",
+    "baseline": "sierra.cli.baseline:app",
     "cite": "sierra.cli.cite:cite",
     "package": "sierra.cli.package:package",
     "open": "sierra.cli.open:app",

@@ -1,28 +1,42 @@
-"""`sierra claims`: whether the claims of a paper hold on the recorded runs."""
+"""`sierra claims`: whether the claims of a paper hold on the recorded runs, or have become worse since a baseline."""
 
 from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJsonList
 from sierra.cli.output import note, print_json, readable, table
-from sierra.errors import Missing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from sierra.deliverables.claims.evaluate import Evaluated
+    from sierra.deliverables.claims.regression import Changed
+
+Outcome: TypeAlias = Literal["", "failure", "error"]
+OUTCOMES: dict[str, Outcome] = {
+    "holds": "",
+    "does not hold": "failure",
+    "no regression": "",
+    "regression": "failure",
+    "can't tell": "error",
+}
+"""The elements of JUnit for verdicts and changes; "": the test case passes."""
 
 
 def claims(
     names: Annotated[
         list[str] | None,
         typer.Argument(metavar="NAME", autocompletion=complete.claims, help="Claims in sierra.toml (default: all)."),
+    ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option("--against", metavar="BASELINE", help="Compare with this baseline: see sierra baseline set."),
     ] = None,
     junit: Annotated[
         Path | None, typer.Option("--junit", metavar="FILE", help="Also write the verdicts as JUnit XML, for CI.")
@@ -35,30 +49,46 @@ def claims(
     have no value, or because the runs decide neither. Nothing is executed. p values are corrected for all claims of the
     project that tests decide (Holm), also if only some are evaluated.
 
-    Exit status 0 means that all these claims hold, 1 that one does not or can't be told.
+    With --against, each claim is compared with a baseline. A value is a regression if the 95 % interval of its change is
+    beyond the margin that the claim declares (regression), and none if it is within. Other claims are regressions if they held
+    and do not hold now.
+
+    Exit status 0 means that all these claims hold, or with --against that none is a regression. It is 1 otherwise, also if one
+    can't be told.
 
     \b
     Examples:
       sierra claims
       sierra claims faster eight_robots
       sierra claims --json
-      sierra claims --junit claims.xml
+      sierra claims --against v1 --junit claims.xml
     """
     from sierra.cli.open_project import project
-    from sierra.deliverables.claims.model import Verdict
 
-    found = project().claims(*(names or ()))
+    opened = project()
+    found: Sequence[Evaluated | Changed]
+    found = opened.claims(*(names or ())) if against is None else opened.claims_against(against, *(names or ()))
     if junit is not None:
-        _write(found, junit)
+        from sierra.cli.junit import Case, write_cases
+
+        write_cases("claims", [Case(one.name, _outcome(one), str(one.verdict), _lines(one)) for one in found], junit)
     if as_json:
         print_json(found)
     else:
         _show(found)
-    if any(one.verdict is not Verdict.holds for one in found):
+    if any(map(_outcome, found)):
         raise typer.Exit(1)
 
 
-def _show(found: Sequence[Evaluated]) -> None:
+def _outcome(one: Evaluated | Changed) -> Outcome:
+    return OUTCOMES[str(one.verdict)]
+
+
+def _lines(one: Evaluated | Changed) -> tuple[str, ...]:
+    return (one.says, one.text, *one.notes, str(one.ground))
+
+
+def _show(found: Sequence[Evaluated | Changed]) -> None:
     rows = [(one.name, str(one.verdict), readable(one.text), one.n, str(one.ground)) for one in found]
     table(("claim", "verdict", "numbers", "n", "ground"), rows, right=("n",))
     for one in found:
@@ -66,12 +96,3 @@ def _show(found: Sequence[Evaluated]) -> None:
             note(f"{one.name}: {line}")
     counts = Counter(str(one.verdict) for one in found)
     note(", ".join(f"{count} of {len(found)}: {verdict}" for verdict, count in counts.items()))
-
-
-def _write(found: Sequence[Evaluated], file: Path) -> None:
-    from sierra.cli import junit
-
-    try:
-        junit.write_claims(found, file)
-    except OSError as error:
-        raise Missing(f"{file}: cannot be written: {error.strerror}") from error

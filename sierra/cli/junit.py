@@ -1,19 +1,20 @@
 """Verdicts as JUnit XML for continuous integration.
 
-Of a replay: a test suite for each experiment, a test case for each run. Of claims: one test suite, a test case for each claim.
+Of a replay: a test suite for each experiment, a test case for each run. Of others: one test suite, with a test case for each
+claim or comparison. One that is refuted is a failure, one that can't be told is an error.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NamedTuple
 from xml.etree import ElementTree as ET
 
 from sierra.cli.output import readable
+from sierra.errors import Missing
 
 if TYPE_CHECKING:
-    from sierra.deliverables.claims.model import Evaluated
     from sierra.replay.verdicts import Compared, OfExperiment, Replay
 
 
@@ -36,27 +37,29 @@ def write(answer: Replay, file: Path) -> None:
     _save(root, file)
 
 
-def write_claims(claims: Sequence[Evaluated], file: Path) -> None:
-    """Write the verdicts on claims to a file: one that does not hold is a failure, one that can't be told an error.
+class Case(NamedTuple):
+    """A test case: `outcome` is the element of one that did not pass, and `message` its verdict."""
 
-    Raises OSError.
-    """
-    from sierra.deliverables.claims.model import Verdict
+    name: str
+    outcome: Literal["", "failure", "error"]
+    message: str
+    lines: tuple[str, ...]
 
-    elements = {Verdict.does_not_hold: "failure", Verdict.cannot_tell: "error"}
-    counts = {element: sum(one.verdict is verdict for one in claims) for verdict, element in elements.items()}
-    root = ET.Element("testsuites", name="sierra claims")
-    suite = ET.SubElement(root, "testsuite", name="claims", tests=str(len(claims)))
-    suite.set("failures", str(counts["failure"]))
-    suite.set("errors", str(counts["error"]))
-    for one in claims:
-        case = ET.SubElement(suite, "testcase", classname="claims", name=one.name)
-        if one.verdict in elements:
-            part = ET.SubElement(case, elements[one.verdict], message=str(one.verdict))
-        else:
-            part = ET.SubElement(case, "system-out")
-        part.text = "\n".join(map(readable, (one.says, one.text, *one.notes, str(one.ground))))
-    _save(root, file)
+
+def write_cases(name: str, cases: Sequence[Case], file: Path) -> None:
+    """Write the cases of one test suite to a file. Raises Missing."""
+    root = ET.Element("testsuites", name=f"sierra {name}")
+    suite = ET.SubElement(root, "testsuite", name=name, tests=str(len(cases)))
+    for outcome in ("failure", "error"):
+        suite.set(f"{outcome}s", str(sum(case.outcome == outcome for case in cases)))
+    for case in cases:
+        element = ET.SubElement(suite, "testcase", classname=name, name=readable(case.name))
+        part = ET.SubElement(element, case.outcome or "system-out", {"message": case.message} if case.outcome else {})
+        part.text = "\n".join(map(readable, case.lines))
+    try:
+        _save(root, file)
+    except OSError as error:
+        raise Missing(f"{file}: cannot be written: {error.strerror}") from error
 
 
 def _save(root: ET.Element, file: Path) -> None:

@@ -68,6 +68,12 @@ class ClaimedValue(Measured):
     )
     expected: Finite = Field(description="the value that the paper says, in the column's unit")
     margin: Margin = Field(description="largest distance that agrees, in the column's unit, or as a percentage: `5 %`")
+    better: Literal["higher", "lower"] | None = Field(None, description="the better values, for comparisons with a baseline")
+    regression: Margin | None = Field(
+        None,
+        description="largest change for the worse since a baseline that does not matter, in the column's unit, or as a "
+        "percentage of the baseline's value: `5 %`",
+    )
 
     @model_validator(mode="after")
     def _decidable(self) -> ClaimedValue:
@@ -79,6 +85,8 @@ class ClaimedValue(Measured):
             raise ValueError(f"statistic: {wrong}")
         if self.expected == 0 and isinstance(self.margin, str):
             raise ValueError("a percentage of 0 is 0; write the margin as a number in the column's unit")
+        if (self.better is None) != (self.regression is None):
+            raise ValueError('"better" and "regression" must be used together')
         return self
 
 

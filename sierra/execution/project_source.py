@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
 from sierra.provenance import source
-from sierra.store.layout import CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
+from sierra.store.layout import BASELINES, CONFIG, DRAWN, FIGURES, LOCK, PYPROJECT, STORE, ProjectPaths, StorePaths
 
 
 def code(project: LoadedProject, *, dirty: str | None = None) -> source.Source:
@@ -29,6 +29,7 @@ def own_paths(project: LoadedProject) -> tuple[str, ...]:
     return (
         STORE,
         LOCK,
+        BASELINES,
         *_drawn(project.root),
         CONFIG,
         PYPROJECT if project.file.name == PYPROJECT else CONFIG,

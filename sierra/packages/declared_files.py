@@ -1,4 +1,4 @@
-"""The part of a package with the files that SIERRA itself reads: `sierra.toml`, `sierra.lock`, templates, statements."""
+"""The part of a package with the files that SIERRA reads: `sierra.toml`, `sierra.lock`, baselines, templates, statements."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from sierra.packages.layout import PROJECT
 from sierra.packages.subject import Made, Member, Subject
-from sierra.store.layout import LOCK
+from sierra.store.layout import BASELINES, LOCK
 
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
@@ -17,7 +17,8 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
 def _members(subject: Subject) -> Iterator[Member]:
     root = subject.project.root
     config = subject.project.config
-    named = [subject.project.file.name, LOCK, *config.template_paths, *(table.file for table in config.tables.values())]
+    tables = (table.file for table in config.tables.values())
+    named = [subject.project.file.name, LOCK, BASELINES, *config.template_paths, *tables]
     for name in dict.fromkeys(str(name) for name in named if name):
         if (root / name).is_file():
             yield Member(PROJECT + name, root / name, "file that SIERRA reads")

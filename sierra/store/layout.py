@@ -45,6 +45,7 @@ from sierra.util.fs import inside
 
 CONFIG = "sierra.toml"
 LOCK = "sierra.lock"
+BASELINES = "sierra.baselines.json"
 PYPROJECT = "pyproject.toml"
 STORE = ".sierra"
 WORK = "work"
@@ -86,6 +87,8 @@ class ProjectPaths:
     store = _Below(STORE)
     lock = _Below(LOCK)
     """The file that pins image names to images."""
+    baselines = _Below(BASELINES)
+    """The results of claims that later ones are compared with."""
     figures = _Below(FIGURES)
 
     def drawn(self, batch: str) -> Path:

@@ -46,6 +46,7 @@ def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue
         among=lambda _: {ordinal},
         where=value.where,
     )
+    each = {} if value.statistic in CENSORED else {str(run.seed): run.value for run in counted}
     notes = tuple(filter(None, paper_tables.notes_and_sql(table)[0].split("; ")))
     estimates, _ = paper_tables.estimates_of(table, value.statistic, len(runs.axes), {ordinal})
     estimate, low, high, n = estimates[ordinal]
@@ -55,10 +56,17 @@ def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue
     what = f"{named(value.statistic)} of {runs.column}"
     if estimate is None or low is None or high is None:
         known = f"{what} = {estimate:.6g}{unit}, but " if estimate is not None else ""
-        return Found(Verdict.cannot_tell, f"{known}{n} runs are too few for its interval; {expected}", n, estimate, notes=notes)
+        return Found(
+            Verdict.cannot_tell,
+            f"{known}{n} runs are too few for its interval; {expected}",
+            n,
+            estimate,
+            runs=each,
+            notes=notes,
+        )
     text = f"{what} = {estimate:.6g}{unit}, 95 % CI [{low:.6g}, {high:.6g}], {expected}"
     verdict = decide(low, high, value.expected - margin, value.expected + margin)
-    return Found(verdict, text, n, estimate, low, high, notes=notes)
+    return Found(verdict, text, n, estimate, low, high, runs=each, notes=notes)
 
 
 def decide(low: float, high: float, least: float, most: float) -> Verdict:

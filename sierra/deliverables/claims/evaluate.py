@@ -23,15 +23,21 @@ __all__ = ["Evaluated", "Ground", "Verdict", "batches", "evaluate"]
 
 
 def evaluate(
-    project: LoadedProject, store: Store, names: Sequence[str] = (), *, ground: Ground = Ground.RECORDED
+    project: LoadedProject,
+    store: Store,
+    names: Sequence[str] = (),
+    *,
+    ground: Ground = Ground.RECORDED,
+    among: Sequence[str] | None = None,
 ) -> tuple[Evaluated, ...]:
     """Return the evaluation of the claims with these names, by default of all, in the order of `sierra.toml`.
 
-    `ground` is the origin of the data in the store, which the caller knows. p values are corrected for all claims of the
+    `ground` is the origin of the data in the store, which the caller knows. `among` has the ids of the batches that may decide,
+    also if the project has changed since: see `rests_on`. p values are corrected for all claims of the
     project that tests decide, also if only some are evaluated. Raises NotFound for an unknown name, and if there are no claims.
     """
     chosen, every = _named(project, names), project.config.claims
-    known = BatchesOfClaims(project, store)
+    known = BatchesOfClaims(project, store, among)
     tested = [name for name, claim in every.items() if claim.tested]
     needed = {*chosen, *(() if chosen.keys().isdisjoint(tested) else tested)}
     rests: dict[str, tuple[str, ...]] = {}

@@ -44,6 +44,8 @@ class Found:
     """The p value of the claim's test, corrected for all `tests`; None if it is not decided by a test."""
     tests: int | None = None
     """The number of the project's claims that tests decide."""
+    runs: Mapping[str, float] = field(default_factory=dict)
+    """Of a claim about a value: the values of the runs by seed; none if the statistic counts times never reached."""
     numbers: Mapping[str, SqlValue] = field(default_factory=dict)
     """The further columns of a claim's SQL."""
     notes: tuple[str, ...] = ()

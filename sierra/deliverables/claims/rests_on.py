@@ -1,21 +1,31 @@
-"""The batches that decide claims: those of their queries, as the project is now, or those that they name."""
+"""The batches that decide claims: those of their queries, as the project is now, or those that they name.
+
+Instead, the batches can be chosen among given ones: older ones, or those of another store. Then a claim's query is that of a
+batch if the criteria, the controller, the scenario, the changes and the target are the same, whatever the code was.
+"""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from sierra.config.claim_table import Claim
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import comparison
 from sierra.errors import NotFound, UsageError
-from sierra.execution import resolve_plan
-from sierra.query import query_request
+from sierra.execution import resolve_plan, resolve_query, targets
+from sierra.query import grammar, query_request
 from sierra.query.query_request import QueryRequest
 from sierra.store.store import Store
 
 RECORDED = "SELECT batch FROM batches WHERE batch = $b"
+SAME_QUERY = """
+SELECT batch FROM batches
+WHERE query = $query AND overrides = $overrides::VARCHAR[] AND controller IS NOT DISTINCT FROM $controller
+  AND scenario IS NOT DISTINCT FROM $scenario AND batch IN $among
+ORDER BY lamport DESC
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +34,8 @@ class BatchesOfClaims:
 
     project: LoadedProject
     store: Store
+    among: Sequence[str] | None = None
+    """The ids of the batches that may decide; None: those of the project as it is now, and those that claims name."""
     _resolved: dict[QueryRequest, str] = field(default_factory=dict)
 
     def of(self, name: str, claim: Claim) -> Mapping[str, str]:
@@ -50,16 +62,39 @@ class BatchesOfClaims:
         if rest in self.project.config.queries:
             return label or rest, self._of_query(name, query_request.request([rest]))
         found = self.store.resolve(rest)
+        if self.among is not None and found.id not in self.among:
+            raise NotFound(f"[claims.{name}] batches: {rest!r} is none of the given batches")
         if found.kind != "batch":
             raise NotFound(f"[claims.{name}] batches: {rest!r} is the id of another kind ({found.kind})")
         return label, found.id
 
     def _of_query(self, name: str, request: QueryRequest) -> str:
+        if self.among is not None:
+            return self._of_same_query(name, request, self.among)
         if request not in self._resolved:
             self._resolved[request] = resolve_plan.plan(self.project, request).batch.id
         batch = self._resolved[request]
         if not self.store.values(str, RECORDED, b=batch):
             raise NotFound(f"[claims.{name}] its query has not been run with this project as it is; run: {command(request)}")
+        return batch
+
+    def _of_same_query(self, name: str, request: QueryRequest, among: Sequence[str]) -> str:
+        """Return the last recorded one of the given batches that has the query of a request. Raises NotFound."""
+        project = self.project.for_target(request.target)
+        query = resolve_query.resolve(project, request)
+        axes = {criterion.name for criterion in query.criteria}
+        found = self.store.values(
+            str,
+            SAME_QUERY,
+            query=" ".join(map(grammar.text, query.criteria)),
+            overrides=[f"{one.path}={one.value}" for one in query.sets],
+            controller=None if "controller" in axes else query.controller or project.config.controller,
+            scenario=None if "scenario" in axes else query.scenario or project.config.scenario,
+            among=list(among),
+        )
+        batch = next((one for one in found if targets.recorded(self.store, one) == request.target), None)
+        if batch is None:
+            raise NotFound(f"[claims.{name}] none of the given batches has its query: {' '.join(request.criteria)}")
         return batch
 
 
