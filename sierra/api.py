@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -1084,7 +1084,36 @@ class Project:
         from sierra.deliverables import comparison
 
         asked = options(Comparison, {key: value for key, value in given.items() if value is not None}, "the comparison")
-        return comparison.compare(self._loaded, self.store, name, self._groups_of(words), asked)
+        groups, packaged = self._groups_with_packages(words)
+        return comparison.compare(self._loaded, self.store, name, groups, asked, packaged)
+
+    def _groups_with_packages(self, words: Sequence[str]) -> tuple[dict[str, str], dict[str, Store]]:
+        """Return the batches that words name, by group, and the stores of the groups that are in packages."""
+        found = {word: match for word in words if (match := IN_PACKAGE.fullmatch(word))}
+        others = [word for word in words if word not in found]
+        own = self._groups_of(others) if others or not found else {}
+        rest, groups, packaged = iter(own.items()), dict[str, str](), dict[str, Store]()
+        for word in words or own:
+            if word in found:
+                label, path, prefix = found[word].groups()
+                group = label or Path(path).stem
+                packaged[group], batch = self._batch_in_package(path, prefix, own.values())
+            else:
+                group, batch = next(rest)
+            if group in groups:
+                raise UsageError(f"two groups have the name {group!r}; give them different ones: LABEL=HASH")
+            groups[group] = batch
+        return groups, packaged
+
+    def _batch_in_package(self, path: str, prefix: str | None, others: Iterable[str]) -> tuple[Store, str]:
+        """Return the store of a package, and its batch with this prefix: else the only one, or one that is among others."""
+        store, batches = self._packaged(path)
+        named = [batch for batch in batches if batch.startswith(prefix or "")]
+        same = [batch for batch in named if batch in others] if len(named) > 1 else named
+        if len(same) != 1:
+            known = ", ".join(batch[:10] for batch in batches)
+            raise NotFound(f"{path}: name one of its batches, as {Path(path).name}:HASH; it has {known}")
+        return store, same[0]
 
     def _groups_of(self, words: Sequence[str]) -> dict[str, str]:
         """Return the batches that words name, by the names of their groups. Raises NotFound, UsageError."""

@@ -19,6 +19,7 @@ from sierra.errors import Missing, UsageError
 if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.deliverables.comparison import Compared
+    from sierra.stats.comparison.model import Pair
 
 
 class Pairs(StrEnum):
@@ -38,8 +39,8 @@ def compare(
         typer.Argument(
             metavar="[NAME | HASH...]",
             autocompletion=complete.comparisons,
-            help="A comparison in sierra.toml; or batches: ids, prefixes or names of queries, each also as LABEL=HASH "
-            "(default: the last batch).",
+            help="A comparison in sierra.toml; or batches: ids, prefixes, names of queries, or packages (FILE.zip or "
+            "FILE.zip:HASH), each also as LABEL=HASH (default: the last batch).",
         ),
     ] = None,
     by: Annotated[
@@ -98,10 +99,14 @@ def compare(
     label: Annotated[
         str, typer.Option("--label", metavar="NAME", help="Label of a table for papers, such as tab:speeds.")
     ] = "",
+    junit: Annotated[
+        Path | None,
+        typer.Option("--junit", metavar="FILE", help="With --margin: also write JUnit XML; groups that differ are failures."),
+    ] = None,
     file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the result to a file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object with everything instead of text.")] = False,
 ) -> None:
-    """Compare groups of runs by tests, with effect sizes and intervals.
+    """Compare groups of runs by tests, with sizes and intervals.
 
     The groups are batches, or the values of a variable in one batch, such as controllers. Prints a table with a row for each
     test, and a paragraph that can be pasted into a paper; draws a figure of the differences.
@@ -120,6 +125,7 @@ def compare(
       sierra compare 518b 722b --measure time_to --threshold 0.5
       sierra compare slow=518b fast=722b --over-time
       sierra compare speeds --format latex -o speeds.tex
+      sierra compare 518b published.zip --margin 0.05 --junit differences.xml
     """
     from sierra.cli.open_project import project
 
@@ -166,6 +172,8 @@ def compare(
             margin=margin,
             alpha=0.05 if alpha is None else alpha,
         )
+    if junit is not None:
+        _write_cases(found, junit)
     drawn, refused = _drawn(opened, found) if figure else ([], "")
     for text in found.notes:
         note(text)
@@ -177,6 +185,35 @@ def compare(
         _show(found, Format(format.value), file, drawn, as_json=as_json)
     if refused:
         note(f"no figure: {refused}")
+
+
+def _write_cases(found: Compared, file: Path) -> None:
+    """Write a test case for each pair: equivalent groups pass, different ones fail. Raises UsageError without a margin."""
+    from sierra.cli.junit import Case, write_cases
+    from sierra.stats.comparison.model import Verdict
+
+    if found.analysis.question.margin is None:
+        raise UsageError("--junit needs a margin, because a test that finds no difference does not show that groups are equal")
+    cases = [
+        Case(
+            ", ".join([*(f"{name}={value}" for name, value in pair.point.items()), f"{pair.second} − {pair.first}"]),
+            ""
+            if pair.verdict in (Verdict.equivalent, Verdict.both)
+            else "failure"
+            if pair.verdict is Verdict.different
+            else "error",
+            str(pair.verdict),
+            (_numbers(pair),),
+        )
+        for pair in found.pairs
+    ]
+    write_cases("compare", cases, file)
+
+
+def _numbers(pair: Pair) -> str:
+    parts = {"difference": pair.difference, "low": pair.low, "high": pair.high, "p": pair.p_adjusted}
+    parts["p of equivalence"] = pair.p_equivalent_adjusted
+    return f"{pair.test}: " + ", ".join(f"{name} = {value:.6g}" for name, value in parts.items() if value is not None)
 
 
 def _show(found: Compared, format: Format, file: Path | None, drawn: list[Path], *, as_json: bool) -> None:

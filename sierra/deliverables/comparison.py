@@ -66,6 +66,8 @@ class Compared:
     """The differences over time, if they were requested."""
     time: str = ""
     """The name of the time, with its unit."""
+    packaged: tuple[str, ...] = ()
+    """The names of the groups whose runs are in packages."""
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
@@ -105,8 +107,17 @@ COLUMNS = (
 """The columns of the table of results, after those of the variables; columns without any value are left out."""
 
 
-def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[str, str], asked: Comparison) -> Compared:
+def compare(
+    project: LoadedProject,
+    store: Store,
+    name: str,
+    batches: Mapping[str, str],
+    asked: Comparison,
+    packaged: Mapping[str, Store] | None = None,
+) -> Compared:
     """Compare batches, by the name of each group; of one batch, the values of `asked.by`. Without a name, the files get one.
+
+    `packaged` has the stores of the groups whose batches are in packages.
 
     Raises NotFound for an unknown output, column or variable, UsageError for options that do not fit, SierraError if there is
     nothing to compare.
@@ -114,7 +125,8 @@ def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[st
     from sierra.stats.comparison.analyse import analyse
     from sierra.stats.comparison.wording import paragraph
 
-    found, cells, factors, notes = gather_cells(project, store, batches, asked)
+    stores = {group: (packaged or {}).get(group, store) for group in batches}
+    found, cells, factors, notes = gather_cells(project, stores, batches, asked)
     first = next(iter(found.values()))
     groups = cells[0].samples if cells else ()
     if len(groups) > MOST and asked.against is None and not factors:
@@ -125,7 +137,7 @@ def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[st
     result = analyse(cells, question, factors, asked.method, project.config.comparison_methods)
     if factors and asked.over_time:
         raise UsageError("main effects and interactions cannot be computed over time; leave out --over-time")
-    time, bands = _bands(project, store, batches, first, cells, result) if asked.over_time else ("", ())
+    time, bands = _bands(project, stores, batches, first, cells, result) if asked.over_time else ("", ())
     subject = _subject(first)
     words = (*map(short, batches.values()), *asked.by, first.column, "over_time" if asked.over_time else first.measure)
     return Compared(
@@ -138,26 +150,31 @@ def compare(project: LoadedProject, store: Store, name: str, batches: Mapping[st
         result,
         paragraph(result, subject),
         asked,
-        (*dict.fromkeys(note for one in found.values() for note in one.notes), *notes, *_differences(store, batches)),
+        (
+            *dict.fromkeys(note for one in found.values() for note in one.notes),
+            *notes,
+            *_differences(stores, batches, details=not packaged),
+        ),
         bands,
         time,
+        tuple(packaged or ()),
     )
 
 
 def gather_cells(
-    project: LoadedProject, store: Store, batches: Mapping[str, str], asked: Comparison
+    project: LoadedProject, stores: Mapping[str, Store], batches: Mapping[str, str], asked: Comparison
 ) -> tuple[Mapping[str, RunTable], list[Cell], tuple[str, ...], tuple[str, ...]]:
     """Return the runs of each batch, the cells with the groups to compare, the factors, and notes on what is left out.
 
-    Raises NotFound, UsageError, as `compare` does.
+    `stores` has the store of each group. Raises NotFound, UsageError, as `compare` does.
     """
     if len(batches) > 1 and asked.by:
         raise UsageError("--by compares the values of a variable within one batch; leave it out for several batches")
     measure = "mean" if asked.over_time else asked.measure
     found = {
-        group: values_of_runs(project, store, batch, asked.table, asked.column, measure, asked.threshold, asked.where).among(
-            asked.experiments
-        )
+        group: values_of_runs(
+            project, stores[group], batch, asked.table, asked.column, measure, asked.threshold, asked.where
+        ).among(asked.experiments)
         for group, batch in batches.items()
     }
     first = next(iter(found.values()))
@@ -172,7 +189,12 @@ def gather_cells(
 
 
 def _bands(
-    project: LoadedProject, store: Store, batches: Mapping[str, str], runs: RunTable, cells: Sequence[Cell], result: Analysis
+    project: LoadedProject,
+    stores: Mapping[str, Store],
+    batches: Mapping[str, str],
+    runs: RunTable,
+    cells: Sequence[Cell],
+    result: Analysis,
 ) -> tuple[str, tuple[Band, ...]]:
     """Return the name of the time, and the difference over time for each pair of the result."""
     import numpy as np
@@ -182,7 +204,7 @@ def _bands(
     series: dict[str, RunSeries] = {}
     for group, batch in batches.items():
         grid = next(iter(series.values())).times if series else None
-        series[group] = runs_over_time(project, store, batch, runs.output, runs.column, grid)
+        series[group] = runs_over_time(project, stores[group], batch, runs.output, runs.column, grid)
     first = next(iter(series.values()))
     samples = {(*cell.point.items(), sample.group): sample for cell in cells for sample in cell.samples}
     compute = over_time.of_pairs if result.pairing.paired else over_time.of_samples
@@ -316,13 +338,17 @@ def _sample(group: str, runs: RunTable, ordinals: Iterable[int]) -> Sample:
     return Sample(group, tuple(values), sum(runs.planned[ordinal] for ordinal in ordinals), next(iter(ordinals)))
 
 
-def _differences(store: Store, batches: Mapping[str, str]) -> Iterator[str]:
+def _differences(stores: Mapping[str, Store], batches: Mapping[str, str], *, details: bool) -> Iterator[str]:
     """Yield a note on everything that differs between batches, because it may be what makes results differ."""
     if len(batches) < 2:
         return
-    ids = list(batches.values())
-    rows = store.select(BatchRow, "SELECT * FROM batches WHERE batch IN $b", b=ids)
-    specs = {row.spec: row for row in store.select(SpecRow, "SELECT * FROM specs WHERE spec IN $s", s=[r.spec for r in rows])}
+    rows: list[BatchRow] = []
+    specs: dict[str, SpecRow] = {}
+    for group, batch in batches.items():
+        store = stores[group]
+        rows += (own := store.select(BatchRow, "SELECT * FROM batches WHERE batch = $b", b=batch))
+        chosen = store.select(SpecRow, "SELECT * FROM specs WHERE spec IN $s", s=[row.spec for row in own])
+        specs |= {row.spec: row for row in chosen}
     facts = [
         {
             **{name: getattr(row, name) for name in FACTS},
@@ -334,8 +360,8 @@ def _differences(store: Store, batches: Mapping[str, str]) -> Iterator[str]:
     names = {"overrides": "--set", "base_seed": "base seed", "shared_files": "shared files", "around": "services"}
     found = [names.get(name, name) for name in facts[0] if any(one.get(name) != facts[0][name] for one in facts)]
     if found:
-        one, other = next(combinations(map(short, ids), 2))
-        yield f"the batches differ in {', '.join(found)}; for details: sierra diff {one} {other}"
+        one, other = next(combinations(map(short, batches.values()), 2))
+        yield f"the batches differ in {', '.join(found)}{f'; for details: sierra diff {one} {other}' if details else ''}"
 
 
 FACTS = ("controller", "scenario", "overrides", "platform", "base_seed", "template")
@@ -359,11 +385,14 @@ def _row(one: Pair | Omnibus | Effect, title: str) -> dict[str, object]:
 def draw(compared: Compared, store: Store, paths: ProjectPaths, formats: tuple[Format, ...] = PRINTED) -> list[Path]:
     """Draw the figure of a comparison in these formats, and record it; return the files.
 
+    A comparison with a package is not drawn, because its data could not be computed again from the store.
     Raises UsageError if there is nothing to draw, Missing if the store cannot be written.
     """
     from sierra.deliverables.figures import drawing, style
     from sierra.deliverables.figures.forest import forest
 
+    if compared.packaged:
+        raise UsageError(f"the runs of {', '.join(compared.packaged)} are not in the store, so the data could not be checked")
     drawn = replace(_drawing(compared), formats=formats)
     with style.applied():
         figure = forest(compared)

@@ -197,7 +197,7 @@ def _two_groups(
 ) -> tuple[RunTable, list[_Groups], list[str]]:
     from sierra.stats.comparison import pairing
 
-    found, cells, factors, left = gather_cells(project, store, batches, asked)
+    found, cells, factors, left = gather_cells(project, dict.fromkeys(batches, store), batches, asked)
     groups = cells[0].samples if cells else ()
     if factors or len(groups) != 2:
         raise UsageError(f"the power is that of two groups, not of {len(groups)}; name two of them (--groups A,B)")

@@ -90,7 +90,7 @@ def test(
     )
     if not asked.by and (unknown := [group for group in asked.groups if group not in batches]):
         raise NotFound(f"there is no batch labelled {unknown[0]!r}; {like(unknown[0], list(batches))}")
-    found, cells, _, left = gather_cells(project, store, batches, wanted)
+    found, cells, _, left = gather_cells(project, dict.fromkeys(batches, store), batches, wanted)
     if left:
         raise UsageError(f"{left[0]}; name those that count by experiments")
     cells = [_in_order(cell, asked) for cell in cells]
