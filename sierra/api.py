@@ -1352,12 +1352,15 @@ class Project:
         self,
         *batches: str,
         path: str | os.PathLike[str],
+        claims: bool = False,
         agree: Callable[[Preview], bool] = lambda preview: True,
     ) -> Packed | None:
         """Write a reproduction package of these batches, if `agree` returns true for the preview: see `sierra.packages.pack`.
 
-        Raises UsageError if the file exists, ConfigError if `[package]` has no title, authors or licence, Missing for a source
-        that no longer exists.
+        With `claims`, also of the batches that the claims of `sierra.toml` rest on.
+
+        Raises NotFound if such a batch has not been recorded, UsageError if there is no batch or the file exists, ConfigError
+        if `[package]` has no title, authors or licence, Missing for a source that no longer exists.
 
         >>> project.package(summary.batch, path="results.zip")
         Traceback (most recent call last):
@@ -1366,6 +1369,13 @@ class Project:
         """
         from sierra.packages import pack
 
+        if claims:
+            from sierra.deliverables.claims import evaluate
+
+            decide = evaluate.batches(self._loaded, self.store)
+            batches = (*batches, *(batch for ids in decide.values() for batch in ids))
+        if not batches:
+            raise UsageError("name the batches to be packed")
         return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree)
 
     def outputs(self, *query: str, target: str | None = None) -> TakenOutputs:

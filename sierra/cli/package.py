@@ -17,10 +17,12 @@ if TYPE_CHECKING:
 
 
 def package(
-    batches: Annotated[
-        list[str], typer.Argument(metavar="BATCH", autocompletion=complete.ids, help="Ids of batches; prefixes are enough.")
-    ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.zip", help="The file to write.")],
+    batches: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="BATCH", autocompletion=complete.ids, help="Ids of batches; prefixes are enough."),
+    ] = None,
+    claims: Annotated[bool, typer.Option("--claims", help="Also pack the batches that the claims rest on.")] = False,
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
@@ -32,6 +34,7 @@ def package(
     \b
     Examples:
       sierra package 3f2a -o results.zip
+      sierra package --claims -o results.zip
     """
     from sierra.cli.confirm import agreed
     from sierra.cli.open_project import project
@@ -40,7 +43,7 @@ def package(
         lines = [f"{output}: {preview.members:,} files, {size(preview.bytes)}", *preview.notes]
         return not preview.notes or agreed(lines, yes, as_json, "to be packed")
 
-    packed = project().package(*batches, path=output, agree=agree)
+    packed = project().package(*(batches or ()), path=output, claims=claims, agree=agree)
     if packed is None:
         print("nothing was written")
         raise typer.Exit(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tomllib
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -35,6 +36,12 @@ criteria = "population_size=3"
 runs = 12
 """
 )
+PACKAGE = """
+[package]
+title = "Coverage of a swarm"
+authors = [{ name = "Jane Doe" }]
+license = "MIT"
+"""
 VALUE = 'value = { column = "coverage", experiments = "population_size=8", expected = EXPECTED, margin = "10 %" }'
 
 
@@ -248,3 +255,42 @@ def test_too_few_runs_for_any_verdict_are_told() -> None:
     assert verdict([[4, 5, 6], [1, 2, 3]]) is Verdict.cannot_tell
     assert verdict([[4, 5, 6, 7], [0, 1, 2, 3]]) is Verdict.holds
     assert verdict([[4, 5, 6, 7], [0, 1, 2, 3]], tests=2) is Verdict.cannot_tell
+
+
+@pytest.mark.integration
+def test_baselines_of_batches_and_of_packages_find_regressions(recorded: Path, tmp_path: Path) -> None:
+    """The batches are packed, the code becomes worse, and the clone without the old store sees the regression."""
+    value = VALUE.replace("EXPECTED", "36").replace('"10 %" }', '"10 %", better = "higher", regression = "5 %" }')
+    order = claim("order", 'order = { by = "population_size", groups = ["8", "2"] }')
+    (recorded / "sierra.toml").write_text(CONFIG + PACKAGE + claim("eight", value) + order)
+    project = sierra.open(recorded)
+    assert projects.quick(recorded, "package", "--claims", "-o", str(tmp_path / "old.zip")).returncode == 0
+    [old] = {one for found in project.claims() for one in found.batches}
+    clone = tmp_path / "clone"
+    shutil.copytree(recorded, clone, ignore=shutil.ignore_patterns(".sierra"))
+    (clone / "sim.py").write_text(SIMULATOR.replace("count * tick", "0.9 * count * tick"))
+    done = projects.quick(clone, "baseline", "set", "published", str(tmp_path / "old.zip"))
+    assert done.stdout == "sierra.baselines.json: baseline published with 2 claims\n"
+    new = sierra.open(clone).run("main", figures=False).batch
+    done = projects.quick(clone, "claims", "--against", "published", "--junit", str(tmp_path / "claims.xml"), "--json")
+    changed = {one["name"]: one for one in json.loads(done.stdout)}
+    assert done.returncode == 1
+    assert {name: one["verdict"] for name, one in changed.items()} == {"eight": "regression", "order": "no regression"}
+    assert [changed["eight"][name] for name in ("difference", "low", "high")] == pytest.approx([-3.2, -3.2, -3.2])
+    assert ET.parse(tmp_path / "claims.xml").getroot()[0].get("failures") == "1"  # noqa: S314 - written above
+    before = projects.quick(clone, "baseline", "set", "itself", new[:10])
+    assert (before.returncode, projects.quick(clone, "claims", "--against", "itself").returncode) == (0, 0)
+    xml = str(tmp_path / "compared.xml")
+    wide, narrow = (
+        projects.quick(clone, "compare", new[:10], f"{tmp_path}/old.zip:{old[:8]}", "--margin", margin, "--junit", xml)
+        for margin in ("5", "2")
+    )
+    assert "no figure: the runs of old are not in the store" in wide.stderr + narrow.stderr
+    suite = ET.parse(xml).getroot()[0]  # noqa: S314 - written above
+    assert [case[0].get("message") for case in suite] == [None, None, "different"]
+    done = projects.quick(clone, "claims", "--against", "publishd")
+    assert (done.returncode, "did you mean 'published'?" in done.stderr) == (2, True)
+    (clone / "sierra.baselines.json").write_text('{"format": 1, "baselines": {"x": {"eight": {"n": "1"}}}}')
+    done = projects.quick(clone, "claims", "--against", "x")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "sierra.baselines.json: " in done.stderr
