@@ -1,11 +1,12 @@
 """Statistics in SQL: for each column of an output and each experiment, over its runs.
 
-Each statistic is one file in `statistics/`: an expression over `x`, the sorted finite values, and over the statistics
-before it; names that begin with `_` are intermediate steps and not in the result. Each measure reduces a run to one value and
-is one file in `measures/`. A statement is put together from them:
+Each statistic is one file in `statistics/`: an expression over exact sums, or over `x`, the sorted finite values, and over the
+statistics before it; names that begin with `_` are intermediate steps and not in the result. Each measure reduces a run to one
+value and is one file in `measures/`. A statement is put together from them:
 
     observations    one value per run (a measure), or per run and time
-    grouped         the values of all runs of an experiment, or at one time, as the list x (`group_by_….sql`)
+    counted         n, the smallest and the largest value, per experiment (and time), and the list x, if used (`group_by_….sql`)
+    ranges, sums    the sums of their values as whole numbers of a `unit`, for the mean and sd (`unit.sql`, `sums.sql`)
     (… SELECT *, n) SELECT *, mean) …    one statistic after the other; each may use those before it
 
 No value is averaged silently: missing (NULL or NaN) and infinite values are left out and counted, and so are runs that
@@ -52,9 +53,8 @@ STATISTICS: Mapping[str, tuple[str, ...]] = {
     "n": (),
     "mean": ("n",),
     "max_deviation": ("mean",),
-    "sd": ("max_deviation",),
-    "extremes": ("n",),
-    "is_rate": ("extremes",),
+    "sd": ("n",),
+    "is_rate": ("n",),
     "interval": ("mean", "sd", "is_rate"),
     "kurtosis": ("mean", "max_deviation"),
     "sd_interval": ("sd", "kurtosis"),
@@ -73,6 +73,11 @@ STATISTICS: Mapping[str, tuple[str, ...]] = {
 USUAL = tuple(name for name in STATISTICS if name != "mad")
 """The statistics of `sierra stats` if none are chosen; `mad` would sort all values once more."""
 
+ROWS = "SELECT experiment, t, value FROM samples"
+LIST = "coalesce(list_sort(list(value) FILTER (isfinite(value))), []) AS x"
+"""The sorted values of a group, for statistics that need each value; sorted, so that the order of rows has no effect."""
+STEP = r" AS (_\w+|x\b)"
+"""Intermediate steps in SQL, as a regular expression."""
 
 Statistics: TypeAlias = "tuple[pa.Table, str]"
 Wanted: TypeAlias = "Iterable[str] | Selection"
@@ -222,7 +227,7 @@ class Samples:
 
     def by_time(self, statistics: Wanted) -> Statistics:
         """Return statistics of each experiment at each of its runs' times."""
-        text = statement("SELECT experiment, t, value FROM samples", "group_by_time", statistics)
+        text = statement(ROWS, "group_by_time", statistics)
         return self._run(text, statistics, rate=self.rate)
 
     def at_times(self, times: str | None, statistics: Wanted) -> tuple[pa.Table, str, list[str]]:
@@ -308,18 +313,32 @@ def statement(observations: str, grouping: str, statistics: Wanted) -> str:
     selection = _selection(statistics)
     names = selection.uses if selection else cast("Iterable[str]", statistics)
     texts = [_file(f"statistics/{name}") for name in _ordered(names)]
-    steps = ["x", *re.findall(r" AS (_\w+)", _code("".join((_file(grouping), *texts))))]
-    shown = f"* EXCLUDE ({', '.join(steps)})"
+    columns = selection.columns() if selection else []
+    parts = _groups(grouping, keys, "".join(map(_code, (*texts, *columns))))
     if selection:
         never = () if grouping == "group_by_time" else ("never",)
         own = [name for one in selection.formulas for name in _columns(one)]
-        shown = ",\n  ".join((keys, "n", "missing", "infinite", *never, *own, *selection.columns()))
+        shown = ",\n  ".join((keys, "n", "missing", "infinite", *never, *own, *columns))
+    else:
+        shown = f"* EXCLUDE ({', '.join(re.findall(STEP, _code(''.join((*parts.values(), *texts)))))})"
+    values = f"ranges LEFT JOIN sums USING ({keys})" if "sums" in parts else "ranges"
+    again = "NOT MATERIALIZED " if observations == ROWS else ""  # to read rows twice is cheaper than to keep a copy
+    relations = [f"WITH observations AS {again}(\n{observations.rstrip()}\n)"]
+    relations += [f"{name} AS (\n{text.rstrip()}\n)" for name, text in parts.items()]
     return (
-        f"WITH observations AS (\n{observations.rstrip()}\n),\n"
-        f"grouped AS (\n{_file(grouping)})\n"
-        f"{'FROM (' * len(texts)}FROM grouped\n{''.join(f'SELECT *,{chr(10)}{text})' + chr(10) for text in texts)}"
+        f"{f',{chr(10)}'.join(relations)}\n"
+        f"{'FROM (' * len(texts)}FROM {values}\n{''.join(f'SELECT *,{chr(10)}{text})' + chr(10) for text in texts)}"
         f"SELECT {shown}\nORDER BY {keys}"
     )
+
+
+def _groups(grouping: str, keys: str, formulas: str) -> dict[str, str]:
+    """Return the SQL of each group's values, by the name of its relation. Lists and sums are there if `formulas` use them."""
+    groups = _file(grouping)
+    if re.search(r"\bx\b", formulas):
+        groups = groups.replace("\nFROM", f",\n  {LIST}\nFROM", 1)
+    sums = {"sums": _file("sums").format(keys=keys)} if "_sum" in formulas else {}
+    return {"counted": groups, "ranges": _file("unit")} | sums
 
 
 def _wanted(needs: Needs, options: Mapping[str, RawTable]) -> Wanted:

@@ -1,2 +1,2 @@
 -- n: the number of finite values
-len(x) AS n
+_n AS n

@@ -1,3 +1,3 @@
 -- min, max: the smallest and the largest of the values
-x[1] AS min,
-x[n] AS max
+_first AS min,
+_last AS max

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -110,6 +111,52 @@ def test_the_standard_deviation_keeps_full_precision_next_to_a_large_mean(values
     found = over_runs((exact + offset).tolist())
     assert found["sd"] == pytest.approx(exact.std(ddof=1), rel=1e-13)
     assert found["mean"] - offset == pytest.approx(exact.mean(), abs=1e-15 * offset)
+
+
+HOSTILE: Mapping[str, list[float]] = {
+    "the largest doubles": [1e308, 1.5e308, 1.7e308, -1.6e308],
+    "denormals": [5e-324, 1e-323, 4e-320, 0.0, 2e-322],
+    "a large offset and a small spread": [1e15 + k / 8 for k in (0, 1, 3, 4, 9)],
+    "neighbouring doubles": [1e15, math.nextafter(1e15, 2e15), 1e15],
+    "decimals": [0.1, 0.2, 0.3, 0.7, 1e-9, 1e-17],
+    "a mean near 0": [-1.0, 1.0, 1e-9, -1e-9 + 2e-16],
+    "constant": [0.1] * 7,
+    "one value apart": [0.1] * 999 + [1e9],
+    "tiny": [1e-300, 3e-300, 2e-300],
+    "many magnitudes": [1e-300, 1e-9, 3.0, 1e9, 1e300],
+}
+"""Values that cost digits, each a group of its own; the tiny ones are beside huge ones in one column."""
+
+
+def test_the_mean_and_sd_of_hostile_values_equal_exact_fractions() -> None:
+    rows = [(e, run, 0.0, v) for e, values in enumerate(HOSTILE.values()) for run, v in enumerate(values)]
+    table, _ = samples(Memory(rows)).by_time(["mean", "sd"])
+    for found, (name, values) in zip(table.to_pylist(), HOSTILE.items(), strict=True):
+        x = [Fraction(value) for value in values]
+        mean = sum(x) / len(x)
+        last_digits = (max(x) - min(x)) / 2**51 + Fraction(math.ulp(float(mean)))
+        assert abs(Fraction(found["mean"]) - mean) <= last_digits, name
+        unit = max(x) - min(x) or Fraction(1)
+        variance = sum(((value - mean) / unit) ** 2 for value in x) / (len(x) - 1)
+        sd = Fraction(math.sqrt(variance)) * unit
+        assert abs(Fraction(found["sd"]) - sd) <= sd * Fraction(1, 10**14) + Fraction(5e-324), name
+
+
+def test_the_mean_and_sd_do_not_depend_on_the_statistics_beside_them() -> None:
+    rng = np.random.default_rng(3)
+    rows = [(e, run, float(t), v) for e in range(3) for run in range(20) for t, v in enumerate(rng.lognormal(0, 9, 5).tolist())]
+    frame = samples(Memory(rows))
+    few, text = frame.by_time(["interval"])
+    every, _ = frame.by_time(stats.STATISTICS)
+    assert "list(" not in text
+    assert few.equals(every.select(few.column_names))
+    assert few.equals(samples(Memory(reversed(rows), threads=4)).by_time(["interval"])[0])
+
+
+def test_the_place_of_a_negative_zero_has_no_effect() -> None:
+    for values in ([0.0, -0.0], [-0.0, 0.0], [-0.0, -0.0]):
+        table, _ = samples(Memory((0, k, 0.0, v) for k, v in enumerate(values))).by_time(["interval", "range"])
+        assert [math.copysign(1, table[name][0].as_py()) for name in ("mean", "sd", "min", "max")] == [1] * 4
 
 
 def test_a_mean_of_huge_values_does_not_overflow() -> None:
@@ -520,6 +567,8 @@ def test_every_sql_file_is_used_and_begins_with_a_comment() -> None:
     assert set(files) == known | {
         "group_by_time.sql",
         "group_by_experiment.sql",
+        "unit.sql",
+        "sums.sql",
         "coverage.sql",
         "doubled.sql",
         "resample.sql",
