@@ -74,13 +74,6 @@ def a12(first: Floats, second: Floats) -> float:
     return float((ranks.sum() - m * (m + 1) / 2) / (n * m))
 
 
-def magnitude(value: float) -> str:
-    """Return the word for an A12: Vargha and Delaney's limits are 0.56, 0.64 and 0.71."""
-    distance = abs(value - 0.5) + 1e-12
-    words = ((0.21, "large"), (0.14, "medium"), (0.06, "small"), (0.0, "negligible"))
-    return next(word for limit, word in words if distance >= limit)
-
-
 def _estimate(ranked: Callable[[int], float], total: int, cut: int) -> Estimate:
     """Return the median of `total` ordered numbers, and the `cut`-th number from both ends."""
     middle = (ranked((total + 1) // 2) + ranked(total // 2 + 1)) / 2

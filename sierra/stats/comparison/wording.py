@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
 from sierra.model import Value
-from sierra.stats.comparison.effect_sizes import magnitude
 from sierra.stats.comparison.model import Analysis, Effect, Omnibus, Pair, Verdict
 from sierra.util.text import counted
 
@@ -27,6 +26,13 @@ def number(value: float) -> str:
 def p_value(value: float) -> str:
     """Return a p value as papers write it."""
     return "p < 0.001" if value < 0.001 else f"p = {value:.2g}"
+
+
+def magnitude(value: float) -> str:
+    """Return the word for an A12: Vargha and Delaney's limits are 0.56, 0.64 and 0.71."""
+    distance = abs(value - 0.5) + 1e-12
+    words = ((0.21, "large"), (0.14, "medium"), (0.06, "small"), (0.0, "negligible"))
+    return next(word for limit, word in words if distance >= limit)
 
 
 def interval(pair: Pair, alpha: float) -> str:

@@ -63,8 +63,10 @@ def test_run_imports_neither_git_nor_plotting_libraries(root: Path, words: tuple
 
 
 @pytest.mark.integration
-def test_default_figures_import_neither_pandas_nor_seaborn(root: Path) -> None:
-    assert "matplotlib" in imported(root, "figures")
+def test_default_figures_import_neither_pandas_nor_seaborn_nor_scipy(root: Path) -> None:
+    found = imported(root, "figures")
+    assert "matplotlib" in found
+    assert "scipy" not in found
     assert not imported(root, "run", "population_size=1,2", "noise=0.1,0.2", "--runs", "1") & NEVER
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sierra.stats.comparison import effect_sizes
+from sierra.stats.comparison import effect_sizes, wording
 
 BEFORE = np.array([1.83, 0.50, 1.62, 2.48, 1.68, 1.88, 1.55, 3.06, 1.30])
 AFTER = np.array([0.878, 0.647, 0.598, 2.05, 1.06, 1.29, 1.06, 3.14, 1.29])
@@ -35,7 +35,7 @@ def test_a12_of_groups() -> None:
     assert effect_sizes.a12(np.array([1.0, 2.0]), np.array([3.0, 4.0])) == 1.0
     assert effect_sizes.a12(np.array([3.0, 4.0]), np.array([1.0, 2.0])) == 0.0
     assert effect_sizes.a12(np.array([1.0, 2.0]), np.array([1.0, 2.0])) == 0.5
-    assert [effect_sizes.magnitude(value) for value in (0.5, 0.56, 0.36, 0.71, 0.0)] == [
+    assert [wording.magnitude(value) for value in (0.5, 0.56, 0.36, 0.71, 0.0)] == [
         *("negligible", "small", "medium", "large", "large")
     ]
 
