@@ -575,6 +575,12 @@ def drawing(folder: Path) -> None:
     subprocess.run([sys.executable, str(HERE / "bench_drawing.py")], check=True)
 
 
+def large_drawing(folder: Path) -> None:
+    """Measure figures of 10,000 runs with 10 million rows."""
+    del folder
+    subprocess.run([sys.executable, str(HERE / "bench_drawing.py"), "100", "100", "1000", "1"], check=True)
+
+
 def containers(folder: Path) -> None:
     """Compare runs in containers with the bare engine, and shared containers with none, in a separate process."""
     subprocess.run([sys.executable, str(HERE / "bench_containers.py")], check=True)
@@ -615,12 +621,13 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "fsck": fsck,
     "figures": figures,
     "drawing": drawing,
+    "large_drawing": large_drawing,
     "containers": containers,
     "clusters": clusters,
     "many": many,
     "large_clusters": large_clusters,
 }
-SLOW = ("many", "large_clusters")
+SLOW = ("many", "large_clusters", "large_drawing")
 
 if __name__ == "__main__":
     main()
