@@ -102,7 +102,8 @@ def title(drawing: Drawing) -> str:
 
 def plain(text: str) -> str:
     """Return the text with blanks for characters that XML, and so SVG, cannot hold."""
-    return "".join(c if c.isprintable() or c == "\n" else " " for c in text)
+    lines = text.split("\n")
+    return "\n".join(one if one.isprintable() else "".join(c if c.isprintable() else " " for c in one) for one in lines)
 
 
 def _saved(figure: matplotlib.figure.Figure, ending: str, metadata: Mapping[str, str | None], **more: Any) -> bytes:
