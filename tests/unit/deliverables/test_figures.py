@@ -553,7 +553,7 @@ def test_figures_are_drawn_from_unusual_data(kind: str, case: str) -> None:
     axes, odd = ODD[case](kind, 20 if kind in ("timeseries", "stacked") else 0)
     tables = None if odd is None else dict.fromkeys(("searching", "other") if kind == "stacked" else ("energy",), odd)
     drawn = drawing(kind, axes, tables, title="T_$", ylabel="{" * 99)
-    assert all(len(data) > 1000 for _, data in figures.rendered(drawn))
+    assert all(len(data) > 1000 for ending, data in figures.rendered(drawn) if ending not in ("txt", "tex"))
     assert kind == "stacked" or svg(drawing(kind, axes, tables, log_y=True))
 
 
