@@ -74,6 +74,12 @@ class ReplayOptions:
     """Tolerances that override those of the project."""
     keep: bool = False
     """True to keep the restored source and the folders of the runs."""
+    only: frozenset[str] | None = None
+    """Ids of the runs to replay; None for all."""
+
+    def includes(self, one: ChosenExecution) -> bool:
+        """Return whether a run is replayed."""
+        return (self.runs is None or one.number < self.runs) and (self.only is None or one.run in self.only)
 
 
 @dataclass(slots=True)
@@ -109,7 +115,7 @@ def replay(
         raise Missing(f"cannot write to {store.paths.root}; use --no-record to replay without writing there")
     observer = observer or Observer()
     recover.finish_dead(store)
-    record = _look_up(store, store.resolve(prefix), options.runs)
+    record = _look_up(store, store.resolve(prefix), options)
     project = targets.of_batch(project, store, record.of.batch)
     declared = _declared(record, project, options.tolerances)
     was = _metrics(project, store, record, declared)
@@ -230,11 +236,11 @@ def unrecorded(
         return replay(inner, other, prefix, options, observer)
 
 
-def _look_up(store: Store, found: Found, runs: int | None) -> _Record:
+def _look_up(store: Store, found: Found, options: ReplayOptions) -> _Record:
     with store.snapshot() as snapshot:
         named = take(snapshot, found)
         good = [one for one in named if one.status == "ok"]
-        taken = [one for one in good if runs is None or one.number < runs]
+        taken = [one for one in good if options.includes(one)]
         if not taken:
             raise NotFound(
                 f"{found.kind} {short(found.id)} has no successful execution to compare with; execute it with sierra run"

@@ -8,6 +8,7 @@ catalogue that could disagree with the files.
 from __future__ import annotations
 
 import contextlib
+import copy
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -75,6 +76,7 @@ class Store:
         self.rules = rules
         self._beneath: Path | None = None
         """The folder of another store's segments, which are read too."""
+        self._replays: tuple[str, ...] = ()
         try:
             with self.paths.format.open("rb") as file:
                 found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
@@ -122,6 +124,15 @@ class Store:
         """Add a written segment to the store as a whole. Return False if it was empty."""
         return writer.publish(self.paths.segments)
 
+    def replayed(self, replays: Iterable[str]) -> Store:
+        """Return this store, to be read as if the executions of these replays were the only ones of their runs.
+
+        So each statistic uses the values of the replays. Runs that failed in a replay have none. Nothing is written.
+        """
+        other = copy.copy(self)
+        other._replays = tuple(replays)
+        return other
+
     @contextlib.contextmanager
     def overlay(self, folder: Path | None = None) -> Iterator[Store]:
         """Yield a temporary store that contains this store's current segments. New segments go only into the temporary store.
@@ -155,7 +166,12 @@ class Store:
         """Open a connection whose statements all see the same state of the store, or of one batch in it."""
         shared = Shared(self.paths.reading)
         try:
-            return Snapshot(self.paths.root, self._listed(), within, shared, beneath=self._beneath, rules=self.rules)
+            return Snapshot(
+                *(self.paths.root, self._listed(), within, shared),
+                beneath=self._beneath,
+                rules=self.rules,
+                replays=self._replays,
+            )
         except BaseException:
             shared.close()
             raise
@@ -265,16 +281,18 @@ class Snapshot:
         *,
         beneath: Path | None = None,
         rules: Callable[[], Rules] = Rules,
+        replays: Sequence[str] = (),
     ) -> None:
         """`shared`: the lock that protects these segments from removal until the snapshot is closed.
 
-        `beneath`: the folder of segments that belong to another store. `rules` returns the derived tables.
+        `beneath`: the folder of segments that belong to another store. `rules` returns the derived tables. `replays`: those
+        that count, see `Store.replayed`.
         """
         self._shared = shared
         self._opened = Connection(StorePaths(root).segments, *([beneath] if beneath else []))
         self._reading: Rows | None = None
         self.segments = segments
-        self.views = Views(lambda: self.connection, segments, within)
+        self.views = Views(lambda: self.connection, segments, within, replays)
         self.derived = DerivedTables(lambda: self.connection, self.views, rules, outputs(segments))
         self._root = root
 

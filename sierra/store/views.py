@@ -61,11 +61,16 @@ class Views:
     """The views of one connection; each is created once."""
 
     def __init__(
-        self, connection: Callable[[], DuckDBPyConnection], segments: Sequence[Segment], within: str | None = None
+        self,
+        connection: Callable[[], DuckDBPyConnection],
+        segments: Sequence[Segment],
+        within: str | None = None,
+        replays: Sequence[str] = (),
     ) -> None:
-        """`connection` returns the connection, free for a statement."""
+        """`connection` returns the connection, free for a statement. `replays` are those that count: see `Store.replayed`."""
         self._connection = connection
         self._within = within
+        self._replays = replays
         self._files: dict[str, list[str]] = {}
         self._outputs: dict[str, list[str]] = {}
         spelled: dict[str, str] = {}
@@ -175,10 +180,10 @@ class Views:
     def _records(self, name: str, files: list[str], *, older: bool) -> str:
         """Return the relation of records in these files; `older`: no file has the later columns."""
         source = records(name, files) if older else read_parquet(files, union=name in LATER)
-        if name not in LATER:
-            return source
-        later = ", ".join(f"{column} AS {column}" for column in LATER[name])  # DuckDB refuses columns that no file has
-        return f"(SELECT * REPLACE ({later}) FROM {source})"
+        if name in LATER:
+            later = ", ".join(f"{column} AS {column}" for column in LATER[name])  # DuckDB refuses columns that no file has
+            source = f"(SELECT * REPLACE ({later}) FROM {source})"
+        return counting(source, self._replays) if name == "executions" and self._replays else source
 
     def _experiments(self, files: list[str]) -> str:
         """Return the relation of axis values: unchanged for one batch, with numbers split from texts for all batches."""
@@ -431,6 +436,15 @@ def records(name: str, files: Sequence[str], *, filename: bool = False) -> str:
     """
     schema = {column.name: column.type for column in RECORDED[name].columns} if name in LATER else None
     return read_parquet(files, union=name == "experiments", schema=schema, filename=filename)
+
+
+def counting(executions: str, replays: Sequence[str]) -> str:
+    """Return the relation of executions in which those of some replays count, instead of all others of the same runs."""
+    theirs = f"session IN ({', '.join(map(quote, replays))})"
+    return (
+        f"(SELECT * REPLACE (CASE WHEN {theirs} THEN 'run' ELSE purpose END AS purpose) FROM {executions} "
+        f"WHERE {theirs} OR run NOT IN (SELECT run FROM {executions} WHERE {theirs}))"
+    )
 
 
 NAMED = re.compile(
