@@ -416,11 +416,16 @@ def load(folder: Path) -> LoadedProject:
 
 def read(found: ProjectFolder) -> LoadedProject:
     """Return a project with its configuration; a store alone is a project without declarations. Raises ConfigError."""
-    root, file, written = found
-    if not written:
-        return LoadedProject(root, file, Project(), written=False)
+    if not found.written:
+        return LoadedProject(found.root, found.file, Project(), written=False)
+    return of_table(found, settings(found.file) or {})
+
+
+def of_table(found: ProjectFolder, table: Mapping[str, object]) -> LoadedProject:
+    """Return a project with the configuration in a table, which is that of its file or was made from it. Raises ConfigError."""
+    root, file, _ = found
     origin = f"{file} [tool.sierra]" if file.name == PYPROJECT else str(file)
-    whole = parse(settings(file) or {}, origin)
+    whole = parse(table, origin)
     if not whole.targets:
         return LoadedProject(root, file, whole)
     return LoadedProject(root, file, whole.for_target(whole.target) if whole.target else whole, declared=whole)

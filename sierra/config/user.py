@@ -7,10 +7,11 @@ as `SIERRA_JOBS` overrides the file, and a command's option overrides both.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 
 from pydantic import Field, PositiveInt, ValidationError
 
-from sierra.config.field_types import Table
+from sierra.config.field_types import RawTable, Table
 from sierra.config.find_project import read_toml
 from sierra.config.validate import options
 from sierra.errors import ConfigError
@@ -22,13 +23,20 @@ class Settings(Table):
 
     jobs: PositiveInt | None = Field(None, description="runs at a time; default: the number of usable cores")
     figures: bool = Field(True, description="whether `sierra run` draws figures")
+    runners: Mapping[str, RawTable] = Field(
+        default_factory=dict, description="clusters for `sierra reproduce --on`, by name, as in `sierra.toml`"
+    )
+
+
+VARIABLES = ("jobs", "figures")
+"""The settings that variables override."""
 
 
 def load() -> Settings:
     """Return the settings of the user's file and variables. Raises ConfigError if they are invalid."""
     file = user_settings()
     settings = options(Settings, read_toml(file), str(file)) if file.is_file() else Settings()
-    for name in Settings.model_fields:
+    for name in VARIABLES:
         variable = f"SIERRA_{name.upper()}"
         if text := os.environ.get(variable):
             settings = _with(settings, name, text, variable)
