@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from sierra.maintenance.repair import Repair
     from sierra.packages.metadata import Metadata
     from sierra.packages.pack import Packed, Preview
+    from sierra.packages.reproduction.reproduce import Reproduction, Statement
     from sierra.provenance.commits_between import Known as CommitInRepository
     from sierra.provenance.source.share_refs import Shared
     from sierra.query.query_request import QueryRequest
@@ -1458,6 +1459,38 @@ class Project:
         from sierra.deliverables.figures.formats import named
 
         return render.figures(self._loaded, self.store, batch, name, again=again, formats=named(formats))
+
+
+def reproduce(
+    package: str | os.PathLike[str],
+    *,
+    into: str | os.PathLike[str] | None = None,
+    claims: Sequence[str] = (),
+    budget: float | None = None,
+    jobs: int | None = None,
+    engine: str | None = None,
+    runner: str = "local",
+    agree: Callable[[Statement], None] | None = None,
+    observer: Observer | None = None,
+    progress: bool | None = None,
+) -> Reproduction:
+    """Execute the runs of a package again, compare the results, and decide its claims; a package is a zip or a folder.
+
+    The copy of the package and the reports are in the folder `into`, by default in one beside the package. `claims`: the names
+    of the claims, by default all. `budget`: time for the runs in seconds, by their recorded durations. `agree` receives what
+    would be executed, and where, before anything is; it must raise an error to prevent that. By default, only containers
+    without network are accepted. Raises Missing, Damaged for a package that is not safe, UsageError for unsuitable options.
+
+    >>> from sierra.api import reproduce
+    >>> reproduce("results.zip")
+    Traceback (most recent call last):
+    sierra.errors.Missing: results.zip: No such file or directory
+    """
+    from sierra.packages.reproduction import reproduce as steps
+
+    options = steps.Options(_slots(jobs), tuple(claims), budget, engine, runner)
+    folder = None if into is None else Path(into)
+    return steps.reproduce(Path(package), folder, options, agree or steps.isolated_only, observer or _observer(progress))
 
 
 def _observer(wanted: bool | None) -> Observer:

@@ -43,6 +43,7 @@ COMMANDS = {
     "cite": "sierra.cli.cite:cite",
     "package": "sierra.cli.package:package",
     "open": "sierra.cli.open:app",
+    "reproduce": "sierra.cli.reproduce:reproduce",
     "fsck": "sierra.cli.fsck:fsck",
     "gc": "sierra.cli.gc:gc",
     "rm": "sierra.cli.rm:rm",

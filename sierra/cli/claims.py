@@ -13,8 +13,9 @@ from sierra.cli.arguments import AsJsonList
 from sierra.cli.output import note, print_json, readable, table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
+    from sierra.cli.junit import Case
     from sierra.deliverables.claims.evaluate import Evaluated
     from sierra.deliverables.claims.regression import Changed
 
@@ -69,15 +70,22 @@ def claims(
     found: Sequence[Evaluated | Changed]
     found = opened.claims(*(names or ())) if against is None else opened.claims_against(against, *(names or ()))
     if junit is not None:
-        from sierra.cli.junit import Case, write_cases
+        from sierra.cli.junit import write_cases
 
-        write_cases("claims", [Case(one.name, _outcome(one), str(one.verdict), _lines(one)) for one in found], junit)
+        write_cases("claims", cases(found), junit)
     if as_json:
         print_json(found)
     else:
         _show(found)
     if any(map(_outcome, found)):
         raise typer.Exit(1)
+
+
+def cases(found: Iterable[Evaluated | Changed]) -> list[Case]:
+    """Return claims as test cases."""
+    from sierra.cli.junit import Case
+
+    return [Case(one.name, _outcome(one), str(one.verdict), _lines(one)) for one in found]
 
 
 def _outcome(one: Evaluated | Changed) -> Outcome:

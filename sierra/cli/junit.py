@@ -15,12 +15,34 @@ from sierra.cli.output import readable
 from sierra.errors import Missing
 
 if TYPE_CHECKING:
+    from sierra.packages.reproduction.reproduce import Reproduction
     from sierra.replay.verdicts import Compared, OfExperiment, Replay
 
 
 def write(answer: Replay, file: Path) -> None:
     """Write the verdicts of a replay to a file. Raises OSError."""
     root = ET.Element("testsuites", name="sierra replay")
+    _add_replay(root, answer)
+    _save(root, file)
+
+
+def write_reproduction(done: Reproduction, cases: Sequence[Case], file: Path) -> None:
+    """Write the verdicts of a reproduction: the suites of its replays, then that of its claims, `cases`. Raises OSError."""
+    root = ET.Element("testsuites", name="sierra reproduce")
+    for batch in done.batches:
+        if batch.replay is not None:
+            _add_replay(root, batch.replay)
+        else:
+            suite = ET.SubElement(root, "testsuite", name=f"batch {batch.planned.batch[:10]}", tests="1")
+            suite.set("errors" if batch.lacking else "skipped", "1")
+            case = ET.SubElement(suite, "testcase", classname="batches", name=batch.planned.batch[:10])
+            ET.SubElement(case, "error" if batch.lacking else "skipped", message=readable(batch.reason))
+    if cases:
+        _add_cases(root, "claims", cases)
+    _save(root, file)
+
+
+def _add_replay(root: ET.Element, answer: Replay) -> None:
     for experiment in answer.experiments:
         bad = [run for run in experiment.runs if not experiment.verdict.fine and not run.verdict.fine]
         failed = sum(run.verdict == "failed" for run in bad)
@@ -34,7 +56,6 @@ def write(answer: Replay, file: Path) -> None:
                 element.text = "\n".join(_lines(run, experiment))
             else:
                 ET.SubElement(case, "system-out").text = "\n".join(_lines(run, experiment))
-    _save(root, file)
 
 
 class Case(NamedTuple):
@@ -49,6 +70,14 @@ class Case(NamedTuple):
 def write_cases(name: str, cases: Sequence[Case], file: Path) -> None:
     """Write the cases of one test suite to a file. Raises Missing."""
     root = ET.Element("testsuites", name=f"sierra {name}")
+    _add_cases(root, name, cases)
+    try:
+        _save(root, file)
+    except OSError as error:
+        raise Missing(f"{file}: cannot be written: {error.strerror}") from error
+
+
+def _add_cases(root: ET.Element, name: str, cases: Sequence[Case]) -> None:
     suite = ET.SubElement(root, "testsuite", name=name, tests=str(len(cases)))
     for outcome in ("failure", "error"):
         suite.set(f"{outcome}s", str(sum(case.outcome == outcome for case in cases)))
@@ -56,10 +85,6 @@ def write_cases(name: str, cases: Sequence[Case], file: Path) -> None:
         element = ET.SubElement(suite, "testcase", classname=name, name=readable(case.name))
         part = ET.SubElement(element, case.outcome or "system-out", {"message": case.message} if case.outcome else {})
         part.text = "\n".join(map(readable, case.lines))
-    try:
-        _save(root, file)
-    except OSError as error:
-        raise Missing(f"{file}: cannot be written: {error.strerror}") from error
 
 
 def _save(root: ET.Element, file: Path) -> None:

@@ -1,0 +1,214 @@
+"""The plan of a reproduction: the recorded runs of each batch, how they would be executed, and what this machine lacks."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from sierra.config.project_file import LoadedProject
+from sierra.containers import engines
+from sierra.containers.container_setup import DEVICE, GPU, MOUNT, NETWORK
+from sierra.containers.engines.base import Engine
+from sierra.errors import Missing, NotFound, SierraError
+from sierra.execution import commands, plan_from_record, row_queries, targets
+from sierra.execution.plan_from_record import Recalled
+from sierra.provenance.dependency_model import INSTALLED, normalized, versions
+from sierra.store.store import Store
+from sierra.util.hashing import short
+from sierra.util.text import one_line
+
+NONE = "none"
+CONTAINERS = ("podman", "apptainer")
+"""Engines that are tried if the recorded one does not work on this machine."""
+
+RUNS = """
+SELECT f.batch, f.ordinal, m.number, f.run, coalesce(e.wall_s, 0.0) AS seconds
+FROM effective f JOIN batch_runs m USING (batch, ordinal, run) JOIN all_judgements e ON e.judgement = f.judgement
+WHERE f.batch = $b ORDER BY f.ordinal, m.number
+"""
+USED = """
+SELECT DISTINCT e.programs, e.ingest_rules FROM effective f JOIN all_judgements e ON e.judgement = f.judgement
+WHERE f.batch = $b ORDER BY ALL LIMIT 1
+"""
+BATCHES = """
+SELECT b.batch, b.query, count(DISTINCT m.run) AS runs FROM batches b JOIN batch_runs m USING (batch)
+GROUP BY b.batch, b.query, b.lamport ORDER BY b.lamport, b.batch
+"""
+
+
+class RecordedRun(NamedTuple):
+    """A run with its position in a batch, and the recorded duration of its effective execution in seconds."""
+
+    batch: str
+    ordinal: int
+    number: int
+    run: str
+    seconds: float
+
+
+class _Used(NamedTuple):
+    programs: str
+    ingest_rules: str
+
+
+class RecordedBatch(NamedTuple):
+    """A batch of a package, with the number of its runs."""
+
+    batch: str
+    query: str
+    runs: int
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedBatch:
+    """A batch that is to be executed again."""
+
+    batch: str
+    query: str
+    runs: tuple[RecordedRun, ...]
+    """Its runs with a successful execution."""
+    of: int
+    """The number of all its runs."""
+    commands: tuple[tuple[str, ...], ...] = ()
+    """The recorded commands that a run executes, and that of the build."""
+    engine: str = NONE
+    access: tuple[str, ...] = ()
+    """What a container may use beyond the package, as `network`; empty without a container."""
+    missing: tuple[str, ...] = ()
+    """One line for each thing that this machine lacks, and the remedy. If there is one, the batch is not executed."""
+
+    @property
+    def isolated(self) -> bool:
+        """True if its programs can reach nothing but their own files."""
+        return self.engine != NONE and not self.access
+
+    @property
+    def place(self) -> str:
+        """Where its programs would be executed, in words."""
+        if self.engine == NONE:
+            return "on this machine without a container"
+        return f"in containers of {self.engine}" + (f" with access to: {', '.join(self.access)}" if self.access else "")
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Lines for the user: the place and the commands, or what is missing."""
+        name = f"batch {short(self.batch)} ({one_line(self.query)})"
+        if self.missing:
+            return tuple(f"{name}: {one_line(line)}" for line in self.missing)
+        return tuple(f"{name}, {self.place}: {one_line(' '.join(words))}" for words in self.commands)
+
+
+def batches(store: Store) -> list[RecordedBatch]:
+    """Return the batches of a package."""
+    return store.select(RecordedBatch, BATCHES)
+
+
+def plan(project: LoadedProject, store: Store, batch: RecordedBatch, engine: str | None, *, local: bool) -> PlannedBatch:
+    """Return the plan for a batch. `engine` is the requested one. `local`: runs execute on this machine.
+
+    Executes nothing of the package, and starts nothing with its variables. Raises Damaged.
+    """
+    planned = PlannedBatch(batch.batch, batch.query, tuple(store.select(RecordedRun, RUNS, b=batch.batch)), batch.runs)
+    used = store.select(_Used, USED, b=batch.batch)
+    if not used:
+        return _lacking(planned, "it has no successful run")
+    try:
+        recalled = plan_from_record.recall(store, batch.batch, *used[0])
+        return _with_engine(project, store, planned, recalled, engine, local=local)
+    except (Missing, NotFound) as error:
+        return _lacking(planned, str(error))
+
+
+def _lacking(planned: PlannedBatch, *missing: str) -> PlannedBatch:
+    return PlannedBatch(planned.batch, planned.query, planned.runs, planned.of, missing=missing)
+
+
+def _with_engine(
+    project: LoadedProject, store: Store, planned: PlannedBatch, recalled: Recalled, requested: str | None, *, local: bool
+) -> PlannedBatch:
+    project = targets.of_batch(project, store, planned.batch)
+    spec = recalled.spec
+    if spec.image is None and requested not in (None, NONE):
+        return _lacking(planned, f"it was executed without an image: leave out --engine {requested}")
+    engine, trouble = _engine(project, store, planned.batch, recalled, requested)
+    if engine is None:
+        return _lacking(planned, trouble)
+    missing = [*_without_mount(project, recalled)] if engine.name != NONE else []
+    if engine.name == NONE and local:
+        missing += _lacking_program(project, recalled)
+    elif engine.name != NONE and not missing and (image := plan_from_record.image(project, store, spec)):
+        engine.prepare(image, project.root, store.paths)
+    if missing:
+        return _lacking(planned, *missing)
+    access = [one for one in spec.host_access if one in (NETWORK, GPU) or one.startswith(DEVICE)]
+    if engine.name != NONE and not engine.probe().isolated and NETWORK not in access:
+        access.append(f"{NETWORK} ({engine.name} cannot isolate it here)")
+    built = (tuple(recalled.build.row.command),) if recalled.build else ()
+    words = (*built, *spec.around.commands, spec.command)
+    return PlannedBatch(
+        planned.batch, planned.query, planned.runs, planned.of, words, engine.name, tuple(access) if engine.name != NONE else ()
+    )
+
+
+def _engine(
+    project: LoadedProject, store: Store, batch: str, recalled: Recalled, requested: str | None
+) -> tuple[Engine | None, str]:
+    """Return an engine that works here: the requested or recorded one, else another one for containers; or the reason."""
+    tables = project.config.engines
+    first = plan_from_record.engine(store, batch, recalled.spec, requested, tables, hosted=True)
+    others = CONTAINERS if requested is None and first.name != NONE else ()
+    troubles = []
+    for engine in (first, *(engines.find(name, tables) for name in others if name != first.name)):
+        if not (trouble := engine.probe().trouble):
+            return engine, ""
+        troubles.append(trouble)
+    remedy = "install podman or apptainer; --engine none executes programs of this machine without a container"
+    return None, f"it needs a container engine: {'; '.join(troubles)}; {remedy}"
+
+
+def _without_mount(project: LoadedProject, recalled: Recalled) -> Iterator[str]:
+    given = project.config.container.mounts if project.config.container else {}
+    for target in (one.removeprefix(MOUNT) for one in recalled.spec.host_access if one.startswith(MOUNT)):
+        if target not in given:
+            yield f"its containers need {target} from outside the package, which a package must not choose"
+
+
+def _lacking_program(project: LoadedProject, recalled: Recalled) -> Iterator[str]:
+    """Yield a line if the program of the command is not in the project, and this machine lacks it."""
+    [word, *_] = recalled.spec.command
+    search = commands.declared(recalled.spec.environment, project.root)["PATH"]
+    [program] = commands.fill((word,), project.root)
+    if "{project}" not in word and shutil.which(program, path=search) is None:
+        yield f"the program {program!r} is not installed: install it"
+
+
+def lacking_packages(project: LoadedProject, store: Store, planned: PlannedBatch) -> tuple[str, ...]:
+    """Return a line if this machine lacks Python packages that runs used. Starts the Python of the runs.
+
+    Raises Missing for other files that runs need.
+    """
+    [used] = store.select(_Used, USED, b=planned.batch)
+    recalled = plan_from_record.recall(store, planned.batch, *used)
+    if planned.engine != NONE or recalled.spec.image or recalled.build:
+        return ()  # products appear when they are built
+    checkout = recalled.checkout(targets.of_batch(project, store, planned.batch), store)
+    now = checkout.programs()
+    with store.snapshot() as snapshot:
+        names = {normalized(name) for name in row_queries.used_distributions(snapshot, [recalled.fingerprint])}
+    was = {name: version for one in recalled.programs for name, version in _installed(one.name, one.version)}
+    found = {name for one in now.all for name, _ in _installed(one.name, one.version)}
+    absent = [f"{name}=={was[name]}" for name in sorted(names & was.keys() - found)]
+    return (f"Python packages that runs used are not installed: pip install {' '.join(absent)}",) if absent else ()
+
+
+def _installed(name: str, listed: str | None) -> Iterator[tuple[str, str]]:
+    """Yield the distributions that a program's record lists, with their versions."""
+    if name.endswith(INSTALLED):
+        yield from versions(listed).items()
+
+
+def reason(error: SierraError) -> str:
+    """Return an error as one line."""
+    return one_line(" ".join(str(error).split()))

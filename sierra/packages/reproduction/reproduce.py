@@ -1,0 +1,266 @@
+"""`sierra reproduce`: verify a package, execute its runs again, compare the results, and decide the claims.
+
+Nothing of the package is executed before all of its files are verified. Runs execute in the package's container without
+network; for anything else, the user is asked first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sierra import runners
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables.claims.model import Evaluated
+from sierra.deliverables.claims.model import Verdict as Decided
+from sierra.errors import Damaged, Missing, SierraError
+from sierra.execution.observer import Observer
+from sierra.execution.progress_display import duration
+from sierra.packages import manifest
+from sierra.packages.layout import PACKAGE, PROJECT
+from sierra.packages.reproduction import budget, claims, confined_project, planned, workspace
+from sierra.packages.reproduction.planned import PlannedBatch, RecordedRun
+from sierra.replay.replay import ReplayOptions, replay
+from sierra.replay.verdicts import Replay
+from sierra.store.layout import STORE
+from sierra.store.store import Store
+from sierra.util.hashing import short
+from sierra.util.text import counted, one_line
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Options of a reproduction."""
+
+    slots: int
+    """Number of runs that execute at the same time on this machine."""
+    claims: tuple[str, ...] = ()
+    """Names of the claims to decide; none: all claims, and all batches."""
+    budget: float | None = None
+    """Time for the runs in seconds, by their recorded durations; None for all runs."""
+    engine: str | None = None
+    runner: str = "local"
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """What would be executed, for the user to agree to."""
+
+    lines: tuple[str, ...]
+    must_ask: bool
+    """True if anything would be executed outside of a container without network."""
+
+
+def isolated_only(statement: Statement) -> None:
+    """Raise Missing if anything would be executed outside of a container without network."""
+    if statement.must_ask:
+        raise Missing(f"programs of the package would not be isolated from this machine: {'; '.join(statement.lines)}")
+
+
+@dataclass(frozen=True, slots=True)
+class ReproducedBatch:
+    """A batch, and the replay of its runs."""
+
+    planned: PlannedBatch
+    chosen: int
+    """The number of runs that were chosen to be executed."""
+    replay: Replay | None
+    """None if nothing was executed."""
+    reason: str = ""
+    """The reason why nothing was executed, or not all."""
+
+    @property
+    def executed(self) -> int:
+        """The number of runs that were executed again and compared."""
+        return len(self.replay.runs) if self.replay else 0
+
+    @property
+    def lacking(self) -> bool:
+        """True if something is missing, so that it was not executed; false if only the budget left it out."""
+        return self.replay is None and bool(self.planned.missing or self.chosen)
+
+    @property
+    def complete(self) -> bool:
+        """True if all runs with a recorded result were executed again."""
+        done = {run.taken.run for run in self.replay.runs} if self.replay else set()
+        return bool(self.planned.runs) and done.issuperset(run.run for run in self.planned.runs)
+
+    @property
+    def verdict(self) -> str:
+        """The verdict of the comparison in words, with the number of runs."""
+        if self.replay is None:
+            return f"not executed: {self.reason}"
+        part = f"{self.executed} of {counted(self.planned.of, 'run')} executed again"
+        return f"interrupted: {part}" if self.replay.interrupted else f"{self.replay.verdict} ({part})"
+
+
+@dataclass(frozen=True, slots=True)
+class Reproduction:
+    """The result of a reproduction."""
+
+    package: str
+    """The id of the package."""
+    title: str
+    folder: Path
+    """The folder with the copy of the package and the reports."""
+    notes: tuple[str, ...]
+    batches: tuple[ReproducedBatch, ...]
+    claims: tuple[Evaluated, ...]
+    left_out: tuple[str, ...] = ()
+    """One line for each batch and claim of which runs were left out because of the budget."""
+
+    @property
+    def interrupted(self) -> bool:
+        return any(one.replay.interrupted for one in self.batches if one.replay)
+
+    @property
+    def differs(self) -> bool:
+        """True if any compared result differs, or a claim does not hold or cannot be told."""
+        return any(self._faults())
+
+    def _faults(self) -> Iterator[str]:
+        """Yield how many batches differ, and how many claims were not shown to hold."""
+        compared = [one.replay.verdict for one in self.batches if one.replay and not one.replay.interrupted]
+        if different := sum(not one.fine for one in compared):
+            yield f"{different} of {len(compared)} batches different"
+        if claims := sum(one.verdict is not Decided.holds for one in self.claims):
+            yield f"{claims} of {len(self.claims)} claims not shown to hold"
+
+    @property
+    def lacking(self) -> bool:
+        """True if a batch was not executed because something is missing."""
+        return any(one.lacking for one in self.batches)
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in words."""
+        if self.interrupted:
+            return "interrupted"
+        if not any(one.replay for one in self.batches):
+            return "not reproduced: nothing was executed"
+        if self.differs:
+            return f"not reproduced: {' and '.join(self._faults())}"
+        if self.lacking:
+            return "reproduced in part: not all batches were executed"
+        runs, of = sum(one.executed for one in self.batches), sum(one.planned.of for one in self.batches)
+        return f"reproduced: {runs:,} of {counted(of, 'run')} executed again"
+
+    @property
+    def exit_code(self) -> int:
+        """0 if all is reproduced, 1 if something differs or a claim does not hold, 3 if something is missing."""
+        if self.interrupted:
+            return 130
+        executed = any(one.replay for one in self.batches)
+        return 1 if executed and self.differs else 3 if self.lacking or not executed else 0
+
+
+def reproduce(
+    package: Path, into: Path | None, options: Options, agree: Callable[[Statement], None], observer: Observer | None = None
+) -> Reproduction:
+    """Reproduce a package, a zip or a folder; the reports are in the folder `into`, or in one beside the package.
+
+    `agree` receives what would be executed, and raises an error if it must not be. Raises Missing if the package cannot be read
+    or the folder not written, Damaged if it is no package or not a safe one, UsageError for options that do not fit it.
+    """
+    from sierra.packages.reproduction import report
+
+    observer = observer or Observer()
+    folder = (into or workspace.default(package)).absolute()
+    with workspace.opened(package) as found, workspace.alone(folder):
+        workspace.copy_verified(found, folder)
+        observer.notice(f"verified: package {short(found.id)}, copied to {folder / workspace.COPY}")
+        described = manifest.read((folder / workspace.COPY / PACKAGE).read_bytes())
+        project, notes = confined_project.load(folder / workspace.COPY / PROJECT)
+        for note in notes:
+            observer.notice(one_line(note))
+        store = Store(project.root / STORE, project.rules)
+        parts = _Work(project, store, options, observer).reproduce(agree)
+        done = Reproduction(found.id, described.title, folder, notes, *parts)
+        report.write(done)
+    return done
+
+
+class _Work:
+    """The work on a verified copy."""
+
+    def __init__(self, project: LoadedProject, store: Store, options: Options, observer: Observer) -> None:
+        self._project = project
+        self._store = store
+        self._options = options
+        self._observer = observer
+
+    def reproduce(
+        self, agree: Callable[[Statement], None]
+    ) -> tuple[tuple[ReproducedBatch, ...], tuple[Evaluated, ...], tuple[str, ...]]:
+        runners.find(self._options.runner, self._project.config.runners)
+        names = claims.named(self._project, self._options.claims)
+        rests = claims.rest(self._project, self._store, names)
+        plans = [*self._plans(rests.batches)]
+        possible = [run for one in plans if not one.missing for run in one.runs]
+        chosen = set(possible)
+        if self._options.budget is not None:
+            chosen = budget.choose(possible, rests.batches, self._options.budget, self._options.slots)
+        if possible:
+            open_ = any(not one.isolated for one in plans if not one.missing and not chosen.isdisjoint(one.runs))
+            agree(Statement(tuple(self._lines(plans, chosen)), open_))
+        for line in (line for one in plans if one.missing for line in one.lines):
+            self._observer.notice(line)
+        batches = tuple(self._executed(plans, chosen))
+        complete = {one.planned.batch: one.replay for one in batches if one.replay and one.complete}
+        decided = claims.decide(rests, self._store, complete) if names else ()
+        return batches, decided, tuple(_left_out(plans, chosen, rests.batches))
+
+    def _plans(self, rests: Mapping[str, Sequence[str]]) -> Iterator[PlannedBatch]:
+        wanted = {batch for batches in rests.values() for batch in batches}
+        for batch in planned.batches(self._store):
+            if not self._options.claims or batch.batch in wanted:
+                local = self._options.runner == "local"
+                yield planned.plan(self._project, self._store, batch, self._options.engine, local=local)
+
+    def _lines(self, plans: Sequence[PlannedBatch], chosen: set[RecordedRun]) -> Iterator[str]:
+        """Yield lines that say what would be executed."""
+        place = "" if self._options.runner == "local" else f" on {self._options.runner}"
+        for one in plans:
+            runs = [run for run in one.runs if run in chosen]
+            if not one.missing and runs:
+                took = duration(sum(run.seconds for run in runs))
+                yield from one.lines
+                yield f"  {len(runs)} of {counted(one.of, 'run')}{place}; they took {took} in all when they were recorded"
+
+    def _executed(self, plans: Sequence[PlannedBatch], chosen: set[RecordedRun]) -> Iterator[ReproducedBatch]:
+        interrupted = False
+        for one in plans:
+            runs = frozenset(run.run for run in one.runs if run in chosen)
+            if interrupted or one.missing or not runs:
+                reason = "; ".join(one.missing) or ("interrupted" if interrupted else "the budget has no time for its runs")
+                yield ReproducedBatch(one, 0, None, one_line(reason))
+                continue
+            done = self._replayed(one, runs)
+            interrupted = bool(done.replay and done.replay.interrupted)
+            yield done
+
+    def _replayed(self, one: PlannedBatch, runs: frozenset[str]) -> ReproducedBatch:
+        local = self._options.runner == "local"
+        only = None if len(runs) == len(one.runs) else runs
+        options = ReplayOptions(self._options.slots, only=only, runner=self._options.runner, engine=one.engine)
+        try:
+            if local and (missing := planned.lacking_packages(self._project, self._store, one)):
+                return ReproducedBatch(one, len(runs), None, "; ".join(missing))
+            return ReproducedBatch(one, len(runs), replay(self._project, self._store, one.batch, options, self._observer))
+        except Damaged:
+            raise
+        except SierraError as error:
+            return ReproducedBatch(one, len(runs), None, planned.reason(error))
+
+
+def _left_out(plans: Sequence[PlannedBatch], chosen: set[RecordedRun], rests: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """Yield a line for each batch of which runs are left out, and for each claim with experiments of which all are."""
+    possible = [run for one in plans if not one.missing for run in one.runs]
+    for one in plans:
+        left = sum(run not in chosen for run in one.runs)
+        if left and not one.missing:
+            yield f"batch {short(one.batch)}: the budget leaves out {left:,} of {counted(len(one.runs), 'run')}"
+    for name, batches in rests.items():
+        if count := budget.untouched(possible, chosen, batches):
+            yield f"claim {name}: the budget leaves out all runs of {counted(count, 'experiment')}"

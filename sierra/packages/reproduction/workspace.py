@@ -1,0 +1,120 @@
+"""The folder in which a package is reproduced: the verified copy of the package, and the report.
+
+    FOLDER/package/             verified copy of the package; replays are recorded in its store
+    FOLDER/reproduction.md      report
+    FOLDER/reproduction.json    report for programs
+    FOLDER/.sierra-reproduction mark, and lock of the process that works here
+
+The copy appears complete or not at all. If an earlier process was killed, the next one with the same package verifies the copy
+again and continues there: only the store may have got more files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from sierra.errors import Damaged, Missing, UsageError
+from sierra.packages import stored
+from sierra.packages.archive import Archive
+from sierra.packages.extracted import CREATED, Extracted
+from sierra.packages.layout import PROJECT, STORED
+from sierra.packages.members import MANIFEST, written
+from sierra.store.layout import CONFIG
+from sierra.store.segments import disk_errors
+
+COPY = "package"
+REPORT = "reproduction"
+"""The stem of the names of the reports."""
+MARK = ".sierra-reproduction"
+UNFINISHED = ".sierra-unfinished"
+
+
+def default(package: Path) -> Path:
+    """Return the folder for a package if none is given: beside an archive, or inside an extracted package."""
+    return package / CREATED if package.is_dir() else Path(f"{package.stem}-{REPORT}")
+
+
+@contextlib.contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Create a folder for a reproduction, or take an existing one, and keep other processes out until the end.
+
+    Raises UsageError if it has other files under the names of this module, or if another process works there; Missing if the
+    folder cannot be written.
+    """
+    taken = [name for name in (COPY, UNFINISHED, f"{REPORT}.md", f"{REPORT}.json") if os.path.lexists(folder / name)]
+    if taken and not (folder / MARK).is_file():
+        raise UsageError(f"{folder / taken[0]} exists already; choose another folder with --into")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder / MARK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise Missing(f"cannot write to {folder}: {error.strerror}; choose another folder with --into") from error
+    try:
+        _lock(descriptor, folder)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int, folder: Path) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise UsageError(f"another sierra process works in {folder}; choose another folder with --into") from error
+
+
+@contextlib.contextmanager
+def opened(package: Path) -> Iterator[Archive | Extracted]:
+    """Open a package. Its list of files is checked, and not yet their contents.
+
+    Raises Missing if it cannot be read, Damaged if it is not a safe package with a project.
+    """
+    with Extracted(package) if package.is_dir() else Archive(package) as found:
+        _check(found)
+        yield found
+
+
+def copy_verified(found: Archive | Extracted, folder: Path) -> None:
+    """Verify a package, and copy it to the folder unless the same package is there already.
+
+    Raises Damaged for a changed file, UsageError if the folder has another package.
+    """
+    if (folder / COPY).exists():
+        _verify_again(found, folder / COPY)
+    else:
+        _copy(found, folder)
+
+
+def _check(found: Archive | Extracted) -> None:
+    if strange := [name for name in found.names(STORED) if not stored.is_record(name)]:
+        raise Damaged(f"{found.path}: the member {strange[0]!r} is no record, but it is in the store")
+    if PROJECT + CONFIG not in found.hashes or not found.names(STORED):
+        raise Damaged(f"{found.path} has no project with a store: {PROJECT}{CONFIG} and {STORED} are required")
+
+
+def _verify_again(found: Archive | Extracted, copy: Path) -> None:
+    """Verify a package, and a copy that an earlier process made. Raises UsageError if they differ."""
+    again = f"{copy.parent} is of another package; choose another folder with --into"
+    if not (copy / MANIFEST).is_file():
+        raise UsageError(again)
+    with Extracted(copy, grows=STORED) as known:
+        if known.id != found.id:
+            raise UsageError(again)
+        found.verify()
+        known.verify()
+
+
+def _copy(found: Archive | Extracted, folder: Path) -> None:
+    unfinished = folder / UNFINISHED
+    if unfinished.is_symlink():
+        raise UsageError(f"{unfinished} is a link; remove it")
+    shutil.rmtree(unfinished, ignore_errors=True)  # of a process that was killed: `alone` keeps others out
+    found.extract(found.names(), unfinished)
+    with disk_errors(folder):
+        (unfinished / MANIFEST).write_bytes(written(found.hashes))
+        unfinished.rename(folder / COPY)
