@@ -20,6 +20,7 @@ from sierra.config.deliverable_tables import DerivedTable
 from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
 from sierra.containers.engines.base import Engine
+from sierra.containers.images.image import Image
 from sierra.errors import Missing, NotFound, UsageError
 from sierra.execution import commands, expected_durations, plan_from_record, recover, row_queries, targets
 from sierra.execution.build.recorded import rebuild
@@ -76,6 +77,8 @@ class ReplayOptions:
     """True to keep the restored source and the folders of the runs."""
     only: frozenset[str] | None = None
     """Ids of the runs to replay; None for all."""
+    image: Image | None = None
+    """The recorded image, if it is in another place than the pinned or recorded one."""
 
     def includes(self, one: ChosenExecution) -> bool:
         """Return whether a run is replayed."""
@@ -122,7 +125,7 @@ def replay(
     engine = plan_from_record.engine(
         store, record.of.batch, record.of.spec, options.engine, project.config.engines, hosted=True
     )
-    image = plan_from_record.image(project, store, record.of.spec)
+    image = options.image or plan_from_record.image(project, store, record.of.spec)
     runner = runners.find(options.runner, project.config.runners)(options.slots)
     began = datetime.now(UTC)
     session = Session(store.paths, project.config.store.place())

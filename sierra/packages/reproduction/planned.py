@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from sierra.config.project_file import LoadedProject
 from sierra.containers import engines
 from sierra.containers.container_setup import DEVICE, GPU, MOUNT, NETWORK
 from sierra.containers.engines.base import Engine
+from sierra.containers.images.image import Image, Kind
 from sierra.errors import Missing, NotFound, SierraError
 from sierra.execution import commands, plan_from_record, row_queries, targets
 from sierra.execution.plan_from_record import Recalled
 from sierra.provenance.dependency_model import INSTALLED, normalized, versions
 from sierra.store.store import Store
-from sierra.util.hashing import short
+from sierra.util.hashing import sha256_file, short
 from sierra.util.text import one_line
 
 NONE = "none"
+IMAGE_FILES = "environment/images/"
+"""The folder of images in a package, by id."""
+ENDINGS = {Kind.OCI: (".tar",), Kind.SQUASHFS: (".sif", ".sqfs")}
 CONTAINERS = ("podman", "apptainer")
 """Engines that are tried if the recorded one does not work on this machine."""
 
@@ -76,6 +81,8 @@ class PlannedBatch:
     engine: str = NONE
     access: tuple[str, ...] = ()
     """What a container may use beyond the package, as `network`; empty without a container."""
+    image: Image | None = None
+    """The image of the containers, at its place in the package; None without a container."""
     missing: tuple[str, ...] = ()
     """One line for each thing that this machine lacks, and the remedy. If there is one, the batch is not executed."""
 
@@ -122,7 +129,7 @@ def plan(project: LoadedProject, store: Store, batch: RecordedBatch, engine: str
 
 
 def _lacking(planned: PlannedBatch, *missing: str) -> PlannedBatch:
-    return PlannedBatch(planned.batch, planned.query, planned.runs, planned.of, missing=missing)
+    return replace(planned, missing=missing)
 
 
 def _with_engine(
@@ -138,7 +145,8 @@ def _with_engine(
     missing = [*_without_mount(project, recalled)] if engine.name != NONE else []
     if engine.name == NONE and local:
         missing += _lacking_program(project, recalled)
-    elif engine.name != NONE and not missing and (image := plan_from_record.image(project, store, spec)):
+    image = None if engine.name == NONE else packed_image(project, store, recalled)
+    if image is not None and not missing:
         engine.prepare(image, project.root, store.paths)
     if missing:
         return _lacking(planned, *missing)
@@ -147,9 +155,21 @@ def _with_engine(
         access.append(f"{NETWORK} ({engine.name} cannot isolate it here)")
     built = (tuple(recalled.build.row.command),) if recalled.build else ()
     words = (*built, *spec.around.commands, spec.command)
-    return PlannedBatch(
-        planned.batch, planned.query, planned.runs, planned.of, words, engine.name, tuple(access) if engine.name != NONE else ()
-    )
+    allowed = tuple(access) if engine.name != NONE else ()
+    return replace(planned, commands=words, engine=engine.name, access=allowed, image=image)
+
+
+def packed_image(project: LoadedProject, store: Store, recalled: Recalled) -> Image | None:
+    """Return the image of a batch with its file in the package; without a file, if the recorded one is outside the package."""
+    image = plan_from_record.image(project, store, recalled.spec)
+    if image is None:
+        return None
+    for ending in ENDINGS[image.kind]:
+        name = f"../{IMAGE_FILES}{image.folder}{ending}"
+        if (project.root / name).is_file():
+            return replace(image, file=name, sha256=sha256_file(project.root / name))
+    path = PurePosixPath(image.file)
+    return replace(image, file="", sha256="") if path.is_absolute() or ".." in path.parts else image
 
 
 def _engine(

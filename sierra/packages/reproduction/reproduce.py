@@ -243,7 +243,7 @@ class _Work:
     def _replayed(self, one: PlannedBatch, runs: frozenset[str]) -> ReproducedBatch:
         local = self._options.runner == "local"
         only = None if len(runs) == len(one.runs) else runs
-        options = ReplayOptions(self._options.slots, only=only, runner=self._options.runner, engine=one.engine)
+        options = ReplayOptions(self._options.slots, only=only, runner=self._options.runner, engine=one.engine, image=one.image)
         try:
             if local and (missing := planned.lacking_packages(self._project, self._store, one)):
                 return ReproducedBatch(one, len(runs), None, "; ".join(missing))

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import secrets
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import sierra
-from tests import containers, projects
-from tests.unit.packages.test_reproduction import PACKAGE
+from tests import containers, images, projects
+from tests.unit.packages.test_reproduction import PACKAGE, changed
 
 pytestmark = pytest.mark.real
 OUTSIDE = (
@@ -41,6 +43,35 @@ def test_a_container_of_a_package_reaches_nothing(tmp_path: Path) -> None:
     [batch] = said["batches"]
     assert (code, batch["engine"], batch["counts"]) == (0, "podman", {"identical": 1}), said
     assert not list(tmp_path.rglob("reached"))
+
+
+def test_the_image_of_a_package_is_used_if_this_machine_does_not_have_it(tmp_path: Path) -> None:
+    layer = images.layer(
+        *((one, "") for one in containers.FOLDERS),
+        ("bin/busybox", containers.BUSYBOX.read_bytes()),
+        *((f"bin/{name} -> busybox", "") for name in ("sh", "sed", "touch", "ls", "true")),
+        ("etc/own", secrets.token_hex()),
+    )
+    file = images.docker_archive(tmp_path / "own.tar", [layer])
+    root = containers.make(tmp_path / "project", file)
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + PACKAGE)
+    batch = sierra.open(root).run("population_size=2", runs=1, figures=False).batch
+    sierra.open(root).package(batch, path=tmp_path / "without.zip")
+    [image] = sierra.open(root).sql("SELECT image FROM images").to_pylist()
+    member = f"environment/images/{image['image'].replace(':', '-')}.tar"
+
+    def add(members: dict[str, bytes]) -> None:
+        members[member] = file.read_bytes()
+
+    package = changed(tmp_path / "without.zip", tmp_path / "with.zip", add)
+    file.unlink()
+    subprocess.run(["podman", "rmi", "--force", image["image"].removeprefix("sha256:")], check=True, capture_output=True)
+    code, said = reproduce(tmp_path, str(tmp_path / "without.zip"))
+    assert (code, "sierra image import" in said["batches"][0]["reason"]) == (3, True), said
+    code, said = reproduce(tmp_path, str(package))
+    assert (code, said["batches"][0]["counts"]) == (0, {"identical": 1}), said
+    code, said = reproduce(tmp_path, str(package), "--engine", "apptainer", "--into", "other")
+    assert (code, said["batches"][0]["engine"]) == (0, "apptainer"), said
 
 
 def test_a_container_with_access_to_the_network_needs_consent(tmp_path: Path) -> None:

@@ -175,6 +175,7 @@ scheduler = "slurm"
 python = "touch {tmp_path}/started;"
 """
     first = projects.CONFIG.replace('template = "arena.xml"', 'template = "../../../arena.xml"')
+    first = first.replace("python3 sim.py {input}", f"touch {tmp_path}/started")
 
     def change(members: dict[str, bytes]) -> None:
         text = members["project/sierra.toml"].decode().replace(projects.CONFIG, "")
