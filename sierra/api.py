@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from sierra.maintenance.repair import Repair
     from sierra.packages.metadata import Metadata
     from sierra.packages.pack import Packed, Preview
-    from sierra.packages.reproduction.reproduce import Reproduction, Statement
+    from sierra.packages.reproduction.outcome import Reproduction, Statement
     from sierra.provenance.commits_between import Known as CommitInRepository
     from sierra.provenance.source.share_refs import Shared
     from sierra.query.query_request import QueryRequest

@@ -15,7 +15,7 @@ from sierra.cli.output import readable
 from sierra.errors import Missing
 
 if TYPE_CHECKING:
-    from sierra.packages.reproduction.reproduce import Reproduction
+    from sierra.packages.reproduction.outcome import Reproduction
     from sierra.replay.verdicts import Compared, OfExperiment, Replay
 
 

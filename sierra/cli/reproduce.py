@@ -16,7 +16,7 @@ from sierra.errors import Missing, UsageError
 from sierra.util.text import one_line
 
 if TYPE_CHECKING:
-    from sierra.packages.reproduction.reproduce import Reproduction, Statement
+    from sierra.packages.reproduction.outcome import Reproduction, Statement
 
 UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 

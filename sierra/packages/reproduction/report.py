@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from sierra.deliverables.claims.model import Evaluated
-from sierra.packages.reproduction.reproduce import ReproducedBatch, Reproduction
+from sierra.packages.reproduction.outcome import ReproducedBatch, Reproduction
 from sierra.packages.reproduction.workspace import REPORT
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole

@@ -13,16 +13,15 @@ from pathlib import Path
 from sierra import runners
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims.model import Evaluated
-from sierra.deliverables.claims.model import Verdict as Decided
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution.observer import Observer
 from sierra.execution.progress_display import duration
 from sierra.packages import manifest
 from sierra.packages.layout import PACKAGE, PROJECT
-from sierra.packages.reproduction import budget, claims, confined_project, planned, workspace
+from sierra.packages.reproduction import budget, claims, confined_project, planned, report, workspace
+from sierra.packages.reproduction.outcome import ReproducedBatch, Reproduction, Statement
 from sierra.packages.reproduction.planned import PlannedBatch, RecordedRun
 from sierra.replay.replay import ReplayOptions, replay
-from sierra.replay.verdicts import Replay
 from sierra.store.layout import STORE
 from sierra.store.store import Store
 from sierra.util.hashing import short
@@ -43,116 +42,10 @@ class Options:
     runner: str = "local"
 
 
-@dataclass(frozen=True, slots=True)
-class Statement:
-    """What would be executed, for the user to agree to."""
-
-    lines: tuple[str, ...]
-    must_ask: bool
-    """True if anything would be executed outside of a container without network."""
-
-
 def isolated_only(statement: Statement) -> None:
     """Raise Missing if anything would be executed outside of a container without network."""
     if statement.must_ask:
         raise Missing(f"programs of the package would not be isolated from this machine: {'; '.join(statement.lines)}")
-
-
-@dataclass(frozen=True, slots=True)
-class ReproducedBatch:
-    """A batch, and the replay of its runs."""
-
-    planned: PlannedBatch
-    chosen: int
-    """The number of runs that were chosen to be executed."""
-    replay: Replay | None
-    """None if nothing was executed."""
-    reason: str = ""
-    """The reason why nothing was executed, or not all."""
-
-    @property
-    def executed(self) -> int:
-        """The number of runs that were executed again and compared."""
-        return len(self.replay.runs) if self.replay else 0
-
-    @property
-    def lacking(self) -> bool:
-        """True if something is missing, so that it was not executed; false if only the budget left it out."""
-        return self.replay is None and bool(self.planned.missing or self.chosen)
-
-    @property
-    def complete(self) -> bool:
-        """True if all runs with a recorded result were executed again."""
-        done = {run.taken.run for run in self.replay.runs} if self.replay else set()
-        return bool(self.planned.runs) and done.issuperset(run.run for run in self.planned.runs)
-
-    @property
-    def verdict(self) -> str:
-        """The verdict of the comparison in words, with the number of runs."""
-        if self.replay is None:
-            return f"not executed: {self.reason}"
-        part = f"{self.executed} of {counted(self.planned.of, 'run')} executed again"
-        return f"interrupted: {part}" if self.replay.interrupted else f"{self.replay.verdict} ({part})"
-
-
-@dataclass(frozen=True, slots=True)
-class Reproduction:
-    """The result of a reproduction."""
-
-    package: str
-    """The id of the package."""
-    title: str
-    folder: Path
-    """The folder with the copy of the package and the reports."""
-    notes: tuple[str, ...]
-    batches: tuple[ReproducedBatch, ...]
-    claims: tuple[Evaluated, ...]
-    left_out: tuple[str, ...] = ()
-    """One line for each batch and claim of which runs were left out because of the budget."""
-
-    @property
-    def interrupted(self) -> bool:
-        return any(one.replay.interrupted for one in self.batches if one.replay)
-
-    @property
-    def differs(self) -> bool:
-        """True if any compared result differs, or a claim does not hold or cannot be told."""
-        return any(self._faults())
-
-    def _faults(self) -> Iterator[str]:
-        """Yield how many batches differ, and how many claims were not shown to hold."""
-        compared = [one.replay.verdict for one in self.batches if one.replay and not one.replay.interrupted]
-        if different := sum(not one.fine for one in compared):
-            yield f"{different} of {len(compared)} batches different"
-        if claims := sum(one.verdict is not Decided.holds for one in self.claims):
-            yield f"{claims} of {len(self.claims)} claims not shown to hold"
-
-    @property
-    def lacking(self) -> bool:
-        """True if a batch was not executed because something is missing."""
-        return any(one.lacking for one in self.batches)
-
-    @property
-    def verdict(self) -> str:
-        """The verdict in words."""
-        if self.interrupted:
-            return "interrupted"
-        if not any(one.replay for one in self.batches):
-            return "not reproduced: nothing was executed"
-        if self.differs:
-            return f"not reproduced: {' and '.join(self._faults())}"
-        if self.lacking:
-            return "reproduced in part: not all batches were executed"
-        runs, of = sum(one.executed for one in self.batches), sum(one.planned.of for one in self.batches)
-        return f"reproduced: {runs:,} of {counted(of, 'run')} executed again"
-
-    @property
-    def exit_code(self) -> int:
-        """0 if all is reproduced, 1 if something differs or a claim does not hold, 3 if something is missing."""
-        if self.interrupted:
-            return 130
-        executed = any(one.replay for one in self.batches)
-        return 1 if executed and self.differs else 3 if self.lacking or not executed else 0
 
 
 def reproduce(
@@ -163,8 +56,6 @@ def reproduce(
     `agree` receives what would be executed, and raises an error if it must not be. Raises Missing if the package cannot be read
     or the folder not written, Damaged if it is no package or not a safe one, UsageError for options that do not fit it.
     """
-    from sierra.packages.reproduction import report
-
     observer = observer or Observer()
     folder = (into or workspace.default(package)).absolute()
     with workspace.opened(package) as found, workspace.alone(folder):

@@ -22,7 +22,7 @@ from sierra.errors import Damaged, Missing, UsageError
 from sierra.packages import stored
 from sierra.packages.archive import Archive
 from sierra.packages.extracted import CREATED, Extracted
-from sierra.packages.layout import PROJECT, STORED
+from sierra.packages.layout import PACKAGE, PROJECT, STORED
 from sierra.packages.members import MANIFEST, written
 from sierra.store.layout import CONFIG
 from sierra.store.segments import disk_errors
@@ -93,8 +93,8 @@ def copy_verified(found: Archive | Extracted, folder: Path) -> None:
 def _check(found: Archive | Extracted) -> None:
     if strange := [name for name in found.names(STORED) if not stored.is_record(name)]:
         raise Damaged(f"{found.path}: the member {strange[0]!r} is no record, but it is in the store")
-    if PROJECT + CONFIG not in found.hashes or not found.names(STORED):
-        raise Damaged(f"{found.path} has no project with a store: {PROJECT}{CONFIG} and {STORED} are required")
+    if not {PACKAGE, PROJECT + CONFIG} <= found.hashes.keys() or not found.names(STORED):
+        raise Damaged(f"{found.path} has no project with a store: {PACKAGE}, {PROJECT}{CONFIG} and {STORED} are required")
 
 
 def _verify_again(found: Archive | Extracted, copy: Path) -> None:
