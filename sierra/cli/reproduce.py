@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import sys
 from collections.abc import Callable
@@ -12,10 +13,12 @@ import typer
 
 from sierra.cli.arguments import AsJson, Jobs, Yes
 from sierra.cli.output import note, print_json, readable, table
+from sierra.cli.progress import Display, watching
 from sierra.errors import Missing, UsageError
 from sierra.util.text import one_line
 
 if TYPE_CHECKING:
+    from sierra.execution.observer import Progress
     from sierra.packages.reproduction.outcome import Reproduction, Statement
 
 UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
@@ -69,12 +72,12 @@ def reproduce(
     from sierra.api import reproduce as execute
     from sierra.cli import junit as junit_file
     from sierra.cli.claims import cases
-    from sierra.cli.progress import watching
 
     seconds = None if budget is None else _seconds(budget)
     if junit is not None and not junit.parent.is_dir():
         raise Missing(f"{junit}: the folder {junit.parent} does not exist")
-    with watching(quiet=as_json) as display:
+    with contextlib.ExitStack() as stack:
+        display = _LateProgress(stack)
         done = execute(
             package,
             into=into,
@@ -83,7 +86,7 @@ def reproduce(
             jobs=jobs,
             engine=engine,
             runner=runner,
-            agree=_agree(yes, as_json),
+            agree=_agree(yes, as_json, display),
             observer=None if as_json else display,
         )
     if junit is not None:
@@ -106,10 +109,32 @@ def _seconds(text: str) -> float:
     return float(found[1]) * UNITS[found[2]]
 
 
-def _agree(yes: bool, quiet: bool) -> Callable[[Statement], None]:
-    """Return the function that prints what would be executed, and asks for it if necessary."""
+class _LateProgress(Display):
+    """Shows progress only after `begin`, because a question needs the terminal."""
+
+    def __init__(self, stack: contextlib.ExitStack) -> None:
+        self._stack = stack
+        self._shown = Display()
+
+    def begin(self) -> None:
+        self._shown = self._stack.enter_context(watching(quiet=False))
+
+    def progress(self, progress: Progress) -> None:
+        self._shown.progress(progress)
+
+    def notice(self, text: str) -> None:
+        self._shown.notice(text)
+
+
+def _agree(yes: bool, quiet: bool, display: _LateProgress) -> Callable[[Statement], None]:
+    """Return the function that prints what would be executed, asks for it if necessary, and then begins to show progress."""
 
     def agree(statement: Statement) -> None:
+        ask(statement)
+        if not quiet:
+            display.begin()
+
+    def ask(statement: Statement) -> None:
         if not quiet:
             note("this executes:")
             for line in statement.lines:
