@@ -293,6 +293,7 @@ class CommandBuilder:
         success: Sequence[int] = (0,),
         timeouts: Mapping[str, float] | None = None,
         observed: bool = False,
+        python: str = sys.executable,
     ) -> None:
         """Prepare the variables and containers that all jobs share.
 
@@ -301,6 +302,7 @@ class CommandBuilder:
         scheduler allots. `beside` is the folder of the files that lie beside the inputs of runs. With an `image` and without a
         `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful command, and
         `timeouts` the seconds in which services must be ready, by name. `observed`: services that runs share are observed.
+        `python` is the value of `{python}` without an image.
         """
         self._success = success
         self._observed = observed
@@ -313,7 +315,7 @@ class CommandBuilder:
         self._script = script or Path(worker.__file__)
         self._here = _IN_RUN if box and not box.shared else HERE
         self._placed = {"project": PROJECT if box else str(root)}
-        self._placed["python"] = PYTHON if image else sys.executable
+        self._placed["python"] = PYTHON if image else python
         self._project = Path(self._placed["project"]) if box else project
         self._environment = {
             **within(image, {name: self._fill((value,))[0] for name, value in spec.environment.items()}),

@@ -14,6 +14,7 @@ works in it once it is extracted.
     project/.sierra/          the store with the packed batches
     source/<tree, 12 digits>/ sources of the other batches
     environment/              used-files.txt: files of the machine that runs used
+    execution/                programs and jobs that execute the runs without SIERRA; see sierra.packages.execute_runs
 """
 
 from __future__ import annotations
@@ -29,3 +30,6 @@ PROJECT = "project/"
 STORED = f"{PROJECT}{STORE}/"
 SOURCE = "source/"
 USED = "environment/used-files.txt"
+EXECUTION = "execution/"
+EXECUTOR = f"{EXECUTION}execute_runs.py"
+PLAN = f"{EXECUTION}plan.json"

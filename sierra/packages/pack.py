@@ -19,6 +19,7 @@ from sierra.packages import (
     archive,
     crate,
     declared_files,
+    execution,
     instructions,
     manifest,
     metadata,
@@ -36,6 +37,7 @@ PARTS: tuple[Part, ...] = (
     stored.members,
     declared_files.members,
     used_files.members,
+    execution.members,
     metadata.members,
     verifier.members,
 )

@@ -3,15 +3,23 @@
 It is one file that needs only the standard library (Python 3.8 or newer), so that a package can be checked where nothing is
 installed:
 
-    python3 reproduce.py [PACKAGE] [--unpack FOLDER]
+    python3 reproduce.py [PACKAGE] [--unpack FOLDER] [--execute]
 
 PACKAGE is a zip, or the folder of an extracted package. Without PACKAGE, it is the folder of this program or the working
 folder, whichever has a manifest; otherwise the only zip in the working folder.
 
-It reaches level 1 of 3: the package is complete, and each file has the SHA-256 of `manifest-sha256.txt`. It executes nothing of
-the package and uses no network. It then states what levels 2 (execute the runs) and 3 (values and claims) need, and names the
-commands. The exit status is 0 if all files are as listed, 1 if any is not, 2 for wrong arguments, 3 if a file or space that is
-needed is missing, and 130 after Ctrl-C.
+Without `--execute`, it reaches level 1 of 3: the package is complete, and each file has the SHA-256 of `manifest-sha256.txt`.
+It then executes nothing of the package, and states what levels 2 (execute the runs) and 3 (values and claims) need. The exit
+status is 0 if all files are as listed, 1 if any is not, 2 for wrong arguments, 3 if a file or space that is needed is missing,
+and 130 after Ctrl-C.
+
+With `--execute`, it verifies the package and then reaches the highest level that this machine allows, after one question:
+
+* Level 3 by the command `sierra reproduce`: SIERRA is installed here, or the package has wheels for this Python, from which a
+  virtual environment is made without network.
+* Level 2 by `execution/execute_runs.py`: the runs are executed, and the bytes of their outputs are compared.
+
+The exit status is then that of these programs: 0 if all is reproduced, 1 if something differs, 3 if something is missing.
 
 A package may come from anybody. The rules are those of `sierra.packages.archive` and `sierra.packages.members`, which tests
 compare with these: safe and different names, regular files only, exactly the members of the manifest, no more bytes than a zip
@@ -44,6 +52,7 @@ import shlex
 import shutil
 import stat
 import struct
+import subprocess
 import sysconfig
 import unicodedata
 import zipfile
@@ -54,12 +63,15 @@ from typing import IO, Any, Callable, Iterable, Iterator, NamedTuple
 MANIFEST = "manifest-sha256.txt"
 ABOUT = "package.json"
 CREATED = "reproduction"  # the folder for what an evaluator makes; files below it need not be listed
-PROJECT = "project"
+EXECUTOR = "execution/execute_runs.py"
 WHEELS = "environment/wheels/"
 LOCK = "environment/requirements.lock"
 ENGINES = ("podman", "apptainer")
+HOST = "host"
 LEVELS = 3
-USAGE = "python3 reproduce.py [PACKAGE] [--unpack FOLDER]"
+USAGE = "python3 reproduce.py [PACKAGE] [--unpack FOLDER] [--execute] [--yes]"
+DURATION = re.compile(r"(\d+(?:\.\d+)?)([smh])")
+SECONDS = {"s": 1, "m": 60, "h": 3600}
 
 MOST = 1_000_000  # members
 LONGEST = 1024  # bytes of a name
@@ -73,7 +85,6 @@ EXECUTABLE = 0o100755
 LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
 DEVICE = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
 FORBIDDEN = frozenset('\\:*?"<>|')
-HASH = re.compile(r"[0-9a-f]{64}")
 SHORT = 10  # digits of an id for display
 WHEEL = re.compile(r"([^-]+)-[^-]+(?:-[0-9][^-]*)?-([^-]+)-([^-]+)-([^-]+)\.whl")
 GLIBC = {"manylinux1": (2, 5), "manylinux2010": (2, 12), "manylinux2014": (2, 17)}  # PEP 600
@@ -418,14 +429,14 @@ def check_new(path: Path) -> None:
 # The description and the next levels
 
 
-def describe(checked: Checked) -> list[str]:
-    """Print the id of a package, and the title, date and batches that it states; return the ids of its batches."""
+def describe(checked: Checked) -> None:
+    """Print the id of a package, and the title, date and batches that it states."""
     print(f"  id:      {package_id(checked.hashes)} (of all names and hashes: compare it with the one that the authors state)")
     try:
         about = stated(checked)
     except (Stop, ValueError, RecursionError):
         print(f"  {ABOUT} cannot be read: title, date and batches are unknown")
-        return []
+        return
     for key in ("title", "date"):
         if about.get(key):
             print(f"  {key + ':':9}{clean(about[key])}")
@@ -434,7 +445,6 @@ def describe(checked: Checked) -> list[str]:
         print(f"  batch:   {clean(batch_id(batch))[:SHORT]} {clean(query(batch))}")
     if len(batches) > NAMED:
         print(f"  and {len(batches) - NAMED:,} batches more")
-    return [batch_id(one)[:SHORT] for one in batches if HASH.fullmatch(batch_id(one))]
 
 
 def stated(checked: Checked) -> dict[str, Any]:
@@ -459,27 +469,26 @@ def query(batch: object) -> str:
     return str(batch.get("query", "?")) if isinstance(batch, dict) else "?"
 
 
-def next_levels(checked: Checked, folder: Path | None, batches: list[str]) -> None:
-    """Print what the levels above this one need, and the commands. `folder`: where the package is extracted, if it is."""
+def next_levels(checked: Checked, folder: Path | None) -> None:
+    """Print what the levels above this one need, and the command. `folder`: where the package is extracted, if it is."""
     print(f"Level 1 of {LEVELS} reached: the files are verified. Nothing of the package was executed.")
     engines = [name for name in ENGINES if shutil.which(name)]
-    print("Level 2 (execute the runs, compare their bytes) needs podman or apptainer, or the project's programs, and SIERRA:")
+    print("Level 2 (execute the runs, compare their bytes) needs the project's programs, or podman or apptainer for its image:")
     print(f"  {' and '.join(engines) or 'neither podman nor apptainer'} found on this machine")
     print("Level 3 (values, figures and claims) needs SIERRA, or wheels of it for this Python:")
     for line in installation(set(checked.hashes)):
         print(f"  {line}")
     if folder is None:
         print("The next levels need an extracted package: give --unpack FOLDER.")
-        return
-    print("Commands, which this program does not execute. They start programs of the package: use a machine that may run them.")
-    for command in commands(set(checked.hashes), folder, batches):
-        print(f"  {command}")
+    else:
+        program = printable(shlex.quote(str(folder / Path(__file__).name)))
+        print(f"Next: python3 {program} --execute (it asks before it executes programs of the package)")
 
 
 def installation(names: set[str]) -> Iterator[str]:
     """Yield lines that state whether SIERRA is installed, and whether the package has wheels for this Python."""
-    yield f"SIERRA found: {sierra()}" if sierra() else "SIERRA is not installed for this Python, and not on the PATH"
-    wheels = [name[len(WHEELS) :] for name in names if name.startswith(WHEELS) and name.endswith(".whl")]
+    yield f"SIERRA found: {printable(sierra())}" if sierra() else "SIERRA is not installed for this Python, and not on the PATH"
+    wheels = wheels_of(names)
     lacking = unusable(wheels)
     version = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
     if not wheels:
@@ -490,30 +499,123 @@ def installation(names: set[str]) -> Iterator[str]:
         yield f"the package has {len(wheels)} wheels in {WHEELS}, and they fit {version}"
 
 
-def commands(names: set[str], folder: Path, batches: list[str]) -> Iterator[str]:
-    """Yield the commands that install SIERRA from the package, if they are needed and possible, and replay its batches.
-
-    They work on a copy of the project, so that the package stays as it is.
-    """
-    yield f"cd {printable(shlex.quote(str(folder)))} && mkdir -p {CREATED}"
-    program, wheels = sierra(), [name for name in names if name.startswith(WHEELS) and name.endswith(".whl")]
-    if not program and wheels and not unusable([name[len(WHEELS) :] for name in wheels]):
-        program = "../venv/bin/sierra"
-        wanted = f"--require-hashes -r {LOCK}" if LOCK in names else "sierra-experiments"
-        yield f"{printable(shlex.quote(sys.executable))} -m venv {CREATED}/venv"
-        yield f"{CREATED}/venv/bin/pip install --no-index --find-links {WHEELS} {wanted}"
-    elif not program:
-        program = "sierra"
-        yield "(install SIERRA)"
-    if any(name.startswith(PROJECT + "/") for name in names):
-        yield f"cp -R {PROJECT} {CREATED}/ && cd {CREATED}/{PROJECT}"
-        yield from (f"{program} replay {batch}" for batch in batches[:NAMED] or ["BATCH"])
-
-
 def sierra() -> str:
-    """Return the command that starts SIERRA on this machine, in the PATH or beside this Python; "" if there is none."""
-    found = shutil.which("sierra") or shutil.which("sierra", path=sysconfig.get_path("scripts"))
-    return printable(shlex.quote(found)) if found else ""
+    """Return the program that starts SIERRA on this machine, in the PATH or beside this Python; "" if there is none."""
+    return shutil.which("sierra") or shutil.which("sierra", path=sysconfig.get_path("scripts")) or ""
+
+
+# Levels 2 and 3
+
+
+def executed(checked: Checked, folder: Path, options: argparse.Namespace) -> int:
+    """Execute the runs of a verified package at the requested level, or at the highest possible one; return the exit status."""
+    if os.name != "posix":
+        raise Stop("runs are executed on Linux and macOS; on Windows, use WSL", 3)
+    names = set(checked.hashes)
+    work = Path(options.work).absolute() if options.work else folder / CREATED
+    level = options.level or (3 if wheels_fit(names) or can_reproduce(sierra()) else 2)
+    if level == 2:
+        return level_2(names, folder, work, options)
+    if options.runs is not None:
+        raise Stop("--runs is for level 2; give --level 2, or --budget instead", 2)
+    program = sierra() if can_reproduce(sierra()) else ""
+    if not program and not wheels_fit(names):
+        lines = "; ".join(installation(names))
+        raise Stop(f"level 3 needs SIERRA with the command reproduce, or wheels of it for this Python: {lines}", 3)
+    confirm(folder, installs=not program, yes=options.yes)
+    command = [program or installed(names, folder, work), "reproduce", str(folder), "--yes", "--into", str(work / "level-3")]
+    command += ["--engine", options.engine] if options.engine else []
+    command += ["--budget", options.budget] if options.budget else []
+    print(f"Level 3 by {printable(' '.join(map(shlex.quote, command)))}")
+    status = waited_for(command)
+    print(f"Level {LEVELS if status in (0, 1) else 1} of {LEVELS} reached.")
+    return status
+
+
+def level_2(names: set[str], folder: Path, work: Path, options: argparse.Namespace) -> int:
+    """Start the program of the package that executes its runs; return its exit status."""
+    if EXECUTOR not in names:
+        raise Stop(f"the package has no {EXECUTOR}, which level 2 needs", 3)
+    command = [sys.executable, "-I", str(folder / EXECUTOR), str(folder), str(work)]
+    command += [f"--runs={options.runs}"] if options.runs is not None else []
+    command += [f"--seconds={seconds(options.budget)}"] if options.budget else []
+    command += [f"--engine={options.engine}"] if options.engine else []
+    command += ["--yes"] if options.yes else []
+    return waited_for(command)
+
+
+def waited_for(command: list[str]) -> int:
+    """Execute a command that handles Ctrl-C itself; return its exit status."""
+    sys.stdout.flush()
+    process = subprocess.Popen(command)
+    while True:
+        with contextlib.suppress(KeyboardInterrupt):
+            status = process.wait()
+            return status if status >= 0 else 128 - status
+
+
+def confirm(folder: Path, *, installs: bool, yes: bool) -> None:
+    """Ask before SIERRA executes the package. Raises Stop unless the answer is yes."""
+    made = "installs SIERRA from the package's wheels without network, and " if installs else ""
+    print(f"Level 3 {made}executes the programs of the package on this machine.")
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise Stop("nothing was executed: nobody can be asked here; give --yes to execute the runs", 3)
+    if input("Execute them? [y/N] ").strip().lower() not in ("y", "yes"):
+        raise Stop("nothing was executed", 3)
+
+
+def can_reproduce(program: str) -> bool:
+    """Check whether a program is a SIERRA that has the command for packages."""
+    if not program:
+        return False
+    done = subprocess.run([program, "reproduce", "--help"], stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    return done.returncode == 0
+
+
+def wheels_of(names: Iterable[str]) -> list[str]:
+    """Return the names of the wheels in a package."""
+    return [name[len(WHEELS) :] for name in names if name.startswith(WHEELS) and name.endswith(".whl")]
+
+
+def wheels_fit(names: Iterable[str]) -> bool:
+    """Check whether a package has wheels, and each distribution has one for this Python."""
+    wheels = wheels_of(names)
+    return bool(wheels) and not unusable(wheels)
+
+
+def installed(names: set[str], folder: Path, work: Path) -> str:
+    """Make a virtual environment from the wheels of a package, without network; return its SIERRA. Raises Stop."""
+    place = work / "venv"
+    program = place / "bin" / "sierra"
+    if program.exists():
+        return str(program)
+    pip = next((name for name in sorted(wheels_of(names)) if name.startswith("pip-")), None)
+    run([sys.executable, "-I", "-m", "venv", "--clear", *(["--without-pip"] if pip else []), str(place)])
+    words = [str(folder / WHEELS / pip / "pip")] if pip else ["-m", "pip"]
+    wanted = ["--require-hashes", "-r", str(folder / LOCK)] if LOCK in names else ["sierra-experiments"]
+    options = ["--isolated", "--no-input", "--disable-pip-version-check", "--quiet", "--no-cache-dir", "--no-index"]
+    run([str(place / "bin" / "python"), *words, "install", *options, "--find-links", str(folder / WHEELS), *wanted])
+    if not program.exists():
+        raise Stop(f"the wheels of the package do not install SIERRA: there is no {program}", 3)
+    return str(program)
+
+
+def run(command: list[str]) -> None:
+    """Execute a command that prepares level 3. Raises Stop with its last line if it fails."""
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False)
+    if done.returncode:
+        lines = done.stdout.decode("utf-8", "replace").strip().splitlines() or ["it printed nothing"]
+        raise Stop(f"{' '.join(command[:5])} has failed: {lines[-1]}", 3)
+
+
+def seconds(duration: str) -> float:
+    """Return the seconds of a text such as 90s, 30m or 2h."""
+    parts = DURATION.fullmatch(duration)
+    if parts is None:
+        raise Stop(f"--budget {duration}: give a time such as 90s, 30m or 2h", 2)
+    return float(parts.group(1)) * SECONDS[parts.group(2)]
 
 
 # Wheels
@@ -594,31 +696,50 @@ def parsed(arguments: list[str]) -> argparse.Namespace:
         prog="reproduce.py",
         usage=USAGE,
         description="Check that a reproduction package is complete and unchanged, and unpack it safely. Nothing of the package "
-        "is executed, and no network is used. Then the program states what is needed to execute the runs again.",
-        epilog="Exit status: 0 if all files are as the manifest lists them, 1 if any is not, 2 for wrong arguments, "
-        "3 if a file or space that is needed is missing, 130 after Ctrl-C.",
+        "is executed without --execute, and no network is used.",
+        epilog="Exit status: 0 if all files are as the manifest lists them (with --execute: if all is reproduced), 1 if any is "
+        "not (or something differs), 2 for wrong arguments, 3 if something that is needed is missing, 130 after Ctrl-C.",
     )
     parser.add_argument("package", nargs="?", metavar="PACKAGE", help="a zip, or the folder of an extracted package")
     parser.add_argument("--unpack", metavar="FOLDER", help="write the files of a zip to this new folder, if all are as listed")
-    return parser.parse_args(arguments)
+    parser.add_argument("--execute", action="store_true", help="execute the runs again and compare, after one question")
+    parser.add_argument("--yes", action="store_true", help="with --execute: answer the question with yes")
+    parser.add_argument("--level", type=int, choices=(2, 3), help="with --execute: default is the highest possible level")
+    parser.add_argument("--engine", choices=(HOST, *ENGINES), help="with --execute: where runs are executed")
+    parser.add_argument("--runs", type=int, metavar="N", help="with --execute: only the first N runs of each experiment")
+    parser.add_argument("--budget", metavar="TIME", help="with --execute: as many runs as fit into 90s, 30m or 2h")
+    parser.add_argument("--work", metavar="FOLDER", help=f"with --execute: folder to write to (default: PACKAGE/{CREATED})")
+    given = parser.parse_args(arguments)
+    if not given.execute and any((given.yes, given.level, given.engine, given.runs is not None, given.budget, given.work)):
+        parser.error("--yes, --level, --engine, --runs, --budget and --work need --execute")
+    if given.runs is not None and (given.runs < 1 or given.budget):
+        parser.error("--runs needs a number from 1, and excludes --budget")
+    return given
 
 
-def reproduce(given: str | None, to: str | None) -> int:
-    """Verify a package, unpack it if that is requested, and print the next levels; return the exit status."""
-    package = find(given)
-    target = None if to is None else Path(to).absolute()
+def reproduce(options: argparse.Namespace) -> int:
+    """Verify a package, unpack and execute it if that is requested, and print the next levels; return the exit status."""
+    if options.budget:
+        seconds(options.budget)  # refused before anything else
+    package = find(options.package)
+    target = None if options.unpack is None else Path(options.unpack).absolute()
     if target and isinstance(package, Folder):
         raise Stop(f"--unpack needs a zip, but {package.path} is a folder", 2)
     if target:
         check_new(target)
+    if options.execute and target is None and isinstance(package, Zip):
+        raise Stop("--execute needs an extracted package; add --unpack FOLDER", 2)
     checked = listed(package)
     if verify(checked, target):
         return not_verified()
     print(f"VERIFIED: {clean(package.path)} has {len(checked.hashes):,} files, all as {MANIFEST} lists them")
-    batches = describe(checked)
+    describe(checked)
     if target:
         print(f"Unpacked to {clean(target)}")
-    next_levels(checked, target or (package.path.absolute() if isinstance(package, Folder) else None), batches)
+    folder = target or (package.path.absolute() if isinstance(package, Folder) else None)
+    if options.execute and folder:
+        return executed(checked, folder, options)
+    next_levels(checked, folder)
     return 0
 
 
@@ -631,7 +752,7 @@ def not_verified() -> int:
 def main(arguments: list[str]) -> int:
     options = parsed(arguments)
     try:
-        status = reproduce(options.package, options.unpack)
+        status = reproduce(options)
         sys.stdout.flush()  # fails here, and not at the end of Python
         return status
     except Stop as stop:
@@ -646,7 +767,7 @@ def main(arguments: list[str]) -> int:
         reason, status = f"{error.filename or 'a file'}: {error.strerror or error}", 3
     except MemoryError:
         reason, status = "the memory of this machine is too small for the package", 3
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, EOFError):
         reason, status = "interrupted", 130
     print(f"reproduce.py: {clean(reason)}", file=sys.stderr)
     return status

@@ -171,7 +171,7 @@ def record(job: Job) -> worker.Job:
         "argv": job.argv,
         "environment": dict(job.environment),
         "files": {name: base64.b64encode(content).decode() for name, content in job.files},
-        "limits": _limits(job.limits),
+        "limits": limits(job.limits),
     }
     if job.folders is not None:
         record["folders"] = dict(job.folders)
@@ -190,9 +190,9 @@ def record(job: Job) -> worker.Job:
 
 
 @lru_cache(maxsize=8)
-def _limits(limits: Limits) -> worker.Limits:
+def limits(given: Limits) -> worker.Limits:
     """Return the limits that are set."""
-    return cast("worker.Limits", {name: value for name, value in asdict(limits).items() if value is not None})
+    return cast("worker.Limits", {name: value for name, value in asdict(given).items() if value is not None})
 
 
 def _ending(process: subprocess.Popen[bytes]) -> str:

@@ -76,7 +76,7 @@ def test_a_package_is_a_project_that_replays_its_batch_without_git(root: Path, t
     assert "VERIFIED: " in said
     assert f"  id:      {packed.id} " in said
     assert f"  batch:   {first[:10]} " in said
-    assert f" replay {first[:10]}\n" in said
+    assert "reproduce.py --execute (it asks" in said
     assert [one.batch for one in project.batches] == [first]
     assert project.sql("SELECT count(*) AS n FROM executions").to_pylist() == [{"n": 4}]
     assert project.fsck().sound

@@ -1,0 +1,165 @@
+"""The part `execution/` of a package: the jobs of its runs, for machines where SIERRA is not installed.
+
+The jobs are those of a replay, with marks for the paths of the machine. `sierra.packages.execute_runs` describes the files, and
+executes them. If the runs of a batch need more than that program provides, the plan has the reason instead of jobs.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sierra.containers.engines.apptainer import SCRIPT
+from sierra.containers.images.image import Image
+from sierra.errors import Missing, SierraError
+from sierra.execution import commands, plan_from_record, shared_files, targets
+from sierra.execution.plan_from_record import Recalled
+from sierra.packages import execute_runs, recorded_jobs
+from sierra.packages.layout import EXECUTION, EXECUTOR, PLAN, PROJECT
+from sierra.packages.members import unsafe
+from sierra.packages.sources import folders
+from sierra.packages.subject import Made, Member, Subject
+from sierra.provenance.dependency_model import Kind
+from sierra.provenance.source.manifest import LINK, parts, read
+from sierra.runners import local
+from sierra.util.fs import inside
+from sierra.util.hashing import short
+from sierra.util.text import counted
+from sierra.worker import conductor, worker
+
+IN_PROJECT = "{project}/"
+
+
+def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+    """Return the programs, the plan, and the jobs of each batch. The reason why a batch has no jobs is a fact."""
+    batches = [_Batch(subject, found, batch) for batch in subject.batches]
+    plan = {"format": execute_runs.FORMAT, "batches": [one.plan for one in batches]}
+    described = Member(PLAN, json.dumps(plan, indent=1).encode() + b"\n", "plan of the runs for execution without SIERRA")
+    obstacles = ((one.plan["batch"], one.plan["obstacle"]) for one in batches)
+    facts = (f"only SIERRA can execute batch {short(batch)} again: {reason}" for batch, reason in obstacles if reason)
+    return Made([*_programs(), described, *itertools.chain.from_iterable(one.members for one in batches)], facts=tuple(facts))
+
+
+def _programs() -> list[Member]:
+    about = "program that executes the runs and compares their outputs; it needs only Python"
+    paths = [*(Path(str(module.__file__)) for module in (worker, conductor)), SCRIPT]
+    return [Member(EXECUTOR, Path(execute_runs.__file__), about), *(Member(EXECUTION + one.name, one, about) for one in paths)]
+
+
+class _Batch:
+    """The plan and the files of one batch."""
+
+    def __init__(self, subject: Subject, found: Mapping[str, Member], batch: str) -> None:
+        self._subject = subject
+        self._found = found
+        self.members: list[Member] = []
+        self.plan: dict[str, Any] = {"batch": batch, "obstacle": ""}
+        try:
+            self._make(batch)
+        except SierraError as error:
+            self.members = []
+            self.plan["obstacle"] = str(error)
+
+    def _make(self, batch: str) -> None:
+        store = self._subject.store
+        runs = recorded_jobs.runs(store, batch)
+        self.plan |= {"of": runs.of, "runs": len(runs.taken), "seconds": round(sum(one.wall_s for one in runs.taken), 3)}
+        if not runs.taken:
+            raise Missing("no run was executed successfully")
+        first = runs.taken[0]
+        recalled = plan_from_record.recall(store, batch, first.programs, first.ingest_rules)
+        if any(one[-2:] != first[-2:] for one in runs.taken):
+            raise Missing("not all runs were recorded with the same programs and rules")
+        _check(recalled)
+        project = targets.of_batch(self._subject.project, store, batch)
+        image = plan_from_record.image(project, store, recalled.spec)
+        folder = next((name for name, tree in folders(self._subject).items() if tree.tree == recalled.spec.source), PROJECT)
+        self.plan |= {
+            "project": folder.rstrip("/"),
+            "programs": [
+                name[len(folder) :] for name, one in self._found.items() if name.startswith(folder) and one.executable
+            ],
+            "files": self._files(recalled, folder),
+            "beside": self._beside(recalled, folder),
+            "needs": _needs(recalled),
+            "requires": list(project.config.requires),
+            "image": _image(image),
+            "limits": local.limits(commands.limits(project.config)),
+            "success": list(recalled.success.exit_status),
+            "notes": _notes(recalled),
+        }
+        jobs = recorded_jobs.Jobs(store, project, recalled, image)
+        path, name = self._subject.folder / f"jobs-{batch[:12]}", f"{EXECUTION}{batch[:12]}.jsonl"
+        jobs.write(runs.taken, path)
+        self.plan |= {"jobs": name, "environment": jobs.environment, "by_value": jobs.by_value}
+        self.members.append(Member(name, path, "jobs of the runs of a batch"))
+
+    def _files(self, recalled: Recalled, folder: str) -> dict[str, dict[str, Any]]:
+        """Return the project's files that runs used and that the folder lacks, with the members that have them."""
+        recorded = {one.name: one.sha256 for one in recalled.programs if one.sha256 and one.kind != Kind.LINK}
+        files: dict[str, dict[str, Any]] = {}
+        for path, sha256 in sorted((recorded | dict(recalled.observed)).items()):
+            name = path.removeprefix(IN_PROJECT)
+            if name == path or _is(self._found.get(folder + name), sha256):
+                continue
+            member = self._found.get(PROJECT + name)
+            if member is None or not _is(member, sha256):
+                raise Missing(f"its runs used {name!r}, which is not packed as it was")
+            files[name] = {"member": member.name, "program": member.executable}
+        return files
+
+    def _beside(self, recalled: Recalled, folder: str) -> dict[str, dict[str, Any]]:
+        """Return the files that lie beside the inputs of runs, with the members that have them."""
+        shared = recalled.spec.shared_files
+        files: dict[str, dict[str, Any]] = {}
+        for row in shared_files.recorded(self._subject.store, shared) if shared else ():
+            if reason := unsafe(row.name):
+                raise Missing(f"its runs have the file {row.name!a} beside their inputs, but {reason}")
+            member = self._found.get(folder + row.name)
+            if member is None or not _is(member, row.sha256):
+                member = self._kept(row.sha256)
+            files[row.name] = {"member": member.name, "program": row.executable}
+        return files
+
+    def _kept(self, sha256: str) -> Member:
+        """Return a member with a file of the store."""
+        path = inside(self._subject.folder, f"beside/{sha256}")
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(self._subject.store.object(sha256))
+        member = Member(f"{EXECUTION}beside/{sha256}", path, "file beside the inputs of runs")
+        self.members.append(member)
+        return member
+
+
+def _check(recalled: Recalled) -> None:
+    """Raise Missing if the runs need more than a folder with the project."""
+    spec = recalled.spec
+    if any(commands.ABOVE.search(word) for word in (*spec.words, *spec.environment.values())):
+        raise Missing("its command uses files outside the project")
+    if spec.host_access:
+        raise Missing(f"its containers had access to the host ({', '.join(spec.host_access)})")
+
+
+def _is(member: Member | None, sha256: str) -> bool:
+    return member is not None and member.sha256() == sha256
+
+
+def _needs(recalled: Recalled) -> list[dict[str, str]]:
+    """Return the machine's programs that the runs used: names without folders, and versions."""
+    used = (one for one in recalled.programs if one.kind == Kind.PROGRAM and not one.name.startswith(IN_PROJECT))
+    versions = {one.program().called: one.version or "" for one in used}
+    return [{"name": name, "version": version} for name, version in sorted(versions.items())]
+
+
+def _image(image: Image | None) -> dict[str, str] | None:
+    if image is None:
+        return None
+    return {"id": image.id, "kind": image.kind, "name": image.name, "architecture": image.architecture}
+
+
+def _notes(recalled: Recalled) -> list[str]:
+    links = sum(parts(what)[0] == LINK for what in read(recalled.manifest).values())
+    return [f"{counted(links, 'symbolic link')} of the source is not in the package's folders"] if links else []

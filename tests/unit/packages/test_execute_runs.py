@@ -1,0 +1,246 @@
+"""`execute_runs.py` executes the jobs of a package on the standard library, and compares bytes without a wrong verdict."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import strategies as st
+
+import sierra
+from sierra.packages import execute_runs, members
+from sierra.packages.members import MANIFEST
+from tests import projects
+from tests.properties import given_in_tiers
+from tests.pythons import python_of
+from tests.unit.packages.test_pack import TOML
+
+SIMULATOR = (
+    projects.SIMULATOR
+    + """
+import os, subprocess, time
+assert open(os.environ["SIERRA_RUN_DIR"] + "/mesh.txt").read() == "a mesh"
+subprocess.run([sys.argv[2]], check=True)
+with open("clock.csv", "w") as file:
+    print("tick,wall", 0, sep="\\n", end=f",{time.time()}\\n", file=file)
+if os.path.exists(os.path.dirname(os.path.abspath(__file__)) + "/broken"):
+    sys.exit("it is broken")
+"""
+)
+CONFIG = (
+    projects.CONFIG.replace("{input}", "{input} {project}/tool.sh").replace(
+        "runs = 2\n", 'runs = 2\nfiles = ["mesh.txt"]\nbefore = [["sh", "-c", "echo {seed} > before.txt"]]\n'
+    )
+    + """
+[outputs.swarm]
+file = "swarm.csv"
+[outputs.clock]
+file = "clock.csv"
+volatile = ["wall"]
+"""
+)
+
+
+@given_in_tiers(st.text(alphabet="ab\n\r\0é"), st.text(alphabet="ab\n\r\0é"))
+def test_inputs_as_differences_are_the_same_inputs(before: str, text: str) -> None:
+    described = json.loads(json.dumps(execute_runs.changes(before, text)))
+    assert execute_runs.changed(before, described) == text
+    assert execute_runs.changed(None, execute_runs.changes(None, text)) == text
+
+
+LINE = {
+    "run": "ab" * 32,
+    "experiment": 0,
+    "number": 0,
+    "seconds": 2.0,
+    "argv": ["python3", "/@sierra-project@/sim.py"],
+    "environment": {},
+    "files": {"input.xml": "<a/>"},
+    "outputs": {"swarm.csv": "0" * 64},
+}
+BATCH: dict[str, Any] = {
+    "batch": "cd" * 32,
+    "obstacle": "",
+    "of": 4,
+    "project": "project",
+    "programs": [],
+    "files": {},
+    "beside": {},
+    "needs": [],
+    "requires": [],
+    "image": None,
+    "limits": {},
+    "success": [0],
+    "notes": [],
+    "jobs": "execution/jobs.jsonl",
+    "environment": {},
+    "by_value": {},
+}
+
+
+def made(folder: Path, *lines: Any, **batch: Any) -> Path:
+    """Write the files of an extracted package that the program reads."""
+    (folder / "execution").mkdir(parents=True)
+    plan = {"format": execute_runs.FORMAT, "batches": [{**BATCH, **batch}]}
+    (folder / "execution/plan.json").write_text(json.dumps(plan))
+    (folder / "execution/jobs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return folder
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
+    status = execute_runs.main(list(map(str, arguments)))
+    return status, "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize(
+    ("line", "batch"),
+    [
+        (LINE, {"project": "../elsewhere"}),
+        (LINE, {"jobs": "/etc/passwd"}),
+        (LINE, {"files": {"a": {"member": "../../etc/passwd", "program": False}}}),
+        (LINE, {"beside": {"../a": {"member": "project/a", "program": False}}}),
+        (LINE, {"limits": 3}),
+        (LINE, {"environment": {"A": 1}}),
+        ([1], {}),
+        ({**LINE, "argv": "rm"}, {}),
+        ({**LINE, "argv": []}, {}),
+        ({**LINE, "files": {"../input.xml": ""}}, {}),
+        ({**LINE, "files": {"input.xml": {"0": "there is no line before"}}}, {}),
+        ({**LINE, "outputs": {"swarm.csv": None}}, {}),
+    ],
+)
+def test_a_wrong_plan_or_job_is_one_line_and_executes_nothing(
+    line: Any, batch: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, printed = said(capsys, made(tmp_path / "x", line, **batch), tmp_path / "work", "--yes")
+    assert (status, printed.count("\n")) == (1, 1)
+    assert not (tmp_path / "work").exists()
+
+
+def test_what_is_missing_is_named_before_anything_is_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    needs = [{"name": "argos3", "version": "3.0.0-beta59"}]
+    status, printed = said(capsys, made(tmp_path / "x", LINE, needs=needs), tmp_path / "work", "--yes")
+    assert (status, "argos3 is not installed (recorded: 3.0.0-beta59)" in printed) == (3, True)
+    requires = {"requires": ["no-such-package>=4"]}
+    own = {**LINE, "argv": [execute_runs.PYTHON_MARK]}
+    status, printed = said(capsys, made(tmp_path / "y", own, **requires), tmp_path / "work", "--yes")
+    assert (status, "has no package no-such-package>=4" in printed) == (3, True)
+    status, printed = said(capsys, made(tmp_path / "z", LINE), tmp_path / "work", "--engine", "podman", "--yes")
+    assert (status, "recorded without a container image" in printed) == (3, True)
+    status, printed = said(capsys, made(tmp_path / "o", LINE, obstacle="its containers had access"), tmp_path / "work")
+    assert (status, "needs level 3: its containers had access" in printed) == (3, True)
+    assert not (tmp_path / "work").exists()
+
+
+def test_a_budget_gives_each_experiment_a_run_first(tmp_path: Path) -> None:
+    lines = [
+        {**LINE, "run": f"{place}{number}", "experiment": place, "number": number} for place in (0, 1) for number in (0, 1)
+    ]
+    for options, expected in (((None, 4.0), ["00", "10"]), ((1, None), ["00", "10"]), ((None, 0.1), ["00"])):
+        [batch], _ = execute_runs.read_plan(tmp_path / "x" if (tmp_path / "x").exists() else made(tmp_path / "x", *lines))
+        assert execute_runs.choose([batch], *options) == (len(expected), 2.0 * len(expected))
+        assert [run.run for run in batch.runs()] == expected
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An extracted package whose runs use an ignored program, a file beside the input, a command before, and a clock."""
+    root = projects.make(tmp_path_factory.mktemp("level") / "it's a project", CONFIG + TOML, simulator=SIMULATOR)
+    (root / "mesh.txt").write_text("a mesh")
+    (root / ".gitignore").write_text("tool.sh\n.sierra\n")
+    (root / "tool.sh").write_text("#!/bin/sh\n")
+    (root / "tool.sh").chmod(0o755)
+    projects.commit(root)
+    batch = sierra.open(root).run("population_size=1,2", figures=False).batch
+    assert sierra.open(root).package(batch, path=root.parent / "x.zip") is not None
+    with zipfile.ZipFile(root.parent / "x.zip") as file:
+        file.extractall(root.parent / "x")
+    shutil.rmtree(root)
+    return root.parent / "x"
+
+
+def changed(package: Path, folder: Path, change: Callable[[Path], object]) -> Path:
+    """Return a changed copy of a package, with a manifest that fits."""
+    shutil.copytree(package, folder, ignore=shutil.ignore_patterns("reproduction", "__pycache__"))
+    change(folder)
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST)
+    hashes = {path.relative_to(folder).as_posix(): sha256_of(path) for path in paths}
+    (folder / MANIFEST).write_bytes(members.written(hashes))
+    return folder
+
+
+def sha256_of(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def executed(folder: Path, *arguments: str, python: str = sys.executable) -> tuple[int, str]:
+    command = [python, "reproduce.py", "--execute", "--level=2", *arguments]
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        env={"PATH": "/usr/bin:/bin"},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "Traceback" not in done.stderr
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.integration
+def test_runs_are_executed_without_sierra_and_a_clock_is_not_comparable(
+    require: Callable[..., str], package: Path, tmp_path: Path
+) -> None:
+    oldest = python_of("3.8")
+    require("Python 3.8", there=oldest is not None)
+    status, printed = executed(package)
+    assert (status, "nothing was executed: nobody can be asked here" in printed) == (3, True)
+    assert not (package / "reproduction").exists()
+    status, printed = executed(package, "--yes", f"--work={tmp_path / 'work'}", python=str(oldest))
+    assert (status, "LEVEL 2: 4 of 4 runs executed again: 4 not comparable" in printed) == (3, True)
+    assert "clock.csv differs at the byte level (volatile: wall); level 3 compares values" in printed
+    assert not (package / "reproduction").exists()
+
+
+def without_clock(folder: Path) -> None:
+    """Let the simulator write the same time always, and the record say so."""
+    program = folder / "project/sim.py"
+    program.write_text(program.read_text().replace("time.time()", "0"))
+    digest = hashlib.sha256(b"tick,wall\n0,0\n").hexdigest()
+    [jobs] = (folder / "execution").glob("*.jsonl")
+    lines = [json.loads(line) for line in jobs.read_text().splitlines()]
+    for line in lines:
+        line["outputs"]["clock.csv"] = digest
+    jobs.write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+
+@pytest.mark.integration
+def test_identical_bytes_are_the_verdict_only_if_all_are(package: Path, tmp_path: Path) -> None:
+    same = changed(package, tmp_path / "same", without_clock)
+    status, printed = executed(same, "--yes", "--budget=30m")
+    assert (status, "LEVEL 2: 4 of 4 runs executed again: 4 identical" in printed) == (0, True)
+    assert list((same / "reproduction").iterdir()) == []
+    status, printed = executed(same, "--yes", "--runs=1")
+    assert (status, "LEVEL 2: 2 of 4 runs executed again: 2 identical" in printed) == (0, True)
+
+    def other(folder: Path) -> None:
+        without_clock(folder)
+        (folder / "project/sim.py").write_text((folder / "project/sim.py").read_text().replace("count * tick", "count + tick"))
+
+    status, printed = executed(changed(package, tmp_path / "other", other), "--yes")
+    assert (status, "4 different" in printed, "swarm.csv differs" in printed) == (1, True, True)
+    broken = changed(package, tmp_path / "broken", lambda folder: (folder / "project/broken").write_text(""))
+    status, printed = executed(broken, "--yes")
+    assert (status, "4 failed" in printed, "it is broken" in printed) == (1, True, True)
+    (same / "project/sim.py").write_text("changed after packing")
+    status, printed = executed(same, "--yes")
+    assert (status, "NOT VERIFIED" in printed, "LEVEL 2" in printed) == (1, True, False)
