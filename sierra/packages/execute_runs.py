@@ -53,7 +53,7 @@ PROJECT_MARK = "/@sierra-project@"
 PYTHON_MARK = "@sierra-python@"
 CONDUCTED = "\2"  # as in worker.py: the second word is a plan in JSON
 STORE = ".sierra"
-IMAGES = "environment"  # the folder in a package that may have images
+IMAGES = "environment/images"  # the folder in a package that may have images, by id
 ENGINES = ("podman", "apptainer")
 HOST = "host"
 INSIDE = "/run/sierra"  # in containers, as in sierra.containers.engines.base
@@ -293,6 +293,7 @@ class Host:
     """Execution on this machine, without isolation."""
 
     name = HOST
+    error = re.compile("(?!)")
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
@@ -345,6 +346,8 @@ class Container:
     name = ""
     forms: tuple[str, ...] = ()
     """Endings of the image files in a package that this engine reads."""
+    error = re.compile("(?!)")
+    """The exit status and the last line of a container that the engine cannot start."""
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
@@ -366,8 +369,9 @@ class Container:
 
     def packed(self) -> Path | None:
         """Return the file of the image in the package; None if there is none."""
-        folder = self.batch.package / IMAGES
-        return next((path for path in sorted(folder.glob("image*")) if path.name.endswith(self.forms)), None)
+        name = self.image.get("id", "").replace(":", "-")
+        paths = (self.batch.package / IMAGES / (name + form) for form in self.forms)
+        return next((path for path in paths if is_safe(name) and path.is_file()), None)
 
     def place(self) -> str:
         return f"in {self.name} containers without network, image {clean(self.image.get('id', ''))}"
@@ -405,7 +409,8 @@ class Podman(Container):
     """Containers of podman. The image must be in its storage under its recorded id, or comes from the package."""
 
     name = "podman"
-    forms = (".tar", ".oci")
+    forms = (".tar",)
+    error = re.compile(r"125 Error: (.*)")
 
     def without_image(self) -> Iterator[str]:
         if self.image.get("kind") != "oci":
@@ -451,15 +456,16 @@ class Podman(Container):
 
 
 class Apptainer(Container):
-    """Containers of apptainer, from a SIF in the package or an image that apptainer can make from the package's OCI archive."""
+    """Containers of apptainer, from a SIF or squashfs in the package."""
 
     name = "apptainer"
-    forms = (".sif",)
+    forms = (".sif", ".sqfs")
+    error = re.compile(r"255 FATAL: +(.*)")
 
     def without_image(self) -> Iterator[str]:
         file = self.packed()
         if file is None:
-            yield "the package has no image.sif; use --engine podman, or ask its authors for a package with --image sif"
+            yield "the package has no image for apptainer; use podman, or ask its authors for one (--image sif)"
         else:
             self.reference = str(file)
 
@@ -512,11 +518,15 @@ class Outcome(NamedTuple):
     reason: str
 
 
-def judged(batch: Batch, run: Run, end: Mapping[str, Any], folder: Path) -> Outcome:
-    """Compare the outputs of a run that has ended with the recorded ones."""
-    trouble = trouble_of(batch, end)
+def judged(place: Any, run: Run, end: Mapping[str, Any], folder: Path) -> Outcome:
+    """Compare the outputs of a run that has ended with the recorded ones. Raises Stop if its container was not started."""
+    batch: Batch = place.batch
+    trouble, last = trouble_of(batch, end), log_tail(folder)
+    refused = place.error.match(f"{end.get('exit_code')} {last}")
+    if refused:
+        raise missing(f"{place.name} cannot start containers here: {refused.group(1)}")
     if trouble:
-        return Outcome(run, FAILED, f"{trouble}: {log_tail(folder)}")
+        return Outcome(run, FAILED, f"{trouble}: {last}")
     found = {one["path"]: one["sha256"] for one in end["outputs"]}
     lost, new = sorted(run.outputs.keys() - found.keys()), sorted(found.keys() - run.outputs.keys())
     unlike = sorted(path for path in run.outputs.keys() & found.keys() if run.outputs[path] != found[path])
@@ -629,7 +639,7 @@ class Execution:
             run = self.pending.pop(str(event.get("run")), None) if event.get("event") == "end" else None
             if run is not None:
                 folder = runs / Path(event["directory"]).name
-                outcome = judged(self.batch, run, event, folder)
+                outcome = judged(self.place, run, event, folder)
                 if outcome.verdict == IDENTICAL:
                     shutil.rmtree(str(folder), ignore_errors=True)
                 yield outcome

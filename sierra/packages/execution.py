@@ -69,10 +69,9 @@ class _Batch:
         self.plan |= {"of": runs.of, "runs": len(runs.taken), "seconds": round(sum(one.wall_s for one in runs.taken), 3)}
         if not runs.taken:
             raise Missing("no run was executed successfully")
-        first = runs.taken[0]
-        recalled = plan_from_record.recall(store, batch, first.programs, first.ingest_rules)
-        if any(one[-2:] != first[-2:] for one in runs.taken):
+        if len(runs.rules) > 1:
             raise Missing("not all runs were recorded with the same programs and rules")
+        recalled = plan_from_record.recall(store, batch, *runs.rules[0])
         _check(recalled)
         project = targets.of_batch(self._subject.project, store, batch)
         image = plan_from_record.image(project, store, recalled.spec)

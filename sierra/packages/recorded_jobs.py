@@ -25,11 +25,16 @@ AT_A_TIME = 4096
 OF_SESSION = ("SIERRA_SESSION", "SIERRA_EXECUTION")
 """Variables of runs that are different in each execution."""
 EFFECTIVE = """
-SELECT f.ordinal, m.number, f.run, m.seed, f.judgement, e.wall_s, e.programs, e.ingest_rules
+SELECT f.ordinal, m.number, f.run, m.seed, f.judgement, e.wall_s
 FROM effective f JOIN batch_runs m USING (batch, ordinal, run) JOIN all_judgements e ON e.judgement = f.judgement
 WHERE f.batch = $b ORDER BY ALL
 """
 """SQL: the runs of a batch with a successful execution, in order."""
+RULES = """
+SELECT DISTINCT e.programs, e.ingest_rules FROM effective f JOIN all_judgements e ON e.judgement = f.judgement
+WHERE f.batch = $b ORDER BY ALL
+"""
+"""SQL: the sets of programs and rules of these executions."""
 OUTPUTS = """
 SELECT a.execution, a.path, a.sha256, a.output FROM all_artifacts a SEMI JOIN some_runs USING (execution)
 WHERE a.kind <> 'log' ORDER BY ALL
@@ -46,14 +51,20 @@ class Taken(NamedTuple):
     seed: int
     judgement: str
     wall_s: float
+
+
+class Rules(NamedTuple):
+    """A set of programs, and the rules by which outputs were evaluated."""
+
     programs: str
     ingest_rules: str
 
 
 class Runs(NamedTuple):
-    """The runs of a batch that were executed successfully, and the number of all its runs."""
+    """The runs of a batch that were executed successfully, with their programs and rules, and the number of all its runs."""
 
     taken: Sequence[Taken]
+    rules: Sequence[Rules]
     of: int
 
 
@@ -70,7 +81,8 @@ def runs(store: Store, batch: str) -> Runs:
         snapshot.views.make(("effective", "batch_runs", "all_judgements"))
         taken = {one.run: one for one in snapshot.select(Taken, EFFECTIVE, b=batch)}
         [of] = snapshot.values(int, "SELECT count(DISTINCT run) FROM batch_runs WHERE batch = $b", b=batch)
-    return Runs(list(taken.values()), of)
+        rules = snapshot.select(Rules, RULES, b=batch)
+    return Runs(list(taken.values()), rules, of)
 
 
 class Jobs:

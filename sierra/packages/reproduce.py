@@ -524,7 +524,7 @@ def executed(checked: Checked, folder: Path, options: argparse.Namespace) -> int
         raise Stop(f"level 3 needs SIERRA with the command reproduce, or wheels of it for this Python: {lines}", 3)
     confirm(folder, installs=not program, yes=options.yes)
     command = [program or installed(names, folder, work), "reproduce", str(folder), "--yes", "--into", str(work / "level-3")]
-    command += ["--engine", options.engine] if options.engine else []
+    command += ["--engine", options.engine.replace(HOST, "none")] if options.engine else []
     command += ["--budget", options.budget] if options.budget else []
     print(f"Level 3 by {printable(' '.join(map(shlex.quote, command)))}")
     status = waited_for(command)
@@ -588,8 +588,8 @@ def wheels_fit(names: Iterable[str]) -> bool:
 def installed(names: set[str], folder: Path, work: Path) -> str:
     """Make a virtual environment from the wheels of a package, without network; return its SIERRA. Raises Stop."""
     place = work / "venv"
-    program = place / "bin" / "sierra"
-    if program.exists():
+    program, complete = place / "bin" / "sierra", place / "complete"
+    if complete.exists():
         return str(program)
     pip = next((name for name in sorted(wheels_of(names)) if name.startswith("pip-")), None)
     run([sys.executable, "-I", "-m", "venv", "--clear", *(["--without-pip"] if pip else []), str(place)])
@@ -599,6 +599,7 @@ def installed(names: set[str], folder: Path, work: Path) -> str:
     run([str(place / "bin" / "python"), *words, "install", *options, "--find-links", str(folder / WHEELS), *wanted])
     if not program.exists():
         raise Stop(f"the wheels of the package do not install SIERRA: there is no {program}", 3)
+    complete.touch()
     return str(program)
 
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 import sierra
 from sierra.packages import execute_runs, members
 from sierra.packages.members import MANIFEST
-from tests import projects
+from tests import containers, projects
 from tests.properties import given_in_tiers
 from tests.pythons import python_of
 from tests.unit.packages.test_pack import TOML
@@ -244,3 +244,32 @@ def test_identical_bytes_are_the_verdict_only_if_all_are(package: Path, tmp_path
     (same / "project/sim.py").write_text("changed after packing")
     status, printed = executed(same, "--yes")
     assert (status, "NOT VERIFIED" in printed, "LEVEL 2" in printed) == (1, True, False)
+
+
+@pytest.mark.integration
+def test_the_image_of_a_package_is_loaded_and_runs_have_no_network(require: Callable[..., str], tmp_path: Path) -> None:
+    require("podman")
+    marked = containers.host(tmp_path, containers.BUSYBOX, Path("/bin/true"))  # an image that no other test has
+    simulator = containers.SIMULATOR + "ls /sys/class/net > network.txt\n"
+    command = "/bin/busybox sh sim.sh {input}"
+    tools = 'sed() { /bin/busybox sed "$@"; }; ls() { /bin/busybox ls "$@"; }\n'
+    root = containers.make(tmp_path / "project", marked, command=command, simulator=tools + simulator)
+    (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace("[container]", f"{TOML}\n[container]"))
+    batch = sierra.open(root).run("population_size=1,2", runs=1, figures=False, engine="podman").batch
+    sierra.open(root).package(batch, path=tmp_path / "x.zip")
+    with zipfile.ZipFile(tmp_path / "x.zip") as file:
+        file.extractall(tmp_path / "x")
+    image = json.loads((tmp_path / "x/execution/plan.json").read_text())["batches"][0]["image"]["id"]
+    subprocess.run(["podman", "rmi", "--force", image], check=True, capture_output=True)
+    status, printed = executed(tmp_path / "x", "--yes")
+    assert (status, f"podman has no image {image}" in printed, "LEVEL 2" in printed) == (3, True, False)
+
+    def with_image(folder: Path) -> None:
+        (folder / "environment/images").mkdir()
+        shutil.copy(marked, folder / f"environment/images/{image.replace(':', '-')}.tar")
+
+    packed = changed(tmp_path / "x", tmp_path / "packed", with_image)
+    status, printed = executed(packed, "--yes")
+    assert (status, "LEVEL 2: 2 of 2 runs executed again: 2 identical" in printed) == (0, True)
+    assert "in podman containers without network" in printed
+    assert sierra.open(root).sql("SELECT count(*) AS n FROM artifacts WHERE path = 'network.txt'").to_pylist() == [{"n": 2}]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import signal
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -35,12 +36,18 @@ ABOUT = {
 WHEEL = "environment/wheels/sierra_experiments-2.0-py3-none-any.whl"
 
 
-def ran(*arguments: object, cwd: Path, python: str = sys.executable, program: Path = PROGRAM) -> tuple[int, str]:
+def ran(
+    *arguments: object,
+    cwd: Path,
+    python: str = sys.executable,
+    program: Path = PROGRAM,
+    environment: Mapping[str, str] | None = None,
+) -> tuple[int, str]:
     """Run the program without SIERRA's folder on the PATH; return its exit status and what it printed."""
     done = subprocess.run(
         [python, str(program), *map(str, arguments)],
         cwd=cwd,
-        env={"PATH": "/nonexistent", "LC_ALL": "C"},
+        env={"PATH": "/nonexistent", "LC_ALL": "C", **(environment or {})},
         capture_output=True,
         text=True,
         check=False,
@@ -270,6 +277,60 @@ def test_the_wheels_that_fit_are_those_that_pip_accepts() -> None:
         assert not reproduce.fits_here(*wrong)
     assert not reproduce.fits_here("py3", "none", f"manylinux_9_99_{os.uname().machine}")
     assert not reproduce.fits_here("py3", "none", "manylinux_2_17_s390x")
+
+
+def test_level_3_is_that_of_the_sierra_on_the_path(tmp_path: Path) -> None:
+    program = tmp_path / "bin/sierra"
+    program.parent.mkdir()
+    program.write_text('#!/bin/sh\ntest "$2" = --help || { echo "called: $@"; exit 1; }\n')
+    program.chmod(0o755)
+    folder = extracted(tmp_path / "x")
+    environment = {"PATH": f"{program.parent}:/usr/bin:/bin"}
+    told = ran(folder, "--execute", "--yes", "--budget=10m", "--engine=host", cwd=tmp_path, environment=environment)
+    options = f"--yes --into {folder}/reproduction/level-3 --engine none --budget 10m"
+    assert (told[0], f"called: reproduce {folder} {options}\n" in told[1]) == (1, True)
+    assert "Level 3 of 3 reached." in told[1]
+    told = ran(folder, "--execute", cwd=tmp_path, environment=environment)
+    assert (told[0], "called" in told[1], "nothing was executed" in told[1]) == (3, False, True)
+    told = ran(folder, "--execute", "--level=2", cwd=tmp_path, environment=environment)
+    assert (told[0], "the package has no execution/execute_runs.py" in told[1]) == (3, True)
+
+
+def wheel(name: str, version: str, module: str, script: str = "") -> bytes:
+    """Return a wheel with one module, and with a program if its entry point is given."""
+    info = f"{name}-{version}.dist-info"
+    contents = {
+        f"{name}.py": module,
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n",
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: x\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+        f"{info}/entry_points.txt": f"[console_scripts]\n{script}\n",
+    }
+    contents[f"{info}/RECORD"] = "".join(f"{path},,\n" for path in (*contents, f"{info}/RECORD"))
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as file:
+        for path, text in contents.items():
+            file.writestr(path, text)
+    return made.getvalue()
+
+
+@pytest.mark.integration
+def test_level_3_installs_the_wheels_of_the_package_without_network(require: Callable[..., str], tmp_path: Path) -> None:
+    python = python_of("3.8")
+    require("Python 3.8", there=python is not None)
+    module = "import sys\ndef main():\n    print('called:', *sys.argv[1:3])\n"
+    content = wheel("sierra_experiments", "2.0", module, "sierra = sierra_experiments:main")
+    lock = f"sierra-experiments==2.0 --hash=sha256:{hashlib.sha256(content).hexdigest()}\n".encode()
+    folder = extracted(tmp_path / "x", **{WHEEL: content, "environment/requirements.lock": lock})
+    options = ("--execute", "--yes", f"--work={tmp_path / 'work'}")
+    for _ in range(2):
+        status, printed = ran(folder, *options, cwd=tmp_path, python=str(python))
+        assert (status, f"called: reproduce {folder}\n" in printed) == (0, True)
+        assert "Level 3 of 3 reached." in printed
+    assert not (folder / "reproduction").exists()
+    wrong = lock.replace(b"sha256:", b"sha256:0")[:-2] + b"\n"
+    other = extracted(tmp_path / "y", **{WHEEL: content, "environment/requirements.lock": wrong})
+    status, printed = ran(other, "--execute", "--yes", cwd=tmp_path, python=str(python))
+    assert (status, "called" in printed, "-m pip" in printed) == (3, False, True)
 
 
 def test_nothing_of_the_package_is_imported(tmp_path: Path) -> None:
