@@ -248,9 +248,9 @@ def choose(batches: Sequence[Batch], runs: int | None, seconds: float | None) ->
     ranked = []
     for place, batch in enumerate(batches):
         ranks: dict[int, int] = {}
-        for run in batch.runs():
-            ranks[run.experiment] = rank = ranks.get(run.experiment, -1) + 1
-            ranked.append((rank, place, run.experiment, run.run, run.seconds))
+        for experiment, _, run, took_s in sorted((one.experiment, one.number, one.run, one.seconds) for one in batch.runs()):
+            ranks[experiment] = rank = ranks.get(experiment, -1) + 1
+            ranked.append((rank, place, experiment, run, took_s))
     ranked.sort()
     chosen: list[tuple[int, int, int, str, float]] = []
     took = 0.0
@@ -519,8 +519,10 @@ class Outcome(NamedTuple):
 
 
 def judged(place: Any, run: Run, end: Mapping[str, Any], folder: Path) -> Outcome:
-    """Compare the outputs of a run that has ended with the recorded ones. Raises Stop if its container was not started."""
+    """Compare the outputs of a run that has ended with the recorded ones. Raises Stop if it could not be executed."""
     batch: Batch = place.batch
+    if end.get("error"):
+        raise missing(f"{run.called()}: {end['error']}")
     trouble, last = trouble_of(batch, end), log_tail(folder)
     refused = place.error.match(f"{end.get('exit_code')} {last}")
     if refused:
@@ -541,8 +543,6 @@ def judged(place: Any, run: Run, end: Mapping[str, Any], folder: Path) -> Outcom
 
 def trouble_of(batch: Batch, end: Mapping[str, Any]) -> str:
     """Return why a run has failed; "" if it has not."""
-    if end.get("error"):
-        return str(end["error"])
     if end.get("stopped"):
         return f"stopped: {end['stopped']}"
     if end.get("signal"):

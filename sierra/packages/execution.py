@@ -65,13 +65,12 @@ class _Batch:
 
     def _make(self, batch: str) -> None:
         store = self._subject.store
-        runs = recorded_jobs.runs(store, batch)
-        self.plan |= {"of": runs.of, "runs": len(runs.taken), "seconds": round(sum(one.wall_s for one in runs.taken), 3)}
-        if not runs.taken:
+        rules = recorded_jobs.rules(store, batch)
+        if not rules:
             raise Missing("no run was executed successfully")
-        if len(runs.rules) > 1:
+        if len(rules) > 1:
             raise Missing("not all runs were recorded with the same programs and rules")
-        recalled = plan_from_record.recall(store, batch, *runs.rules[0])
+        recalled = plan_from_record.recall(store, batch, *rules[0])
         _check(recalled)
         project = targets.of_batch(self._subject.project, store, batch)
         image = plan_from_record.image(project, store, recalled.spec)
@@ -92,8 +91,9 @@ class _Batch:
         }
         jobs = recorded_jobs.Jobs(store, project, recalled, image)
         path, name = self._subject.folder / f"jobs-{batch[:12]}", f"{EXECUTION}{batch[:12]}.jsonl"
-        jobs.write(runs.taken, path)
-        self.plan |= {"jobs": name, "environment": jobs.environment, "by_value": jobs.by_value}
+        jobs.write(batch, path)
+        self.plan |= {"jobs": name, "of": jobs.of, "runs": jobs.runs, "seconds": round(jobs.seconds, 3)}
+        self.plan |= {"environment": jobs.environment, "by_value": jobs.by_value}
         self.members.append(Member(name, path, "jobs of the runs of a batch"))
 
     def _files(self, recalled: Recalled, folder: str) -> dict[str, dict[str, Any]]:
@@ -147,9 +147,15 @@ def _is(member: Member | None, sha256: str) -> bool:
 
 
 def _needs(recalled: Recalled) -> list[dict[str, str]]:
-    """Return the machine's programs that the runs used: names without folders, and versions."""
-    used = (one for one in recalled.programs if one.kind == Kind.PROGRAM and not one.name.startswith(IN_PROJECT))
-    versions = {one.program().called: one.version or "" for one in used}
+    """Return the machine's programs that the runs used: names without folders, and versions.
+
+    The interpreter behind a script of the machine (`python3: interpreter`) counts as the script.
+    """
+    versions: dict[str, str] = {}
+    for one in recalled.programs:
+        if one.kind == Kind.PROGRAM and not one.name.startswith(IN_PROJECT):
+            name = one.program().called.partition(":")[0]
+            versions[name] = one.version or versions.get(name, "")
     return [{"name": name, "version": version} for name, version in sorted(versions.items())]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,19 +18,24 @@ from sierra.execution.plan_from_record import Recalled
 from sierra.model import Run
 from sierra.packages import execute_runs
 from sierra.store.recorded_files import ChosenExecution
-from sierra.store.store import Snapshot, Store
+from sierra.store.store import Store
 from sierra.templates.base import Files
 
-AT_A_TIME = 4096
+AT_A_TIME = 2048
 """The number of runs whose hashes of outputs are in memory at a time."""
+IN_A_PART = 25_000
+"""The number of runs whose executions are determined at a time: DuckDB needs about 1 kB for each."""
 OF_SESSION = ("SIERRA_SESSION", "SIERRA_EXECUTION")
 """Variables of runs that are different in each execution."""
 EFFECTIVE = """
-SELECT f.ordinal, m.number, f.run, m.seed, f.judgement, e.wall_s
-FROM effective f JOIN batch_runs m USING (batch, ordinal, run) JOIN all_judgements e ON e.judgement = f.judgement
-WHERE f.batch = $b ORDER BY ALL
+SELECT * FROM (
+    SELECT DISTINCT ON (f.run) f.ordinal, m.number, f.run, m.seed, f.judgement, e.wall_s
+    FROM effective f JOIN batch_runs m USING (batch, ordinal, run) JOIN all_judgements e ON e.judgement = f.judgement
+    WHERE f.batch = $b AND hash(f.run) % $parts = $part ORDER BY f.run, f.ordinal, m.number
+) ORDER BY ordinal, number
 """
-"""SQL: the runs of a batch with a successful execution, in order."""
+"""SQL: a part of the runs of a batch with a successful execution, each once, in order."""
+COUNT = "SELECT count(DISTINCT run) FROM batch_runs WHERE batch = $b"
 RULES = """
 SELECT DISTINCT e.programs, e.ingest_rules FROM effective f JOIN all_judgements e ON e.judgement = f.judgement
 WHERE f.batch = $b ORDER BY ALL
@@ -60,14 +66,6 @@ class Rules(NamedTuple):
     ingest_rules: str
 
 
-class Runs(NamedTuple):
-    """The runs of a batch that were executed successfully, with their programs and rules, and the number of all its runs."""
-
-    taken: Sequence[Taken]
-    rules: Sequence[Rules]
-    of: int
-
-
 class _Left(NamedTuple):
     execution: str
     path: str
@@ -75,14 +73,11 @@ class _Left(NamedTuple):
     output: str | None
 
 
-def runs(store: Store, batch: str) -> Runs:
-    """Return the runs of a batch, each once."""
+def rules(store: Store, batch: str) -> list[Rules]:
+    """Return the sets of programs and rules of a batch's successful executions."""
     with store.snapshot() as snapshot:
-        snapshot.views.make(("effective", "batch_runs", "all_judgements"))
-        taken = {one.run: one for one in snapshot.select(Taken, EFFECTIVE, b=batch)}
-        [of] = snapshot.values(int, "SELECT count(DISTINCT run) FROM batch_runs WHERE batch = $b", b=batch)
-        rules = snapshot.select(Rules, RULES, b=batch)
-    return Runs(list(taken.values()), rules, of)
+        snapshot.views.make(("effective", "all_judgements"))
+        return snapshot.select(Rules, RULES, b=batch)
 
 
 class Jobs:
@@ -112,28 +107,34 @@ class Jobs:
         self.by_value: dict[str, str] = {}
         """The reason why an output's bytes may differ legitimately, by path."""
 
-    def write(self, taken: Sequence[Taken], path: Path) -> None:
-        """Write the line of each run. Raises Damaged if the store lacks an input."""
-        with path.open("w", encoding="utf-8", newline="\n") as file:
-            for line in self._lines(taken):
-                file.write(json.dumps(line, ensure_ascii=False, separators=(",", ":")) + "\n")
+        self.runs = 0
+        self.seconds = 0.0
+        """The number of runs that were executed successfully, and the sum of their durations in seconds."""
+        self.of = 0
+        """The number of all runs."""
 
-    def _lines(self, taken: Sequence[Taken]) -> Iterator[dict[str, Any]]:
+    def write(self, batch: str, path: Path) -> None:
+        """Write the line of each successful run of a batch. Raises Damaged if the store lacks an input."""
+        [self.of] = self._store.values(int, COUNT, b=batch)
+        with path.open("w", encoding="utf-8", newline="\n") as file:
+            for line in self._lines(batch):
+                file.write(json.dumps(line, ensure_ascii=False, separators=(",", ":")) + "\n")
+                self.runs += 1
+                self.seconds += line["seconds"]
+
+    def _lines(self, batch: str) -> Iterator[dict[str, Any]]:
         before: dict[str, str] = {}
-        with self._store.snapshot() as snapshot:
-            snapshot.views.make(("all_artifacts",))
-            for some in (taken[place : place + AT_A_TIME] for place in range(0, len(taken), AT_A_TIME)):
-                left = _outputs(snapshot, some)
-                for one, files in zip(some, _inputs(self._store, some), strict=True):
-                    texts = {name: content.decode("latin-1") for name, content in files}
-                    yield self._line(one, files) | {
-                        "files": {name: execute_runs.changes(before.get(name), text) for name, text in texts.items()},
-                        "outputs": {each.path: each.sha256 for each in left.get(one.judgement, ())},
-                    }
-                    before = texts
-                    for each in left.get(one.judgement, ()):
-                        if reason := self._reason(each):
-                            self.by_value[each.path] = reason
+        for some in _some(self._store, batch, self.of):
+            left = _outputs(self._store, some)
+            for one, files in zip(some, _inputs(self._store, some), strict=True):
+                texts = {name: content.decode("latin-1") for name, content in files}
+                outputs = left.get(one.judgement, ())
+                yield self._line(one, files) | {
+                    "files": {name: execute_runs.changes(before.get(name), text) for name, text in texts.items()},
+                    "outputs": {each.path: each.sha256 for each in outputs},
+                }
+                before = texts
+                self.by_value.update({each.path: reason for each in outputs if (reason := self._reason(each))})
 
     def _line(self, one: Taken, files: Files) -> dict[str, Any]:
         job = self._builder.job(Run(one.run, one.ordinal, one.number, one.seed, (), b""), files)
@@ -171,11 +172,24 @@ def _declared(rules: Output) -> str:
     return "" if rules.ordered else "ordered = false"
 
 
-def _outputs(snapshot: Snapshot, some: Sequence[Taken]) -> dict[str, list[_Left]]:
-    snapshot.add_table("some_runs", execution=[one.judgement for one in some])
+def _some(store: Store, batch: str, of: int) -> Iterator[list[Taken]]:
+    """Yield the successful runs of a batch with `of` runs, some at a time."""
+    parts = of // IN_A_PART + 1
+    for part in range(parts):
+        with store.snapshot() as snapshot:
+            snapshot.views.make(("effective", "batch_runs", "all_judgements"))
+            rows = snapshot.each(EFFECTIVE, {"b": batch, "part": part, "parts": parts})
+            while some := [Taken(*row) for row in itertools.islice(rows, AT_A_TIME)]:
+                yield some
+
+
+def _outputs(store: Store, some: Sequence[Taken]) -> dict[str, list[_Left]]:
     left: dict[str, list[_Left]] = {}
-    for row in snapshot.select(_Left, OUTPUTS):
-        left.setdefault(row.execution, []).append(row)
+    with store.snapshot() as snapshot:
+        snapshot.views.make(("all_artifacts",))
+        snapshot.add_table("some_runs", execution=[one.judgement for one in some])
+        for row in snapshot.select(_Left, OUTPUTS):
+            left.setdefault(row.execution, []).append(row)
     return left
 
 
