@@ -16,7 +16,7 @@ from sierra.containers.engines.apptainer import SCRIPT
 from sierra.containers.images.image import Image
 from sierra.errors import Missing, SierraError
 from sierra.execution import commands, plan_from_record, shared_files, targets
-from sierra.execution.plan_from_record import Recalled
+from sierra.execution.plan_from_record import LAST, Last, Recalled
 from sierra.packages import execute_runs, recorded_jobs
 from sierra.packages.layout import EXECUTION, EXECUTOR, PLAN, PROJECT
 from sierra.packages.members import unsafe
@@ -65,12 +65,10 @@ class _Batch:
 
     def _make(self, batch: str) -> None:
         store = self._subject.store
-        rules = recorded_jobs.rules(store, batch)
-        if not rules:
-            raise Missing("no run was executed successfully")
-        if len(rules) > 1:
-            raise Missing("not all runs were recorded with the same programs and rules")
-        recalled = plan_from_record.recall(store, batch, *rules[0])
+        [last] = store.select(Last, LAST, b=batch)
+        if last.programs is None or last.ingest_rules is None:
+            raise Missing("no run was executed")
+        recalled = plan_from_record.recall(store, batch, last.programs, last.ingest_rules)
         _check(recalled)
         project = targets.of_batch(self._subject.project, store, batch)
         image = plan_from_record.image(project, store, recalled.spec)
@@ -92,7 +90,14 @@ class _Batch:
         jobs = recorded_jobs.Jobs(store, project, recalled, image)
         path, name = self._subject.folder / f"jobs-{batch[:12]}", f"{EXECUTION}{batch[:12]}.jsonl"
         jobs.write(batch, path)
-        self.plan |= {"jobs": name, "of": jobs.of, "runs": jobs.runs, "seconds": round(jobs.seconds, 3)}
+        if not jobs.runs:
+            raise Missing("no run was executed successfully")
+        self.plan |= {
+            "jobs": name,
+            "of": recorded_jobs.count(store, batch),
+            "runs": jobs.runs,
+            "seconds": round(jobs.seconds, 3),
+        }
         self.plan |= {"environment": jobs.environment, "by_value": jobs.by_value}
         self.members.append(Member(name, path, "jobs of the runs of a batch"))
 

@@ -23,7 +23,7 @@ from sierra.templates.base import Files
 
 AT_A_TIME = 2048
 """The number of runs whose hashes of outputs are in memory at a time."""
-IN_A_PART = 25_000
+IN_A_PART = 20_000
 """The number of runs whose executions are determined at a time: DuckDB needs about 1 kB for each."""
 OF_SESSION = ("SIERRA_SESSION", "SIERRA_EXECUTION")
 """Variables of runs that are different in each execution."""
@@ -36,11 +36,6 @@ SELECT * FROM (
 """
 """SQL: a part of the runs of a batch with a successful execution, each once, in order."""
 COUNT = "SELECT count(DISTINCT run) FROM batch_runs WHERE batch = $b"
-RULES = """
-SELECT DISTINCT e.programs, e.ingest_rules FROM effective f JOIN all_judgements e ON e.judgement = f.judgement
-WHERE f.batch = $b ORDER BY ALL
-"""
-"""SQL: the sets of programs and rules of these executions."""
 OUTPUTS = """
 SELECT a.execution, a.path, a.sha256, a.output FROM all_artifacts a SEMI JOIN some_runs USING (execution)
 WHERE a.kind <> 'log' ORDER BY ALL
@@ -59,13 +54,6 @@ class Taken(NamedTuple):
     wall_s: float
 
 
-class Rules(NamedTuple):
-    """A set of programs, and the rules by which outputs were evaluated."""
-
-    programs: str
-    ingest_rules: str
-
-
 class _Left(NamedTuple):
     execution: str
     path: str
@@ -73,11 +61,10 @@ class _Left(NamedTuple):
     output: str | None
 
 
-def rules(store: Store, batch: str) -> list[Rules]:
-    """Return the sets of programs and rules of a batch's successful executions."""
-    with store.snapshot() as snapshot:
-        snapshot.views.make(("effective", "all_judgements"))
-        return snapshot.select(Rules, RULES, b=batch)
+def count(store: Store, batch: str) -> int:
+    """Return the number of all runs of a batch."""
+    [of] = store.values(int, COUNT, b=batch)
+    return of
 
 
 class Jobs:
@@ -110,12 +97,9 @@ class Jobs:
         self.runs = 0
         self.seconds = 0.0
         """The number of runs that were executed successfully, and the sum of their durations in seconds."""
-        self.of = 0
-        """The number of all runs."""
 
     def write(self, batch: str, path: Path) -> None:
         """Write the line of each successful run of a batch. Raises Damaged if the store lacks an input."""
-        [self.of] = self._store.values(int, COUNT, b=batch)
         with path.open("w", encoding="utf-8", newline="\n") as file:
             for line in self._lines(batch):
                 file.write(json.dumps(line, ensure_ascii=False, separators=(",", ":")) + "\n")
@@ -124,7 +108,7 @@ class Jobs:
 
     def _lines(self, batch: str) -> Iterator[dict[str, Any]]:
         before: dict[str, str] = {}
-        for some in _some(self._store, batch, self.of):
+        for some in _some(self._store, batch):
             left = _outputs(self._store, some)
             for one, files in zip(some, _inputs(self._store, some), strict=True):
                 texts = {name: content.decode("latin-1") for name, content in files}
@@ -172,9 +156,9 @@ def _declared(rules: Output) -> str:
     return "" if rules.ordered else "ordered = false"
 
 
-def _some(store: Store, batch: str, of: int) -> Iterator[list[Taken]]:
-    """Yield the successful runs of a batch with `of` runs, some at a time."""
-    parts = of // IN_A_PART + 1
+def _some(store: Store, batch: str) -> Iterator[list[Taken]]:
+    """Yield the successful runs of a batch, some at a time."""
+    parts = count(store, batch) // IN_A_PART + 1
     for part in range(parts):
         with store.snapshot() as snapshot:
             snapshot.views.make(("effective", "batch_runs", "all_judgements"))
