@@ -527,7 +527,7 @@ def executed(checked: Checked, folder: Path, options: argparse.Namespace) -> int
     command += ["--engine", options.engine.replace(HOST, "none")] if options.engine else []
     command += ["--budget", options.budget] if options.budget else []
     print(f"Level 3 by {printable(' '.join(map(shlex.quote, command)))}")
-    status = waited_for(command)
+    status = waited_for(command, home=work)
     print(f"Level {LEVELS if status in (0, 1) else 1} of {LEVELS} reached.")
     return status
 
@@ -544,14 +544,23 @@ def level_2(names: set[str], folder: Path, work: Path, options: argparse.Namespa
     return waited_for(command)
 
 
-def waited_for(command: list[str]) -> int:
-    """Execute a command that handles Ctrl-C itself; return its exit status."""
+def waited_for(command: list[str], home: Path | None = None) -> int:
+    """Execute a command that handles Ctrl-C itself; return its exit status. `home`: the home of a user who has none."""
     sys.stdout.flush()
-    process = subprocess.Popen(command)
+    environment = {**os.environ, "HOME": str(home)} if home is not None and not has_home() else None
+    process = subprocess.Popen(command, env=environment)
     while True:
         with contextlib.suppress(KeyboardInterrupt):
             status = process.wait()
             return status if status >= 0 else 128 - status
+
+
+def has_home() -> bool:
+    """Check whether this user has a home."""
+    try:
+        return bool(Path.home())
+    except RuntimeError:
+        return False
 
 
 def confirm(folder: Path, *, installs: bool, yes: bool) -> None:
