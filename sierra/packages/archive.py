@@ -8,6 +8,7 @@ A package may come from anybody: see `Archive` for the checks.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import shutil
@@ -19,7 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Protocol
 
-from sierra.errors import Damaged, Missing, UsageError
+from sierra.errors import Damaged, Missing, SierraError, UsageError
 from sierra.packages import members
 from sierra.packages.members import MANIFEST
 from sierra.store.segments import disk_errors
@@ -127,7 +128,7 @@ class Archive:
         try:
             self._file = zipfile.ZipFile(path)
         except OSError as error:
-            raise Missing(f"{path}: {error.strerror or error}") from error
+            raise self._unreadable(error) from error
         except (zipfile.BadZipFile, ValueError, NotImplementedError, UnicodeDecodeError) as error:
             raise Damaged(f"{path} is no package, or not all of it: {_reason(error)}") from error
         try:
@@ -142,6 +143,12 @@ class Archive:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._file.close()
+
+    def _unreadable(self, error: OSError) -> SierraError:
+        """Return the error to raise: a zip that names a place before its beginning gives EINVAL."""
+        if error.errno == errno.EINVAL:
+            return Damaged(f"{self.path} is no package, or not all of it: it names a place outside the file")
+        return Missing(f"{self.path}: {error.strerror or error}")
 
     @property
     def id(self) -> str:
@@ -244,7 +251,7 @@ class Archive:
         except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
             raise Damaged(f"{self.path}: member {name!r} is damaged: {_reason(error)}") from error
         except OSError as error:
-            raise Missing(f"{self.path}: {error.strerror or error}") from error
+            raise self._unreadable(error) from error
         if left:
             raise Damaged(f"{self.path}: member {name!r} is shorter than it says")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import re
 import stat
 import subprocess
 import zipfile
@@ -16,6 +17,7 @@ import pytest
 from sierra.errors import Damaged, Missing, SierraError, UsageError
 from sierra.packages.archive import Archive, write
 from sierra.packages.members import MANIFEST, package_id
+from sierra.packages.subject import Member
 
 MEMBERS = {"sierra.toml": b"runs = 1\n", "results/a.parquet": b"PAR1" * 9, "source/run.sh": b"#!/bin/sh\n"}
 
@@ -219,3 +221,39 @@ def test_a_manifest_that_is_not_ours_is_damaged(tmp_path: Path) -> None:
             file.writestr(MANIFEST, content)
         with pytest.raises(Damaged, match=MANIFEST):
             Archive(path)
+
+
+def test_a_place_outside_the_file_is_damage(tmp_path: Path) -> None:
+    whole = package(tmp_path / "x.zip").read_bytes()
+    end = whole.rindex(b"PK\x05\x06")
+    for place in range(end + 12, end + 20):  # the size and the place of the list of members
+        damaged = bytearray(whole)
+        damaged[place] ^= 0x80
+        (tmp_path / "y.zip").write_bytes(damaged)
+        with pytest.raises(Damaged, match=re.escape(str(tmp_path / "y.zip"))), Archive(tmp_path / "y.zip") as found:
+            found.verify()
+
+
+def test_a_zip_inside_a_package_stays_a_plain_file(tmp_path: Path) -> None:
+    inner = forged(tmp_path / "inner.zip", [("../evil", b"1")]).read_bytes()
+    with Archive(package(tmp_path / "x.zip", **{"source/inner.zip": inner})) as found:
+        found.verify()
+        found.extract(found.names(), tmp_path / "out")
+    assert (tmp_path / "out" / "source" / "inner.zip").read_bytes() == inner
+    assert not (tmp_path / "evil").exists()
+    assert sorted(path.name for path in (tmp_path / "out" / "source").iterdir()) == ["inner.zip", "run.sh"]
+
+
+@pytest.mark.nightly
+def test_a_member_of_5_gib_is_written_and_checked(tmp_path: Path) -> None:
+    size = 5 << 30
+    with (tmp_path / "large.bin").open("wb") as file:
+        file.truncate(size)  # sparse: it takes no space
+    member = Member("source/large.bin", tmp_path / "large.bin", "")
+    write(tmp_path / "x.zip", {member.name: member})
+    with Archive(tmp_path / "x.zip") as found:
+        assert found.size(member.name) == size
+        found.verify()
+        with pytest.raises(Damaged, match="at most"):
+            found.read(member.name)
+    assert (tmp_path / "x.zip").stat().st_size < 100 << 20
