@@ -492,6 +492,24 @@ CREATE TABLE look_intervals (
     "needed" BIGINT  -- estimated runs with which it would hold; NULL if it holds, or if there is no estimate [1]
 );
 
+-- Imported packages, whose records were made in other stores.
+CREATE TABLE imports (
+    "package" VARCHAR,  -- the package's id: a hash over the names and hashes of its files
+    "title" VARCHAR,  -- its title
+    "date" VARCHAR,  -- its date of publication, as it states it
+    "batches" VARCHAR[],  -- the batches that it has, those that were in the store before included
+    "imported_at" TIMESTAMP WITH TIME ZONE,  -- when it was first imported
+    "lamport" BIGINT  -- position of the import in the logical order, as in sessions
+);
+
+-- Sessions that came in packages: their executions were not made here.
+CREATE TABLE imported_sessions (
+    "session" VARCHAR,  -- the session
+    "batch" VARCHAR,  -- the batch that was requested
+    "packages" VARCHAR[],  -- the package that was imported, as in imports; then the package from which that one had the session, and so on
+    "lamport" BIGINT  -- position of the import in the logical order, as in sessions
+);
+
 -- Recorded files by the hash of their content, in parts of at most 8 MiB; files that became tables are included unless [store] raw is false.
 CREATE TABLE objects (
     "sha256" VARCHAR,  -- SHA-256 of the whole file
@@ -512,7 +530,7 @@ CREATE TABLE runs (
     "executions" BIGINT  -- number of its executions [1]
 );
 
--- The effective execution of each run in each batch: the last successful one with the programs and the rules of the batch's last session. Statistics, figures and outputs use no other execution.
+-- The effective execution of each run in each batch: the last successful one with the programs and the rules of the batch's last session. Statistics, figures and outputs use no other execution. If a batch was executed here, only executions that were made here count in it; otherwise only those of the package that was imported first.
 CREATE TABLE effective (
     "batch" VARCHAR,  -- the batch
     "ordinal" BIGINT,  -- the experiment's position in the batch, from 0
@@ -552,7 +570,8 @@ CREATE TABLE all_judgements (
     "purpose" VARCHAR,  -- run, or another purpose; only executions for run count in statistics
     "isolation" VARCHAR,  -- how it was isolated in a container; NULL if it was not
     "attempt" VARCHAR,  -- on a cluster, the attempt at an array task that executed it; NULL otherwise
-    "lamport" BIGINT  -- its position in the logical order, as in sessions
+    "lamport" BIGINT,  -- its position in the logical order, as in sessions
+    "packages" VARCHAR[]  -- packages in which the execution came, as in imported_sessions; NULL if it was made here
 );
 
 -- All judgements of executions, by the run that they may count for: their own run, and each run for which a session reused them.
@@ -585,7 +604,41 @@ CREATE TABLE all_candidates (
     "purpose" VARCHAR,  -- run, or another purpose; only executions for run count in statistics
     "isolation" VARCHAR,  -- how it was isolated in a container; NULL if it was not
     "attempt" VARCHAR,  -- on a cluster, the attempt at an array task that executed it; NULL otherwise
-    "lamport" BIGINT  -- its position in the logical order, as in sessions
+    "lamport" BIGINT,  -- its position in the logical order, as in sessions
+    "packages" VARCHAR[]  -- packages in which the execution came, as in imported_sessions; NULL if it was made here
+);
+
+-- All sessions, those included that stand beside others: sessions that came in packages, of batches that were also executed here or came in an earlier package. The table sessions does not have these.
+CREATE TABLE all_sessions (
+    "session" VARCHAR,  -- the session's id
+    "batch" VARCHAR,  -- the batch that was requested
+    "query" VARCHAR,  -- the query as it was submitted
+    "started" TIMESTAMP WITH TIME ZONE,  -- when the query was submitted
+    "ended" TIMESTAMP WITH TIME ZONE,  -- when the session ended
+    "runner" VARCHAR,  -- where runs were executed
+    "engine" VARCHAR,  -- the container engine
+    "slots" BIGINT,  -- runs at a time; on a cluster, cores of all array tasks together, and NULL if it submitted none [1]
+    "executed" BIGINT,  -- runs executed [1]
+    "reexecuted" BIGINT,  -- runs among them that had been executed before [1]
+    "reused" BIGINT,  -- runs whose recorded successful execution was reused [1]
+    "failed" BIGINT,  -- runs of the batch that were executed and have no successful execution [1]
+    "missing" BIGINT,  -- runs of the batch that were not executed [1]
+    "interrupted" BOOLEAN,  -- whether the user interrupted it
+    "sierra" VARCHAR,  -- SIERRA's version
+    "environment" VARCHAR,  -- the environment in which it ran
+    "source" VARCHAR,  -- the recorded state of the source; NULL if none is recorded
+    "programs" VARCHAR,  -- fingerprint of the programs with which its runs were, or would have been, executed
+    "ingest_rules" VARCHAR,  -- hash of the rules, as in executions
+    "batch_rules" VARCHAR,  -- hash of the rules and of the allowed differences between runs of the batch (mismatch)
+    "lamport" BIGINT,  -- its position in the logical order: a greater number is later, independent of clocks; old records have negative numbers, in the order of their times, and so come first
+    "build" VARCHAR,  -- the build whose products its runs used, as in builds; NULL if there is no [build]
+    "target" VARCHAR  -- the target that was requested; NULL if it was none
+);
+
+-- Batches with imported sessions, and the origin that counts in each: this store, or a package.
+CREATE TABLE origins (
+    "batch" VARCHAR,  -- the batch
+    "packages" VARCHAR[]  -- packages as in imported_sessions; NULL if executions that were made here count
 );
 
 -- Artifacts by each judgement; the table artifacts has only those by the last judgement.
@@ -602,7 +655,7 @@ CREATE TABLE all_artifacts (
     "counted_rows" BIGINT  -- rows in the file itself, counted independently of the reader [1]
 );
 
--- Runs whose output changed between successful executions with the same programs, replays included.
+-- Runs whose output changed between successful executions with the same programs, replays included and imported executions not.
 CREATE TABLE nondeterminism (
     "run" VARCHAR,  -- the run
     "programs" VARCHAR,  -- fingerprint of the programs

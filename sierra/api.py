@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from sierra.maintenance.gc import Collection
     from sierra.maintenance.remove import Removal
     from sierra.maintenance.repair import Repair
+    from sierra.packages.imports import Imported
     from sierra.packages.metadata import Metadata
     from sierra.packages.pack import Packed, Preview
     from sierra.packages.reproduction.outcome import Reproduction, Statement
@@ -1378,6 +1379,21 @@ class Project:
         if not batches:
             raise UsageError("name the batches to be packed")
         return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree)
+
+    def import_package(self, path: str | os.PathLike[str]) -> Imported:
+        """Add the records of a package to the store, and keep where they came from: see `sierra.packages.imports`.
+
+        In batches that were executed here, imported executions do not count. Raises Missing, Damaged, UsageError; then nothing
+        changes.
+
+        >>> project.import_package("results.zip")
+        Traceback (most recent call last):
+            ...
+        sierra.errors.Missing: results.zip: No such file or directory
+        """
+        from sierra.packages import imports
+
+        return imports.import_package(Store.create(ProjectPaths(self.root).store), Path(path))
 
     def outputs(self, *query: str, target: str | None = None) -> TakenOutputs:
         """Return how a batch's outputs were read: its tables, and the files that became no table, with the reasons.

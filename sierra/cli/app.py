@@ -44,6 +44,7 @@ COMMANDS = {
     "package": "sierra.cli.package:package",
     "open": "sierra.cli.open:app",
     "reproduce": "sierra.cli.reproduce:reproduce",
+    "import": "sierra.cli.import_package:import_",
     "fsck": "sierra.cli.fsck:fsck",
     "gc": "sierra.cli.gc:gc",
     "rm": "sierra.cli.rm:rm",

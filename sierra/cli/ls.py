@@ -39,6 +39,7 @@ def ls(
         **_where_any("overrides", [" ".join(one.overrides) for one in batches]),
         **_where_any("changed", [", ".join(one.changed) for one in batches]),
         **_where_any("study", [_looks(one) for one in batches]),
+        **_where_any("package", [(one.package or "") if long else short(one.package or "") for one in batches]),
         "experiments": [one.experiments for one in batches],
         "runs": [one.runs for one in batches],
         "state": [_state(one) for one in batches],

@@ -57,10 +57,12 @@ class _Members(NamedTuple):
 
 REQUEST = """
 SELECT s.query, b.controller, b.scenario, b.overrides, b.base_seed FROM sessions s JOIN batches b USING (batch)
+ANTI JOIN imported_sessions USING (session)
 WHERE list_contains($targets, s.target) AND ($batch = '' OR s.batch = $batch) ORDER BY s.lamport DESC LIMIT 1
 """
 LAST = """
 SELECT s.target, arg_max(s.batch, s.lamport) AS batch FROM sessions s JOIN batches b USING (batch)
+ANTI JOIN imported_sessions USING (session)
 WHERE list_contains($targets, s.target) AND s.query = $query AND b.overrides = $overrides AND b.base_seed = $base_seed
 AND b.controller IS NOT DISTINCT FROM $controller AND b.scenario IS NOT DISTINCT FROM $scenario GROUP BY s.target
 """

@@ -55,6 +55,8 @@ class ListedBatch:
     project declares to be volatile or within tolerance."""
     looks: Sequence[LookOfStudy] = ()
     """Looks of sequential studies at this batch."""
+    package: str | None = None
+    """The imported package whose executions count in this batch; None if executions that were made here count."""
 
 
 class _Batch(NamedTuple):
@@ -83,6 +85,7 @@ class _Batch(NamedTuple):
     missing: int | None
     doubted: bool
     repeated: bool
+    package: str | None
 
 
 BATCHES = """
@@ -96,8 +99,9 @@ SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.
        b.axes, b.overrides, b.base_seed, b.template_sha256, s.source, s.image, s.command, s.variables, s.host_access, s.around,
        l.submitted, l.failed, l.missing, b.batch IN (
            SELECT m.batch FROM findings f JOIN all_judgements e ON e.judgement = f.execution JOIN batch_runs m ON m.run = e.run
-       ) AS doubted, coalesce(l.reexecuted, 0) > 0 OR b.batch IN (SELECT batch FROM replays) AS repeated
-FROM batches b LEFT JOIN last l USING (batch) LEFT JOIN specs s USING (spec)
+       ) AS doubted, coalesce(l.reexecuted, 0) > 0 OR b.batch IN (SELECT batch FROM replays) AS repeated,
+       o.packages[1] AS package
+FROM batches b LEFT JOIN last l USING (batch) LEFT JOIN origins o USING (batch) LEFT JOIN specs s USING (spec)
 ORDER BY coalesce(l.lamport, b.lamport), b.batch
 """
 
@@ -179,6 +183,7 @@ def batches(store: Store) -> list[ListedBatch]:
                 clusters=clusters.get(row.batch, []),
                 nondeterministic=unlike.get(row.batch, 0),
                 looks=[look for look in looks if look.batch == row.batch],
+                package=row.package,
             )
         )
         before[named] = row

@@ -56,7 +56,8 @@ class Last(NamedTuple):
 LAST = """
 WITH asked AS (
     SELECT programs, ingest_rules, source, query, lamport FROM sessions WHERE batch = $b
-    UNION ALL SELECT programs, ingest_rules, NULL, NULL, place FROM all_judgements WHERE batch = $b AND purpose = 'run'
+    UNION ALL SELECT programs, ingest_rules, NULL, NULL, place FROM all_judgements e LEFT JOIN origins o USING (batch)
+    WHERE batch = $b AND purpose = 'run' AND e.packages IS NOT DISTINCT FROM o.packages
 )
 SELECT arg_max(programs, lamport) AS programs, arg_max(ingest_rules, lamport) AS ingest_rules,
        arg_max(source, lamport) AS source, arg_max(query, lamport) AS query
@@ -66,8 +67,8 @@ FROM asked
 
 LAST_DECLARED = """
 WITH used AS (
-    SELECT ingest_rules, lamport FROM sessions
-    UNION ALL SELECT ingest_rules, place FROM all_judgements WHERE purpose = 'run'
+    SELECT ingest_rules, lamport FROM sessions ANTI JOIN imported_sessions USING (session)
+    UNION ALL SELECT ingest_rules, place FROM all_judgements WHERE purpose = 'run' AND packages IS NULL
 )
 SELECT declared FROM ingest_rules WHERE ingest_rules = (SELECT arg_max(ingest_rules, lamport) FROM used) LIMIT 1
 """

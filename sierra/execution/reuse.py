@@ -154,9 +154,10 @@ def rules_changed(plan: Plan, store: Store) -> bool:
     return any(rules != context(plan).batch_rules for rules in store.values(str, last, b=plan.batch.id))
 
 
-# Runs of one spec are executed only for batches of that spec. Some of these batches may have been removed.
+# Runs of one spec are executed only for batches of that spec. Some of these batches may have been removed. Executions that came
+# in packages are not reused, because nothing proves how they were made.
 OF_SPEC = (
-    "FROM {judged} WHERE purpose = 'run' AND (batch IN (SELECT batch FROM batches WHERE spec = $spec) "
+    "FROM {judged} WHERE purpose = 'run' AND packages IS NULL AND (batch IN (SELECT batch FROM batches WHERE spec = $spec) "
     "OR batch NOT IN (SELECT batch FROM batches))"
 )
 EACH = f"""
@@ -166,12 +167,13 @@ SELECT run, CASE WHEN status <> 'ok' THEN {FAILED} WHEN ingest_rules <> $ingest_
 {OF_SPEC}
 """
 REEVALUATED = """(
-SELECT run, batch, session, purpose, programs, lamport, judgements, j.status AS status, j.reason AS reason,
+SELECT run, batch, session, purpose, programs, lamport, judgements, packages, j.status AS status, j.reason AS reason,
        j.ingest_rules AS ingest_rules
 FROM (
     SELECT execution, any_value(run) AS run, any_value(batch) AS batch, any_value(session) AS session,
            any_value(purpose) AS purpose,
            any_value(programs) AS programs, any_value(lamport) AS lamport, count(*) AS judgements,
+           any_value(packages) AS packages,
            arg_max({'status': status, 'reason': reason, 'ingest_rules': ingest_rules},
                    (ingest_rules = $ingest_rules, place, judgement)) AS j
     FROM all_judgements GROUP BY execution

@@ -112,6 +112,17 @@ class ReplayOfBatch(NamedTuple):
     verdict: str
 
 
+class ImportOfBatch(NamedTuple):
+    """A package that was imported and has executions of the batch."""
+
+    package: str
+    title: str
+    date: str
+    imported_at: datetime
+    counts: bool
+    """True if its executions count in the batch; otherwise they stand beside those that do."""
+
+
 class VerdictOnRun(NamedTuple):
     """The verdict of a replay on an output of a run."""
 
@@ -225,6 +236,8 @@ class ShownBatch:
     """Targets that it was requested for."""
     history: Known | None = None
     """The recorded commit as the repository has it now."""
+    imports: Sequence[ImportOfBatch] = ()
+    """Packages from which executions of its sessions came."""
     log_file: str | None = None
     """Log file of the last session."""
 
@@ -315,6 +328,8 @@ class ShownExecution:
     environment: ShownEnvironment | None
     observation: ShownObservation | None = None
     """The files that it used; None if it was not observed."""
+    packages: Sequence[str] = ()
+    """The packages in which it came, the imported one first; empty if it was made here."""
     log_file: str | None = None
     """Log file of its session."""
 
@@ -409,7 +424,15 @@ def _batch(snapshot: Snapshot, identity: str, clusters: Sequence[OnCluster]) -> 
         sessions=sessions,
         clusters=clusters,
         targets=sorted({one.target for one in sessions if one.target}),
+        imports=snapshot.select(ImportOfBatch, IMPORTS, b=identity) if snapshot.holds("imports") else (),
     )
+
+
+IMPORTS = """
+SELECT i.package, i.title, i.date, i.imported_at, coalesce(o.packages[1] = i.package, false) AS counts
+FROM imports i LEFT JOIN origins o ON o.batch = $b WHERE list_contains(i.batches, $b) ORDER BY i.lamport
+"""
+PACKAGES = "SELECT unnest(packages) FROM imported_sessions WHERE session = $s"
 
 
 class LastHost(NamedTuple):
@@ -604,6 +627,7 @@ def _execution(snapshot: Snapshot, identity: str) -> ShownExecution:
         programs=_programs(snapshot, row.programs),
         environment=_environment(snapshot, row.environment),
         observation=_observation(snapshot, row),
+        packages=snapshot.values(str, PACKAGES, s=row.session),
     )
 
 

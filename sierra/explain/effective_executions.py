@@ -54,6 +54,8 @@ class Standing(NamedTuple):
     reason: str | None
     programs: str | None
     ingest_rules: str | None
+    imported: bool
+    """True if that execution came in a package."""
     runs: int
     run: str
     execution: str | None
@@ -64,10 +66,12 @@ STANDINGS = """
 SELECT t.counts,
        coalesce(t.own IN (SELECT execution FROM reused_executions WHERE session = $session), false) AS unchanged,
        t.execution IS NOT NULL AS tried, coalesce(t.status = 'ok', false) AS good, e.reason, e.programs,
-       e.ingest_rules, count(*) AS runs, min(t.run) AS run, arg_min(t.own, t.run) AS execution
+       e.ingest_rules, coalesce(e.imported, false) AS imported,
+       count(*) AS runs, min(t.run) AS run, arg_min(t.own, t.run) AS execution
 FROM standing t LEFT JOIN (
     SELECT judgement AS execution, CASE WHEN status <> 'ok' THEN coalesce(reason, status) END AS reason,
-           CASE WHEN status = 'ok' THEN programs END AS programs, CASE WHEN status = 'ok' THEN ingest_rules END AS ingest_rules
+           CASE WHEN status = 'ok' THEN programs END AS programs, CASE WHEN status = 'ok' THEN ingest_rules END AS ingest_rules,
+           packages IS NOT NULL AS imported
     FROM all_judgements WHERE judgement IN (SELECT execution FROM standing WHERE NOT counts)
 ) e ON e.execution = t.execution
 GROUP BY ALL ORDER BY runs DESC, run
@@ -76,7 +80,9 @@ GROUP BY ALL ORDER BY runs DESC, run
 
 def standings(snapshot: Snapshot, batches: list[str]) -> Iterator[EffectiveRuns]:
     """Yield the situation of the runs in the table `wanted`, in each of these batches."""
-    snapshot.views.make(("batch_runs", "sessions", "all_judgements", "batches", "stale_sessions", "reused_executions"))
+    snapshot.views.make(
+        ("batch_runs", "sessions", "all_judgements", "batches", "stale_sessions", "reused_executions", "origins")
+    )
     for batch in batches:
         make_runs(snapshot, Place(batch), "standing", good_first=True, only=" AND m.run IN (SELECT run FROM wanted)")
         latest = next(iter(snapshot.select(Latest, OF_LAST_SESSION, b=batch)), Latest(None, None, None))
@@ -95,6 +101,8 @@ def _why(snapshot: Snapshot, row: Standing, latest: Latest) -> Reason:
         return Reason(ChangeReason.NEVER)
     if not row.good:
         return Reason(ChangeReason.FAILED, row.reason or "")
+    if (row.programs, row.ingest_rules) == latest[1:] and row.imported:
+        return Reason(ChangeReason.STALE, "it came in a package, and in this batch other executions count")
     if (row.programs, row.ingest_rules) == latest[1:]:
         return Reason(ChangeReason.STALE, "files that it used have changed")
     differences = [one.line for one in _differences(snapshot, row, latest)]

@@ -60,14 +60,14 @@ class Event:
     """True if it ended and was recorded."""
     causes: tuple[Cause, ...]
     notes: tuple[str, ...] = ()
-    """Reasons why runs were started or executed more often than requested on a cluster."""
+    """The package in which it came, and reasons why runs were started or executed more often than requested on a cluster."""
 
 
 EXECUTED = """
 CREATE TEMP TABLE happened AS
 WITH mine AS (
     SELECT e.judgement, e.judged_at, e.place, e.execution, e.run, e.session, e.batch, e.started, e.ended, e.status, e.reason,
-           e.programs, e.ingest_rules, e.purpose, e.lamport
+           e.programs, e.ingest_rules, e.purpose, e.lamport, e.packages
     FROM all_judgements e SEMI JOIN wanted USING (run)
 ),
 first AS (SELECT * EXCLUDE (judgement, judged_at, place) FROM mine WHERE judgement = execution),
@@ -80,6 +80,7 @@ earlier AS (
                 THEN $programs
                 ELSE $good END AS worth
     FROM first e JOIN mine p ON p.run = e.run AND p.execution <> e.execution AND p.place < e.lamport AND p.purpose = 'run'
+        AND p.packages IS NOT DISTINCT FROM e.packages
         AND NOT (p.session <> e.session AND p.started < e.ended AND p.ended > e.started)
     LEFT JOIN findings f ON f.execution = p.judgement
     QUALIFY row_number() OVER (
@@ -167,7 +168,8 @@ COPIED = """
 SELECT e.session, count(*) AS copies, count(*) FILTER (NOT same) AS other, min(execution) AS execution
 FROM duplicates JOIN executions e USING (execution) WHERE e.run IN (SELECT run FROM wanted) GROUP BY e.session
 """
-SESSIONS = "SELECT * FROM sessions WHERE list_contains($b, batch) OR list_contains($s, session)"
+IMPORTED = "SELECT session, packages[1] AS package FROM imported_sessions"
+SESSIONS = "SELECT * FROM all_sessions WHERE list_contains($b, batch) OR list_contains($s, session)"
 
 
 class Reevaluated(NamedTuple):
@@ -208,12 +210,13 @@ def events(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
             "executions",
             "all_judgements",
             "findings",
-            "sessions",
+            "all_sessions",
             "replays",
             "batch_runs",
             "attempts",
             "duplicates",
             "stale_sessions",
+            "imported_sessions",
         )
     )
     snapshot.run(EXECUTED, {"failed": FAILED, "rules": RULES, "programs": PROGRAMS, "good": REUSED})
@@ -277,7 +280,7 @@ def _began(rows: Sequence[Executions], reevaluated: Reevaluated | None) -> datet
 
 
 def _notes(snapshot: Snapshot) -> dict[str, list[str]]:
-    """Return, by session, lines about runs that were started or executed more often than requested, and the reasons."""
+    """Return notes by session: on its origin, and on runs that were started or executed more often than requested, and why."""
     notes: dict[str, list[str]] = {}
     for cut in snapshot.select(Cut, CUT):
         why = few(cut.errors, SHOWN) or "unknown cause"
@@ -289,6 +292,8 @@ def _notes(snapshot: Snapshot) -> dict[str, list[str]]:
         which = f"{copied.copies} (for example, {short(copied.execution)}), {other}"
         line = f"executed twice, because two copies of an array task ran at the same time: {which}"
         notes.setdefault(copied.session, []).append(line)
+    for session, package in snapshot.run(IMPORTED):
+        notes.setdefault(session, []).append(f"executed elsewhere; it came in package {short(package)}")
     return notes
 
 

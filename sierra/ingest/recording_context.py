@@ -24,7 +24,7 @@ from sierra.util.json_types import Json, JsonView
 ID, SESSION = re.compile("[0-9a-f]{64}"), re.compile("[0-9a-f]{16}")
 UNREAD = {"units", "rates", "time", "ticks_per_second", "tolerance", "ordered", "volatile"}
 """The settings of an output that do not influence how it is recorded."""
-SAME_PROGRAMS = """(CASE WHEN e.reusing IS NULL THEN e.programs = $programs
+SAME_PROGRAMS = """(CASE WHEN e.reusing IS NULL THEN e.packages IS NULL AND e.programs = $programs
     AND e.session NOT IN (SELECT s.stale FROM stale_sessions s WHERE s.session = $session) ELSE e.reusing = $session END)"""
 """The SQL condition that a candidate e used programs and files that are unchanged; see `Context.same_programs`."""
 SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "shared", "enforced", "number", "raw", "engines")

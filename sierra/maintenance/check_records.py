@@ -82,7 +82,7 @@ class Records:
         self.snapshot.run(f"SET memory_limit = '{MEMORY}'")
         self.snapshot.run("SET preserve_insertion_order = true")
         self.snapshot.add_table("kept", sha256=sorted(objects.whole))
-        for name in (*(name for name in RECORDED if name != "objects"), "all_judgements", "all_artifacts"):
+        for name in (*(name for name in RECORDED if name != "objects"), "all_judgements", "all_artifacts", "all_sessions"):
             with contextlib.suppress(SierraError):  # the checks that need it report that it cannot be read
                 self.snapshot.views.make((name,))
 
@@ -215,7 +215,7 @@ def _builds(records: Records) -> Iterator[Finding]:
 LOST_BY_BUILD = {
     "logs of builds are not in the store": "SELECT DISTINCT batch FROM builds b ANTI JOIN kept k ON k.sha256 = b.log",
     "builds of sessions are not recorded": """
-        SELECT DISTINCT batch FROM sessions s ANTI JOIN builds b ON b.build = s.build WHERE s.build IS NOT NULL""",
+        SELECT DISTINCT batch FROM all_sessions s ANTI JOIN builds b ON b.build = s.build WHERE s.build IS NOT NULL""",
 }
 
 
@@ -298,8 +298,8 @@ USING = {
     "ingest_rules": "SELECT DISTINCT batch FROM executions WHERE ingest_rules = $id",
     "isolation": "SELECT DISTINCT batch FROM executions WHERE isolation = $id",
     "programs": "SELECT DISTINCT batch FROM executions WHERE programs = $id",
-    "source": "SELECT DISTINCT batch FROM sessions WHERE source = $id",
-    "build": "SELECT DISTINCT batch FROM sessions WHERE build = $id",
+    "source": "SELECT DISTINCT batch FROM all_sessions WHERE source = $id",
+    "build": "SELECT DISTINCT batch FROM all_sessions WHERE build = $id",
     "deliverable": "SELECT DISTINCT batch FROM deliverables WHERE deliverable = $id",
     "study": "SELECT DISTINCT batch FROM looks WHERE study = $id",
     "look": "SELECT DISTINCT batch FROM looks WHERE look = $id",

@@ -148,7 +148,7 @@ def collect(
 
 
 SESSIONS = (
-    "SELECT session FROM sessions UNION SELECT session FROM executions UNION SELECT replay FROM replays "
+    "SELECT session FROM all_sessions UNION SELECT session FROM executions UNION SELECT replay FROM replays "
     "UNION SELECT session FROM builds"
 )
 

@@ -166,16 +166,19 @@ CREATE TEMP TABLE staying_members AS SELECT * FROM batch_runs WHERE batch NOT IN
 CREATE TEMP TABLE staying_specs AS SELECT DISTINCT spec FROM staying_members;
 CREATE TEMP TABLE staying_trees AS SELECT DISTINCT source AS tree FROM specs
     WHERE spec IN (SELECT spec FROM staying_specs);
-CREATE TEMP TABLE staying_sessions AS SELECT * FROM sessions WHERE batch NOT IN (SELECT batch FROM gone_batches);
+CREATE TEMP TABLE staying_sessions AS SELECT * FROM all_sessions WHERE batch NOT IN (SELECT batch FROM gone_batches);
 CREATE TEMP TABLE staying_replays AS SELECT * FROM replays WHERE replay NOT IN (SELECT replay FROM gone_replays);
+CREATE TEMP TABLE gone_imported_sessions AS SELECT session FROM imported_sessions
+    WHERE batch IN (SELECT batch FROM gone_batches)
+    AND session NOT IN (SELECT session FROM executions WHERE execution NOT IN (SELECT own FROM gone));
 CREATE TEMP TABLE gone_sources AS SELECT source, files, vcs FROM sources WHERE
-    (source IN (SELECT source FROM sessions WHERE batch IN (SELECT batch FROM gone_batches))
+    (source IN (SELECT source FROM all_sessions WHERE batch IN (SELECT batch FROM gone_batches))
      OR tree IN (SELECT source FROM specs WHERE spec IN (SELECT spec FROM gone_members)))
     AND source NOT IN (SELECT source FROM staying_sessions WHERE source IS NOT NULL)
     AND tree NOT IN (SELECT tree FROM staying_trees WHERE tree IS NOT NULL);
 CREATE TEMP TABLE gone_builds AS
     (SELECT build FROM builds WHERE batch IN (SELECT batch FROM gone_batches)
-     UNION SELECT build FROM sessions WHERE batch IN (SELECT batch FROM gone_batches) AND build IS NOT NULL)
+     UNION SELECT build FROM all_sessions WHERE batch IN (SELECT batch FROM gone_batches) AND build IS NOT NULL)
     EXCEPT SELECT build FROM staying_sessions;
 CREATE TEMP TABLE gone_shared_files AS
     SELECT shared_files AS shared FROM specs WHERE spec IN (SELECT spec FROM gone_members) AND shared_files IS NOT NULL
@@ -185,7 +188,7 @@ CREATE TEMP TABLE gone_images AS SELECT image, files FROM images WHERE
     AND image NOT IN (SELECT image FROM specs WHERE spec IN (SELECT spec FROM staying_specs) AND image IS NOT NULL);
 """
 BATCHES = "SELECT batch, query, experiments, runs FROM batches WHERE list_contains($b, batch) ORDER BY batch"
-GONE_SESSIONS = "SELECT session FROM sessions WHERE batch IN (SELECT batch FROM gone_batches)"
+GONE_SESSIONS = "SELECT session FROM all_sessions WHERE batch IN (SELECT batch FROM gone_batches)"
 AROUND = {
     "specs": ("spec", "SELECT spec FROM gone_members EXCEPT SELECT spec FROM staying_specs"),
     "shared_files": (
@@ -194,20 +197,21 @@ AROUND = {
     ),
     "environments": (
         "environment",
-        "(SELECT environment FROM gone UNION SELECT environment FROM sessions UNION SELECT environment FROM replays) EXCEPT "
+        "(SELECT environment FROM gone UNION SELECT environment FROM all_sessions "
+        "UNION SELECT environment FROM replays) EXCEPT "
         "(SELECT environment FROM staying UNION SELECT environment FROM staying_sessions "
         "UNION SELECT environment FROM staying_replays)",
     ),
     "programs": (
         "programs",
-        "(SELECT programs FROM gone UNION SELECT programs FROM sessions UNION SELECT programs FROM replays "
+        "(SELECT programs FROM gone UNION SELECT programs FROM all_sessions UNION SELECT programs FROM replays "
         "UNION SELECT programs FROM builds) EXCEPT (SELECT programs FROM staying UNION SELECT programs FROM staying_sessions "
         "UNION SELECT programs FROM staying_replays "
         "UNION SELECT programs FROM builds WHERE build NOT IN (SELECT build FROM gone_builds))",
     ),
     "ingest_rules": (
         "ingest_rules",
-        "(SELECT ingest_rules FROM gone UNION SELECT ingest_rules FROM sessions) EXCEPT "
+        "(SELECT ingest_rules FROM gone UNION SELECT ingest_rules FROM all_sessions) EXCEPT "
         "(SELECT ingest_rules FROM staying UNION SELECT ingest_rules FROM staying_sessions)",
     ),
     "files_read": (
@@ -229,6 +233,12 @@ AROUND = {
     "sources": ("source", "SELECT source FROM gone_sources"),
     "images": ("image", "SELECT image FROM gone_images"),
     "isolations": ("isolation", "SELECT isolation FROM gone EXCEPT SELECT isolation FROM staying"),
+    "imported_sessions": ("session", "SELECT session FROM gone_imported_sessions"),
+    "imports": (
+        "package",
+        "SELECT package FROM imports EXCEPT SELECT unnest(packages) FROM imported_sessions "
+        "WHERE session NOT IN (SELECT session FROM gone_imported_sessions)",
+    ),
     "looks": ("look", "SELECT look FROM gone_looks"),
     "look_intervals": ("look", "SELECT look FROM gone_looks"),
     "studies": ("study", "SELECT study FROM gone_studies"),
@@ -274,7 +284,7 @@ def rows_of(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[st
 
     `named`: the ids of each kind (batch, experiment, run, execution, study).
     """
-    snapshot.views.make((*(RECORDED.keys() - {"objects"}), "all_judgements", "all_artifacts", "effective"))
+    snapshot.views.make((*(RECORDED.keys() - {"objects"}), "all_judgements", "all_artifacts", "all_sessions", "effective"))
     pairs = [(kind, identity) for kind, ids in named.items() for identity in sorted(ids)]
     snapshot.add_table("named", kind=[kind for kind, _ in pairs], id=[one for _, one in pairs])
     snapshot.run(FIND)

@@ -1,10 +1,11 @@
-"""Exclusive changes to recorded data by `gc`, `rm` and repair: prepared outside the segments, published at one moment."""
+"""Exclusive changes to recorded data (`gc`, `rm`, repair, imports): prepared outside the segments, published at one moment."""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
 import json
+import operator
 import time
 from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
@@ -43,13 +44,15 @@ def publish(
     prepare: Callable[[Compaction], AbstractSet[str]],
     may: Callable[[], None] = lambda: None,
     keep: AbstractSet[str] = frozenset(),
+    valid: Callable[[AbstractSet[str], AbstractSet[str]], bool] = operator.eq,
 ) -> int:
     """Prepare and publish a change; return the number of old segments that still must be removed.
 
     If something was recorded meanwhile, prepare again, at most `ATTEMPTS` times. `prepare` writes the new segments and returns
     the names of the segments that it has read. `may` raises if other sessions must not be disturbed; no session can begin while
-    it checks. `keep` names replaced segments that are put aside, not removed. Raises Missing if the file system has no locks,
-    so that exclusive access is impossible, and SierraError if the store changed in each attempt.
+    it checks. `keep` names replaced segments that are put aside, not removed. `valid` decides from the names of the segments
+    now, and of those that were read, whether the change is still right; by default, both must be the same. Raises Missing if
+    the file system has no locks, so that exclusive access is impossible, and SierraError if the store changed in each attempt.
     """
     for attempt in range(ATTEMPTS):
         rewriting = Compaction(store, session.paths.root / f"new{attempt}", f"{session.id}.{attempt}")
@@ -60,7 +63,7 @@ def publish(
                     f"{store.root}: the file system has no locks, so changes are not safe; copy the store to one with locks"
                 )
             may()
-            if names(store) == seen:
+            if valid(names(store), seen):
                 with disk_errors(store.segments):
                     rewriting.publish()
                     for name in sorted(keep):

@@ -48,21 +48,26 @@ def open_package(path: Path) -> Received:
         described = manifest.read(archive.read(PACKAGE))
         folder = user_packages() / archive.id
         if not folder.is_dir():
-            _extract(archive, folder)
+            _keep(archive, folder)
         identity = archive.id
     project = project_file.load(folder)
     return Received(path, identity, described, project, Store(folder / STORE, project.rules))
 
 
-def _extract(archive: Archive, folder: Path) -> None:
+def records(archive: Archive) -> list[str]:
+    """Return the names of the files of a package's store. Raises Damaged if it has none, or has other files than records."""
+    found = archive.names(STORED)
+    if strange := [name for name in found if not is_record(name)]:
+        raise Damaged(f"{archive.path}: the member {strange[0]!r} is no record, but it is in the store")
+    if not found:
+        raise Damaged(f"{archive.path} has no store")
+    return found
+
+
+def _keep(archive: Archive, folder: Path) -> None:
     """Extract what is read of a package; `folder` appears complete or not at all."""
     files = [name for name in archive.names(PROJECT) if not name.startswith(STORED) and name.endswith(READ)]
-    records = archive.names(STORED)
-    if strange := [name for name in records if not is_record(name)]:
-        raise Damaged(f"{archive.path}: the member {strange[0]!r} is no record, but it is in the store")
-    wanted = [*records, *files]
-    if not records:
-        raise Damaged(f"{archive.path} has no store")
+    wanted = [*records(archive), *files]
     with disk_errors(folder.parent):
         folder.parent.mkdir(parents=True, exist_ok=True)
         unfinished = Path(tempfile.mkdtemp(prefix=".", dir=folder.parent))

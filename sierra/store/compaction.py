@@ -1,4 +1,4 @@
-"""Compaction: new segments that replace old ones, merged or without some of their rows.
+"""Compaction: new segments that replace old ones, merged or without some of their rows. Or new ones that are added at once.
 
 New segments are written outside the store first. Then one rename replaces the old segments (see `sierra.store.segments`).
 A process that is killed leaves the store in its state before or after that rename. After it, the old segments are
@@ -104,32 +104,43 @@ class Compaction:
         self._paths = paths
         self._folder = folder
         self._name = name
-        self._writers: list[tuple[str, Writer]] = []
+        self._writers: list[Writer] = []
         self._replaced: list[Segment] = []
 
     def write(self, group: Group, drop: Drop) -> None:
         """Write the kept rows of a group. Raises Missing if the disk is full, Damaged if an old file cannot be read."""
-        writer = Writer(self._folder / str(len(self._replaced)), group[0].batch)
-        write_kept(group, drop, writer)
+        self.add(group, drop)
         self._replaced += group
-        if any(writer.folder.iterdir()):
-            self._writers.append((group[0].batch, writer))
+
+    def add(self, group: Group, drop: Drop) -> None:
+        """Write the kept rows of a group of another store, which replaces nothing. Raises the same errors as `write`."""
+        write_kept(group, drop, self.writer(group[0].batch))
+
+    def writer(self, batch: str) -> Writer:
+        """Return a writer for further records. If nothing is written with it, it makes no segment."""
+        self._writers.append(Writer(self._folder / str(len(self._writers)), batch))
+        return self._writers[-1]
+
+    @property
+    def is_empty(self) -> bool:
+        """True if nothing was written."""
+        return not any(any(writer.folder.iterdir()) for writer in self._writers)
 
     def publish(self) -> None:
-        """Replace the old segments by those that were written."""
-        if not self._replaced:
+        """Add the segments that were written, and replace the old ones, at one moment."""
+        writers = [writer for writer in self._writers if any(writer.folder.iterdir())]
+        if not (writers or self._replaced):
             return
         names = {name for segment in self._replaced for name in (segment.name, *segment.replaces)}
         lines = [*sorted(names), f"by {self._name}"]
-        if len(self._writers) == 1:
-            writer = self._writers[0][1]
-            writer.mark(REPLACES, lines)
-            writer.publish(self._paths.segments)
+        if len(writers) == 1:
+            writers[0].mark(REPLACES, lines)
+            writers[0].publish(self._paths.segments)
             return
-        last = Writer(self._folder / "last", self._replaced[0].batch)
+        last = Writer(self._folder / "last", (writers[0] if writers else self._replaced[0]).batch)
         last.mark(REPLACES, lines)
         name = last.seal()
-        for _, writer in self._writers:
+        for writer in writers:
             writer.mark(AFTER, [name])
             writer.publish(self._paths.segments)
         last.publish(self._paths.segments)

@@ -12,7 +12,8 @@ All three parts are recorded as one whole number in the column `lamport`. A grea
     18 bits   the first bits of the session's id
     22 bits   the position, from 0; positions beyond the largest one share it
 
-Imported records have the numbers of the store that they came from.
+Imported records have the numbers of the store that they came from. The import itself has a session here, so later sessions have
+higher numbers than all imported records.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ NUMBER, TIE, POSITION = 23, 18, 22
 """The widths of the three parts in bits."""
 HIGHEST = (1 << NUMBER) - 1
 ORDERED = (
-    *("batches", "builds", "deliverables", "executions", "findings", "judgements", "looks", "replays", "sessions", "studies"),
+    *("batches", "builds", "deliverables", "executions", "findings", "imported_sessions", "imports", "judgements", "looks"),
+    *("replays", "sessions", "studies"),
 )
 """The tables with the column `lamport`."""
 

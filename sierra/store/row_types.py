@@ -612,6 +612,29 @@ class LookIntervalRow(NamedTuple):
     needed: Annotated[int | None, "estimated runs with which it would hold; NULL if it holds, or if there is no estimate", "1"]
 
 
+class ImportRow(NamedTuple):
+    """Imported packages, whose records were made in other stores."""
+
+    package: Annotated[str, "the package's id: a hash over the names and hashes of its files"]
+    title: Annotated[str, "its title"]
+    date: Annotated[str, "its date of publication, as it states it"]
+    batches: Annotated[list[str], "the batches that it has, those that were in the store before included"]
+    imported_at: Annotated[datetime, "when it was first imported"]
+    lamport: Annotated[int, "position of the import in the logical order, as in sessions"]
+
+
+class ImportedSessionRow(NamedTuple):
+    """Sessions that came in packages: their executions were not made here."""
+
+    session: Annotated[str, "the session"]
+    batch: Annotated[str, "the batch that was requested"]
+    packages: Annotated[
+        list[str],
+        "the package that was imported, as in imports; then the package from which that one had the session, and so on",
+    ]
+    lamport: Annotated[int, "position of the import in the logical order, as in sessions"]
+
+
 class ObjectRow(NamedTuple):
     """Recorded files by the hash of their content, in parts of at most 8 MiB; files that became tables are included unless
     [store] raw is false.
@@ -659,6 +682,8 @@ ROWS: dict[str, type[NamedTuple]] = {
     "studies": StudyRow,
     "looks": LookRow,
     "look_intervals": LookIntervalRow,
+    "imports": ImportRow,
+    "imported_sessions": ImportedSessionRow,
     "objects": ObjectRow,
 }
 """The class of each recorded table's rows."""

@@ -59,6 +59,8 @@ LATER: dict[str, tuple[str, ...]] = {
 }
 """By table, the last columns that were added within this format: older files lack them, and their values are NULL there."""
 
+PACKAGES = ("packages", "VARCHAR[]", "packages in which the execution came, as in imported_sessions; NULL if it was made here")
+
 DERIVED = {
     table.name: table
     for table in (
@@ -82,7 +84,8 @@ DERIVED = {
         _table(
             "effective",
             "The effective execution of each run in each batch: the last successful one with the programs and the rules of the "
-            "batch's last session. Statistics, figures and outputs use no other execution.",
+            "batch's last session. Statistics, figures and outputs use no other execution. If a batch was executed here, only "
+            "executions that were made here count in it; otherwise only those of the package that was imported first.",
             ("batch", ID, "the batch"),
             ("ordinal", INT, "the experiment's position in the batch, from 0"),
             ("run", ID, "the run"),
@@ -103,6 +106,7 @@ DERIVED = {
                 else (column.name, column.type, column.meaning, column.unit)
                 for column in RECORDED["executions"].columns
             ),
+            PACKAGES,
         ),
         _table(
             "all_candidates",
@@ -116,6 +120,19 @@ DERIVED = {
                 (column.name, column.type, "the run that it may count for" if column.name == "run" else column.meaning)
                 for column in RECORDED["executions"].columns
             ),
+            PACKAGES,
+        ),
+        _table(
+            "all_sessions",
+            "All sessions, those included that stand beside others: sessions that came in packages, of batches that were also "
+            "executed here or came in an earlier package. The table sessions does not have these.",
+            *((column.name, column.type, column.meaning, column.unit) for column in RECORDED["sessions"].columns),
+        ),
+        _table(
+            "origins",
+            "Batches with imported sessions, and the origin that counts in each: this store, or a package.",
+            ("batch", ID, "the batch"),
+            ("packages", "VARCHAR[]", "packages as in imported_sessions; NULL if executions that were made here count"),
         ),
         _table(
             "all_artifacts",
@@ -125,7 +142,8 @@ DERIVED = {
         ),
         _table(
             "nondeterminism",
-            "Runs whose output changed between successful executions with the same programs, replays included.",
+            "Runs whose output changed between successful executions with the same programs, replays included and imported "
+            "executions not.",
             ("run", ID, "the run"),
             ("programs", ID, "fingerprint of the programs"),
             ("executions", INT, "successful executions with these programs", "1"),
@@ -162,7 +180,12 @@ RESERVED = frozenset(
         "succeeded",
         "failed",
     )
-) | {column.name for table in DERIVED.values() if not table.name.startswith("all_") for column in table.columns}
+) | {
+    column.name
+    for table in DERIVED.values()
+    if not table.name.startswith("all_") and table.name != "origins"
+    for column in table.columns
+}
 """Names that are not allowed for axes, because a column of the store has them."""
 
 BESIDE_OUTPUTS = frozenset(("run", "execution", "file", "number", "filename", "file_row_number"))

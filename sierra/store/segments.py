@@ -137,7 +137,7 @@ class Writer:
 
     def __init__(self, folder: Path, batch: str) -> None:
         self.folder = folder
-        self._batch = batch[:12]
+        self.batch = batch[:12]
         shutil.rmtree(folder, ignore_errors=True)
         with disk_errors(folder):
             folder.mkdir(parents=True)
@@ -180,7 +180,7 @@ class Writer:
             (self.folder / MANIFEST).write_bytes(text)
             for file in (*files, self.folder / MANIFEST, self.folder):
                 sync(file)
-        return f"{self._batch}-{sha256(text)[:16]}"
+        return f"{self.batch}-{sha256(text)[:16]}"
 
     def publish(self, segments: Path) -> bool:
         """Sync all files and rename the folder. Return False if it was empty."""

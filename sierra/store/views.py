@@ -25,11 +25,17 @@ NEEDS = {
     "artifacts": ("all_judgements",),
     "all_artifacts": ("artifacts",),
     "all_candidates": ("all_judgements", "reused_executions"),
-    "effective": ("batch_runs", "sessions", "all_judgements", "all_candidates", "stale_sessions"),
-    "nondeterminism": ("executions", "verdicts"),
+    "effective": ("batch_runs", "sessions", "all_judgements", "all_candidates", "stale_sessions", "origins"),
+    "nondeterminism": ("executions", "verdicts", "imported_sessions"),
     "points": ("batch_runs", "experiments", "batches"),
     "runs": ("batch_runs", "experiments", "batches", "executions", "effective"),
 }
+NEEDS_IF_IMPORTED = {
+    "all_judgements": ("imported_sessions",),
+    "origins": ("all_sessions", "all_judgements", "imported_sessions"),
+    "sessions": ("all_sessions", "imported_sessions", "origins"),
+}
+"""What these tables need too, if any session came in a package."""
 ONCE = {
     "batches": ("batch",),
     "experiments": ("batch", "ordinal"),
@@ -46,10 +52,12 @@ ONCE = {
     "isolations": ("isolation",),
     "ingest_rules": ("ingest_rules",),
     "findings": ("execution",),
+    "imports": ("package",),
+    "imported_sessions": ("session",),
 }
 """Tables to which two writers may add the same record, with the columns that identify a record."""
 
-FIRST = {"batches": "lamport", "findings": "lamport"}
+FIRST = {"batches": "lamport", "findings": "lamport", "imports": "lamport", "imported_sessions": "lamport"}
 
 
 def outputs(segments: Iterable[Segment]) -> list[str]:
@@ -125,7 +133,7 @@ class Views:
         if name in self._made:
             return
         self._made.add(name)
-        for needed in NEEDS.get(name, ()):
+        for needed in (*NEEDS.get(name, ()), *(NEEDS_IF_IMPORTED.get(name, ()) if self._imported else ())):
             self._make(needed)
         if name == "runs":
             body = self._runs()
@@ -133,9 +141,13 @@ class Views:
             body = self._points()
         elif name == "all_candidates":
             body = CANDIDATES if "reused_executions" in self._files else OWN
+        elif name == "sessions" and self._imported:
+            body = STANDING_SESSIONS
+        elif name == "origins":
+            body = ORIGINS if self._imported else NO_ORIGINS
         elif name in DEFINED:
             body = DEFINED[name]
-        elif name in RECORDED or name in ("all_judgements", "all_artifacts"):
+        elif name in RECORDED or name in ("all_judgements", "all_artifacts", "all_sessions"):
             self._make_recorded(name)
             return
         elif name in self._outputs:
@@ -150,7 +162,11 @@ class Views:
         import duckdb
 
         view = f"CREATE VIEW {identifier(name)} AS "
-        bodies = {"all_judgements": self._all_judgements, "all_artifacts": self._all_artifacts}
+        bodies: dict[str, Callable[..., str]] = {
+            "all_judgements": self._all_judgements,
+            "all_artifacts": self._all_artifacts,
+            "all_sessions": partial(self._recorded, "sessions"),
+        }
         body = bodies.get(name, partial(self._recorded, name))
         try:
             self._connection().execute(view + body())
@@ -205,13 +221,18 @@ class Views:
             self.notes.append(f"{column} has {split} in {beside}")
 
     @property
+    def _imported(self) -> bool:
+        """True if any session came in a package."""
+        return "imported_sessions" in self._files
+
+    @property
     def _reevaluated(self) -> bool:
         """True if any execution was evaluated by changed rules."""
         return "judgements" in self._files
 
     def _executions(self, source: str) -> str:
         if not self._reevaluated:
-            return "SELECT * EXCLUDE (judgement, judged_at, place) FROM all_judgements"
+            return "SELECT * EXCLUDE (judgement, judged_at, place, packages) FROM all_judgements"
         last_values = "l.status AS status, l.reason AS reason, l.ingest_rules AS ingest_rules"
         return f"SELECT e.* REPLACE ({last_values}) FROM {source} e JOIN ({LAST}) l USING (execution)"
 
@@ -230,12 +251,14 @@ class Views:
                 f"FROM judgements j JOIN {source} e USING (execution)"
             )
             first = f"{first} UNION ALL BY NAME {later}"
-        if "findings" not in self._files:
-            return first
-        return (
-            "SELECT e.* REPLACE (coalesce(f.status, e.status) AS status, coalesce(f.reason, e.reason) AS reason) "
-            f"FROM ({first}) e LEFT JOIN findings f ON f.execution = e.judgement"
-        )
+        if "findings" in self._files:
+            first = (
+                "SELECT e.* REPLACE (coalesce(f.status, e.status) AS status, coalesce(f.reason, e.reason) AS reason) "
+                f"FROM ({first}) e LEFT JOIN findings f ON f.execution = e.judgement"
+            )
+        if self._imported:
+            return f"SELECT e.*, i.packages AS packages FROM ({first}) e LEFT JOIN imported_sessions i ON i.session = e.session"
+        return f"SELECT *, NULL::VARCHAR[] AS packages FROM ({first})"
 
     def _all_artifacts(self, *, older: bool = False) -> str:
         files = self._files.get("artifacts")
@@ -300,7 +323,7 @@ class Views:
         if self._within is not None:
             mine = self._of_batch(files)
             files = [file for file in files if file in mine] or files
-        elif all(map(is_first_part, files)) and "findings" not in self._files and not self._reevaluated:
+        elif all(map(is_first_part, files)) and not ("findings" in self._files or self._reevaluated or self._imported):
             return files
         found = {row[0] for row in self._fetch(files_with(files, f"SELECT judgement FROM ({COUNTED})"))}
         return [file for file in files if file in found] or files
@@ -318,22 +341,28 @@ LATEST = """
 WITH asked AS (
     SELECT batch, session, programs, ingest_rules, ended, lamport FROM sessions WHERE ingest_rules IS NOT NULL
     UNION ALL
-    SELECT batch, session, programs, ingest_rules, judged_at, place FROM all_judgements WHERE purpose = 'run'
+    SELECT e.batch, session, programs, ingest_rules, judged_at, place
+    FROM all_judgements e LEFT JOIN origins o ON o.batch = e.batch
+    WHERE purpose = 'run' AND e.packages IS NOT DISTINCT FROM o.packages
 ),
 latest AS (
-    SELECT batch, session, programs, ingest_rules, submitted, lamport, s.stale AS stale
+    SELECT l.batch AS batch, session, programs, ingest_rules, submitted, lamport, s.stale AS stale, o.packages AS packages
     FROM (
         SELECT batch, arg_max(session, lamport) AS session, arg_max(programs, lamport) AS programs,
                arg_max(ingest_rules, lamport) AS ingest_rules, arg_max(ended, lamport) AS submitted, max(lamport) AS lamport
         FROM asked GROUP BY batch
-    )
+    ) l
     LEFT JOIN (SELECT session, list(stale) AS stale FROM stale_sessions GROUP BY session) s USING (session)
+    LEFT JOIN origins o ON o.batch = l.batch
 )
 """
-"""The relation `latest`: the programs and the rules of each batch's last session, and the sessions that were stale in it."""
+"""The relation `latest`: the programs and the rules of each batch's last session, the sessions that were stale in it, and the
+origin that counts in the batch.
+"""
 
 COUNTS = """e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = l.ingest_rules
-    AND CASE WHEN e.reusing IS NULL THEN e.programs = l.programs AND NOT coalesce(list_contains(l.stale, e.session), false)
+    AND CASE WHEN e.reusing IS NULL THEN e.packages IS NOT DISTINCT FROM l.packages AND e.programs = l.programs
+        AND NOT coalesce(list_contains(l.stale, e.session), false)
         ELSE e.reusing = l.session END"""
 """The SQL condition that a candidate e may be effective in a batch with `latest` l. Of all such candidates of a run, the last
 judgement of the last execution is effective.
@@ -371,10 +400,27 @@ FROM (
 """The last judgement of each execution."""
 
 
+ORIGINS = """
+WITH asked AS (
+    SELECT batch, session FROM all_sessions UNION SELECT batch, session FROM all_judgements WHERE purpose = 'run'
+)
+SELECT a.batch AS batch,
+       arg_min({'packages': i.packages}, (i.lamport IS NOT NULL, i.lamport, len(i.packages))).packages AS packages
+FROM asked a LEFT JOIN imported_sessions i ON i.session = a.session GROUP BY a.batch HAVING count(i.session) > 0
+"""
+"""The origin that counts in each batch with imported sessions: this store, else the first import, its own sessions first."""
+NO_ORIGINS = "SELECT NULL::VARCHAR AS batch, NULL::VARCHAR[] AS packages WHERE false"
+STANDING_SESSIONS = """
+SELECT s.* FROM all_sessions s LEFT JOIN imported_sessions i ON i.session = s.session LEFT JOIN origins o ON o.batch = s.batch
+WHERE i.packages IS NOT DISTINCT FROM o.packages
+"""
+
+
 NONDETERMINISM = """
 WITH several AS (
     SELECT run, programs, count(*) AS executions, count(DISTINCT result) AS results
-    FROM executions WHERE status = 'ok' GROUP BY run, programs HAVING min(result) < max(result)
+    FROM executions e ANTI JOIN imported_sessions i ON i.session = e.session
+    WHERE status = 'ok' GROUP BY run, programs HAVING min(result) < max(result)
 ),
 compared AS (
     SELECT e.run, e.programs, max(CASE v.verdict WHEN 'identical' THEN 0 WHEN 'equal' THEN 1 WHEN 'within tolerance' THEN 2

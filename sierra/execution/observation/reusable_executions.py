@@ -72,6 +72,7 @@ same AS (
 )
 SELECT s.run, e.execution, o.files, s.spec, e.programs
 FROM same s JOIN executions e ON e.run = s.executed JOIN observations o ON o.execution = e.execution
+ANTI JOIN imported_sessions i ON i.session = e.session
 WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules AND o.reason IS NULL AND len(o.notes) = 0
 ORDER BY s.run, s.spec = $spec, e.lamport
 """
@@ -82,6 +83,7 @@ INHERITING = """
 WITH mine AS (
     SELECT s.run, e.execution, e.session, e.programs, e.lamport, m.batch, m.ordinal
     FROM sought s JOIN executions e USING (run) JOIN batch_runs m ON m.batch = e.batch AND m.run = e.run
+    ANTI JOIN imported_sessions i ON i.session = e.session
     WHERE e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = $ingest_rules AND e.programs <> $programs
     AND e.execution NOT IN (SELECT execution FROM observations WHERE reason IS NULL AND len(notes) = 0)
 ),
@@ -98,6 +100,7 @@ TABLES = (
     "reused_executions",
     "specs",
     "executions",
+    "imported_sessions",
     "observations",
     "programs",
 )

@@ -95,7 +95,7 @@ FROM one
 
 def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool = False, only: str = "") -> None:
     """Create the table of one side's runs; with `good_first`, prefer the last successful execution if none is effective."""
-    snapshot.views.make(("stale_sessions", "all_candidates"))
+    snapshot.views.make(("sessions", "stale_sessions", "all_candidates", "origins"))
     named = {} if place.execution is None else {"named": place.execution}
     statement = RUNS.format(
         table=table,

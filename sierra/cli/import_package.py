@@ -1,0 +1,54 @@
+"""`sierra import`: add the records of a package to the store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sierra.cli.arguments import AsJson
+from sierra.cli.output import print_json
+from sierra.util.text import counted, one_line
+
+if TYPE_CHECKING:
+    from sierra.packages.imports import Imported
+
+
+STATES = {
+    True: "its executions count",
+    False: "its executions stand beside those that count",
+    None: "all its executions were made here",
+}
+
+
+def import_(
+    package: Annotated[Path, typer.Argument(metavar="FILE.zip", help="A package.", show_default=False)],
+    as_json: AsJson = False,
+) -> None:
+    """Add the batches of a package, with their executions and outputs, to the store.
+
+    All files and records are checked first; nothing of the package is executed. Imported executions are never reused. They do
+    not count in batches that were executed here, or that came in an earlier package: there, they stand beside the others.
+
+    \b
+    Examples:
+      sierra import results.zip
+    """
+    from sierra.cli.open_project import project
+
+    done = project().import_package(package)
+    if as_json:
+        print_json(done)
+    else:
+        _print(done)
+
+
+def _print(done: Imported) -> None:
+    known = f", {done.known:,} were in the store before" if done.known else ""
+    replays = f", {done.replays:,} of replays were left out" if done.replays else ""
+    print(one_line(f"package {done.package[:10]}: {done.title}"))
+    print(f"{counted(done.executions, 'execution')} added{known}{replays}")
+    for batch in done.batches:
+        state = STATES[batch.counts]
+        print(one_line(f"batch {batch.batch[:10]}: {batch.query} ({counted(batch.runs, 'run')}): {state}"))

@@ -1,0 +1,280 @@
+"""Imported records keep their origin, never join what was executed here, and are added as a whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import signal
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import sierra
+from sierra.errors import Damaged, Missing, SierraError, UsageError
+from sierra.packages import archive
+from sierra.packages.layout import STORED
+from sierra.packages.members import MANIFEST
+from sierra.packages.subject import Member
+from sierra.store.lamport_clock import stamp
+from sierra.store.segments import manifest
+from tests import projects, stores
+
+TOML = """
+[package]
+title = "Coverage of a swarm"
+authors = [{ name = "Jane Doe" }]
+license = "MIT"
+"""
+SIMULATOR = projects.SIMULATOR + 'import time\nopen("clock.csv", "w").write(f"now\\n{time.time_ns()}\\n")\n'
+"""Its output `clock` differs in each execution, so laboratories get other results for the same runs."""
+FIRST, SECOND = ("population_size=1,2",), ("population_size=2,3",)
+EFFECTIVE = "SELECT count(*) FROM effective JOIN all_judgements USING (judgement)"
+NOW = "SELECT run, now FROM clock ORDER BY run"
+pytestmark = pytest.mark.integration
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with two batches that share runs, and packages of the first (`first.zip`) and of both (`both.zip`)."""
+    folder = tmp_path_factory.mktemp("imports")
+    root = projects.make(folder / "lab", projects.CONFIG + TOML, simulator=SIMULATOR)
+    shutil.copytree(root, folder / "empty")
+    project = sierra.open(root)
+    batches = [project.run(*query, figures=False).batch for query in (FIRST, SECOND)]
+    project.replay(batches[0], runs=1)
+    project.package(batches[0], path=folder / "first.zip")
+    project.package(*batches, path=folder / "both.zip")
+    return root
+
+
+@pytest.fixture
+def other(lab: Path, tmp_path: Path) -> Path:
+    """The same project in another laboratory, without records."""
+    return stores.copy(lab.parent / "empty", tmp_path / "other")
+
+
+def rows(root: Path, statement: str) -> list[dict[str, Any]]:
+    return sierra.open(root).sql(statement).to_pylist()
+
+
+def value(root: Path, statement: str) -> Any:
+    [row] = rows(root, statement)
+    return next(iter(row.values()))
+
+
+def test_a_new_batch_is_read_like_one_of_this_store_and_keeps_its_origin(lab: Path, other: Path) -> None:
+    said = projects.quick(other, "import", str(lab.parent / "both.zip"))
+    assert said.returncode == 0, said.stderr
+    assert ": Coverage of a swarm\n6 executions added, 2 of replays were left out\n" in said.stdout
+    assert said.stdout.count(": its executions count\n") == 2
+    assert rows(other, NOW) == rows(lab, NOW)
+    project = sierra.open(other)
+    [package] = {one.package for one in project.batches}
+    assert package is not None
+    assert said.stdout.startswith(f"package {package[:10]}: ")
+    assert project.fsck().sound
+    assert f"\npackage  {package}" not in projects.quick(other, "show", project.batches[0].batch).stdout
+    assert "Coverage of a swarm" in projects.quick(other, "show", project.batches[0].batch).stdout
+    execution = value(other, "SELECT min(execution) FROM executions")
+    assert package[:10] in projects.quick(other, "show", execution).stdout
+    assert value(other, "SELECT count(*) FROM replays") == 0
+    before = stores.state(other)
+    again = project.import_package(lab.parent / "both.zip")
+    assert (again.executions, again.known) == (0, 6)
+    project.import_package(lab.parent / "first.zip")
+    assert {name for name in stores.state(other) if "segments" in name} == {name for name in before if "segments" in name}
+
+
+def test_imported_executions_are_not_reused_and_do_not_count_beside_own_ones(lab: Path, other: Path) -> None:
+    project = sierra.open(other)
+    project.import_package(lab.parent / "both.zip")
+    summary = project.run(*SECOND, figures=False)
+    assert (summary.executed, summary.reused) == (4, 0)
+    own = rows(other, "SELECT DISTINCT execution FROM all_judgements WHERE packages IS NULL")
+    effective = f"SELECT execution FROM effective WHERE batch = '{summary.batch}'"
+    assert sorted(row["execution"] for row in rows(other, effective)) == sorted(row["execution"] for row in own)
+    assert [one.package is None for one in project.batches] == [False, True]
+    first = project.batches[0].batch
+    theirs = f"SELECT execution FROM effective WHERE batch = '{first}' ORDER BY 1"
+    assert rows(other, theirs) == rows(lab, theirs)
+    assert value(other, f"SELECT count(*) FROM sessions WHERE batch = '{summary.batch}'") == 1
+    assert value(other, f"SELECT count(*) FROM all_sessions WHERE batch = '{summary.batch}'") == 2
+    assert value(other, "SELECT count(*) FROM nondeterminism") == 0
+    why = projects.quick(other, "why", summary.batch).stdout
+    assert "executed elsewhere; it came in package" in why
+    assert "did not finish" not in why
+    assert "executed with other programs" not in why
+    project.collect()
+    assert project.fsck().sound
+    assert sorted(row["execution"] for row in rows(other, effective)) == sorted(row["execution"] for row in own)
+    again = project.run(*SECOND, figures=False)
+    assert (again.executed, again.reused) == (0, 4)
+
+
+def test_an_import_changes_no_result_of_a_batch_that_was_executed_here(lab: Path, other: Path) -> None:
+    project = sierra.open(other)
+    batch = project.run(*FIRST, figures=False).batch
+    before = rows(other, NOW), rows(other, "SELECT * FROM effective ORDER BY ALL")
+    for _ in range(3):  # so that the other laboratory has the higher numbers
+        sierra.open(lab).run(*FIRST, figures=False)
+    newer = lab.parent / "newer.zip"
+    if not newer.exists():
+        sierra.open(lab).package(batch, path=newer)
+    done = project.import_package(newer)
+    assert [one.counts for one in done.batches] == [False]
+    assert (rows(other, NOW), rows(other, "SELECT * FROM effective ORDER BY ALL")) == before
+    assert value(other, "SELECT count(DISTINCT packages) FROM all_judgements") == 1
+    assert project.fsck().sound
+    project.import_package(lab.parent / "both.zip")
+    assert rows(other, f"SELECT * FROM effective WHERE batch = '{batch}' ORDER BY ALL") == before[1]
+    assert project.run(*FIRST, figures=False).reused == 4
+    assert project.replay(batch, runs=1).runs
+
+
+def test_a_package_of_imported_batches_keeps_whose_executions_count(lab: Path, other: Path, tmp_path: Path) -> None:
+    project = sierra.open(other)
+    project.import_package(lab.parent / "both.zip")
+    own = project.run(*SECOND, figures=False).batch
+    project.package(*(one.batch for one in project.batches), path=tmp_path / "again.zip")
+    third = stores.copy(lab.parent / "empty", tmp_path / "third")
+    sierra.open(third).import_package(tmp_path / "again.zip")
+    for batch in (own, project.batches[0].batch):
+        statement = f"SELECT run, execution FROM effective WHERE batch = '{batch}' ORDER BY ALL"
+        assert rows(third, statement) == rows(other, statement)
+    assert value(third, "SELECT max(len(packages)) FROM imported_sessions") == 2
+    back = sierra.open(lab).import_package(tmp_path / "again.zip")
+    assert back.executions == 4  # those of the other laboratory
+    assert rows(
+        lab, "SELECT count(*) AS n FROM effective JOIN all_judgements USING (judgement) WHERE packages IS NOT NULL"
+    ) == [{"n": 0}]
+    sierra.open(third).remove(own)
+    assert sierra.open(third).fsck().sound
+    assert value(third, f"{EFFECTIVE} WHERE packages IS NULL") == 0
+
+
+KILLED = """
+import os, signal, sys
+from sierra.store.segments import Writer
+import sierra
+publish, count = Writer.publish, [0]
+def published(self, segments):
+    publish(self, segments)
+    count[0] += 1
+    if count[0] == int(sys.argv[2]):
+        os.kill(os.getpid(), signal.SIGKILL)
+Writer.publish = published
+sierra.open(".").import_package(sys.argv[1])
+"""
+
+
+def test_a_killed_import_adds_nothing_and_the_next_one_completes(lab: Path, other: Path) -> None:
+    project = sierra.open(other)
+    for count in (1, 2):
+        command = [sys.executable, "-c", KILLED, lab.parent / "both.zip", str(count)]
+        assert subprocess.run(command, cwd=other, check=False).returncode == -signal.SIGKILL
+        assert value(other, "SELECT count(*) FROM executions") == 0
+    assert project.import_package(lab.parent / "both.zip").executions == 6
+    assert project.fsck().sound
+    project.collect()
+    assert rows(other, NOW) == rows(lab, NOW)
+    assert not any(path.is_dir() for path in (other / ".sierra" / "work").iterdir())
+
+
+def test_two_imports_at_once_add_one_copy(lab: Path, other: Path) -> None:
+    both = [projects.start(other, "import", str(lab.parent / "both.zip")) for _ in range(2)]
+    said = [one.communicate(timeout=100) for one in both]
+    assert [one.returncode for one in both] == [0, 0], said
+    assert value(other, "SELECT count(*) FROM executions") == 6
+    assert value(other, "SELECT count(*) FROM batch_runs") == 8
+    assert sierra.open(other).fsck().sound
+
+
+def test_a_full_disk_leaves_the_store_as_it_was(lab: Path, other: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    project = sierra.open(other)
+    project.run(*SECOND, figures=False)
+    before = stores.state(other)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=9))
+    with pytest.raises(Missing, match="free space"):
+        project.import_package(lab.parent / "both.zip")
+    monkeypatch.undo()
+    assert {name for name in stores.state(other) if "segments" in name} == {name for name in before if "segments" in name}
+
+
+# hostile packages
+
+
+def forged(package: Path, target: Path, table: str, change: Callable[[pa.Table], pa.Table]) -> Path:
+    """Write a package whose hashes are right, with one table changed in all segments."""
+    folder = target.with_suffix("")
+    with zipfile.ZipFile(package) as file:
+        file.extractall(folder)
+    (folder / MANIFEST).unlink()
+    for path in sorted((folder / STORED / "segments").glob(f"*/{table}.parquet")):
+        pq.write_table(change(pq.read_table(path)), path)
+        segment = path.parent
+        (segment / "MANIFEST").unlink()
+        text = manifest(sorted(segment.iterdir()))
+        (segment / "MANIFEST").write_bytes(text)
+        segment.rename(segment.with_name(f"{segment.name[:12]}-{hashlib.sha256(text).hexdigest()[:16]}"))
+    files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    archive.write(target, {name: Member(name, path, "") for name, path in files.items()})
+    return target
+
+
+def column(name: str, change: Callable[[Any], Any]) -> Callable[[pa.Table], pa.Table]:
+    def changed(table: pa.Table) -> pa.Table:
+        place = table.schema.get_field_index(name)
+        values = pa.array([change(one) for one in table.column(name).to_pylist()], table.schema.field(name).type)
+        return table.set_column(place, table.schema.field(name), values)
+
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("table", "change", "said"),
+    [
+        ("executions", column("result", lambda one: "0" * 64), "result hash that follows"),
+        ("artifacts", column("sha256", lambda one: "0" * 64), "result hash that follows|not in the store"),
+        ("batch_runs", column("seed", lambda one: one + 1), "ids that follow from their spec, inputs and seeds"),
+        ("batches", column("lamport", lambda one: stamp((1 << 23) - 2, "f" * 16)), "which SIERRA never assigns"),
+        ("output.swarm", column("execution", lambda one: "0" * 64), "as many rows as executions wrote"),
+        ("objects", column("content", lambda one: b"x" + one[1:]), "does not have the content of its SHA-256"),
+    ],
+)
+def test_records_that_do_not_prove_themselves_are_refused(
+    lab: Path, other: Path, tmp_path: Path, table: str, change: Callable[[pa.Table], pa.Table], said: str
+) -> None:
+    package = forged(lab.parent / "first.zip", tmp_path / "forged.zip", table, change)
+    with pytest.raises(Damaged, match=said) as error:
+        sierra.open(other).import_package(package)
+    assert "\n" not in str(error.value)
+    assert not list((other / ".sierra" / "segments").iterdir())
+
+
+def test_records_that_claim_to_be_of_this_store_are_refused(lab: Path, other: Path, tmp_path: Path) -> None:
+    sierra.open(other).run(*FIRST, figures=False)
+    session = value(other, "SELECT session FROM sessions")
+    theirs = forged(lab.parent / "first.zip", tmp_path / "forged.zip", "executions", column("session", lambda one: session))
+    before = rows(other, "SELECT * FROM effective ORDER BY ALL")
+    with pytest.raises(UsageError, match=f"session {session}, which was executed here"):
+        sierra.open(other).import_package(theirs)
+    assert rows(other, "SELECT * FROM effective ORDER BY ALL") == before
+
+
+def test_what_is_no_package_is_refused_in_one_line(other: Path, tmp_path: Path) -> None:
+    for content in (b"", b"PK\x03\x04" * 9):
+        (tmp_path / "x.zip").write_bytes(content)
+        with pytest.raises(SierraError):
+            sierra.open(other).import_package(tmp_path / "x.zip")
+        said = projects.quick(other, "import", str(tmp_path / "x.zip"))
+        assert said.returncode == 1
+        assert said.stderr.count("\n") == 1
+    assert projects.quick(other, "import", str(tmp_path / "none.zip")).returncode == 3
