@@ -18,6 +18,9 @@ from sierra.store.segments import disk_errors
 from sierra.store.store import Snapshot, Store
 from sierra.store.study_records import looks
 
+LEAN = ("SET threads = 1", "SET allocator_flush_threshold = '8MB'")
+"""Settings of DuckDB with which statements on 100,000 runs need less memory, and give it back when they have ended."""
+
 
 def extract(store: Store, batches: Collection[str], root: Path) -> Store:
     """Write a store with these batches (full ids) to the new folder `root`, and return it. Later records are left out.
@@ -29,6 +32,9 @@ def extract(store: Store, batches: Collection[str], root: Path) -> Store:
             raise NotFound(f"the store has no batch {unknown[0][:10]}")
         other = Store.create(root)
         other.rules = store.rules
+        other.settings = LEAN
+        for setting in LEAN:
+            snapshot.run(setting)
         drop = remove.rows_of(snapshot, store, _others(snapshot, store, batches))
         changed = touched(snapshot, snapshot.segments, drop)
         names = {segment.name for segment in changed}

@@ -132,17 +132,21 @@ def _resolve(store: Store, prefixes: Sequence[str]) -> dict[str, set[str]]:
     return named
 
 
-FIND = """
+ASKED = """
 CREATE TEMP TABLE asked_members AS SELECT DISTINCT m.batch, m.ordinal, m.run
     FROM batch_runs m JOIN experiments x USING (batch, ordinal)
     WHERE m.batch IN (SELECT id FROM named WHERE kind = 'batch')
     OR x.experiment IN (SELECT id FROM named WHERE kind = 'experiment');
 CREATE TEMP TABLE shared AS SELECT DISTINCT a.run, m.batch FROM (SELECT DISTINCT run FROM asked_members) a
     JOIN (SELECT DISTINCT batch, ordinal, run FROM batch_runs
-          EXCEPT SELECT batch, ordinal, run FROM asked_members) m USING (run)
-    UNION SELECT e.run, f.batch FROM effective f JOIN executions e USING (execution)
+          EXCEPT SELECT batch, ordinal, run FROM asked_members) m USING (run);
+"""
+REUSED = """
+INSERT INTO shared SELECT e.run, f.batch FROM effective f JOIN executions e USING (execution)
     WHERE e.run <> f.run AND e.run IN (SELECT run FROM asked_members)
-    AND f.batch NOT IN (SELECT batch FROM asked_members);
+    AND f.batch NOT IN (SELECT batch FROM asked_members)
+"""
+FIND = """
 CREATE TEMP TABLE gone AS
     SELECT judgement AS execution, execution AS own, run, environment, programs, ingest_rules, isolation FROM all_judgements
     WHERE execution IN (SELECT id FROM named WHERE kind = 'execution') OR run IN (SELECT id FROM named WHERE kind = 'run')
@@ -287,6 +291,9 @@ def rows_of(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[st
     snapshot.views.make((*(RECORDED.keys() - {"objects"}), "all_judgements", "all_artifacts", "all_sessions", "effective"))
     pairs = [(kind, identity) for kind, ids in named.items() for identity in sorted(ids)]
     snapshot.add_table("named", kind=[kind for kind, _ in pairs], id=[one for _, one in pairs])
+    snapshot.run(ASKED)
+    if snapshot.holds("reused_executions"):
+        snapshot.run(REUSED)
     snapshot.run(FIND)
     return _drop(snapshot, store, named)
 

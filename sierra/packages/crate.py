@@ -19,7 +19,7 @@ from typing import NamedTuple
 from urllib.parse import quote
 
 from sierra.config.package_table import DOI, Author, Package
-from sierra.packages.crate_actions import Around, add, batches, parameter
+from sierra.packages.crate_actions import Around, Batch, add, batches, parameter
 from sierra.packages.crate_graph import Entity, Graph, local, moment, purl, ref
 from sierra.packages.layout import CRATE, INSTRUCTIONS, PROJECT, README, STORED
 from sierra.packages.subject import Made, Member, Subject
@@ -73,8 +73,9 @@ ORDER BY p.spec
 """
 PROGRAMS = """
 SELECT DISTINCT m.spec, p.name, p.version, p.sha256
-FROM programs p JOIN executions x USING (programs) JOIN batch_runs m ON m.run = x.run
-WHERE p.kind = 'program' AND x.purpose = 'run' ORDER BY ALL
+FROM programs p JOIN (
+    SELECT DISTINCT x.programs, m.spec FROM executions x JOIN batch_runs m ON m.run = x.run WHERE x.purpose = 'run'
+) m USING (programs) WHERE p.kind = 'program' ORDER BY ALL
 """
 IMAGES = """
 SELECT DISTINCT ON (image) image, kind, name, sha256 FROM images WHERE image IN (SELECT image FROM specs) ORDER BY image, name
@@ -230,12 +231,14 @@ def _around(graph: Graph, subject: Subject, found: Mapping[str, Member], agents:
     programs = subject.store.select(_Program, PROGRAMS)
     images = {image.image: graph.add(described(image)) for image in subject.store.select(Image, IMAGES)}
     tools = {spec.spec: _tool(graph, spec, specs, programs) for spec in specs}
+    rows = batches(subject.store)
     return Around(
+        batches=rows,
         workflow=workflow,
         sierra=graph.add(_sierra()),
         agents=agents,
         results=ref(RESULTS),
-        templates=_templates(graph, subject, found),
+        templates=_templates(graph, rows, found),
         tools=tools,
         steps={spec.spec: _step(graph, number, spec, tools[spec.spec], workflow) for number, spec in enumerate(specs, 1)},
         images={spec.spec: images[spec.image] for spec in specs if spec.image in images},
@@ -254,10 +257,10 @@ def _sierra() -> Entity:
     }
 
 
-def _templates(graph: Graph, subject: Subject, found: Mapping[str, Member]) -> dict[str, Entity]:
+def _templates(graph: Graph, rows: Sequence[Batch], found: Mapping[str, Member]) -> dict[str, Entity]:
     """Add the packed templates, each with its parameter, and return references by path in the project."""
     templates: dict[str, Entity] = {}
-    for path in dict.fromkeys(batch.template for batch in batches(subject.store)):
+    for path in dict.fromkeys(batch.template for batch in rows):
         if member := found.get(PROJECT + path):
             file = _file(member)
             inputs = graph.add(_parameter(local("template", path), path, "File", file["encodingFormat"]))
@@ -341,7 +344,7 @@ def _workflow(
     graph: Graph, subject: Subject, found: Mapping[str, Member], around: Around, publisher: Sequence[Entity]
 ) -> Entity:
     package = subject.project.config.package
-    axes = dict.fromkeys(name for batch in batches(subject.store) for name in batch.axes)
+    axes = dict.fromkeys(name for batch in around.batches for name in batch.axes)
     inputs = [graph.add(_parameter(parameter(name), name, "PropertyValue")) for name in axes]
     inputs += [ref(local("template", path)) for path in around.templates]
     return {

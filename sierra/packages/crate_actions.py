@@ -4,14 +4,14 @@ Each batch has an OrganizeAction (SIERRA executed the batch) whose result is a C
 Each run that was executed has a CreateAction, and a ControlAction by which its step of the workflow started it. A run's
 execution is the effective one of its batch, or else the last one.
 
-With more than `MOST` executions, each experiment has these two actions instead, and the batch's description says so.
+With more than `MOST` runs, each experiment has these two actions instead, and the batch's description says so.
 """
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import NamedTuple
@@ -20,17 +20,37 @@ from sierra.packages.crate_graph import Entity, Graph, local, moment, ref
 from sierra.store.store import Store
 
 MOST = 2000
-"""The largest number of executions with an action each."""
-EXECUTED = """
-SELECT e.batch, e.ordinal, e.experiment, m.run, m.seed, m.spec, x.execution, x.started, x.ended, x.status, x.reason
-FROM batch_runs m JOIN experiments e USING (batch, ordinal)
-LEFT JOIN effective f USING (batch, ordinal, run)
-LEFT JOIN (
-SELECT run, arg_max(execution, (lamport, execution)) AS execution FROM executions WHERE purpose = 'run' GROUP BY run
-) l ON l.run = m.run
-JOIN executions x ON x.execution = coalesce(f.execution, l.execution)
-ORDER BY e.batch, e.ordinal, m.number
+"""The largest number of runs with an action each."""
+MEMBER = "md5_number(concat_ws(' ', m.batch, m.ordinal, m.run))"
+CHOSEN = "CREATE TEMP TABLE chosen (member UHUGEINT, execution UHUGEINT)"
+"""The execution of each run in each experiment, by hashes, which need less memory than the ids."""
+SEVERAL = """
+CREATE TEMP TABLE several AS SELECT run FROM executions WHERE purpose = 'run' GROUP BY run HAVING count(*) > 1
+UNION SELECT run FROM reused_executions
 """
+"""The runs that may have one of several executions. Any other run has its only one, whether that is effective or not."""
+EFFECTIVE = f"""
+INSERT INTO chosen SELECT {MEMBER}, md5_number(execution) FROM effective m WHERE run IN (SELECT run FROM several)
+"""  # noqa: S608 - of our own parts
+OTHERS = f"""
+INSERT INTO chosen SELECT {MEMBER}, md5_number(arg_max(x.execution, (x.lamport, x.execution)))
+FROM batch_runs m JOIN executions x ON x.run = m.run AND x.purpose = 'run'
+WHERE {MEMBER} NOT IN (SELECT member FROM chosen) GROUP BY ALL
+"""  # noqa: S608 - of our own parts
+EXECUTED = f"""
+SELECT e.batch, e.ordinal, e.experiment, m.number, m.run, m.seed, m.spec, x.execution, x.started, x.ended, x.status, x.reason
+FROM batch_runs m JOIN experiments e USING (batch, ordinal) JOIN chosen c ON c.member = {MEMBER}
+JOIN executions x ON md5_number(x.execution) = c.execution
+"""  # noqa: S608 - of our own parts
+COUNT = "SELECT count(DISTINCT run) FROM batch_runs"
+ACTIONS = f"""
+SELECT {{key}} AS key, list(DISTINCT batch || ' ' || ordinal ORDER BY batch || ' ' || ordinal) AS places, min(run) AS run,
+       min(seed) AS seed, list(DISTINCT spec ORDER BY spec) AS specs, min(started) AS started, max(ended) AS ended,
+       count(DISTINCT md5_number(execution)) AS executions,
+       count(DISTINCT md5_number(execution)) FILTER (status <> 'ok') AS failed,
+       min(coalesce(reason, status)) FILTER (status <> 'ok') AS reason
+FROM ({EXECUTED}) GROUP BY key ORDER BY min((batch, ordinal, number)), key
+"""  # noqa: S608 - of our own parts
 BATCHES = """
 SELECT b.batch, b.query, b.axes, coalesce(s.started, b.created) AS started, s.ended, b.experiments, b.runs, b.template,
 coalesce(f.good, 0) AS good
@@ -57,25 +77,33 @@ class Batch(NamedTuple):
 
 
 class _Executed(NamedTuple):
-    """The execution of a run in an experiment."""
+    """An execution, or all executions of an experiment."""
 
-    batch: str
-    ordinal: int
-    experiment: str
+    key: str
+    """The id of the execution or the experiment."""
+    places: list[str]
+    """The experiments, as the batch's id and the position in the batch."""
     run: str
     seed: int | None
-    spec: str
-    execution: str
+    specs: list[str]
     started: datetime | None
     ended: datetime | None
-    status: str
+    executions: int
+    failed: int
     reason: str | None
+    """The reason why one of them failed, if any did."""
+
+    @property
+    def batches(self) -> list[str]:
+        return list(dict.fromkeys(place.partition(" ")[0] for place in self.places))
 
 
 @dataclass(frozen=True, slots=True)
 class Around:
     """The entities that all actions refer to."""
 
+    batches: Sequence[Batch]
+    """The packed batches in the order in which they were submitted."""
     workflow: Entity
     sierra: Entity
     agents: Sequence[Entity]
@@ -99,24 +127,36 @@ def batches(store: Store) -> list[Batch]:
 
 def add(graph: Graph, store: Store, around: Around) -> list[Entity]:
     """Add all actions, and return references to them. A value's parameter is `parameter(name)`."""
-    rows = store.select(_Executed, EXECUTED)
-    each = len({row.execution for row in rows}) <= MOST
-    values = _values(graph, store)
+    each = store.values(int, COUNT)[0] <= MOST
+    values = _values(graph, store, around.batches)
     found: list[Entity] = []
     controls: dict[str, list[Entity]] = {}
-    for key, group in _groups(rows, each=each):
-        objects = _unique(one for row in group for one in values.get((row.batch, row.ordinal), ()))
-        action = graph.add(_action(key, group, objects, around))
-        steps = _unique(around.steps[row.spec] for row in group)
+    for row in _executed(store, "execution" if each else "experiment"):
+        objects = _unique(one for place in row.places for one in values.get(place, ()))
+        key = local("run" if each else "experiment", row.key)
+        action = graph.add(_action(key, row, objects, around, single=each))
+        steps = _unique(around.steps[spec] for spec in row.specs)
         started = {"@type": "ControlAction", "name": f"start of {key[1:15]}", "instrument": steps, "object": action}
         control = graph.add({"@id": f"{key}-control", **started})
         found += [action, control]
-        for owner in dict.fromkeys(row.batch for row in group):
+        for owner in row.batches:
             controls.setdefault(owner, []).append(control)
-    for batch in batches(store):
-        used = _unique(one for place, some in values.items() if place[0] == batch.batch for one in some)
+    for batch in around.batches:
+        used = _unique(one for place, some in values.items() if place.startswith(batch.batch) for one in some)
         found += _organized(graph, batch, used, controls.get(batch.batch, []), around, each=each)
     return found
+
+
+def _executed(store: Store, key: str) -> list[_Executed]:
+    """Return the executions, or the experiments; `key` is the column with their ids."""
+    with store.snapshot() as snapshot:
+        snapshot.views.make(("effective", "batch_runs", "executions", "reused_executions"))
+        for statement in (CHOSEN, SEVERAL):
+            snapshot.run(statement)
+        if snapshot.run("SELECT 1 FROM several LIMIT 1"):
+            snapshot.run(EFFECTIVE)
+        snapshot.run(OTHERS)
+        return snapshot.select(_Executed, ACTIONS.format(key=key))
 
 
 def parameter(name: str) -> str:
@@ -124,18 +164,18 @@ def parameter(name: str) -> str:
     return local("variable", name)
 
 
-def _values(graph: Graph, store: Store) -> dict[tuple[str, int], list[Entity]]:
-    """Add the values of the variables, and return references to those of each experiment, by batch and ordinal."""
-    axes = {batch.batch: batch.axes for batch in batches(store)}
-    found: dict[tuple[str, int], list[Entity]] = {}
+def _values(graph: Graph, store: Store, packed: Sequence[Batch]) -> dict[str, list[Entity]]:
+    """Add the values of the variables, and return references to those of each experiment, by its place."""
+    axes = {batch.batch: batch.axes for batch in packed}
+    found: dict[str, list[Entity]] = {}
     numbers: dict[tuple[str, str], int] = {}
     for row in store.rows("SELECT * FROM experiments ORDER BY batch, ordinal"):
-        place = (str(row["batch"]), int(str(row["ordinal"])))
-        for name in axes[place[0]]:
+        batch = str(row["batch"])
+        for name in axes[batch]:
             if (value := _plain(row.get(name))) is not None:
                 number = numbers.setdefault((name, repr(value)), len(numbers) + 1)
                 fields = {"@type": "PropertyValue", "name": name, "value": value, "exampleOfWork": ref(parameter(name))}
-                found.setdefault(place, []).append(graph.add({"@id": local("value", number), **fields}))
+                found.setdefault(f"{batch} {row['ordinal']!s}", []).append(graph.add({"@id": local("value", number), **fields}))
     return found
 
 
@@ -146,42 +186,25 @@ def _plain(value: object) -> str | int | float | None:
     return str(value)
 
 
-def _groups(rows: Iterable[_Executed], *, each: bool) -> Iterator[tuple[str, list[_Executed]]]:
-    """Yield the id of each action with its rows: an action for each execution, or for each experiment."""
-    found: dict[str, list[_Executed]] = {}
-    for row in rows:
-        found.setdefault(local("run", row.execution) if each else local("experiment", row.experiment), []).append(row)
-    yield from found.items()
-
-
-def _action(key: str, rows: Sequence[_Executed], objects: Sequence[Entity], around: Around) -> Entity:
+def _action(key: str, row: _Executed, objects: Sequence[Entity], around: Around, *, single: bool) -> Entity:
     """Return the CreateAction of an execution, or of all executions of an experiment."""
-    runs = {row.execution: row for row in rows}
-    failed = [row for row in runs.values() if row.status != "ok"]
-    first = rows[0]
-    commands = dict.fromkeys(shlex.join(around.commands[row.spec]) for row in rows)
-    single = key.startswith("#run-")
+    commands = dict.fromkeys(shlex.join(around.commands[spec]) for spec in row.specs)
+    several = f"{row.failed} runs failed" if row.failed else ""
     return {
         "@id": key,
         "@type": "CreateAction",
-        "name": f"run {first.run[:10]}" if single else f"experiment {first.experiment[:10]}, {len(runs)} runs",
-        "identifier": first.run if single else first.experiment,
-        "description": "; ".join(commands) + (f" (seed {first.seed})" if single and first.seed is not None else ""),
-        "instrument": _unique(around.tools[row.spec] for row in rows),
+        "name": f"run {row.run[:10]}" if single else f"experiment {row.key[:10]}, {row.executions} runs",
+        "identifier": row.run if single else row.key,
+        "description": "; ".join(commands) + (f" (seed {row.seed})" if single and row.seed is not None else ""),
+        "instrument": _unique(around.tools[spec] for spec in row.specs),
         "agent": around.agents,
         "object": objects,
         "result": around.results,
-        "startTime": moment(min((row.started for row in rows if row.started), default=None)),
-        "endTime": moment(max((row.ended for row in rows if row.ended), default=None)),
-        "containerImage": _unique(around.images[row.spec] for row in rows if row.spec in around.images),
-        **_status(_error(failed, single=single)),
+        "startTime": moment(row.started),
+        "endTime": moment(row.ended),
+        "containerImage": _unique(around.images[spec] for spec in row.specs if spec in around.images),
+        **_status((row.reason or "") if single else several),
     }
-
-
-def _error(failed: Sequence[_Executed], *, single: bool) -> str:
-    if failed and single:
-        return failed[0].reason or failed[0].status
-    return f"{len(failed)} runs failed" if failed else ""
 
 
 def _status(error: str) -> Entity:
@@ -194,9 +217,7 @@ def _organized(
     """Add the two actions of a batch, and return references to them."""
     name = f"batch {batch.batch[:10]}"
     about = f"{batch.query or 'the template as it is'}: {batch.experiments} experiments, {batch.runs} runs"
-    coarse = (
-        f"; described by experiment, because the package has more than {MOST} executions: the store's table executions has each"
-    )
+    coarse = f"; described by experiment, because the package has more than {MOST} runs: the store's table executions has each"
     missing = batch.runs - batch.good
     times = {"startTime": moment(batch.started), "endTime": moment(batch.ended)}
     template = [around.templates[batch.template]] if batch.template in around.templates else []

@@ -74,6 +74,8 @@ class Store:
         check_folder(root)
         self.paths = StorePaths(root)
         self.rules = rules
+        self.settings: tuple[str, ...] = ()
+        """Statements that set up each snapshot's connection."""
         self._beneath: Path | None = None
         """The folder of another store's segments, which are read too."""
         self._replays: tuple[str, ...] = ()
@@ -166,12 +168,15 @@ class Store:
         """Open a connection whose statements all see the same state of the store, or of one batch in it."""
         shared = Shared(self.paths.reading)
         try:
-            return Snapshot(
+            made = Snapshot(
                 *(self.paths.root, self._listed(), within, shared),
                 beneath=self._beneath,
                 rules=self.rules,
                 replays=self._replays,
             )
+            for setting in self.settings:
+                made.run(setting)
+            return made
         except BaseException:
             shared.close()
             raise
