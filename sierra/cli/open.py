@@ -66,3 +66,4 @@ def _lines(found: Received) -> Iterator[str]:
     for source in described.sources:
         yield f"source {source.tree}: {source.folder}"
     yield from described.notes
+    yield from found.notes

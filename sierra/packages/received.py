@@ -14,15 +14,20 @@ from pathlib import Path
 from sierra.config import project_file
 from sierra.config.project_file import LoadedProject
 from sierra.errors import Damaged
-from sierra.packages import manifest
+from sierra.packages import manifest, verifier
 from sierra.packages.archive import Archive
-from sierra.packages.layout import PACKAGE, PROJECT, STORED
+from sierra.packages.layout import PACKAGE, PROGRAM, PROJECT, STORED
 from sierra.packages.manifest import PackageManifest
 from sierra.packages.stored import is_record
 from sierra.store.layout import STORE, user_packages
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
+from sierra.version import __version__
 
+OTHER = (
+    f"{PROGRAM} in the package is not that of SIERRA {__version__}: read it before you execute it, or use the one of a package "
+    "that you wrote"
+)
 READ = (".toml", ".sql")
 """Endings of the project's files that commands read to show records."""
 
@@ -37,6 +42,8 @@ class Received:
     project: LoadedProject
     """Its project, in a folder without the source."""
     store: Store
+    notes: tuple[str, ...] = ()
+    """Warnings for whoever goes on with it."""
 
 
 def open_package(path: Path) -> Received:
@@ -50,8 +57,9 @@ def open_package(path: Path) -> Received:
         if not folder.is_dir():
             _keep(archive, folder)
         identity = archive.id
+        known = verifier.is_ours(archive.hashes.get(PROGRAM))
     project = project_file.load(folder)
-    return Received(path, identity, described, project, Store(folder / STORE, project.rules))
+    return Received(path, identity, described, project, Store(folder / STORE, project.rules), () if known else (OTHER,))
 
 
 def records(archive: Archive) -> list[str]:

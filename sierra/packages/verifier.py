@@ -8,6 +8,12 @@ from pathlib import Path
 from sierra.packages import reproduce
 from sierra.packages.layout import PROGRAM
 from sierra.packages.subject import Made, Member, Subject
+from sierra.util.hashing import sha256_file
+
+
+def is_ours(digest: str | None) -> bool:
+    """Return whether a file with this SHA-256 is the program of this version of SIERRA."""
+    return digest == sha256_file(Path(reproduce.__file__))
 
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
