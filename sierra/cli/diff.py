@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import groupby
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from sierra.explain.diff.compare import Comparison
     from sierra.explain.diff.model import Difference
 
+ZIP = ".zip"
 LINES = 6
 """The largest number of differences of one kind that are shown."""
 DETAILS = 12
@@ -30,23 +32,26 @@ def diff(
         typer.Argument(
             metavar="A",
             autocompletion=complete.ids,
-            help="Id of a batch, experiment, run or execution; a prefix is enough.",
+            help="Id of a batch, experiment, run or execution; a prefix is enough. Or a package, FILE.zip.",
         ),
     ],
     after: Annotated[
         str,
         typer.Argument(
-            metavar="B", autocompletion=complete.ids, help="Id of the same kind; a run can also be compared with an execution."
+            metavar="B",
+            autocompletion=complete.ids,
+            help="Id of the same kind; a run can also be compared with an execution. Or a package.",
         ),
     ],
     patch: Annotated[bool, typer.Option("--patch", help="Show the whole patch and all other details.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text, with all details.")] = False,
 ) -> None:
-    """Compare two batches, experiments, runs or executions.
+    """Compare two batches, experiments, runs, executions or packages.
 
     Differences that probably affect results come first: query, platform, command, image, programs, source, variables,
     inputs, rules, seeds, containers, the machine. Differences of the results come last. Nothing is executed; the comparison
-    uses only the records. For a run, its effective execution is compared.
+    uses only the records. For a run, its effective execution is compared. For packages, the metadata, batches, runs, sources,
+    programs, environments and results of effective executions are compared.
 
     The exit code is 0 if nothing differs, and 1 if something does.
 
@@ -54,9 +59,13 @@ def diff(
     Examples:
       sierra diff 774d 0cdc
       sierra diff 774d 0cdc --patch
+      sierra diff ours.zip theirs.zip
     """
     from sierra.cli.open_project import project
 
+    if before.endswith(ZIP) or after.endswith(ZIP):
+        _packages(before, after, as_json=as_json)
+        return
     answer = project().diff(before, after)
     if as_json:
         print_json(_answer(answer))
@@ -64,6 +73,28 @@ def diff(
         _print(answer, everything=patch)
         for text in answer.notes:
             note(text)
+    if answer.differences:
+        raise typer.Exit(1)
+
+
+def _packages(before: str, after: str, *, as_json: bool) -> None:
+    """Compare two packages, which needs no project."""
+    from sierra.errors import UsageError
+    from sierra.packages import differences
+    from sierra.packages.received import open_package
+    from sierra.util.hashing import short
+    from sierra.util.text import one_line
+
+    if not (before.endswith(ZIP) and after.endswith(ZIP)):
+        raise UsageError("a package can only be compared with another package; sierra import adds its records to this store")
+    answer = differences.compare(open_package(Path(before)), open_package(Path(after)))
+    if as_json:
+        print_json(answer)
+    else:
+        print(f"package {short(answer.before)} → package {short(answer.after)}")
+        for one in answer.differences:
+            print(one_line(f"{one.kind}: {one.line}"))
+        print(f"the same: {', '.join(answer.same)}")
     if answer.differences:
         raise typer.Exit(1)
 

@@ -160,6 +160,28 @@ def test_a_package_of_imported_batches_keeps_whose_executions_count(lab: Path, o
     assert value(third, f"{EFFECTIVE} WHERE packages IS NULL") == 0
 
 
+def test_two_packages_are_compared_without_a_project(lab: Path, other: Path, tmp_path: Path) -> None:
+    project = sierra.open(other)
+    batch = project.run(*FIRST, figures=False).batch
+    project.package(batch, path=tmp_path / "theirs.zip")
+    ours = str(lab.parent / "first.zip")
+    said = projects.quick(tmp_path, "diff", ours, "theirs.zip")
+    assert said.returncode == 1, said.stderr
+    assert "results: 4 of 4 runs in both have other results" in said.stdout
+    assert "results: clock.csv differs in 4 runs\n" in said.stdout
+    assert "swarm.csv" not in said.stdout
+    assert "results: table clock, run " in said.stdout
+    assert "\nthe same: " in said.stdout
+    assert {"batches", "runs", "source", "programs", "environment"} <= set(said.stdout.rpartition(": ")[2].strip().split(", "))
+    both = projects.quick(tmp_path, "diff", ours, str(lab.parent / "both.zip"))
+    assert "batches: 1 only in the second: " in both.stdout
+    assert "runs: 2 only in the second: " in both.stdout
+    assert "other results" not in both.stdout
+    same = projects.quick(tmp_path, "diff", ours, ours)
+    assert (same.returncode, same.stdout.count("\n")) == (0, 2)
+    assert projects.quick(lab, "diff", ours, batch).returncode == 2
+
+
 KILLED = """
 import os, signal, sys
 from sierra.store.segments import Writer

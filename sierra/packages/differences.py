@@ -1,0 +1,166 @@
+"""Differences between two packages: metadata, batches, runs, results with their values, sources, programs and environments.
+
+The records of both are read apart from each other, and nothing is executed. Results are those of effective executions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, NamedTuple
+
+from sierra.packages.received import Received
+from sierra.replay.compare_values import Verdict, of_tables
+from sierra.store.sql_names import identifier
+from sierra.store.store import Store
+from sierra.util.hashing import short
+from sierra.util.text import counted, few
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+SHOWN = 3
+COMPARED = 20
+"""The largest number of runs with other results whose values are compared."""
+BESIDE = ("run", "execution", "number")
+"""Columns of outputs that are not values, as the independent variables are not."""
+
+
+class Difference(NamedTuple):
+    """One difference, in a line."""
+
+    kind: str
+    line: str
+
+
+@dataclass(frozen=True, slots=True)
+class PackageDifferences:
+    """The differences of two packages, and the kinds in which they do not differ."""
+
+    before: str
+    after: str
+    """The ids of the packages."""
+    differences: tuple[Difference, ...]
+    same: tuple[str, ...]
+
+
+def compare(before: Received, after: Received) -> PackageDifferences:
+    """Return the differences of two packages. Raises Damaged and SqlError if records cannot be read."""
+    found = [Difference(kind, line) for kind, lines in KINDS.items() for line in lines(before, after)]
+    differing = {one.kind for one in found}
+    return PackageDifferences(before.id, after.id, tuple(found), tuple(kind for kind in KINDS if kind not in differing))
+
+
+def _metadata(before: Received, after: Received) -> Iterator[str]:
+    for name in ("title", "date", "sierra", "redacted"):
+        was, now = getattr(before.manifest, name), getattr(after.manifest, name)
+        if was != now:
+            yield f"{name}: {was} → {now}"
+
+
+def _sets(statement: str) -> Callable[[Received, Received], Iterator[str]]:
+    """Return a function that names what only one of two packages has, by a statement for the names."""
+
+    def lines(before: Received, after: Received) -> Iterator[str]:
+        was, now = (set(one.store.values(str, statement)) for one in (before, after))
+        for only, where in ((was - now, "first"), (now - was, "second")):
+            if only:
+                yield f"{len(only)} only in the {where}: {few(sorted(only), SHOWN)}"
+
+    return lines
+
+
+class _State(NamedTuple):
+    run: str
+    execution: str
+    result: str
+
+
+EFFECTIVE = """
+SELECT m.run, any_value(e.execution) AS execution, any_value(e.result) AS result
+FROM (SELECT DISTINCT batch, run FROM batch_runs) m JOIN effective f USING (batch, run)
+JOIN executions e ON e.execution = f.execution GROUP BY m.run
+"""
+
+
+def _effective(store: Store) -> dict[str, _State]:
+    return {row.run: row for row in store.select(_State, EFFECTIVE)}
+
+
+def _results(before: Received, after: Received) -> Iterator[str]:
+    """Yield whether runs in both have the same results, and for some runs that have not, how far their values are apart."""
+    old, new = _effective(before.store), _effective(after.store)
+    both = old.keys() & new.keys()
+    for only, where in ((old.keys() - both, "first"), (new.keys() - both, "second")):
+        if only:
+            yield f"successful only in the {where}: {counted(len(only), 'run')}: {few(sorted(map(short, only)), SHOWN)}"
+    other = sorted(run for run in both if old[run].result != new[run].result)
+    if other:
+        yield f"{len(other)} of {counted(len(both), 'run')} in both have other results: {few(list(map(short, other)), SHOWN)}"
+        yield from _files(before.store, after.store, [(old[run].execution, new[run].execution) for run in other])
+        yield from _values(before.store, after.store, list(islice(other, COMPARED)))
+
+
+def _files(before: Store, after: Store, pairs: list[tuple[str, str]]) -> Iterator[str]:
+    """Yield the outputs that differ, each with the number of runs."""
+    was = _digests(before, [one for one, _ in pairs])
+    now = _digests(after, [one for _, one in pairs])
+    counts: dict[str, int] = {}
+    for old, new in pairs:
+        for path in was.get(old, {}).keys() | now.get(new, {}).keys():
+            if was.get(old, {}).get(path) != now.get(new, {}).get(path):
+                counts[path] = counts.get(path, 0) + 1
+    yield from (f"{path} differs in {counted(count, 'run')}" for path, count in sorted(counts.items()))
+
+
+def _digests(store: Store, executions: list[str]) -> dict[str, dict[str, str]]:
+    """Return the SHA-256 of the outputs of executions, by execution and path."""
+    found: dict[str, dict[str, str]] = {}
+    for row in store.rows(
+        "SELECT execution, path, sha256 FROM artifacts WHERE kind <> 'log' AND list_contains($e, execution)", e=executions
+    ):
+        found.setdefault(str(row["execution"]), {})[str(row["path"])] = str(row["sha256"])
+    return found
+
+
+def _values(before: Store, after: Store, runs: list[str]) -> Iterator[str]:
+    """Yield the tables whose values differ in these runs, with the first difference and the greatest distances."""
+    beside = {*BESIDE, *_axes(before), *_axes(after)}
+    for name in sorted(_tables(before) & _tables(after)):
+        statement = f"SELECT * FROM {identifier(name)} WHERE run = $run ORDER BY ALL"  # noqa: S608 - a quoted name
+        for run in runs:
+            was, now = (_without(store.sql(statement, run=run), beside) for store in (before, after))
+            answer = of_tables(was, now)
+            if answer.verdict is Verdict.DIFFERENT:
+                yield f"table {name}, run {short(run)}: {answer.reason}"
+                break
+
+
+def _axes(store: Store) -> list[str]:
+    return store.values(str, "SELECT DISTINCT unnest(axes) FROM batches")
+
+
+def _without(table: pa.Table, names: AbstractSet[str]) -> pa.Table:
+    return table.drop_columns([name for name in table.column_names if name in names])
+
+
+def _tables(store: Store) -> set[str]:
+    return {name for segment in store.segments() for name, _ in segment.outputs()}
+
+
+KINDS: dict[str, Callable[[Received, Received], Iterator[str]]] = {
+    "metadata": _metadata,
+    "batches": _sets("SELECT left(batch, 10) || ' (' || query || ')' FROM batches"),
+    "runs": _sets("SELECT DISTINCT left(run, 10) FROM batch_runs"),
+    "source": _sets("SELECT DISTINCT tree FROM sources"),
+    "programs": _sets(
+        "SELECT DISTINCT concat_ws(' ', name, version, left(sha256, 10)) FROM programs WHERE kind IN ('program', 'library')",
+    ),
+    "environment": _sets(
+        "SELECT DISTINCT concat_ws(', ', os, 'kernel ' || kernel, cpu, libc, 'Python ' || python) FROM environments"
+    ),
+    "results": _results,
+}
+"""The kinds of differences, in the order in which they are shown, with the functions that find them."""
