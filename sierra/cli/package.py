@@ -40,6 +40,7 @@ def package(
     from sierra.cli.open_project import project
 
     def agree(preview: Preview) -> bool:
+        print("" if as_json else "".join(f"{fact}\n" for fact in preview.facts), end="")
         lines = [f"{output}: {preview.members:,} files, {size(preview.bytes)}", *preview.notes]
         return not preview.notes or agreed(lines, yes, as_json, "to be packed")
 
@@ -50,5 +51,4 @@ def package(
     if as_json:
         print_json(packed)
     else:
-        print("".join(f"{fact}\n" for fact in packed.preview.facts), end="")
         print(f"{packed.path}: package {packed.id[:10]}, {packed.preview.members:,} files")

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, StringConstraints
 
-from sierra.config.field_types import Table
+from sierra.config.field_types import Size, Table
 
 Relation = Literal[
     "isSupplementTo",
@@ -150,4 +150,12 @@ class Package(Table):
     doi: Annotated[str, _unless_empty(_identifier)] = Field("", description="DOI of the package, once it has one")
     repository: Annotated[str, _unless_empty(_address)] = Field("", description="address of the project's repository")
     related: tuple[Related, ...] = Field((), description="the paper and other related objects")
+    max_file: Size = Field(
+        100_000_000, description="maximum size of a packed file, in bytes or as in `100 MB`; a larger file must be confirmed"
+    )
+    no_secrets: tuple[Line, ...] = Field(
+        (),
+        description="files and variables that only look as if they contained a secret: names as `sierra package` reports them; "
+        "`*` matches any characters",
+    )
     data: tuple[ExternalData, ...] = Field((), description="data that the runs need, and that the package does not contain")

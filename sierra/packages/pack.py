@@ -17,10 +17,12 @@ from sierra.errors import UsageError
 from sierra.maintenance.extract import extract
 from sierra.packages import (
     archive,
+    checks,
     crate,
     declared_files,
     execution,
     instructions,
+    licence,
     manifest,
     metadata,
     sources,
@@ -39,7 +41,9 @@ PARTS: tuple[Part, ...] = (
     used_files.members,
     execution.members,
     metadata.members,
+    licence.members,
     verifier.members,
+    checks.members,
 )
 
 
