@@ -150,6 +150,7 @@ class Package(Table):
     doi: Annotated[str, _unless_empty(_identifier)] = Field("", description="DOI of the package, once it has one")
     repository: Annotated[str, _unless_empty(_address)] = Field("", description="address of the project's repository")
     related: tuple[Related, ...] = Field((), description="the paper and other related objects")
+    history: bool = Field(True, description="whether packages have the history of the recorded commits, as a git bundle")
     max_file: Size = Field(
         100_000_000, description="maximum size of a packed file, in bytes or as in `100 MB`; a larger file must be confirmed"
     )

@@ -53,7 +53,8 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     """Return no members, but the reasons why these must not be published as they are, and files to confirm."""
     editable = subject.store.values(str, EDITABLE, root=str(subject.project.root))
     facts = [f"editable installs, whose code is hashed and not packed: {few(editable, SHOWN)}"] if editable else []
-    return Made((), notes=tuple(_large(subject, found.values())), facts=tuple(facts), problems=tuple(_secrets(subject, found)))
+    problems = secret_problems(subject, _secrets(subject, found))
+    return Made((), notes=tuple(_large(subject, found.values())), facts=tuple(facts), problems=tuple(problems))
 
 
 def _large(subject: Subject, found: Iterable[Member]) -> Iterator[str]:
@@ -63,10 +64,17 @@ def _large(subject: Subject, found: Iterable[Member]) -> Iterator[str]:
             yield f"{member.name} has {size(member.size)}, which is more than {size(limit)} ([package] max_file)"
 
 
-def _secrets(subject: Subject, found: Mapping[str, Member]) -> Iterator[str]:
-    """Yield one line that names all secrets; nothing if there is none."""
+def _secrets(subject: Subject, found: Mapping[str, Member]) -> Iterator[tuple[str, str]]:
+    """Yield the places of secrets, and their kinds."""
+    yield from _of_members(found)
+    yield from _of_settings(subject)
+    yield from _of_records(subject)
+    yield from _of_objects(subject, found)
+
+
+def secret_problems(subject: Subject, places: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Yield one line that names secrets by their places and kinds, without those of `[package] no_secrets`."""
     allowed = subject.project.config.package.no_secrets
-    places = itertools.chain(_of_members(found), _of_settings(subject), _of_records(subject), _of_objects(subject, found))
     lines = dict.fromkeys(f"{place} ({kind})" for place, kind in places if not any(fnmatchcase(place, one) for one in allowed))
     if lines:
         remedy = "remove them, and record the batch again; or list what is no secret in [package] no_secrets"

@@ -13,6 +13,7 @@ works in it once it is extracted.
     project/                  sierra.toml, sierra.lock, templates, the source of the newest batch, files that runs need
     project/.sierra/          the store with the packed batches
     source/<tree, 12 digits>/ sources of the other batches
+    source/history.bundle     the history of the recorded commits, for git clone
     figures/<batch>/          figures and tables as they were drawn
     environment/              used-files.txt: files of the machine that runs used
     execution/                programs and jobs that execute the runs without SIERRA; see sierra.packages.execute_runs
@@ -30,6 +31,7 @@ CRATE = "ro-crate-metadata.json"
 PROJECT = "project/"
 STORED = f"{PROJECT}{STORE}/"
 SOURCE = "source/"
+HISTORY = "source/history.bundle"
 DRAWN = "figures/"
 USED = "environment/used-files.txt"
 EXECUTION = "execution/"

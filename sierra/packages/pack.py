@@ -22,6 +22,7 @@ from sierra.packages import (
     declared_files,
     execution,
     figures,
+    history,
     instructions,
     licence,
     manifest,
@@ -37,6 +38,7 @@ from sierra.store.store import Store
 
 PARTS: tuple[Part, ...] = (
     sources.members,
+    history.members,
     stored.members,
     declared_files.members,
     used_files.members,
