@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from sierra.packages.metadata import Metadata
     from sierra.packages.pack import Packed, Preview
     from sierra.packages.reproduction.outcome import Reproduction, Statement
+    from sierra.packages.subject import ImageForm
     from sierra.provenance.commits_between import Known as CommitInRepository
     from sierra.provenance.source.share_refs import Shared
     from sierra.query.query_request import QueryRequest
@@ -1356,10 +1357,12 @@ class Project:
         path: str | os.PathLike[str],
         claims: bool = False,
         agree: Callable[[Preview], bool] = lambda preview: True,
+        image: ImageForm = "none",
     ) -> Packed | None:
         """Write a reproduction package of these batches, if `agree` returns true for the preview: see `sierra.packages.pack`.
 
         With `claims`, also of the batches that the claims of `sierra.toml` rest on.
+        `image`: the forms in which container images are packed, `oci`, `sif`, `both` or `none`.
 
         Raises NotFound if such a batch has not been recorded, UsageError if there is no batch or the file exists, ConfigError
         if `[package]` has no title, authors or licence, Missing for a source that no longer exists.
@@ -1370,6 +1373,7 @@ class Project:
         sierra.errors.ConfigError: [package] in sierra.toml needs title, authors, license
         """
         from sierra.packages import pack
+        from sierra.packages.subject import Options
 
         if claims:
             from sierra.deliverables.claims import evaluate
@@ -1378,7 +1382,7 @@ class Project:
             batches = (*batches, *(batch for ids in decide.values() for batch in ids))
         if not batches:
             raise UsageError("name the batches to be packed")
-        return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree)
+        return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree, options=Options(image))
 
     def import_package(self, path: str | os.PathLike[str]) -> Imported:
         """Add the records of a package to the store, and keep where they came from: see `sierra.packages.imports`.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -23,6 +23,14 @@ def package(
         typer.Argument(metavar="BATCH", autocompletion=complete.ids, help="Ids of batches; prefixes are enough."),
     ] = None,
     claims: Annotated[bool, typer.Option("--claims", help="Also pack the batches that the claims rest on.")] = False,
+    image: Annotated[
+        Literal["oci", "sif", "both", "none"],
+        typer.Option(
+            "--image",
+            help="Pack the container images of the runs: oci (for podman and docker), sif (for apptainer), both or none "
+            "(ids and recipes only).",
+        ),
+    ] = "none",
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
@@ -35,6 +43,7 @@ def package(
     Examples:
       sierra package 3f2a -o results.zip
       sierra package --claims -o results.zip
+      sierra package 3f2a -o results.zip --image both
     """
     from sierra.cli.confirm import agreed
     from sierra.cli.open_project import project
@@ -44,7 +53,7 @@ def package(
         lines = [f"{output}: {preview.members:,} files, {size(preview.bytes)}", *preview.notes]
         return not preview.notes or agreed(lines, yes, as_json, "to be packed")
 
-    packed = project().package(*(batches or ()), path=output, claims=claims, agree=agree)
+    packed = project().package(*(batches or ()), path=output, claims=claims, agree=agree, image=image)
     if packed is None:
         print("nothing was written")
         raise typer.Exit(1)

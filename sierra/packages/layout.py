@@ -15,8 +15,9 @@ works in it once it is extracted.
     source/<tree, 12 digits>/ sources of the other batches
     source/history.bundle     the history of the recorded commits, for git clone
     figures/<batch>/          figures and tables as they were drawn
-    environment/              used-files.txt: files of the machine that runs used
     execution/                programs and jobs that execute the runs without SIERRA; see sierra.packages.execute_runs
+    environment/              used-files.txt: files of the machine that runs used; images.json: container images
+    environment/images/       container images, by id
 """
 
 from __future__ import annotations
@@ -37,3 +38,5 @@ USED = "environment/used-files.txt"
 EXECUTION = "execution/"
 EXECUTOR = f"{EXECUTION}execute_runs.py"
 PLAN = f"{EXECUTION}plan.json"
+IMAGES = "environment/images.json"
+IMAGE_FILES = "environment/images/"

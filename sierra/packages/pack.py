@@ -23,6 +23,7 @@ from sierra.packages import (
     execution,
     figures,
     history,
+    images,
     instructions,
     licence,
     manifest,
@@ -33,7 +34,7 @@ from sierra.packages import (
     verifier,
 )
 from sierra.packages.layout import INSTRUCTIONS, PACKAGE
-from sierra.packages.subject import Made, Member, Part, Subject
+from sierra.packages.subject import Made, Member, Options, Part, Subject
 from sierra.store.store import Store
 
 PARTS: tuple[Part, ...] = (
@@ -43,6 +44,7 @@ PARTS: tuple[Part, ...] = (
     declared_files.members,
     used_files.members,
     execution.members,
+    images.members,
     figures.members,
     metadata.members,
     licence.members,
@@ -80,6 +82,7 @@ def pack(
     prefixes: Sequence[str],
     path: Path,
     agree: Callable[[Preview], bool] = lambda preview: True,
+    options: Options | None = None,
 ) -> Packed | None:
     """Write a package of these batches, if `agree` returns true for the preview; return None if it returns false.
 
@@ -91,7 +94,7 @@ def pack(
     with tempfile.TemporaryDirectory(prefix=".sierra-package-", dir=path.parent, ignore_cleanup_errors=True) as folder:
         scratch = Path(folder)
         part = extract(store, batches, scratch / "store")
-        subject = Subject(project, part, batches, scratch, _date(project, part))
+        subject = Subject(project, part, batches, scratch, _date(project, part), options or Options())
         members, notes, facts = _collect(subject)
         described = manifest.describe(subject, members, (*notes, *facts))
         members[PACKAGE] = Member(PACKAGE, manifest.written(described), "description of the package for programs")

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
 from sierra.config import project_file
 from sierra.config.project_file import LoadedProject
@@ -15,6 +15,16 @@ from sierra.packages.layout import PROJECT, STORED
 from sierra.store.store import Store
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256, sha256_file
+
+ImageForm = Literal["oci", "sif", "both", "none"]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Settings of one package."""
+
+    image: ImageForm = "none"
+    """The forms in which container images are packed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +40,7 @@ class Subject:
     """A folder for temporary files."""
     date: str
     """The date of the package, in ISO 8601: that of `[package]`, else of the newest record."""
+    options: Options = Options()
 
 
 @dataclass(frozen=True, slots=True)
