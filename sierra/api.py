@@ -1358,11 +1358,16 @@ class Project:
         claims: bool = False,
         agree: Callable[[Preview], bool] = lambda preview: True,
         image: ImageForm = "none",
+        wheels: bool = False,
+        pythons: Sequence[str] = (),
+        machines: Sequence[str] = (),
     ) -> Packed | None:
         """Write a reproduction package of these batches, if `agree` returns true for the preview: see `sierra.packages.pack`.
 
         With `claims`, also of the batches that the claims of `sierra.toml` rest on.
-        `image`: the forms in which container images are packed, `oci`, `sif`, `both` or `none`.
+
+        `image`: the forms in which container images are packed, `oci`, `sif`, `both` or `none`. With `wheels`, Python
+        packages are packed for these versions of Python (as `3.12`) and processors (as `x86_64`); by default, for this Python.
 
         Raises NotFound if such a batch has not been recorded, UsageError if there is no batch or the file exists, ConfigError
         if `[package]` has no title, authors or licence, Missing for a source that no longer exists.
@@ -1382,7 +1387,8 @@ class Project:
             batches = (*batches, *(batch for ids in decide.values() for batch in ids))
         if not batches:
             raise UsageError("name the batches to be packed")
-        return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree, options=Options(image))
+        options = Options(image, wheels, tuple(pythons), tuple(machines))
+        return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree, options=options)
 
     def import_package(self, path: str | os.PathLike[str]) -> Imported:
         """Add the records of a package to the store, and keep where they came from: see `sierra.packages.imports`.

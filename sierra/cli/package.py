@@ -10,6 +10,7 @@ import typer
 from sierra.cli import complete
 from sierra.cli.arguments import AsJson, Yes
 from sierra.cli.output import print_json
+from sierra.errors import UsageError
 from sierra.util.text import size
 
 if TYPE_CHECKING:
@@ -31,6 +32,17 @@ def package(
             "(ids and recipes only).",
         ),
     ] = "none",
+    wheels: Annotated[
+        bool, typer.Option("--wheels", help="Pack SIERRA and the project's Python packages, to install them without a network.")
+    ] = False,
+    pythons: Annotated[
+        str,
+        typer.Option("--python", metavar="VERSION[,VERSION...]", help="Versions of Python for --wheels (default: this one)."),
+    ] = "",
+    machines: Annotated[
+        str,
+        typer.Option("--arch", metavar="NAME[,NAME...]", help="Processors for --wheels, as x86_64 (default: this one)."),
+    ] = "",
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
@@ -44,6 +56,7 @@ def package(
       sierra package 3f2a -o results.zip
       sierra package --claims -o results.zip
       sierra package 3f2a -o results.zip --image both
+      sierra package 3f2a -o results.zip --wheels --python 3.12,3.13
     """
     from sierra.cli.confirm import agreed
     from sierra.cli.open_project import project
@@ -53,7 +66,10 @@ def package(
         lines = [f"{output}: {preview.members:,} files, {size(preview.bytes)}", *preview.notes]
         return not preview.notes or agreed(lines, yes, as_json, "to be packed")
 
-    packed = project().package(*(batches or ()), path=output, claims=claims, agree=agree, image=image)
+    if (pythons or machines) and not wheels:
+        raise UsageError("--python and --arch choose wheels; add --wheels")
+    chosen = {"pythons": _listed(pythons), "machines": _listed(machines)}
+    packed = project().package(*(batches or ()), path=output, claims=claims, agree=agree, image=image, wheels=wheels, **chosen)
     if packed is None:
         print("nothing was written")
         raise typer.Exit(1)
@@ -61,3 +77,8 @@ def package(
         print_json(packed)
     else:
         print(f"{packed.path}: package {packed.id[:10]}, {packed.preview.members:,} files")
+
+
+def _listed(text: str) -> list[str]:
+    """Return the words of a list with commas."""
+    return [one.strip() for one in text.split(",") if one.strip()]

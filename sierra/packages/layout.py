@@ -18,6 +18,7 @@ works in it once it is extracted.
     execution/                programs and jobs that execute the runs without SIERRA; see sierra.packages.execute_runs
     environment/              used-files.txt: files of the machine that runs used; images.json: container images
     environment/images/       container images, by id
+    environment/wheels/       Python packages, with their lock environment/requirements.lock
 """
 
 from __future__ import annotations
@@ -40,3 +41,5 @@ EXECUTOR = f"{EXECUTION}execute_runs.py"
 PLAN = f"{EXECUTION}plan.json"
 IMAGES = "environment/images.json"
 IMAGE_FILES = "environment/images/"
+WHEELS = "environment/wheels/"
+REQUIREMENTS = "environment/requirements.lock"

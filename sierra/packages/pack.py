@@ -32,6 +32,7 @@ from sierra.packages import (
     stored,
     used_files,
     verifier,
+    wheels,
 )
 from sierra.packages.layout import INSTRUCTIONS, PACKAGE
 from sierra.packages.subject import Made, Member, Options, Part, Subject
@@ -45,6 +46,7 @@ PARTS: tuple[Part, ...] = (
     used_files.members,
     execution.members,
     images.members,
+    wheels.members,
     figures.members,
     metadata.members,
     licence.members,

@@ -25,6 +25,12 @@ class Options:
 
     image: ImageForm = "none"
     """The forms in which container images are packed."""
+    wheels: bool = False
+    """Whether wheels of SIERRA and of the project's Python packages are packed."""
+    pythons: tuple[str, ...] = ()
+    """Versions of Python for the wheels, as 3.12; default: this one."""
+    machines: tuple[str, ...] = ()
+    """Processors for the wheels, as x86_64; default: this one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,121 @@
+"""The Python packages that SIERRA and a project need on a given Python and processor, from the metadata of the installed ones.
+
+pip evaluates markers for the Python that executes it and not for another one that is requested. So the needed packages are
+computed here, and pip gets names and versions only.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from importlib import metadata
+from typing import TYPE_CHECKING, NamedTuple
+
+from sierra.errors import UsageError
+from sierra.provenance.dependency_model import normalized
+from sierra.provenance.pythons import OWN
+
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
+
+EXTRAS = ("figures", "embedding", "hdf5", "netcdf")
+"""SIERRA's extras that reading and drawing may need. Those whose packages are installed count."""
+GLIBC = (*range(28, 4, -1), *range(29, 42))
+"""Minor versions of glibc 2 that wheels may need, the preferred ones first: most systems have 2.28."""
+OLD = ("manylinux2014", "manylinux2010", "manylinux1", "linux")
+
+
+class Target(NamedTuple):
+    """A version of Python, as 3.12, and a processor by the kernel's name, as x86_64."""
+
+    python: str
+    machine: str
+
+    def __str__(self) -> str:
+        return f"Python {self.python} on {self.machine}"
+
+    @property
+    def marker(self) -> str:
+        """The marker of this target in a list of requirements (PEP 508)."""
+        return f'(python_version == "{self.python}" and platform_machine == "{self.machine}")'
+
+    def options(self) -> Iterator[str]:
+        """Yield the options with which pip chooses wheels for it."""
+        yield from ("--only-binary", ":all:", "--implementation", "cp", "--python-version", self.python)
+        for minor in GLIBC:
+            yield from ("--platform", f"manylinux_2_{minor}_{self.machine}")
+        for name in OLD:
+            yield from ("--platform", f"{name}_{self.machine}")
+
+
+def target(python: str, machine: str) -> Target:
+    """Return a target. Raises UsageError for texts that are no version and no processor."""
+    if not re.fullmatch(r"3\.\d{1,2}", python):
+        raise UsageError(f"--python: {python!r} is not a version of Python such as 3.12")
+    if not re.fullmatch(r"[a-z0-9_]{2,20}", machine):
+        raise UsageError(f"--arch: {machine!r} is not a processor such as x86_64 or aarch64")
+    return Target(python, machine)
+
+
+def needed(requires: Iterable[str], target: Target, recorded: Mapping[str, str]) -> dict[str, str]:
+    """Return the needed packages as pip takes them, by normalized name: SIERRA, `requires`, and all that they require.
+
+    Versions are those in `recorded`, else the installed ones. A package that is not installed here has no version, only what is
+    required of it.
+    """
+    from packaging.requirements import Requirement
+
+    found: dict[str, str] = {}
+    waiting = [Requirement(f"{OWN}[{','.join(_extras())}]"), *_that_apply(requires, "", target)]
+    seen: set[tuple[str, str]] = set()
+    while waiting:
+        one = waiting.pop()
+        name = normalized(one.name)
+        installed = _installed(name)
+        if installed is None:
+            found.setdefault(name, f"{name}{one.specifier}")
+            continue
+        found[name] = f"{name}=={_version(installed, recorded)}"
+        for extra in {"", *one.extras} - {of for of_name, of in seen if of_name == name}:
+            seen.add((name, extra))
+            waiting += _that_apply(installed.requires or (), extra, target)
+    return dict(sorted(found.items()))
+
+
+def _version(installed: metadata.Distribution, recorded: Mapping[str, str]) -> str:
+    name = normalized(installed.name)
+    return installed.version if name == OWN else recorded.get(name, installed.version)
+
+
+def _installed(name: str) -> metadata.Distribution | None:
+    try:
+        return metadata.distribution(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _that_apply(texts: Iterable[str], extra: str, target: Target) -> Iterator[Requirement]:
+    """Yield the requirements whose markers are true for a target and an extra."""
+    from packaging.requirements import Requirement
+
+    environment = {
+        "python_version": target.python,
+        "python_full_version": f"{target.python}.0",
+        "implementation_version": f"{target.python}.0",
+        "platform_machine": target.machine,
+    }
+    for one in map(Requirement, texts):
+        if one.marker is None or one.marker.evaluate({**environment, "extra": extra}):
+            yield one
+
+
+def _extras() -> list[str]:
+    """Return the extras of SIERRA whose packages are installed here."""
+    from packaging.requirements import Requirement
+
+    own = metadata.distribution(OWN)
+    requirements = [Requirement(text) for text in own.requires or ()]
+    wanted = {
+        extra: [one for one in requirements if one.marker and f'extra == "{extra}"' in str(one.marker)] for extra in EXTRAS
+    }
+    return [extra for extra, ones in wanted.items() if ones and all(_installed(one.name) is not None for one in ones)]

@@ -1,0 +1,127 @@
+"""The part `environment/wheels/` of a package: wheels of SIERRA and of the project's Python packages, to install them offline.
+
+pip downloads the wheels for each requested Python and processor, in the recorded versions, from the index that the user has
+configured; no address of it is kept. `environment/requirements.lock` has the SHA-256 of each wheel. For this Python, pip then
+resolves the lock from the wheels alone, as an offline installation will. pip's own wheel is there for a Python without pip.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import unquote, urlsplit
+
+from sierra.errors import Missing
+from sierra.packages.layout import REQUIREMENTS, WHEELS
+from sierra.packages.python_packages import Target, needed, target
+from sierra.packages.subject import Made, Member, Subject
+from sierra.provenance.dependency_model import normalized, versions
+from sierra.provenance.pythons import OWN
+from sierra.util.hashing import sha256_file
+
+PIP = "pip"
+HERE = Target(f"{sys.version_info[0]}.{sys.version_info[1]}", platform.machine())
+RECORDED = """
+SELECT e.distributions FROM sessions s JOIN environments e USING (environment)
+WHERE e.distributions <> '' ORDER BY s.lamport DESC LIMIT 1
+"""
+"""SQL: the Python distributions of the newest session."""
+
+
+class Wheel(NamedTuple):
+    """A wheel: normalized name, version, SHA-256 and file."""
+
+    name: str
+    version: str
+    sha256: str
+    path: Path
+
+
+def members(subject: Subject, found: Mapping[str, Member]) -> Made:
+    """Return the requested wheels and their lock. Raises Missing if pip does not find one, UsageError for a wrong target."""
+    options = subject.options
+    if not options.wheels:
+        return Made(())
+    targets = [
+        target(python, one) for python in options.pythons or (HERE.python,) for one in options.machines or (HERE.machine,)
+    ]
+    recorded = versions("".join(subject.store.values(str, RECORDED)))
+    own = _own(subject.folder / "own")
+    wheels = {}
+    for one in targets:
+        wanted = needed(subject.project.config.requires, one, recorded)
+        wheels[one] = _download(subject.folder / f"wheels-{one.python}-{one.machine}", one, wanted, own)
+    if HERE in wheels:
+        _resolve(subject.folder, wheels[HERE])
+    files = {wheel.path.name: wheel.path for ones in wheels.values() for wheel in ones}
+    made = [Member(WHEELS + name, path, "Python package") for name, path in sorted(files.items())]
+    return Made([*made, Member(REQUIREMENTS, lock(wheels).encode(), "versions and SHA-256 of the Python packages")])
+
+
+def lock(wheels: Mapping[Target, Sequence[Wheel]]) -> str:
+    """Return requirements with hashes. Packages that not all targets need have markers. pip itself is not among them."""
+    found: dict[tuple[str, str], dict[Target, str]] = {}
+    for one, of_target in wheels.items():
+        for wheel in of_target:
+            found.setdefault((wheel.name, wheel.version), {})[one] = wheel.sha256
+    lines = []
+    for (name, version), hashes in sorted(found.items()):
+        marker = "" if len(hashes) == len(wheels) else " ; " + " or ".join(one.marker for one in sorted(hashes))
+        named = [f"--hash=sha256:{digest}" for digest in sorted(set(hashes.values()))]
+        lines += [" \\\n    ".join([f"{name}=={version}{marker}", *named])] if name != PIP else []
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _own(folder: Path) -> Path | None:
+    """Make SIERRA's wheel if its install is editable, since no index has that version; return None otherwise."""
+    direct = json.loads(metadata.distribution(OWN).read_text("direct_url.json") or "{}")
+    if not direct.get("dir_info", {}).get("editable"):
+        return None
+    source = unquote(urlsplit(direct["url"]).path)
+    _pip("SIERRA", "wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder), source)
+    return next(folder.glob("*.whl"))
+
+
+def _download(folder: Path, one: Target, wanted: Mapping[str, str], own: Path | None) -> list[Wheel]:
+    """Download the wheels for a target; return all of it."""
+    texts = [text for name, text in wanted.items() if own is None or name != OWN]
+    folder.mkdir()
+    pip = f"{PIP}=={metadata.version(PIP)}"
+    _pip(str(one), "download", "--no-deps", *one.options(), "--dest", str(folder), *texts, pip)
+    return sorted(_wheels([*folder.iterdir(), *([own] if own else [])]))
+
+
+def _wheels(paths: Sequence[Path]) -> Iterator[Wheel]:
+    from packaging.utils import parse_wheel_filename
+
+    for path in paths:
+        name, version, _, _ = parse_wheel_filename(path.name)
+        yield Wheel(normalized(name), str(version), sha256_file(path), path)
+
+
+def _resolve(folder: Path, wheels: Sequence[Wheel]) -> None:
+    """Let pip resolve the lock with nothing but the wheels. Raises Missing for a package that is lacking."""
+    requirements = folder / "requirements.lock"
+    requirements.write_text(lock({HERE: wheels}), "utf-8")
+    places = [word for place in sorted({str(wheel.path.parent) for wheel in wheels}) for word in ("--find-links", place)]
+    words = ["--only-binary", ":all:", "--no-index", *places, "--require-hashes", "--requirement", str(requirements)]
+    _pip(str(HERE), "download", *words, "--dest", str(folder / "resolved"), isolated=True)
+
+
+def _pip(what: str, *words: str, isolated: bool = False) -> None:
+    """Run pip. `isolated`: without the user's settings. Raises Missing with pip's reason, without addresses."""
+    command = [sys.executable, "-m", "pip", *(("--isolated",) if isolated else ()), "--no-input", "--disable-pip-version-check"]
+    environment = {**os.environ, "PIP_NO_COLOR": "1", "LC_ALL": "C.UTF-8"}
+    done = subprocess.run([*command, *words], env=environment, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode:
+        lines = done.stderr.strip().splitlines() or ["it printed no error"]
+        reason = next((line for line in reversed(lines) if line.startswith("ERROR: ")), lines[-1]).removeprefix("ERROR: ")
+        raise Missing(f"no wheels for {what}: {re.sub(r'[a-z+]+://[^ ]+', '(address)', reason)}")
