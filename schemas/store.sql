@@ -338,7 +338,7 @@ CREATE TABLE sources (
 
 -- Files of sources outside git, by the hash that git would give them; the list of a source's files has this hash.
 CREATE TABLE blobs (
-    "blob" VARCHAR,  -- git's hash of the file
+    "blob" VARCHAR,  -- git's hash of the file; in packages also the id of a submodule's commit, that of its tree (with its list of files), and the SHA-256 of data that git-lfs manages
     "sha256" VARCHAR  -- SHA-256 of the file; the file itself is in objects
 );
 

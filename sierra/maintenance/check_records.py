@@ -33,6 +33,7 @@ from sierra.maintenance.findings import Affected, Finding, Kind, of
 from sierra.model import RunSpec, Value
 from sierra.provenance import source
 from sierra.provenance.dependency_model import fingerprint
+from sierra.provenance.source.stored_repositories import proves
 from sierra.store.deliverable_records import deliverable_id
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.duckdb_messages import first_line
@@ -571,7 +572,7 @@ def _manifests(records: Records) -> Iterator[Finding]:
             yield Finding(
                 Kind.LOST, "blobs", f"a file of a source, {short(blob)}, is not in the store", records.of_batches(OF_SOURCES)
             )
-        elif records.objects.blobs.get(found, blob) != blob:
+        elif records.objects.blobs.get(found, blob) != blob and not proves(_object(records, found), blob):
             yield Finding(Kind.INCONSISTENT, "blobs", f"{short(blob)} is not git's hash of its file")
     for row, path in records.rows(SourceRow):
         if row.files not in records.objects.whole:

@@ -3,8 +3,9 @@
 The source of the newest batch is in `project/`, sources of other batches are in `source/<tree>/`. The store of a package has
 all files of all sources, so that neither git nor the repository is needed to restore them.
 
-A folder lacks symbolic links and files whose names mean something else on other systems; a note says so. Files that git changes
-when it checks them out (Git LFS, line endings), and submodules, need git: a package of them is refused.
+A folder lacks symbolic links and files whose names mean something else on other systems; a note says so. Submodules are folders
+too; their commits and trees are in the store, where they prove the files. Data that git-lfs manages are packed if they have the
+SHA-256 of the recorded pointer. A package of files whose line endings git changes is refused, because they need git.
 """
 
 from __future__ import annotations
@@ -14,14 +15,21 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from sierra.errors import Missing
 from sierra.packages.layout import PROJECT, SOURCE
 from sierra.packages.members import unsafe
 from sierra.packages.subject import Made, Member, Subject
 from sierra.provenance import source
-from sierra.provenance.source.manifest import LINK, is_blob, parts, read, repositories
+from sierra.provenance.source.git import Git, in_repository
+from sierra.provenance.source.manifest import LINK, REPOSITORY, Files, is_blob, parts, read, tree_hash, written
+from sierra.provenance.source.stored_repositories import nested, pointed
+from sierra.provenance.source.worktree_snapshot import of_tree
 from sierra.store.objects import Objects
 from sierra.store.row_types import BlobRow
+from sierra.util.hashing import sha256
 
+Content = Path | bytes
+"""A content in a file or in memory."""
 PROGRAM = "100755"
 """Git's mode of programs."""
 TREES = """
@@ -58,7 +66,7 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     made: list[Member] = []
     notes: list[str] = []
     problems: list[str] = []
-    contents: dict[str, Path] = {}
+    contents: dict[str, Content] = {}
     for name, tree in folders(subject).items():
         folder = _Folder(subject, tree, name)
         made += folder.members()
@@ -74,39 +82,82 @@ class _Folder:
     """A restored source."""
 
     def __init__(self, subject: Subject, tree: Tree, name: str) -> None:
+        self._subject = subject
         manifest = subject.store.object(tree.files)
         self._files = read(manifest)
         self._root = subject.folder / "source" / _digits(tree)
         self._name = name
         self.notes: list[str] = []
-        self.problems = [
-            f"{os.fsdecode(path)} is a submodule, and packages cannot contain submodules"
-            for path, _ in repositories(self._files)
-        ]
-        self.contents: dict[str, Path] = {}
-        """The files by git's hash."""
-        if not self.problems:
-            source.restore(tree.tree, manifest, subject.project.root, self._root, subject.store.blob, commit=tree.commit)
+        self.problems: list[str] = []
+        self.contents: dict[str, Content] = {}
+        """The files by git's hash; see `sierra.provenance.source.stored_repositories` for others."""
+        source.restore(tree.tree, manifest, subject.project.root, self._root, subject.store.blob, commit=tree.commit)
 
     def members(self) -> Iterator[Member]:
         """Yield the files of the folder, and collect contents, notes and problems."""
-        for path, what in sorted(self._files.items()) if not self.problems else ():
-            name = os.fsdecode(path)
+        yield from self._below(self._files, Path())
+
+    def _below(self, files: Files, folder: Path) -> Iterator[Member]:
+        """Yield the files of a repository in a folder of the source."""
+        repository = _Repository(self._subject, self._subject.project.root / folder)
+        for path, what in sorted(files.items()):
+            place = folder / os.fsdecode(path)
             mode, blob = parts(what)
-            if mode == LINK:
-                self.notes.append(f"{self._name}{name} is a symbolic link; it is in the store only")
-                self.contents[blob] = self._root / name
-            elif not is_blob((self._root / name).read_bytes(), blob):
-                self.problems.append(f"git changes {name} when it checks it out (Git LFS or line endings)")
+            if mode == REPOSITORY:
+                below, objects = _Repository(self._subject, self._subject.project.root / place).nested(blob)
+                self.contents.update(objects)
+                yield from self._below(below, place)
+            elif mode == LINK:
+                self.notes.append(f"{self._name}{place} is a symbolic link; it is in the store only")
+                self.contents[blob] = self._root / place
+            elif reason := self._unproved(repository, place, blob):
+                self.problems.append(reason)
+            elif reason := unsafe(self._name + place.as_posix()):
+                self.notes.append(f"{self._name}{place.as_posix()!a} is in the store only: {reason}")
             else:
-                self.contents[blob] = self._root / name
-                if reason := unsafe(self._name + name):
-                    self.notes.append(f"{self._name}{name!a} is in the store only: {reason}")
-                else:
-                    yield Member(self._name + name, self._root / name, "source of the runs", executable=mode == PROGRAM)
+                name = self._name + place.as_posix()
+                yield Member(name, self._root / place, "source of the runs", executable=mode == PROGRAM)
+
+    def _unproved(self, repository: _Repository, place: Path, blob: str) -> str:
+        """Add a file to the contents; return the reason if the recorded hash does not prove it, else ""."""
+        content = (self._root / place).read_bytes()
+        if is_blob(content, blob):
+            self.contents[blob] = self._root / place
+            return ""
+        pointer = repository.blob(blob)
+        if pointed(pointer) != sha256(content):
+            return f"git changes {place} when it checks it out (line endings, or another filter)"
+        self.contents.update({blob: pointer, pointed(pointer): self._root / place})
+        return ""
 
 
-def _keep(subject: Subject, contents: Mapping[str, Path]) -> None:
+class _Repository:
+    """The repository in a folder of the project; its objects come from the store if git does not have them."""
+
+    def __init__(self, subject: Subject, folder: Path) -> None:
+        self._store = subject.store
+        self._git = (
+            Git(folder) if (folder / ".git").exists() or (folder == subject.project.root and in_repository(folder)) else None
+        )
+
+    def blob(self, blob: str) -> bytes:
+        """Return a file as git keeps it; nothing if neither git nor the store has it."""
+        found = self._store.blob(blob)
+        return self._git("cat-file", "blob", blob, optional=True) if found is None and self._git is not None else found or b""
+
+    def nested(self, thing: str) -> tuple[Files, dict[str, Content]]:
+        """Return the files of a commit or a tree, and what proves them. Raises Missing if neither git nor the store has it."""
+        if (files := nested(thing, self._store.blob)) is not None:
+            return files, {one: found for one in (thing,) if (found := self._store.blob(one)) is not None}
+        if self._git is None:
+            raise Missing(f"the submodule with {thing[:12]} is not checked out; run git submodule update --init")
+        files = of_tree(self._git, thing)
+        commit = self._git("cat-file", "commit", thing, optional=True)
+        objects: dict[str, Content] = {thing: commit} if commit else {}
+        return files, objects | {tree_hash(files): written(files)}
+
+
+def _keep(subject: Subject, contents: Mapping[str, Content]) -> None:
     """Add files to the store, by git's hash."""
     writer = subject.store.writer(subject.folder / "blobs", subject.batches[-1])
     objects = Objects(writer.path("objects"))
@@ -116,5 +167,7 @@ def _keep(subject: Subject, contents: Mapping[str, Path]) -> None:
         subject.store.publish(writer)
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Content) -> bytes:
+    if isinstance(path, bytes):
+        return path
     return os.fsencode(path.readlink()) if path.is_symlink() else path.read_bytes()

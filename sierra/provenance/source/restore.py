@@ -11,7 +11,8 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Container
+from functools import partial
 from pathlib import Path
 
 from sierra.errors import Damaged, Missing
@@ -30,11 +31,11 @@ from sierra.provenance.source.manifest import (
     written,
 )
 from sierra.provenance.source.selection import shown
+from sierra.provenance.source.stored_repositories import Content, data, nested
 from sierra.provenance.source.worktree_snapshot import of_tree
 
 HASH = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
 FETCH = "run sierra source fetch (after sierra source push has been run where the source was recorded)"
-Content = Callable[[str], bytes | None]
 
 
 def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Content, *, commit: str | None = None) -> None:
@@ -54,15 +55,40 @@ def restore(tree: str, manifest: bytes, root: Path, target: Path, content: Conte
     if git is not None and not lacking:
         _checkout(git, files, target, commit)
         return
+    try:
+        _write_files(files, target, partial(_file, content, git, lacking), content)
+    except _Lacking as lost:
+        missing = f"the source's file {shown([lost.path])!r} is neither in git at {root} nor in the store"
+        raise Missing(f"{missing}; {_remedy(git, commit)}") from None
+
+
+class _Lacking(Exception):
+    """A file that neither git nor the store has."""
+
+    def __init__(self, path: bytes) -> None:
+        super().__init__()
+        self.path = path
+
+
+def _file(content: Content, git: Git | None, lacking: Container[str], blob: str) -> bytes | None:
+    """Return a file from the store, else from git; None if neither has it."""
+    found = content(blob)
+    return git("cat-file", "blob", blob) if found is None and git is not None and blob not in lacking else found
+
+
+def _write_files(files: Files, target: Path, file: Content, content: Content) -> None:
     for path, what in sorted(files.items(), key=lambda item: parts(item[1])[0] == REPOSITORY):
         mode, blob = parts(what)
-        found = None if mode == REPOSITORY else content(blob)
-        if found is None and git is not None and blob not in lacking and mode != REPOSITORY:
-            found = git("cat-file", "blob", blob)
+        below = nested(blob, content) if mode == REPOSITORY else None
+        if below is not None:
+            _check(below)
+            (target / os.fsdecode(path)).mkdir(parents=True)
+            _write_files(below, target / os.fsdecode(path), content, content)
+            continue
+        found = None if mode == REPOSITORY else file(blob)
         if found is None or not is_blob(found, blob):
-            missing = f"the source's file {shown([path])!r} is neither in git at {root} nor in the store"
-            raise Missing(f"{missing}; {_remedy(git, commit)}")
-        _write(target / os.fsdecode(path), mode, found)
+            raise _Lacking(path)
+        _write(target / os.fsdecode(path), mode, found if mode == LINK else data(found, content))
 
 
 def is_available(root: Path, tree: str, manifest: bytes) -> bool:

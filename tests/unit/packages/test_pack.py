@@ -255,3 +255,49 @@ def test_the_instructions_have_commands_that_work_and_measured_needs(root: Path,
     path = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     subprocess.run(["sh", "-ec", last], cwd=project.parent, env=path, check=True)
     subprocess.run([sys.executable, "reproduce.py"], cwd=project.parent, check=True)
+
+
+def test_submodules_and_data_of_git_lfs_are_packed_and_replayed_without_git(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GIT_CONFIG_COUNT", "1")
+    monkeypatch.setenv("GIT_CONFIG_KEY_0", "protocol.file.allow")
+    monkeypatch.setenv("GIT_CONFIG_VALUE_0", "always")
+    (tmp_path / "library").mkdir()
+    (tmp_path / "library" / "factor.txt").write_text("3")
+    projects.commit(tmp_path / "library")
+    reading = (
+        "from pathlib import Path\n"
+        "here = Path(__file__).parent\n"
+        "factor = int((here / 'library/factor.txt').read_text()) + len((here / 'big.dat').read_text())\n"
+    )
+    simulator = reading + projects.SIMULATOR.replace("count * tick", "factor * count * tick")
+    root = projects.make(tmp_path / "project", projects.CONFIG + TOML, simulator=simulator)
+    subprocess.run(["git", "init", "-q"], cwd=root, check=True)
+    kept = tmp_path / "lfs"
+    kept.mkdir()
+    clean = f"cat > {kept}/new; h=$(sha256sum < {kept}/new | cut -c1-64); s=$(($(wc -c < {kept}/new))); mv {kept}/new {kept}/$h"
+    text = "version https://git-lfs.github.com/spec/v1\\noid sha256:%s\\nsize %s\\n"
+    smudge = f"cat {kept}/$(sed -n s/^oid.sha256:://p | cut -c1-64)"
+    for name, command in (("clean", f"{clean}; printf '{text}' $h $s"), ("smudge", smudge.replace("::", ":"))):
+        subprocess.run(["git", "config", f"filter.lfs.{name}", command], cwd=root, check=True)
+    (root / ".gitattributes").write_text("*.dat filter=lfs -text\n")
+    (root / "big.dat").write_text("data of git-lfs\n" * 100)
+    subprocess.run(["git", "submodule", "--quiet", "add", tmp_path / "library", "library"], cwd=root, check=True)
+    projects.commit(root)
+    first = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
+    (root / "library" / "factor.txt").write_text("4")
+    second = sierra.open(root).run("population_size=2", runs=1, figures=False).batch
+    packed = sierra.open(root).package(first, second, path=tmp_path / "one.zip")
+    assert packed is not None
+    assert packed.preview.notes == ()
+    project = sierra.open(extracted(tmp_path / "one.zip", tmp_path / "one"))
+    assert (project.root / "library" / "factor.txt").read_text() == "4"
+    assert (project.root / "big.dat").read_bytes() == (root / "big.dat").read_bytes()
+    assert project.fsck().findings == ()
+    assert {project.replay(batch).verdict for batch in (first, second)} == {"identical"}
+    again = project.package(first, path=tmp_path / "again.zip")
+    assert again is not None
+    project = sierra.open(extracted(tmp_path / "again.zip", tmp_path / "again"))
+    assert (project.root / "library" / "factor.txt").read_text() == "3"
+    assert project.replay(first).verdict == "identical"

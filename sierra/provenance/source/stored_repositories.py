@@ -1,0 +1,70 @@
+"""Nested repositories and files of git-lfs, restored from a store without git. Each part is found by the hash that proves it.
+
+The store of a package has more than the files of a source: the commit of a nested repository by its id, the list of the files
+of its tree by the tree's id, and the data of a file of git-lfs by the SHA-256 in its pointer.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from sierra.errors import Damaged
+from sierra.provenance.source.lfs import POINTER
+from sierra.provenance.source.manifest import Files, git_hash, read, tree_hash
+from sierra.util.hashing import sha256
+
+Content = Callable[[str], bytes | None]
+OID = re.compile(rb"^oid sha256:([0-9a-f]{64})$", re.MULTILINE)
+
+
+def nested(thing: str, content: Content) -> Files | None:
+    """Return the files of a nested repository by its commit or tree; None if the store does not have them.
+
+    Raises Damaged if what the store has under that id is something else.
+    """
+    found = content(thing)
+    tree = thing
+    if found is not None and is_commit(found, thing):
+        tree = tree_of_commit(found)
+        found = content(tree)
+    if found is None:
+        return None
+    if not _is_tree(found, tree):
+        raise Damaged(f"the store has other files for the nested repository {thing[:12]}")
+    return read(found)
+
+
+def data(found: bytes, content: Content) -> bytes:
+    """Return the data of a file of git-lfs for its pointer, if the store has it; any other file as it is."""
+    oid = pointed(found)
+    stored = content(oid) if oid else None
+    return stored if stored is not None and sha256(stored) == oid else found
+
+
+def proves(found: bytes, thing: str) -> bool:
+    """Return True if this content is what the id says: a commit, the files of a tree, or the data of a file of git-lfs."""
+    return sha256(found) == thing or is_commit(found, thing) or _is_tree(found, thing)
+
+
+def _is_tree(found: bytes, tree: str) -> bool:
+    try:
+        return tree_hash(read(found)) == tree
+    except ValueError:  # it is no list of files
+        return False
+
+
+def pointed(found: bytes) -> str:
+    """Return the SHA-256 in a pointer of git-lfs; "" for any other file."""
+    oid = OID.search(found) if found.startswith(POINTER) else None
+    return oid[1].decode() if oid else ""
+
+
+def is_commit(found: bytes, commit: str) -> bool:
+    """Return True if this is the content of a commit."""
+    return git_hash(b"commit", found, "sha1" if len(commit) == 40 else "sha256") == commit
+
+
+def tree_of_commit(found: bytes) -> str:
+    """Return the id of the tree of a commit."""
+    return found.partition(b"\n")[0].removeprefix(b"tree ").decode("ascii", "replace")
