@@ -177,7 +177,7 @@ def codemeta(package: Package, date: str) -> bytes:
         "identifier": package.doi and f"https://doi.org/{package.doi}",
         "codeRepository": package.repository,
         "referencePublication": [
-            {"@type": "ScholarlyArticle", "@id": f"https://doi.org/{one.identifier}"}
+            {"@type": "schema:ScholarlyArticle", "@id": f"https://doi.org/{one.identifier}"}
             for one in package.related
             if one.relation == "isSupplementTo" and DOI.fullmatch(one.identifier)
         ],

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import pytest
 import yaml
 from pydantic import ValidationError
 
-from sierra.config.package_table import Package
+from sierra.config.package_table import Package, Relation
 from sierra.errors import ConfigError
 from sierra.packages import metadata
 from tests import projects
@@ -33,6 +35,30 @@ authors = [{ name = "Jane Doe", orcid = "0000-0002-1825-0097" }]
 license = "MIT"
 """
 PACKAGE = Package.model_validate(TABLE)
+ZENODO = {
+    *("title", "upload_type", "description", "creators", "license", "keywords", "publication_date", "related_identifiers"),
+    "version",
+}
+"""Names in Zenodo's schema of deposits (legacyrecord.json, 2023-12-11); `version` is in its documentation of the API only."""
+RELATIONS = {
+    *(
+        "isCitedBy",
+        "cites",
+        "isSupplementTo",
+        "isSupplementedBy",
+        "isNewVersionOf",
+        "isPreviousVersionOf",
+        "isPartOf",
+        "hasPart",
+    ),
+    *("isReferencedBy", "references", "isDocumentedBy", "documents", "isDerivedFrom", "isSourceOf", "requires", "isRequiredBy"),
+}
+"""Relations in the same schema, as far as they are needed here."""
+CODEMETA = {
+    *("name", "description", "author", "givenName", "familyName", "affiliation", "license", "keywords", "version"),
+    *("datePublished", "identifier", "codeRepository", "referencePublication"),
+}
+"""Terms in the context of CodeMeta (version 3.1), which also names Person, Organization and the prefix schema."""
 
 
 def test_all_files_say_the_same() -> None:
@@ -58,6 +84,28 @@ def test_all_files_say_the_same() -> None:
         {"relation": "isSupplementTo", "identifier": "10.5555/12345678", "resource_type": "publication-article"}
     ]
     assert metadata.differences(PACKAGE, made) == []
+
+
+def test_all_names_are_those_of_the_published_schemas() -> None:
+    table = {"version": "1.0", "doi": "10.5555/1", "repository": "https://example.org/x.git"}
+    related = [{"identifier": "10.5555/12345678", "relation": relation} for relation in get_args(Relation)]
+    made = metadata.files(Package.model_validate({**TABLE, **table, "related": related}), "2026-11-23")
+    zenodo, codemeta = json.loads(made[".zenodo.json"]), json.loads(made["codemeta.json"])
+    assert zenodo.keys() <= ZENODO
+    assert {key for creator in zenodo["creators"] for key in creator} <= {"affiliation", "gnd", "name", "orcid"}
+    assert {one["relation"] for one in zenodo["related_identifiers"]} <= RELATIONS
+    found = list(_pairs(codemeta))
+    assert {key for key, _ in found} <= CODEMETA | {"@context", "@type", "@id"}
+    types = {str(value) for key, value in found if key == "@type"}
+    assert types <= {"Person", "Organization", "SoftwareSourceCode"} | {one for one in types if one.startswith("schema:")}
+
+
+def _pairs(value: object) -> Iterator[tuple[str, object]]:
+    """Yield all keys and values of nested objects."""
+    if isinstance(value, dict):
+        yield from value.items()
+    for one in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from _pairs(one)
 
 
 def test_files_of_the_project_that_say_something_else_are_named() -> None:
