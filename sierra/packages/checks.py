@@ -35,8 +35,10 @@ TEXTS = {
 }
 """SQL: recorded texts that users or their machines wrote, by table."""
 VARIABLES = """
-SELECT variables FROM builds UNION SELECT variables FROM environments UNION SELECT variables FROM specs
-UNION SELECT variables FROM images WHERE variables IS NOT NULL
+SELECT variables FROM (
+    SELECT variables FROM builds UNION SELECT variables FROM environments UNION SELECT variables FROM images
+    UNION SELECT variables FROM specs
+) WHERE variables IS NOT NULL
 """
 """SQL: recorded variables, as JSON."""
 USES = "SELECT any_value(path) FROM artifacts WHERE sha256 = $sha256 HAVING count(*) > 0"

@@ -39,7 +39,7 @@ PLACES = {
     "ro-crate-metadata.json": "the description as a Provenance Run Crate",
     "project/": "the project: `sierra.toml`, templates and source",
     "project/.sierra/": "the records: inputs, outputs, environments and logs of all runs",
-    "source/": "the source of batches that ran with an older source than the newest batch",
+    "source/": "other sources than that of the newest batch, and the history of commits as a git bundle",
     "figures/": "figures as they were drawn",
     "execution/": "what `reproduce.py` executes without SIERRA",
     "environment/": "descriptions of the environment: files of the machine, image, wheels",

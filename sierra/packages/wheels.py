@@ -50,9 +50,8 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     options = subject.options
     if not options.wheels:
         return Made(())
-    targets = [
-        target(python, one) for python in options.pythons or (HERE.python,) for one in options.machines or (HERE.machine,)
-    ]
+    pythons, machines = options.pythons or (HERE.python,), options.machines or (HERE.machine,)
+    targets = list(dict.fromkeys(target(python, machine) for python in pythons for machine in machines))
     recorded = versions("".join(subject.store.values(str, RECORDED)))
     own = _own(subject.folder / "own")
     wheels = {}
@@ -94,9 +93,15 @@ def _download(folder: Path, one: Target, wanted: Mapping[str, str], own: Path | 
     """Download the wheels for a target; return all of it."""
     texts = [text for name, text in wanted.items() if own is None or name != OWN]
     folder.mkdir()
-    pip = f"{PIP}=={metadata.version(PIP)}"
-    _pip(str(one), "download", "--no-deps", *one.options(), "--dest", str(folder), *texts, pip)
+    _pip(str(one), "download", "--no-deps", *one.options(), "--dest", str(folder), *texts, f"{PIP}=={_pip_version()}")
     return sorted(_wheels([*folder.iterdir(), *([own] if own else [])]))
+
+
+def _pip_version() -> str:
+    try:
+        return metadata.version(PIP)
+    except metadata.PackageNotFoundError as error:
+        raise Missing(f"wheels need pip, which {sys.executable} does not have; run: {sys.executable} -m ensurepip") from error
 
 
 def _wheels(paths: Sequence[Path]) -> Iterator[Wheel]:
@@ -118,7 +123,15 @@ def _resolve(folder: Path, wheels: Sequence[Wheel]) -> None:
 
 def _pip(what: str, *words: str, isolated: bool = False) -> None:
     """Run pip. `isolated`: without the user's settings. Raises Missing with pip's reason, without addresses."""
-    command = [sys.executable, "-m", "pip", *(("--isolated",) if isolated else ()), "--no-input", "--disable-pip-version-check"]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "pip",
+        *(("--isolated",) if isolated else ()),
+        "--no-input",
+        "--disable-pip-version-check",
+    ]
     environment = {**os.environ, "PIP_NO_COLOR": "1", "LC_ALL": "C.UTF-8"}
     done = subprocess.run([*command, *words], env=environment, capture_output=True, text=True, errors="replace", check=False)
     if done.returncode:

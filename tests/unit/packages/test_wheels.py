@@ -82,7 +82,7 @@ def test_wheels_come_from_the_users_index_and_are_checked_together(tmp_path: Pat
     assert not (tmp_path / "x.zip").exists()
     wheel(index, "two", "2.1")
     monkeypatch.setattr(wheels, "needed", lambda requires, target, recorded: {"one": "one==1.0", "two": "two==2.1"})
-    chosen = ("--wheels", "--python", f"3.13,{HERE.python}", "--arch", HERE.machine)
+    chosen = ("--wheels", "--python", f"3.13,{HERE.python},3.13", "--arch", HERE.machine)
     for name in ("x", "y"):
         ended = projects.quick(root, "package", batch, "-o", f"../{name}.zip", *chosen)
         assert ended.returncode == 0, ended.stderr
