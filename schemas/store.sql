@@ -510,6 +510,13 @@ CREATE TABLE imported_sessions (
     "lamport" BIGINT  -- position of the import in the logical order, as in sessions
 );
 
+-- Redactions: sessions whose records were rewritten for an anonymous package. Hosts, folders, commits, times and parts of environments in these records are not the original ones; ids of runs, seeds, durations and outputs are.
+CREATE TABLE redactions (
+    "session" VARCHAR,  -- the session; for a replay, the replay
+    "batch" VARCHAR,  -- the batch that its records belong to
+    "rules" VARCHAR  -- the version of the rules by which the records were rewritten
+);
+
 -- Recorded files by the hash of their content, in parts of at most 8 MiB; files that became tables are included unless [store] raw is false.
 CREATE TABLE objects (
     "sha256" VARCHAR,  -- SHA-256 of the whole file

@@ -60,10 +60,10 @@ def _others(snapshot: Snapshot, store: Store, batches: Collection[str]) -> dict[
 
 def _copy(segment: Path, other: Store) -> None:
     with disk_errors(other.paths.segments):
-        shutil.copytree(segment, other.paths.segments / segment.name, copy_function=_link)
+        shutil.copytree(segment, other.paths.segments / segment.name, copy_function=link_or_copy)
 
 
-def _link(source: str, target: str) -> None:
+def link_or_copy(source: str, target: str) -> None:
     """Give a file that never changes a second name, or copy it if the file system has no second names."""
     try:
         os.link(source, target)

@@ -246,6 +246,11 @@ AROUND = {
     "looks": ("look", "SELECT look FROM gone_looks"),
     "look_intervals": ("look", "SELECT look FROM gone_looks"),
     "studies": ("study", "SELECT study FROM gone_studies"),
+    "redactions": (
+        "session",
+        "SELECT session FROM redactions EXCEPT (SELECT session FROM executions WHERE execution NOT IN (SELECT own FROM gone) "
+        "UNION SELECT session FROM staying_sessions UNION SELECT replay FROM staying_replays)",
+    ),
 }
 """By table: its key column, and a query for the ids that nothing refers to any more."""
 OBJECTS = """

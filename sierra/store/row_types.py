@@ -639,6 +639,18 @@ class ImportedSessionRow(NamedTuple):
     lamport: Annotated[int, "position of the import in the logical order, as in sessions"]
 
 
+class RedactionRow(NamedTuple):
+    """Redactions: sessions whose records were rewritten for an anonymous package.
+
+    Hosts, folders, commits, times and parts of environments in these records are not the original ones; ids of runs, seeds,
+    durations and outputs are.
+    """
+
+    session: Annotated[str, "the session; for a replay, the replay"]
+    batch: Annotated[str, "the batch that its records belong to"]
+    rules: Annotated[str, "the version of the rules by which the records were rewritten"]
+
+
 class ObjectRow(NamedTuple):
     """Recorded files by the hash of their content, in parts of at most 8 MiB; files that became tables are included unless
     [store] raw is false.
@@ -688,6 +700,7 @@ ROWS: dict[str, type[NamedTuple]] = {
     "look_intervals": LookIntervalRow,
     "imports": ImportRow,
     "imported_sessions": ImportedSessionRow,
+    "redactions": RedactionRow,
     "objects": ObjectRow,
 }
 """The class of each recorded table's rows."""

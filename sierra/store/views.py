@@ -54,6 +54,7 @@ ONCE = {
     "findings": ("execution",),
     "imports": ("package",),
     "imported_sessions": ("session",),
+    "redactions": ("session", "batch"),
 }
 """Tables to which two writers may add the same record, with the columns that identify a record."""
 

@@ -1,0 +1,160 @@
+"""Rewriting the records of a store by the rules of `sierra.packages.redaction`.
+
+Each segment is written again, under the new name that its new hashes give. Files without a column to rewrite stay as they are.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from sierra.maintenance.extract import link_or_copy
+from sierra.packages.redact_rows import HIDDEN, RowRedactor
+from sierra.packages.redaction import RULES, VERSION, Rule, rule
+from sierra.store.duckdb_file_io import read_parquet
+from sierra.store.row_types import RedactionRow
+from sierra.store.schema import RECORDED, arrow_schema
+from sierra.store.segments import OUTPUT, Segment, Writer, disk_errors
+from sierra.store.store import Snapshot, Store
+
+ROWS = 65_536
+MARKS = "redactions"
+MARKED = {**dict.fromkeys(("executions", "sessions", "builds", "attempts", MARKS), "session"), "replays": "replay"}
+"""The column with the session, by table."""
+
+
+def rewrite(store: Store, folder: Path, date: str) -> None:
+    """Rewrite all records of a store that nobody else uses, in place. `folder`: a folder for temporary files.
+
+    `date`: the date (ISO 8601) of the last record afterwards. Raises Damaged for a column without a decision.
+    """
+    writers = []
+    with store.snapshot() as snapshot:
+        redactor = _Redactor(snapshot, date)
+        for number, segment in enumerate(snapshot.segments):
+            writers.append(store.writer(folder / str(number), segment.batch))
+            redactor.write(segment, writers[-1])
+        names = [segment.name for segment in snapshot.segments]
+    with disk_errors(store.paths.segments):
+        for name in names:
+            shutil.rmtree(store.paths.segments / name)
+    for writer in writers:
+        store.publish(writer)
+
+
+class _Redactor:
+    def __init__(self, snapshot: Snapshot, date: str) -> None:
+        self._snapshot = snapshot
+        snapshot.views.make(tuple(RULES))
+        self._rows = RowRedactor(snapshot)
+        self._shift = _shift(snapshot, date)
+        self._changes: dict[Rule, Callable[[str], str]] = {
+            Rule.HOST: self._rows.host,
+            Rule.PACKAGE: self._rows.package,
+            Rule.HIDDEN: lambda text: HIDDEN,
+            Rule.ATTEMPT: self._rows.attempt,
+            Rule.PLACE: self._rows.place,
+            Rule.ENVIRONMENT: self._rows.environment,
+            Rule.SOURCE: self._rows.source,
+            Rule.ISOLATION: self._rows.isolation,
+        }
+
+    def write(self, segment: Segment, writer: Writer) -> None:
+        """Write a segment again."""
+        for name, path in segment.files.items():
+            if name == MARKS:
+                continue
+            with disk_errors(writer.folder):
+                if name.startswith(OUTPUT) or not _is_rewritten(name, path):
+                    link_or_copy(path, str(writer.path(name)))
+                else:
+                    _write(writer.path(name), name, self._tables(name, path))
+        writer.records(self._marks(segment))
+
+    def _tables(self, name: str, path: str) -> Iterator[pa.Table]:
+        with pq.ParquetFile(path) as file:
+            for batch in file.iter_batches(ROWS):
+                yield self._rewritten(name, pa.Table.from_batches([batch]).replace_schema_metadata(None))
+
+    def _rewritten(self, name: str, table: pa.Table) -> pa.Table:
+        change = self._rows.by_table.get(name)
+        if change is not None:
+            return pa.Table.from_pylist([row for one in table.to_pylist() if (row := change(one))], schema=table.schema)
+        columns = [self._column(rule(name, column), table.column(column)) for column in table.column_names]
+        return pa.table(columns, names=table.column_names)
+
+    def _column(self, decision: Rule, column: pa.ChunkedArray) -> pa.ChunkedArray:
+        match decision:
+            case Rule.KEEP:
+                return column
+            case Rule.NOTHING:
+                return pa.chunked_array([pa.nulls(len(column), column.type)])
+            case Rule.TIME:
+                return pc.add(column, pa.scalar(self._shift, pa.duration("us")))
+            case _:
+                return _mapped(column, self._changes[decision])
+
+    def _marks(self, segment: Segment) -> list[RedactionRow]:
+        """Return a mark for each session in a segment."""
+        named = [
+            f"SELECT {key}, batch FROM {read_parquet([segment.files[table]])}"  # noqa: S608 - our own names
+            for table, key in MARKED.items()
+            if table in segment.files
+        ]
+        pairs = {(str(session), str(batch)) for one in named for session, batch in self._snapshot.run(one)}
+        return [RedactionRow(session, batch, VERSION) for session, batch in sorted(pairs)]
+
+
+def _shift(snapshot: Snapshot, date: str) -> timedelta:
+    """Return the duration by which times are moved, so that the last one is at the date."""
+    times = [
+        f"SELECT epoch_us(max({name})) FROM {table}"  # noqa: S608 - our own names
+        for table, columns in RULES.items()
+        for name, decision in columns.items()
+        if decision is Rule.TIME
+    ]
+    last = max((found for one in times for (found,) in snapshot.run(one) if found is not None), default=0)
+    moment = datetime.fromisoformat(date)
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    return moment - (datetime.fromtimestamp(0, UTC) + timedelta(microseconds=last))
+
+
+def _is_rewritten(name: str, path: str) -> bool:
+    columns = pq.read_schema(path).names
+    own = columns[: len(RECORDED[name].columns)] if name == "experiments" else columns
+    return any(rule(name, column) is not Rule.KEEP for column in own)
+
+
+def _write(target: Path, name: str, tables: Iterator[pa.Table]) -> None:
+    """Write tables of records; an older file lacks the last columns."""
+    writer = None
+    try:
+        for table in tables:
+            if table.num_rows:
+                schema = pa.schema(list(arrow_schema(name))[: table.num_columns])
+                writer = writer or pq.ParquetWriter(target, schema, compression="zstd")
+                writer.write_table(table.cast(schema))
+    finally:
+        if writer is not None:
+            writer.close()
+
+
+def _mapped(column: pa.ChunkedArray, change: Callable[[str], str]) -> pa.ChunkedArray:
+    """Return a column of texts in which each different text is changed once."""
+    chunks = [_mapped_chunk(chunk, change) for chunk in column.chunks]
+    return pa.chunked_array(chunks, column.type)
+
+
+def _mapped_chunk(chunk: Any, change: Callable[[str], str]) -> pa.Array:
+    if pa.types.is_list(chunk.type):
+        return pa.array([None if row is None else [change(text) for text in row] for row in chunk.to_pylist()], chunk.type)
+    encoded = chunk.dictionary_encode()
+    values = pa.array([change(text) for text in encoded.dictionary.to_pylist()], chunk.type)
+    return values.take(encoded.indices)
