@@ -1,0 +1,207 @@
+"""Searching bytes for words that identify, whatever their case and spelling.
+
+A word is searched as UTF-8, as UTF-16 where a content has NUL bytes, composed and decomposed, without accents, as JSON, XML and
+addresses escape it, and with other separators: `Jane Doe` is also found as `jane_doe`, `JaneDoe` and `Doe, Jane`.
+
+Words of up to four characters, and those that are marked so, count only where no letters are beside them, and no digits beside
+a digit: `doe` is not found in `does`, and `n1` not in `n12`. In binary data, words of up to three characters count only within
+longer readable text.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable, Iterator
+from html import escape
+from itertools import permutations, product
+from typing import IO, NamedTuple
+from urllib.parse import quote
+
+from sierra.packages.identifying_words import Word
+
+SEPARATORS = ("", " ", "_", "-", ".", "+", "%20", ", ", "\\ ")
+WHOLE = 4
+"""Words up to this number of characters count only where no letters are beside them."""
+TINY = 3
+"""Words up to this number of characters count in binary data only within readable text."""
+READABLE = re.compile(rb"[\x20-\x7e\t\r\n]{8,}")
+CHUNK = 8 << 20
+PARTS = 3
+"""The largest number of parts of a word whose order and separators may differ."""
+
+
+class Found(NamedTuple):
+    """A word in a content."""
+
+    word: Word
+    text: str
+    """As it is in the content."""
+    offset: int
+    """In bytes, from 0."""
+    line: int
+    """From 1."""
+
+
+class _Needle(NamedTuple):
+    text: bytes
+    """In lower case, as far as it is ASCII."""
+    word: Word
+    whole: bool
+    wide: str
+    """The encoding if it is UTF-16, else ""."""
+    core: bytes
+    """A part of the text that several needles share, so that most contents need to be searched only for a few cores."""
+
+
+class Search:
+    """Words to search for, and texts in which they are accepted."""
+
+    def __init__(self, words: Iterable[Word], accepted: Iterable[str] = ()) -> None:
+        """`accepted`: texts; a word that is part of one of them, where it stands, is not reported."""
+        needles: dict[bytes, _Needle] = {}
+        for word in words:
+            for form in _forms(word.text):
+                whole = word.whole or len(form) <= WHOLE
+                for encoding in ("utf-8", "utf-16-le", "utf-16-be"):
+                    text, core = (_lower(one.encode(encoding, "replace")) for one in (form, _core(form)))
+                    needles.setdefault(text, _Needle(text, word, whole, "" if encoding == "utf-8" else encoding, core))
+        self._narrow = _by_core(one for one in needles.values() if not one.wide)
+        self._all = _by_core(needles.values())
+        texts = {_lower(form.encode(code)) for text in accepted for form in _cased(text) for code in ("utf-8", "utf-16-le")}
+        self._accepted = sorted(filter(None, texts))
+        self._margin = 2 * max(map(len, (*needles, *self._accepted, b"")), default=0) + 64
+
+    def stream(self, stream: IO[bytes]) -> Iterator[Found]:
+        """Yield all words in a stream from its position, in their order."""
+        content, begin, base, line = b"", 0, 0, 1
+        while True:
+            block = stream.read(CHUNK)
+            content += block
+            end = max(begin, len(content) - self._margin) if block else len(content)
+            counted = begin
+            for offset, stop, word in self._places(content):
+                if begin <= offset < end:
+                    line += content.count(b"\n", counted, offset)
+                    counted = offset
+                    yield Found(word, content[offset:stop].replace(b"\0", b"").decode("utf-8", "replace"), base + offset, line)
+            if not block:
+                return
+            line += content.count(b"\n", counted, end)
+            cut = max(0, end - self._margin)
+            content, base, begin = content[cut:], base + cut, end - cut
+
+    def text(self, text: str) -> list[Found]:
+        """Return the words in a text."""
+        content = text.encode("utf-8", "surrogatepass")
+        return [
+            Found(word, content[offset:stop].decode("utf-8", "replace"), offset, 1)
+            for offset, stop, word in self._places(content)
+        ]
+
+    def _places(self, content: bytes) -> Iterator[tuple[int, int, Word]]:
+        """Yield begin, end and word of each occurrence, in order; of overlapping ones, only the longest of the first."""
+        lower = _lower(content)
+        binary = b"\0" in content
+        found = [
+            (offset, -len(needle.text), needle.word)
+            for core, needles in (self._all if binary else self._narrow).items()
+            if core in lower
+            for needle in needles
+            for offset in _offsets(lower, needle.text)
+            if _counts(lower, offset, needle, binary=binary)
+        ]
+        last = 0
+        for offset, size, word in sorted(found, key=lambda one: one[:2]):
+            stop = offset - size
+            if offset >= last and not self._is_accepted(lower, offset, stop):
+                yield offset, stop, word
+                last = stop
+
+    def _is_accepted(self, content: bytes, begin: int, end: int) -> bool:
+        for text in self._accepted:
+            low = max(0, end - len(text))
+            at = content.find(text, low, begin + len(text))
+            if at != -1 and at <= begin:
+                return True
+        return False
+
+
+def _by_core(needles: Iterable[_Needle]) -> dict[bytes, list[_Needle]]:
+    """Return needles by the shortest core that is in their own one."""
+    listed = list(needles)
+    cores = sorted({needle.core for needle in listed}, key=len)
+    found: dict[bytes, list[_Needle]] = {}
+    for needle in listed:
+        found.setdefault(next(core for core in cores if core in needle.core), []).append(needle)
+    return found
+
+
+def _core(form: str) -> str:
+    """Return the longest run of ASCII letters and digits, or the whole text if it has none."""
+    return max(re.findall("[A-Za-z0-9]+", form), key=len, default=form)
+
+
+def _lower(content: bytes) -> bytes:
+    return content.lower()
+
+
+def _offsets(content: bytes, needle: bytes) -> Iterator[int]:
+    at = content.find(needle)
+    while at != -1:
+        yield at
+        at = content.find(needle, at + 1)
+
+
+def _counts(content: bytes, offset: int, needle: _Needle, *, binary: bool) -> bool:
+    end = offset + len(needle.text)
+    width = 2 if needle.wide else 1
+    before, after = (_character(content, at, needle) for at in (offset - width, end))
+    if needle.whole and (_continues(before, needle.word.text[0]) or _continues(after, needle.word.text[-1])):
+        return False
+    if not binary or len(needle.word.text) > TINY or needle.wide:
+        return True
+    low = max(0, offset - 8)
+    return any(low + run.start() <= offset and end <= low + run.end() for run in READABLE.finditer(content[low : end + 8]))
+
+
+def _character(content: bytes, at: int, needle: _Needle) -> str:
+    """Return the character at an offset, in the encoding of a needle; "" outside the content."""
+    piece = content[at : at + 2] if needle.wide else content[at : at + 1]
+    return piece.decode(needle.wide or "ascii", "replace") if at >= 0 else ""
+
+
+def _continues(beside: str, edge: str) -> bool:
+    """Return whether a character beside a word makes it part of a longer one: a letter, or a digit beside a digit."""
+    return beside.isalpha() or (beside.isdigit() and edge.isdigit())
+
+
+def _forms(text: str) -> set[str]:
+    """Return the spellings of a word, in lower and upper case of letters that are not ASCII."""
+    parts = re.split(r"[\s,._-]+", text.strip())
+    spelled = {text}
+    if len(parts) > 1 and " " in text.strip():
+        spelled |= {separator.join(parts) for separator in SEPARATORS}
+        if len(parts) <= PARTS:
+            spelled |= {separator.join(order) for order, separator in product(permutations(parts), SEPARATORS)}
+    found: set[str] = set()
+    for one in spelled:
+        for cased in _cased(one):
+            found |= {cased, _plain(cased), _escaped(cased), quote(cased, safe="/:@"), escape(cased)}
+            found.add(cased.encode("ascii", "xmlcharrefreplace").decode())
+            found.add(cased.replace("/", "\\/"))
+    return {one for one in found if one}
+
+
+def _cased(text: str) -> set[str]:
+    return {unicodedata.normalize(form, one) for form in ("NFC", "NFD") for one in (text, text.lower(), text.upper())}
+
+
+def _plain(text: str) -> str:
+    """Return a text without accents."""
+    return "".join(one for one in unicodedata.normalize("NFD", text) if not unicodedata.combining(one))
+
+
+def _escaped(text: str) -> str:
+    """Return a text as JSON escapes it."""
+    return text.encode("ascii", "backslashreplace").decode().replace("\\x", "\\u00")
