@@ -1361,16 +1361,20 @@ class Project:
         wheels: bool = False,
         pythons: Sequence[str] = (),
         machines: Sequence[str] = (),
+        anonymous: bool = False,
+        allow: Sequence[str] = (),
     ) -> Packed | None:
         """Write a reproduction package of these batches, if `agree` returns true for the preview: see `sierra.packages.pack`.
 
-        With `claims`, also of the batches that the claims of `sierra.toml` rest on.
+        With `claims`, also of the batches that the claims of `sierra.toml` rest on. `anonymous`: for double-blind review, see
+        `sierra.packages.anonymous`; `allow`: texts in which names are accepted there.
 
         `image`: the forms in which container images are packed, `oci`, `sif`, `both` or `none`. With `wheels`, Python
         packages are packed for these versions of Python (as `3.12`) and processors (as `x86_64`); by default, for this Python.
 
         Raises NotFound if such a batch has not been recorded, UsageError if there is no batch or the file exists, ConfigError
-        if `[package]` has no title, authors or licence, Missing for a source that no longer exists.
+        if `[package]` has no title, authors or licence, Missing for a source that no longer exists, Identifying if an anonymous
+        package would name people or machines.
 
         >>> project.package(summary.batch, path="results.zip")
         Traceback (most recent call last):
@@ -1378,6 +1382,7 @@ class Project:
         sierra.errors.ConfigError: [package] in sierra.toml needs title, authors, license
         """
         from sierra.packages import pack
+        from sierra.packages.anonymous import Anonymity
         from sierra.packages.subject import Options
 
         if claims:
@@ -1388,7 +1393,10 @@ class Project:
         if not batches:
             raise UsageError("name the batches to be packed")
         options = Options(image, wheels, tuple(pythons), tuple(machines))
-        return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree, options=options)
+        if allow and not anonymous:
+            raise UsageError("--allow accepts names in anonymous packages; add --anonymous")
+        anonymity = Anonymity(self._loaded, allow) if anonymous else None
+        return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree, options=options, anonymity=anonymity)
 
     def import_package(self, path: str | os.PathLike[str]) -> Imported:
         """Add the records of a package to the store, and keep where they came from: see `sierra.packages.imports`.

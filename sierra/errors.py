@@ -39,6 +39,15 @@ class NotFound(UsageError):
     """An unknown or ambiguous hash or name."""
 
 
+class Identifying(UsageError):
+    """Contents of an anonymous package that name people or machines."""
+
+    def __init__(self, message: str, places: tuple[str, ...]) -> None:
+        """`places`: one line for each place."""
+        super().__init__(message)
+        self.places = places
+
+
 class SqlError(UsageError):
     """A SQL statement that DuckDB rejects."""
 

@@ -60,6 +60,8 @@ def open_(
 def _lines(found: Received) -> Iterator[str]:
     described = found.manifest
     yield f"package {found.id[:10]}: {described.title}, {described.date}"
+    if described.redacted:
+        yield "anonymous: hosts, folders, commits and times in its records are not the original ones"
     for batch in described.batches:
         runs = f"{counted(batch.runs, 'run')}, {batch.successful:,} successful"
         yield f"batch {batch.batch[:10]}: {batch.query} ({counted(batch.experiments, 'experiment')}, {runs})"

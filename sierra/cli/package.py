@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +17,9 @@ from sierra.util.text import size
 
 if TYPE_CHECKING:
     from sierra.packages.pack import Preview
+
+SHOWN = 200
+"""The number of places with names that are listed."""
 
 
 def package(
@@ -43,6 +48,13 @@ def package(
         str,
         typer.Option("--arch", metavar="NAME[,NAME...]", help="Processors for --wheels, as x86_64 (default: this one)."),
     ] = "",
+    anonymous: Annotated[
+        bool, typer.Option("--anonymous", help="For double-blind review: no names, hosts, folders, commits and dates.")
+    ] = False,
+    allow: Annotated[
+        list[str] | None,
+        typer.Option("--allow", metavar="TEXT", help="With --anonymous: a text that may contain a name. Repeatable."),
+    ] = None,
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> None:
@@ -51,15 +63,20 @@ def package(
     The file contains the records and outputs of the batches, their source, sierra.toml with the files that it names, and
     metadata made from [package] in sierra.toml. Things that are left out are listed first, and must be confirmed.
 
+    With --anonymous, records are rewritten, and all files are searched for names. If one is found, nothing is written, and
+    the exit code is 2.
+
     \b
     Examples:
       sierra package 3f2a -o results.zip
       sierra package --claims -o results.zip
       sierra package 3f2a -o results.zip --image both
       sierra package 3f2a -o results.zip --wheels --python 3.12,3.13
+      sierra package 3f2a -o review.zip --anonymous
     """
     from sierra.cli.confirm import agreed
     from sierra.cli.open_project import project
+    from sierra.errors import Identifying
 
     def agree(preview: Preview) -> bool:
         print("" if as_json else "".join(f"{fact}\n" for fact in preview.facts), end="")
@@ -69,16 +86,40 @@ def package(
     if (pythons or machines) and not wheels:
         raise UsageError("--python and --arch choose wheels; add --wheels")
     chosen = {"pythons": _listed(pythons), "machines": _listed(machines)}
-    packed = project().package(*(batches or ()), path=output, claims=claims, agree=agree, image=image, wheels=wheels, **chosen)
+    try:
+        packed = project().package(
+            *(batches or ()),
+            path=output,
+            claims=claims,
+            agree=agree,
+            anonymous=anonymous,
+            allow=allow or (),
+            image=image,
+            wheels=wheels,
+            **chosen,
+        )
+    except Identifying as error:
+        more = [f"and {len(error.places) - SHOWN:,} places more"] if len(error.places) > SHOWN else []
+        print("".join(f"{place}\n" for place in (*error.places[:SHOWN], *more)), end="", file=sys.stderr)
+        raise
     if packed is None:
         print("nothing was written")
         raise typer.Exit(1)
     if as_json:
         print_json(packed)
     else:
+        print("".join(f"{line}\n" for line in _about_names(packed.preview)), end="")
         print(f"{packed.path}: package {packed.id[:10]}, {packed.preview.members:,} files")
 
 
 def _listed(text: str) -> list[str]:
     """Return the words of a list with commas."""
     return [one.strip() for one in text.split(",") if one.strip()]
+
+
+def _about_names(preview: Preview) -> Iterator[str]:
+    """Yield the words that an anonymous package was searched for; they are not in the package."""
+    if preview.searched:
+        yield f"no file has one of these words: {', '.join(preview.searched)}"
+    if preview.general:
+        yield f"not searched, because they show nothing: {', '.join(preview.general)}"

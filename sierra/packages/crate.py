@@ -41,6 +41,10 @@ PROFILES = {
 }
 """Names and versions of the profiles to which the crate and its entities conform."""
 RESULTS = STORED
+REDACTED = (
+    "The package is anonymous, for double-blind review: hosts, folders, commits and times in its records are not the original "
+    "ones. Ids of runs, durations and outputs are."
+)
 UNKNOWN = "application/octet-stream"
 FORMATS = {
     ".bundle": "application/x-git-bundle",
@@ -120,6 +124,7 @@ def _readme(subject: Subject, found: Mapping[str, Member]) -> bytes:
     parts = (
         f"# {package.title}",
         package.description.strip(),
+        REDACTED if subject.redacted else "",
         f"`{INSTRUCTIONS}` tells how to check the results, and what that needs.",
         f"`{PROJECT}` is a project of SIERRA {__version__} with its records: `sierra ls`, run there, lists its batches.",
         f"`{CRATE}` describes all files and runs as an RO-Crate.",
@@ -174,7 +179,7 @@ def _root(
         "@id": "./",
         "@type": "Dataset",
         "name": package.title,
-        "description": package.description.strip() or package.title,
+        "description": " ".join(filter(None, (package.description.strip() or package.title, REDACTED * subject.redacted))),
         "datePublished": _published(subject),
         "license": ref(_licence(package)["@id"]),
         "conformsTo": [ref(address) for address in PROFILES if address.startswith((RUN, WORKFLOW_CRATE))],

@@ -50,7 +50,7 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
 
     Each commit is a branch `recorded-<12 digits>`; HEAD is that of the newest batch.
     """
-    commits = _commits(subject)
+    commits = [] if subject.redacted else _commits(subject)
     if not commits or not subject.project.config.package.history:
         return Made(())
     root = subject.project.root

@@ -55,6 +55,8 @@ def member(described: PackageManifest, members: Mapping[str, Member]) -> Member:
 def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterator[str]:
     yield f"# {_text(described.title)}"
     yield f"\nThis package has all that is needed to check the results below. SIERRA {described.sierra} wrote it from records."
+    if described.redacted:
+        yield "\nIt is anonymous, for review: hosts, folders, commits and times in its records are not the original ones."
     yield "\n## Results\n"
     yield "| batch | research query | experiments | runs | successful |\n|---|---|---|---|---|"
     for batch in described.batches:

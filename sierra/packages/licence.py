@@ -18,6 +18,8 @@ TEXT = re.compile(r"(?:LICEN[CS]E|COPYING|UNLICENSE)(?:[-.][A-Za-z0-9.+-]+)?", r
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     """Return the licence files of the project, else a fact that there are none."""
+    if subject.redacted:
+        return Made((), facts=("files with the text of the licence are not packed, because they name who holds the rights",))
     for folder in _folders(subject.project.root):
         if files := sorted(path for path in folder.iterdir() if TEXT.fullmatch(path.name) and path.is_file()):
             return Made([Member(path.name, path, "licence") for path in files])

@@ -104,6 +104,7 @@ def describe(subject: Subject, members: Mapping[str, Member], notes: tuple[str, 
         claims=tuple(_claims(subject, members, needs)),
         machines=machines(subject.store),
         notes=notes,
+        redacted=subject.redacted,
     )
 
 

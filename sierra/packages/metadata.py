@@ -76,9 +76,9 @@ def files(package: Package, date: str = "") -> dict[str, bytes]:
 
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
-    """Return the metadata files of a package: the project's own ones, else those made from `[package]`."""
+    """Return the metadata files of a package: the project's own ones, or those made from `[package]`."""
     package = subject.project.config.package
-    theirs = own(subject.project.root)
+    theirs = {} if subject.redacted else own(subject.project.root)
     made = {**files(package, subject.date), **theirs}
     parts = [Member(name, content, "metadata for archives and citations") for name, content in made.items()]
     return Made(parts, notes=tuple(differences(package, theirs)))

@@ -16,6 +16,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.errors import UsageError
 from sierra.maintenance.extract import extract
 from sierra.packages import (
+    anonymous,
     archive,
     checks,
     crate,
@@ -34,12 +35,14 @@ from sierra.packages import (
     verifier,
     wheels,
 )
+from sierra.packages.anonymous import Anonymity
 from sierra.packages.layout import INSTRUCTIONS, PACKAGE
 from sierra.packages.subject import Made, Member, Options, Part, Subject
 from sierra.store.store import Store
 
 PARTS: tuple[Part, ...] = (
     sources.members,
+    anonymous.members,  # rewrites the records, which all parts below show
     history.members,
     stored.members,
     declared_files.members,
@@ -66,6 +69,10 @@ class Preview:
     """One line for each thing that is left out."""
     facts: tuple[str, ...]
     """Further lines for whoever opens the package."""
+    searched: tuple[str, ...] = ()
+    """The words that an anonymous package was searched for; they are not in the package."""
+    general: tuple[str, ...] = ()
+    """Names that are too general to show who made a package, and were not searched."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +92,12 @@ def pack(
     path: Path,
     agree: Callable[[Preview], bool] = lambda preview: True,
     options: Options | None = None,
+    anonymity: Anonymity | None = None,
 ) -> Packed | None:
     """Write a package of these batches, if `agree` returns true for the preview; return None if it returns false.
 
-    Raises UsageError if `path` exists or an id is not that of a batch, Missing and ConfigError for what cannot be packed.
+    `anonymity`: given for an anonymous package. Raises UsageError if `path` exists or an id is not that of a batch, Missing and
+    ConfigError for what cannot be packed, Identifying if an anonymous package would name people or machines.
     """
     path = path.parent.resolve() / path.name
     archive.check_new(path)
@@ -97,12 +106,19 @@ def pack(
         scratch = Path(folder)
         part = extract(store, batches, scratch / "store")
         subject = Subject(project, part, batches, scratch, _date(project, part), options or Options())
+        if anonymity is not None:
+            subject = anonymity.subject(subject)
         members, notes, facts = _collect(subject)
         described = manifest.describe(subject, members, (*notes, *facts))
         members[PACKAGE] = Member(PACKAGE, manifest.written(described), "description of the package for programs")
         members[INSTRUCTIONS] = instructions.member(described, members)
         members |= {member.name: member for member in crate.members(subject, members).members}
-        preview = Preview(len(members), sum(member.size for member in members.values()), notes, facts)
+        size = sum(member.size for member in members.values())
+        if anonymity is None:
+            preview = Preview(len(members), size, notes, facts)
+        else:
+            unread = anonymity.check(subject, members)
+            preview = Preview(len(members), size, (*notes, *unread), facts, anonymity.searched, anonymity.general)
         if not agree(preview):
             return None
         programs = [name for name, member in members.items() if member.executable]

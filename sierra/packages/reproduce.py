@@ -440,6 +440,8 @@ def describe(checked: Checked) -> None:
     for key in ("title", "date"):
         if about.get(key):
             print(f"  {key + ':':9}{clean(about[key])}")
+    if about.get("redacted") is True:
+        print("  redacted: for double-blind review: hosts, folders, commits and times in the records are not the original ones")
     batches = about.get("batches", [])
     for batch in batches[:NAMED]:
         print(f"  batch:   {clean(batch_id(batch))[:SHORT]} {clean(query(batch))}")

@@ -47,6 +47,8 @@ class Subject:
     date: str
     """The date of the package, in ISO 8601: that of `[package]`, else of the newest record."""
     options: Options = Options()
+    redacted: bool = False
+    """True in an anonymous package, whose `[package]` names no authors."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,20 +60,26 @@ VALIDATORS = Path(__file__).parents[2] / ".venv-validators" / "bin"
 SKIPPED = "process-run-crate-0.5_5.1"
 """It wants an address on the web as the id of each program; but the profile for workflows wants a file of the crate."""
 
+NO_ADDRESS = "ro-crate-1.1_31.2"
+"""It wants an address of each organization, which an anonymous one has not."""
 
-def unpacked(folder: Path, query: str, runs: int) -> Path:
+
+def unpacked(folder: Path, query: str, runs: int, *, anonymous: bool = False) -> Path:
     root = projects.make(folder / "project", projects.CONFIG + TOML)
     batch = sierra.open(root).run(query, runs=runs, figures=False).batch
-    sierra.open(root).package(batch, path=folder / "x.zip")
+    sierra.open(root).package(batch, path=folder / "x.zip", anonymous=anonymous)
     with zipfile.ZipFile(folder / "x.zip") as file:
         file.extractall(folder / "x")
     return folder / "x"
 
 
-@pytest.mark.parametrize(("query", "runs"), [("population_size=1,2,3", 1), ("population_size=1,2,3,4", 10)])
-def test_the_crate_is_valid(tmp_path: Path, query: str, runs: int, require: Callable[..., str]) -> None:
+@pytest.mark.parametrize(
+    ("query", "runs", "skipped"),
+    [("population_size=1,2,3", 1, ""), ("population_size=1,2,3", 1, NO_ADDRESS), ("population_size=1,2,3,4", 10, "")],
+)
+def test_the_crate_is_valid(tmp_path: Path, query: str, runs: int, skipped: str, require: Callable[..., str]) -> None:
     validator = require(str(VALIDATORS / "rocrate-validator"))
-    package = unpacked(tmp_path, query, runs)
+    package = unpacked(tmp_path, query, runs, anonymous=skipped == NO_ADDRESS)
     python = VALIDATORS / "python"
     subprocess.run([python, "-c", FILL, tmp_path / "cache"], check=True)
     words: list[str | Path] = [
@@ -89,8 +95,9 @@ def test_the_crate_is_valid(tmp_path: Path, query: str, runs: int, require: Call
     done = subprocess.run([validator, "-y", "validate", *words], check=False, capture_output=True, text=True)
     assert (tmp_path / "report.json").exists(), done.stdout + done.stderr
     report = json.loads((tmp_path / "report.json").read_text())
-    assert [(one["check"]["identifier"], one["message"]) for one in report["issues"]] == []
-    assert done.returncode == 0, done.stdout
+    issues = [(one["check"]["identifier"], one["message"]) for one in report["issues"] if one["check"]["identifier"] != skipped]
+    assert issues == []
+    assert done.returncode == bool(skipped), done.stdout
 
 
 def test_the_citation_is_valid(tmp_path: Path, require: Callable[..., str]) -> None:
