@@ -1088,7 +1088,8 @@ class Project:
 
         asked = options(Comparison, {key: value for key, value in given.items() if value is not None}, "the comparison")
         groups, packaged = self._groups_with_packages(words)
-        return comparison.compare(self._loaded, self.store, name, groups, asked, packaged)
+        store = self.store if len(packaged) < len(groups) else next(iter(packaged.values()))
+        return comparison.compare(self._loaded, store, name, groups, asked, packaged)
 
     def _groups_with_packages(self, words: Sequence[str]) -> tuple[dict[str, str], dict[str, Store]]:
         """Return the batches that words name, by group, and the stores of the groups that are in packages."""
@@ -1106,6 +1107,8 @@ class Project:
             if group in groups:
                 raise UsageError(f"two groups have the name {group!r}; give them different ones: LABEL=HASH")
             groups[group] = batch
+        if len({(store.paths.root, groups[group]) for group, store in packaged.items()}) < len(packaged):
+            raise UsageError("a batch cannot be compared with itself; name other batches, or one batch and --by VARIABLE")
         return groups, packaged
 
     def _batch_in_package(self, path: str, prefix: str | None, others: Iterable[str]) -> tuple[Store, str]:

@@ -288,6 +288,8 @@ def test_baselines_of_batches_and_of_packages_find_regressions(recorded: Path, t
     assert "no figure: the runs of old are not in the store" in wide.stderr + narrow.stderr
     suite = ET.parse(xml).getroot()[0]  # noqa: S314 - written above
     assert [case[0].get("message") for case in suite] == [None, None, "different"]
+    done = projects.quick(clone, "compare", f"{tmp_path}/old.zip", f"again={tmp_path}/old.zip")
+    assert (done.returncode, "cannot be compared with itself" in done.stderr) == (2, True)
     done = projects.quick(clone, "claims", "--against", "publishd")
     assert (done.returncode, "did you mean 'published'?" in done.stderr) == (2, True)
     (clone / "sierra.baselines.json").write_text('{"format": 1, "baselines": {"x": {"eight": {"n": "1"}}}}')
