@@ -142,7 +142,7 @@ def _with_engine(
     engine, trouble = _engine(project, store, planned.batch, recalled, requested)
     if engine is None:
         return _lacking(planned, trouble)
-    missing = [*_without_mount(project, recalled)] if engine.name != NONE else []
+    missing = [*_uncontained(recalled), *_without_mount(project, recalled)] if engine.name != NONE else []
     if engine.name == NONE and local:
         missing += _lacking_program(project, recalled)
     image = None if engine.name == NONE else packed_image(project, store, recalled)
@@ -150,7 +150,7 @@ def _with_engine(
         engine.prepare(image, project.root, store.paths)
     if missing:
         return _lacking(planned, *missing)
-    access = [one for one in spec.host_access if one in (NETWORK, GPU) or one.startswith(DEVICE)]
+    access = [one for one in _host_access(recalled) if one in (NETWORK, GPU) or one.startswith(DEVICE)]
     if engine.name != NONE and not engine.probe().isolated and NETWORK not in access:
         access.append(f"{NETWORK} ({engine.name} cannot isolate it here)")
     built = (tuple(recalled.build.row.command),) if recalled.build else ()
@@ -188,9 +188,23 @@ def _engine(
     return None, f"it needs a container engine: {'; '.join(troubles)}; {remedy}"
 
 
+def _host_access(recalled: Recalled) -> tuple[str, ...]:
+    """Return what the runs and the build use beyond their image."""
+    build = recalled.build.row.host_access if recalled.build else ()
+    return tuple(dict.fromkeys((*recalled.spec.host_access, *build)))
+
+
+def _uncontained(recalled: Recalled) -> Iterator[str]:
+    """Yield a line for each part of a batch that would not execute in the image of its runs. SIERRA records no such batch."""
+    if recalled.build and recalled.build.row.image != recalled.spec.image:
+        yield "its build was not executed in the image of its runs; --engine none executes it on this machine"
+    if any(service.shared for service in recalled.spec.around.services):
+        yield "its services for all runs would not execute in containers; --engine none executes it on this machine"
+
+
 def _without_mount(project: LoadedProject, recalled: Recalled) -> Iterator[str]:
     given = project.config.container.mounts if project.config.container else {}
-    for target in (one.removeprefix(MOUNT) for one in recalled.spec.host_access if one.startswith(MOUNT)):
+    for target in (one.removeprefix(MOUNT) for one in _host_access(recalled) if one.startswith(MOUNT)):
         if target not in given:
             yield f"its containers need {target} from outside the package, which a package must not choose"
 
