@@ -53,6 +53,7 @@ PROJECT_MARK = "/@sierra-project@"
 PYTHON_MARK = "@sierra-python@"
 CONDUCTED = "\2"  # as in worker.py: the second word is a plan in JSON
 STORE = ".sierra"
+HASH = re.compile("[0-9a-f]{64}")
 IMAGES = "environment/images"  # the folder in a package that may have images, by id
 ENGINES = ("podman", "apptainer")
 HOST = "host"
@@ -162,6 +163,8 @@ class Batch:
             self.image = None if plan["image"] is None else texts_of(plan["image"])
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise Stop(f"{PLAN}: a batch is not described as it should be: {clean(repr(error))}", 1) from None
+        if not HASH.fullmatch(self.id):
+            raise Stop(f"{PLAN}: {clean(repr(self.id))} is not the id of a batch", 1)
         for name in (self.project, self.jobs, *self.files, *self.beside):
             if not is_safe(name):
                 raise Stop(f"{PLAN}: the name {clean(repr(name))} leads outside", 1)
@@ -423,8 +426,9 @@ class Podman(Container):
             if not self.is_there():
                 yield f"podman cannot load {file.name}, or it is another image: {last_line(said)}"
         elif not file and not self.is_there():
-            name = shlex.quote(self.image.get("name") or "IMAGE")
-            yield f"podman has no image {clean(self.reference)}; obtain it, for example with: podman pull {clean(name)}"
+            name = clean(shlex.quote(self.image.get("name", "")))
+            hint = "ask its authors for a package with it (--image oci)" if name == "''" else f"try: podman pull {name}"
+            yield f"podman has no image {clean(self.reference)}; {hint}"
 
     def is_there(self) -> bool:
         return subprocess.call(["podman", "image", "exists", self.reference], stderr=subprocess.DEVNULL) == 0
@@ -728,6 +732,8 @@ def proposal(batches: Sequence[Batch], places: Sequence[Any], count: int, second
         yield from (f"  note: {clean(note)}" for note in batch.notes)
     if any(place.name == HOST for place in places):
         yield "These are programs of the package. On this machine they can do everything that you can."
+    else:
+        yield "The containers isolate the runs. execution/worker.py of the package, which starts them, is not isolated."
 
 
 def duration(seconds: float) -> str:
@@ -751,7 +757,7 @@ def execute(package: Path, work: Path, runs: int | None, seconds: float | None, 
     counts = dict.fromkeys((IDENTICAL, DIFFERENT, FAILED, NOT_COMPARABLE), 0)
     unlike = 0
     for batch, place in zip(batches, places):
-        within = folder / clean(batch.id)[:12]
+        within = folder / batch.id[:12]
         within.mkdir()
         for outcome in Execution(batch, place, within, slots).outcomes():
             counts[outcome.verdict] += 1

@@ -31,6 +31,7 @@ from sierra.util.text import counted
 from sierra.worker import conductor, worker
 
 IN_PROJECT = "{project}/"
+FILES = (Kind.PROGRAM, Kind.LIBRARY, Kind.FILE)
 
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
@@ -61,7 +62,7 @@ class _Batch:
             self._make(batch)
         except SierraError as error:
             self.members = []
-            self.plan["obstacle"] = str(error)
+            self.plan = {"batch": batch, "obstacle": str(error)}
 
     def _make(self, batch: str) -> None:
         store = self._subject.store
@@ -103,7 +104,7 @@ class _Batch:
 
     def _files(self, recalled: Recalled, folder: str) -> dict[str, dict[str, Any]]:
         """Return the project's files that runs used and that the folder lacks, with the members that have them."""
-        recorded = {one.name: one.sha256 for one in recalled.programs if one.sha256 and one.kind != Kind.LINK}
+        recorded = {one.name: one.sha256 for one in recalled.programs if one.sha256 and one.kind in FILES}
         files: dict[str, dict[str, Any]] = {}
         for path, sha256 in sorted((recorded | dict(recalled.observed)).items()):
             name = path.removeprefix(IN_PROJECT)
@@ -165,9 +166,10 @@ def _needs(recalled: Recalled) -> list[dict[str, str]]:
 
 
 def _image(image: Image | None) -> dict[str, str] | None:
+    """Return the image that engines need; it has a name only if it can be pulled by it."""
     if image is None:
         return None
-    return {"id": image.id, "kind": image.kind, "name": image.name, "architecture": image.architecture}
+    return {"id": image.id, "kind": image.kind, "name": "" if image.file else image.name, "architecture": image.architecture}
 
 
 def _notes(recalled: Recalled) -> list[str]:

@@ -108,6 +108,7 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, s
         (LINE, {"files": {"a": {"member": "../../etc/passwd", "program": False}}}),
         (LINE, {"beside": {"../a": {"member": "project/a", "program": False}}}),
         (LINE, {"limits": 3}),
+        (LINE, {"batch": "../../elsewhere"}),
         (LINE, {"environment": {"A": 1}}),
         ([1], {}),
         ({**LINE, "argv": "rm"}, {}),
