@@ -259,15 +259,15 @@ AND t.session NOT IN (SELECT session FROM imported_sessions) LIMIT 1
 
 
 def _write(adding: Compaction, received: _Received, change: _Change, lamport: int) -> None:
-    """Write the new records, and where they came from. Write nothing if there are none."""
+    """Write the new records. Each new segment also says where they came from, so that the loss of another one hides nothing."""
+    described = received.described
+    made = ImportRow(received.id, described.title, described.date, received.batches, datetime.now(UTC), lamport)
     segments = [_imported(segment) for segment in received.store.segments()]
     for group in groups(segment for segment in segments if segment.files):
-        adding.add(group, change.drop)
-    if not adding.is_empty:
-        described = received.described
-        writer = adding.writer(received.batches[0])
-        writer.records([ImportRow(received.id, described.title, described.date, received.batches, datetime.now(UTC), lamport)])
-        writer.records(change.sessions)
+        writer = adding.add(group, change.drop)
+        if any(writer.folder.iterdir()):
+            writer.records([made])
+            writer.records(change.sessions)
 
 
 def _imported(segment: Segment) -> Segment:

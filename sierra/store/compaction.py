@@ -112,19 +112,15 @@ class Compaction:
         self.add(group, drop)
         self._replaced += group
 
-    def add(self, group: Group, drop: Drop) -> None:
-        """Write the kept rows of a group of another store, which replaces nothing. Raises the same errors as `write`."""
-        write_kept(group, drop, self.writer(group[0].batch))
+    def add(self, group: Group, drop: Drop) -> Writer:
+        """Write the kept rows of a group of another store, which replaces nothing. Raises the same errors as `write`.
 
-    def writer(self, batch: str) -> Writer:
-        """Return a writer for further records. If nothing is written with it, it makes no segment."""
-        self._writers.append(Writer(self._folder / str(len(self._writers)), batch))
-        return self._writers[-1]
-
-    @property
-    def is_empty(self) -> bool:
-        """True if nothing was written."""
-        return not any(any(writer.folder.iterdir()) for writer in self._writers)
+        Return the writer, for further records. A writer of nothing makes no segment.
+        """
+        writer = Writer(self._folder / str(len(self._writers)), group[0].batch)
+        self._writers.append(writer)
+        write_kept(group, drop, writer)
+        return writer
 
     def publish(self) -> None:
         """Add the segments that were written, and replace the old ones, at one moment."""

@@ -12,8 +12,8 @@ All three parts are recorded as one whole number in the column `lamport`. A grea
     18 bits   the first bits of the session's id
     22 bits   the position, from 0; positions beyond the largest one share it
 
-Imported records have the numbers of the store that they came from. The import itself has a session here, so later sessions have
-higher numbers than all imported records.
+Imported records have the numbers of the store that they came from. A session that begins after an
+import has a higher number than all imported records.
 """
 
 from __future__ import annotations
