@@ -26,10 +26,11 @@ def import_(
     package: Annotated[Path, typer.Argument(metavar="FILE.zip", help="A package.", show_default=False)],
     as_json: AsJson = False,
 ) -> None:
-    """Add the batches of a package, with their executions and outputs, to the store.
+    """Add the batches of a package to the store.
 
-    All files and records are checked first; nothing of the package is executed. Imported executions are never reused. They do
-    not count in batches that were executed here, or that came in an earlier package: there, they stand beside the others.
+    Their runs come with executions and outputs. All files and records are checked first; nothing of the package is executed.
+    Imported executions are never reused. They do not count in batches that were executed here, or that came in an earlier
+    package: there, they stand beside the others.
 
     \b
     Examples:

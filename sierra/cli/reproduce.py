@@ -53,7 +53,7 @@ def reproduce(
     as_json: AsJson = False,
     junit: Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Also write the verdicts as JUnit XML.")] = None,
 ) -> None:
-    """Execute the runs of a received package again, compare the results, and decide its claims.
+    """Execute the runs of a package again, and decide its claims.
 
     All files are verified and copied first. Runs execute in the package's container without network. If they would execute on
     this machine without a container, or with access to the network or devices, you are asked first. Clusters are those of your
