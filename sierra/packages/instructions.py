@@ -88,14 +88,8 @@ def _claims(described: PackageManifest) -> Iterator[str]:
         yield "\n## Claims\n"
         yield "| claim | in the paper | recorded verdict | command | time |\n|---|---|---|---|---|"
         for one in described.claims:
-            command = f"`sierra reproduce . --claim {one.name}`"
-            cells = (
-                _text(one.says),
-                _text(one.shown),
-                f"{one.verdict}: {_text(one.text)}",
-                command,
-                _time(SPARE * one.seconds),
-            )
+            known = (f"`sierra reproduce . --claim {one.name}`", _time(SPARE * one.seconds)) if one.batches else ("–", "–")
+            cells = (_text(one.says), _text(one.shown), f"{one.verdict}: {_text(one.text)}", *known)
             yield f"| {' | '.join(cells)} |"
         yield f"\nEach command executes the runs behind a claim again. The time is that of one core of {SLOWER} speed."
         yield "In `project/`, `sierra claims` decides all claims on the recorded data, within seconds."
@@ -127,9 +121,11 @@ def _first_look(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
     """Yield how to check the files, and the shortest run of each experiment, within a short time."""
     yield "Check the files. It takes seconds, needs only Python 3.8 or newer, and executes nothing of the package:\n"
     yield "```sh\npython3 reproduce.py\n```\n"
-    yield "Then execute a few runs of each batch again, with SIERRA. The command states what it executes, and asks first:\n"
+    yield "Then execute a few runs of each batch again. Both commands state what they execute, and ask first. SIERRA compares"
+    yield "values and decides the claims. Without it, bytes are compared:\n"
     shortest = SPARE * sum(one.needs.shortest for one in batches if one.needs)
     yield f"```sh\nsierra reproduce . --budget {QUICK_S // MINUTE_S}m\n```\n"
+    yield f"```sh\npython3 reproduce.py --execute --budget {QUICK_S // MINUTE_S}m\n```\n"
     if shortest <= QUICK_S:
         yield f"The shortest run of each experiment takes {_time(shortest)} together, on a machine of {SLOWER} speed."
     else:
