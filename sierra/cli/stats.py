@@ -99,7 +99,7 @@ def stats(
     file: Annotated[Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write the result to a file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Same as --format json.")] = False,
 ) -> None:
-    """Compute statistics of a column over the runs of each experiment.
+    """Compute statistics of a column over runs of each experiment.
 
     Prints n, mean, sd, the 95 % interval of the mean (low, high), median, quartiles, whiskers, range, the interquartile mean
     (iqm) with its interval, and the number of missing or infinite values, or of runs that never reached the threshold. A column
