@@ -140,7 +140,7 @@ STATEMENTS = {
 """Statements that decide nothing, and why."""
 GAPS = """
 [sql]
-wall = 0.5
+wall = 5
 [tables.gaps]
 sql = "SELECT run, CASE WHEN min(tick) = 0 THEN 'nan'::DOUBLE ELSE 0 END AS least FROM swarm GROUP BY run"
 [tables.hidden]
