@@ -101,7 +101,7 @@ def _lines(done: Reproduction) -> Iterator[str]:
         yield from _of_batch(batch)
     yield from _listed("Left out", done.left_out)
     yield from _listed("Notes", [f"{short(one.planned.batch)}: {note}" for one in done.batches for note in _notes(one)])
-    yield from _listed("Ignored settings of the package", done.notes)
+    yield from _listed("Notes on the package", done.notes)
 
 
 def _notes(one: ReproducedBatch) -> Sequence[str]:

@@ -16,8 +16,8 @@ from sierra.deliverables.claims.model import Evaluated
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution.observer import Observer
 from sierra.execution.progress_display import duration
-from sierra.packages import manifest
-from sierra.packages.layout import PACKAGE, PROJECT
+from sierra.packages import manifest, received, verifier
+from sierra.packages.layout import PACKAGE, PROGRAM, PROJECT
 from sierra.packages.reproduction import budget, claims, confined_project, planned, report, workspace
 from sierra.packages.reproduction.outcome import ReproducedBatch, Reproduction, Statement
 from sierra.packages.reproduction.planned import PlannedBatch, RecordedRun
@@ -63,6 +63,8 @@ def reproduce(
         observer.notice(f"verified: package {short(found.id)}, copied to {folder / workspace.COPY}")
         described = manifest.read((folder / workspace.COPY / PACKAGE).read_bytes())
         project, notes = confined_project.load(folder / workspace.COPY / PROJECT)
+        if not verifier.is_ours(found.hashes.get(PROGRAM)):
+            notes = (*notes, received.OTHER)
         for note in notes:
             observer.notice(one_line(note))
         store = Store(project.root / STORE, project.rules)
