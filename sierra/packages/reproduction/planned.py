@@ -16,14 +16,13 @@ from sierra.containers.images.image import Image, Kind
 from sierra.errors import Missing, NotFound, SierraError
 from sierra.execution import commands, plan_from_record, row_queries, targets
 from sierra.execution.plan_from_record import Recalled
+from sierra.packages.layout import IMAGE_FILES
 from sierra.provenance.dependency_model import INSTALLED, normalized, versions
 from sierra.store.store import Store
 from sierra.util.hashing import sha256_file, short
 from sierra.util.text import one_line
 
 NONE = "none"
-IMAGE_FILES = "environment/images/"
-"""The folder of images in a package, by id."""
 ENDINGS = {Kind.OCI: (".tar",), Kind.SQUASHFS: (".sif", ".sqfs")}
 CONTAINERS = ("podman", "apptainer")
 """Engines that are tried if the recorded one does not work on this machine."""
