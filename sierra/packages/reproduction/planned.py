@@ -24,6 +24,8 @@ from sierra.util.text import one_line
 
 NONE = "none"
 ENDINGS = {Kind.OCI: (".tar",), Kind.SQUASHFS: (".sif", ".sqfs")}
+INSTALLERS = {"pip", "setuptools", "wheel"}
+"""Packages that an environment may contain for installing others. Python reads a file of setuptools whenever it starts."""
 CONTAINERS = ("podman", "apptainer")
 """Engines that are tried if the recorded one does not work on this machine."""
 
@@ -232,7 +234,7 @@ def lacking_packages(project: LoadedProject, store: Store, planned: PlannedBatch
         names = {normalized(name) for name in row_queries.used_distributions(snapshot, [recalled.fingerprint])}
     was = {name: version for one in recalled.programs for name, version in _installed(one.name, one.version)}
     found = {name for one in now.all for name, _ in _installed(one.name, one.version)}
-    absent = [f"{name}=={was[name]}" for name in sorted(names & was.keys() - found)]
+    absent = [f"{name}=={was[name]}" for name in sorted(names & was.keys() - found - INSTALLERS)]
     return (f"Python packages that runs used are not installed: pip install {' '.join(absent)}",) if absent else ()
 
 
