@@ -533,7 +533,7 @@ CREATE TABLE runs (
     "input" VARCHAR,  -- SHA-256 of its first input file; the file itself is in objects
     "spec" VARCHAR,  -- the specification that it shares with other runs
     "status" VARCHAR,  -- ok if it has an effective execution; otherwise the status of its last execution (stale if that is ok); missing if there is none
-    "execution" VARCHAR,  -- the effective execution for the batch that was submitted last
+    "execution" VARCHAR,  -- its effective execution in the batch that was submitted last; batches that were executed here come first
     "executions" BIGINT  -- number of its executions [1]
 );
 

@@ -101,7 +101,8 @@ class Recorded:
 def take(snapshot: Snapshot, found: Found) -> list[ChosenExecution]:
     """Return the runs that an id names, in order, each with its effective execution or else its last one.
 
-    A run or an experiment that belongs to several batches is taken from the batch that was submitted last.
+    A run or an experiment that belongs to several batches is taken from the batch that was submitted last. Batches that were
+    executed here come before imported ones.
     """
     place = where(snapshot, found)
     statement = TAKEN.format(only=place.only, order=ORDER)
@@ -129,8 +130,10 @@ class Place:
 
 
 def where(snapshot: Snapshot, found: Found) -> Place:
-    """Return the position of an id. If several batches contain it, the batch that was submitted last is taken."""
-    snapshot.views.make(("batch_runs", "experiments", "batches", "executions", "all_judgements", "effective", "sessions"))
+    """Return the position of an id. Of several batches, the last submitted one of those executed here is taken."""
+    snapshot.views.make(
+        ("batch_runs", "experiments", "batches", "executions", "all_judgements", "effective", "sessions", "origins")
+    )
     run = found.id if found.kind == "run" else None
     if found.kind == "batch":
         return Place(found.id)
@@ -151,9 +154,9 @@ FROM executions WHERE execution = $e
 LATEST = """
 SELECT m.batch, m.ordinal
 FROM batch_runs m JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
-LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch)
+LEFT JOIN (SELECT batch, max(lamport) AS asked FROM sessions GROUP BY batch) s USING (batch) LEFT JOIN origins o USING (batch)
 WHERE m.run = $run OR x.experiment = $experiment
-ORDER BY coalesce(s.asked, b.lamport) DESC, m.batch, m.ordinal LIMIT 1
+ORDER BY o.packages IS NOT NULL, coalesce(s.asked, b.lamport) DESC, m.batch, m.ordinal LIMIT 1
 """
 
 TAKEN = """

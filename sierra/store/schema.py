@@ -78,7 +78,11 @@ DERIVED = {
                 "ok if it has an effective execution; otherwise the status of its last execution (stale if that is ok); "
                 "missing if there is none",
             ),
-            ("execution", ID, "the effective execution for the batch that was submitted last"),
+            (
+                "execution",
+                ID,
+                "its effective execution in the batch that was submitted last; batches that were executed here come first",
+            ),
             ("executions", INT, "number of its executions", "1"),
         ),
         _table(

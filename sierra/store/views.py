@@ -28,7 +28,7 @@ NEEDS = {
     "effective": ("batch_runs", "sessions", "all_judgements", "all_candidates", "stale_sessions", "origins"),
     "nondeterminism": ("executions", "verdicts", "imported_sessions"),
     "points": ("batch_runs", "experiments", "batches"),
-    "runs": ("batch_runs", "experiments", "batches", "executions", "effective"),
+    "runs": ("batch_runs", "experiments", "batches", "executions", "effective", "origins"),
 }
 NEEDS_IF_IMPORTED = {
     "all_judgements": ("imported_sessions",),
@@ -227,6 +227,11 @@ class Views:
         return "imported_sessions" in self._files
 
     @property
+    def _counted(self) -> str:
+        """The query for each run's effective execution."""
+        return COUNTED_BY_ORIGIN if self._imported else COUNTED
+
+    @property
     def _reevaluated(self) -> bool:
         """True if any execution was evaluated by changed rules."""
         return "judgements" in self._files
@@ -275,7 +280,7 @@ class Views:
         return (
             "WITH state AS (SELECT run, count(*) AS executions, arg_max(status, lamport) AS last FROM executions "
             "GROUP BY run), "
-            f"counted AS ({COUNTED}) "
+            f"counted AS ({self._counted}) "
             f"SELECT m.run, {axes}any_value(m.seed) AS seed, min(m.number) AS number, any_value(m.input) AS input, "
             "any_value(m.spec) AS spec, CASE WHEN any_value(c.execution) IS NOT NULL THEN 'ok' "
             "WHEN any_value(s.last) = 'ok' THEN 'stale' ELSE coalesce(any_value(s.last), 'missing') END AS status, "
@@ -300,10 +305,10 @@ class Views:
         )
 
     def _output(self, name: str) -> str:
-        self._make("effective")
-        self._make("points")
+        for needed in ("effective", "origins", "points"):
+            self._make(needed)
         files = self._holding(self._outputs[name])
-        found = relation(self._fetch, files, f"execution IN (SELECT execution FROM ({COUNTED}))", rows=True)
+        found = relation(self._fetch, files, f"execution IN (SELECT execution FROM ({self._counted}))", rows=True)
         axes = self.axes()
         theirs = list(found.types)
         free = column_names(theirs, taken=axes)
@@ -316,7 +321,7 @@ class Views:
         return (
             f"SELECT {ours}p.number, o.file_row_number AS {identifier(row)}, "
             f"o.* EXCLUDE (file_row_number, filename) REPLACE (c.run AS run, c.execution AS execution){rename} "
-            f"FROM {found.sql} o JOIN ({COUNTED}) c ON o.execution = c.judgement JOIN points p ON c.run = p.run"
+            f"FROM {found.sql} o JOIN ({self._counted}) c ON o.execution = c.judgement JOIN points p ON c.run = p.run"
         )
 
     def _holding(self, files: list[str]) -> list[str]:
@@ -326,14 +331,14 @@ class Views:
             files = [file for file in files if file in mine] or files
         elif all(map(is_first_part, files)) and not ("findings" in self._files or self._reevaluated or self._imported):
             return files
-        found = {row[0] for row in self._fetch(files_with(files, f"SELECT judgement FROM ({COUNTED})"))}
+        found = {row[0] for row in self._fetch(files_with(files, f"SELECT judgement FROM ({self._counted})"))}
         return [file for file in files if file in found] or files
 
     def _of_batch(self, files: Sequence[str]) -> set[str]:
         """Return the files of batches that recorded an effective execution."""
         batches = {
             row[0][:12]
-            for row in self._fetch(f"SELECT DISTINCT batch FROM all_judgements SEMI JOIN ({COUNTED}) USING (judgement)")
+            for row in self._fetch(f"SELECT DISTINCT batch FROM all_judgements SEMI JOIN ({self._counted}) USING (judgement)")
         }
         return {path for segment in self._segments if segment.batch in batches for path in segment.files.values()} & set(files)
 
@@ -440,6 +445,18 @@ SELECT run, c.execution AS execution, c.judgement AS judgement
 FROM (SELECT run, arg_max({'execution': execution, 'judgement': judgement}, lamport) AS c FROM effective GROUP BY run)
 """
 """Each run's effective execution and its judgement, in the batch that was submitted last."""
+COUNTED_BY_ORIGIN = """
+WITH imported AS (SELECT packages, min(lamport) AS imported FROM imported_sessions GROUP BY packages)
+SELECT run, c.execution AS execution, c.judgement AS judgement
+FROM (
+    SELECT run, arg_max({'execution': execution, 'judgement': judgement},
+           (o.packages IS NULL, -coalesce(i.imported, 0), -coalesce(len(o.packages), 0), f.lamport)) AS c
+    FROM effective f LEFT JOIN origins o USING (batch) LEFT JOIN imported i ON i.packages = o.packages GROUP BY run
+)
+"""
+"""`COUNTED` in a store with imported sessions: first the batches that were executed here, then those that were imported first.
+So an import does not change what counts for runs that the store has.
+"""
 
 
 def _value(axis: str) -> str:

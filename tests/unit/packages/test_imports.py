@@ -139,6 +139,25 @@ def test_an_import_changes_no_result_of_a_batch_that_was_executed_here(lab: Path
     assert project.replay(batch, runs=1).runs
 
 
+def test_an_import_changes_no_run_that_another_batch_executed_here(lab: Path, other: Path) -> None:
+    project = sierra.open(other)
+    project.run(*FIRST, figures=False)
+    before = rows(other, NOW), rows(other, "SELECT run, status, execution FROM runs ORDER BY run")
+    for _ in range(2):  # so that the other laboratory has the higher numbers
+        batch = sierra.open(lab).run(*SECOND, figures=False).batch
+    sierra.open(lab).package(batch, path=other.parent / "second.zip")
+    done = project.import_package(other.parent / "second.zip")
+    assert [one.counts for one in done.batches] == [True]
+    now = rows(other, NOW), rows(other, "SELECT run, status, execution FROM runs ORDER BY run")
+    assert [[row for row in new if row in old] for new, old in zip(now, before, strict=True)] == list(before)
+    assert len(now[0]) == len(before[0]) + 2
+    run = next(row for row in before[1] if value(other, f"SELECT count(*) FROM batch_runs WHERE run = '{row['run']}'") == 2)
+    shown = projects.quick(other, "show", str(run["run"])).stdout
+    assert next(line for line in shown.splitlines() if line.startswith("execution")).split()[1] == run["execution"][:10]
+    here = rows(lab, f"SELECT execution FROM effective WHERE batch = '{batch}' ORDER BY 1")
+    assert rows(other, f"SELECT execution FROM effective WHERE batch = '{batch}' ORDER BY 1") == here
+
+
 def test_a_package_of_imported_batches_keeps_whose_executions_count(lab: Path, other: Path, tmp_path: Path) -> None:
     project = sierra.open(other)
     project.import_package(lab.parent / "both.zip")
