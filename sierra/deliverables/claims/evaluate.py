@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from typing import NamedTuple
 
 from sierra.config.claim_table import DECISIONS, Claim
 from sierra.config.project_file import LoadedProject
@@ -17,9 +18,18 @@ from sierra.deliverables.claims.model import Evaluated, Found, Ground, Verdict
 from sierra.deliverables.claims.rests_on import BatchesOfClaims
 from sierra.errors import NotFound, SierraError, UsageError
 from sierra.store.store import Store
+from sierra.util.hashing import short
 from sierra.util.text import like, one_line
 
+IMPORTED = "SELECT batch, packages[1] AS package FROM origins WHERE packages IS NOT NULL"
 __all__ = ["Evaluated", "Ground", "Verdict", "batches", "evaluate"]
+
+
+class _Imported(NamedTuple):
+    """A batch whose executions that count came in a package."""
+
+    batch: str
+    package: str
 
 
 def evaluate(
@@ -44,7 +54,8 @@ def evaluate(
     found = _corrected(
         {name: _find(project, store, known, name, len(tested), rests) for name in every if name in needed}, tested
     )
-    return tuple(_evaluated(name, claim, found[name], ground, rests.get(name, ())) for name, claim in chosen.items())
+    imported = dict(store.select(_Imported, IMPORTED))
+    return tuple(_evaluated(name, claim, found[name], ground, rests.get(name, ()), imported) for name, claim in chosen.items())
 
 
 def batches(project: LoadedProject, store: Store, names: Sequence[str] = ()) -> dict[str, tuple[str, ...]]:
@@ -94,10 +105,17 @@ def _corrected(found: Mapping[str, Found | Tested], tested: Sequence[str]) -> di
     return done
 
 
-def _evaluated(name: str, claim: Claim, found: Found, ground: Ground, rests: tuple[str, ...]) -> Evaluated:
+def _evaluated(
+    name: str, claim: Claim, found: Found, ground: Ground, rests: tuple[str, ...], imported: Mapping[str, str]
+) -> Evaluated:
     shown = [f"figure {claim.figure}" if claim.figure else "", f"table {claim.table}" if claim.table else "", claim.paper]
+    elsewhere = (
+        f"batch {short(one)} was not executed here: it came in package {short(imported[one])}"
+        for one in rests
+        if one in imported
+    )
     return Evaluated(
-        **{one.name: getattr(found, one.name) for one in fields(Found)},
+        **{one.name: getattr(found, one.name) for one in fields(Found)} | {"notes": (*found.notes, *elsewhere)},
         name=name,
         says=claim.says,
         shown=", ".join(filter(None, shown)),

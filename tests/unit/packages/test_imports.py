@@ -158,6 +158,20 @@ def test_an_import_changes_no_run_that_another_batch_executed_here(lab: Path, ot
     assert rows(other, f"SELECT execution FROM effective WHERE batch = '{batch}' ORDER BY 1") == here
 
 
+def test_a_claim_names_the_package_of_the_runs_that_decide_it(lab: Path, other: Path) -> None:
+    project = sierra.open(other)
+    done = project.import_package(lab.parent / "first.zip")
+    how = f'query = "{FIRST[0]}"\nsql = "SELECT count(*) = 4 AS holds FROM runs"\n'
+    config = other / "sierra.toml"
+    config.write_text(config.read_text() + f'[claims.all]\nsays = "All runs succeed."\npaper = "Fig. 1"\n{how}')
+    [claim] = sierra.open(other).claims()
+    assert (claim.verdict, claim.batches) == ("holds", (done.batches[0].batch,))
+    assert claim.notes == (f"batch {claim.batches[0][:10]} was not executed here: it came in package {done.package[:10]}",)
+    sierra.open(other).run(*FIRST, figures=False)
+    [claim] = sierra.open(other).claims()
+    assert (claim.verdict, claim.notes) == ("holds", ())
+
+
 def test_a_package_of_imported_batches_keeps_whose_executions_count(lab: Path, other: Path, tmp_path: Path) -> None:
     project = sierra.open(other)
     project.import_package(lab.parent / "both.zip")
