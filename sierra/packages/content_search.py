@@ -2,13 +2,13 @@
 
 The bytes of every file are searched as they are. Then, by its first bytes, a file is opened:
 
-    zip, tar                   each member, and its name
+    zip, tar                   each member, and its name; also a zip at the end of a program
     gzip, bzip2, xz, zstd      the content
     Parquet, Arrow             texts and bytes of all columns, names of columns, metadata; objects of a store one by one
     PNG                        compressed texts
     PDF                        compressed streams, and strings as hexadecimal digits
 
-A file that cannot be opened, or has a form that is known to hide text (HDF5, SquashFS), is reported as such.
+A file that cannot be opened, or has a form that is known to hide text (HDF5, SquashFS, zlib), is reported as such.
 """
 
 from __future__ import annotations
@@ -51,6 +51,9 @@ HIDING = {
     b"\x1f\x9d": "a file of compress cannot be opened",
     b"MATLAB 5.0": "MATLAB's files may have compressed text",
     b"#ROSBAG": "a bag of ROS may have compressed text",
+    **dict.fromkeys((b"x\x01", b"x\x9c", b"x\xda"), "a stream of zlib cannot be opened"),
+    b"ORC": "ORC may have compressed text",
+    b"Obj\x01": "Avro may have compressed text",
     b"\x89MCAP": "MCAP may have compressed text",
 }
 """The first bytes of files that are not opened, and the reason why a text may be missed in them."""
@@ -60,6 +63,8 @@ UNREADABLE = (
 )
 PDF_STREAM = re.compile(rb"stream\r?\n(.*?)endstream", re.DOTALL)
 PDF_HEX = re.compile(rb"<((?:[0-9A-Fa-f]{2}\s*){4,})>")
+PROGRAMS = (b"#!", b"\x7fE", b"MZ")
+"""The first bytes of programs, which may have a zip at their end."""
 OBJECTS = ["sha256", "part", "size", "content"]
 
 
@@ -118,8 +123,10 @@ class ContentSearch:
         if (opener := _decompressed(beginning)) is not None:
             with opener(stream) as content, _seekable(content) as file:
                 self.file(file, f"{place} (decompressed)", depth + 1)
-        elif beginning.startswith((b"PK\x03\x04", b"PK\x05\x06")):
+        elif beginning.startswith((b"PK\x03\x04", b"PK\x05\x06")) or (beginning[:2] in PROGRAMS and zipfile.is_zipfile(stream)):
             self._zip(stream, place, depth)
+        elif beginning[8:12] == b"DUCK":
+            self.unread.append(f"{place}: a database of DuckDB may have compressed text")
         elif beginning[257:262] == b"ustar":
             self._tar(stream, place, depth)
         elif beginning.startswith(b"PAR1"):

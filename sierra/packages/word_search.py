@@ -1,7 +1,8 @@
 """Searching bytes for words that identify, whatever their case and spelling.
 
-A word is searched as UTF-8, as UTF-16 where a content has NUL bytes, composed and decomposed, without accents, as JSON, XML and
-addresses escape it, and with other separators: `Jane Doe` is also found as `jane_doe`, `JaneDoe` and `Doe, Jane`.
+A word is searched as UTF-8 and Latin-1, as UTF-16 and UTF-32 where a content has NUL bytes, composed and decomposed, without
+accents and with `ue` for `ü`, as JSON, XML and addresses escape it, and with other separators: `Jane Doe` is also found as
+`jane_doe`, `JaneDoe` and `Doe, Jane`.
 
 Words of up to four characters, and those that are marked so, count only where no letters are beside them, and no digits beside
 a digit: `doe` is not found in `does`, and `n1` not in `n12`. In binary data, words of up to three characters count only within
@@ -27,6 +28,14 @@ TINY = 3
 """Words up to this number of characters count in binary data only within readable text."""
 READABLE = re.compile(rb"[\x20-\x7e\t\r\n]{8,}")
 CHUNK = 8 << 20
+WIDTHS = {"utf-8": 1, "latin-1": 1, "utf-16-le": 2, "utf-16-be": 2, "utf-32-le": 4, "utf-32-be": 4}
+"""The encodings in which a word is searched, and the bytes of one character of Latin letters."""
+LETTERS = str.maketrans(
+    {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "AE", "Ö": "OE", "Ü": "UE", "ß": "ss", "æ": "ae", "Æ": "AE", "å": "aa", "Å": "AA"}
+    | {"ø": "oe", "Ø": "OE", "œ": "oe", "Œ": "OE", "þ": "th", "Þ": "TH", "ð": "d", "Ð": "D", "đ": "d", "Đ": "D"}
+    | {"ł": "l", "Ł": "L", "’": "'"}
+)
+"""Letters as names in user names and addresses spell them: `Müller` as `mueller`."""
 PARTS = 3
 """The largest number of parts of a word whose order and separators may differ."""
 
@@ -48,8 +57,7 @@ class _Needle(NamedTuple):
     """In lower case, as far as it is ASCII."""
     word: Word
     whole: bool
-    wide: str
-    """The encoding if it is UTF-16, else ""."""
+    encoding: str
     core: bytes
     """A part of the text that several needles share, so that most contents need to be searched only for a few cores."""
 
@@ -63,12 +71,12 @@ class Search:
         for word in words:
             for form in _forms(word.text):
                 whole = word.whole or len(form) <= WHOLE
-                for encoding in ("utf-8", "utf-16-le", "utf-16-be"):
+                for encoding in _encodings(form):
                     text, core = (_lower(one.encode(encoding, "replace")) for one in (form, _core(form)))
-                    needles.setdefault(text, _Needle(text, word, whole, "" if encoding == "utf-8" else encoding, core))
-        self._narrow = _by_core(one for one in needles.values() if not one.wide)
+                    needles.setdefault(text, _Needle(text, word, whole, encoding, core))
+        self._narrow = _by_core(one for one in needles.values() if WIDTHS[one.encoding] == 1)
         self._all = _by_core(needles.values())
-        texts = {_lower(form.encode(code)) for text in accepted for form in _cased(text) for code in ("utf-8", "utf-16-le")}
+        texts = {_lower(form.encode(code)) for text in accepted for form in _cased(text) for code in _encodings(form)}
         self._accepted = sorted(filter(None, texts))
         self._margin = 2 * max(map(len, (*needles, *self._accepted, b"")), default=0) + 64
 
@@ -127,6 +135,13 @@ class Search:
         return False
 
 
+def _encodings(form: str) -> Iterator[str]:
+    """Yield the encodings in which a text is searched. Latin-1 is UTF-8 for ASCII, and lacks other letters."""
+    for encoding in WIDTHS:
+        if encoding != "latin-1" or (not form.isascii() and max(form) <= "\xff"):
+            yield encoding
+
+
 def _by_core(needles: Iterable[_Needle]) -> dict[bytes, list[_Needle]]:
     """Return needles by the shortest core that is in their own one."""
     listed = list(needles)
@@ -155,11 +170,11 @@ def _offsets(content: bytes, needle: bytes) -> Iterator[int]:
 
 def _counts(content: bytes, offset: int, needle: _Needle, *, binary: bool) -> bool:
     end = offset + len(needle.text)
-    width = 2 if needle.wide else 1
+    width = WIDTHS[needle.encoding]
     before, after = (_character(content, at, needle) for at in (offset - width, end))
     if needle.whole and (_continues(before, needle.word.text[0]) or _continues(after, needle.word.text[-1])):
         return False
-    if not binary or len(needle.word.text) > TINY or needle.wide:
+    if not binary or len(needle.word.text) > TINY or width > 1:
         return True
     low = max(0, offset - 8)
     return any(low + run.start() <= offset and end <= low + run.end() for run in READABLE.finditer(content[low : end + 8]))
@@ -167,8 +182,8 @@ def _counts(content: bytes, offset: int, needle: _Needle, *, binary: bool) -> bo
 
 def _character(content: bytes, at: int, needle: _Needle) -> str:
     """Return the character at an offset, in the encoding of a needle; "" outside the content."""
-    piece = content[at : at + 2] if needle.wide else content[at : at + 1]
-    return piece.decode(needle.wide or "ascii", "replace") if at >= 0 else ""
+    width = WIDTHS[needle.encoding]
+    return content[at : at + width].decode(needle.encoding if width > 1 else "ascii", "replace") if at >= 0 else ""
 
 
 def _continues(beside: str, edge: str) -> bool:
@@ -187,7 +202,8 @@ def _forms(text: str) -> set[str]:
     found: set[str] = set()
     for one in spelled:
         for cased in _cased(one):
-            found |= {cased, _plain(cased), _escaped(cased), quote(cased, safe="/:@"), escape(cased)}
+            spelled_out = unicodedata.normalize("NFC", cased).translate(LETTERS)
+            found |= {cased, *map(_plain, (cased, spelled_out)), _escaped(cased), quote(cased, safe="/:@"), escape(cased)}
             found.add(cased.encode("ascii", "xmlcharrefreplace").decode())
             found.add(cased.replace("/", "\\/"))
     return {one for one in found if one}

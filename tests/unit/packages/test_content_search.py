@@ -70,6 +70,7 @@ FILES = {
     "xz": (lzma.compress(TEXT), "x (decompressed), line 2"),
     "zstd": (pa.compress(TEXT, "zstd", asbytes=True), None),
     "zip": (zipped(TEXT), "x/log.txt, line 2"),
+    "program with a zip": (b"#!/usr/bin/env python3\n" + zipped(TEXT), "x/log.txt, line 2"),
     "name in a zip": (zipped(b"", "secret-host.log"), "name of x/secret-host.log"),
     "gzip in tar in zip": (zipped(tarred(gzip.compress(TEXT, mtime=0))), "x/log.txt/log.txt.gz (decompressed), line 2"),
     "Parquet": (parquet(TABLE), "x, column host, row 3"),
@@ -103,6 +104,12 @@ def test_a_name_is_found_in_each_kind_of_file(form: str) -> None:
         assert [hit for hit in found.hits if hit.place.startswith(place)], found.hits
 
 
+def test_a_name_with_an_accent_is_found_in_pictures() -> None:
+    found = ContentSearch(Search([Word("Jürgen Müller", "author")]))
+    found.file(io.BytesIO(png(b"tEXt", b"Author\0", "Jürgen Müller".encode("latin-1"))), "x")
+    assert len(found.hits) == 1
+
+
 def test_objects_of_a_store_are_searched_one_by_one_and_each_once() -> None:
     rows = [("aa" * 32, 0, 30, b"x" * 20 + b"secr"), ("aa" * 32, 1, 30, b"et-host\n"), ("bb" * 32, 0, 11, b"secret-host")]
     rows += rows[:2]
@@ -121,6 +128,8 @@ def test_files_that_cannot_be_searched_are_named() -> None:
     broken = zipped(TEXT)[:-30]
     assert search(broken).unread == ["x: File is not a zip file"]
     assert search(b"\x89HDF\r\n\x1a\n rest").unread == ["x: HDF5 may have compressed text"]
+    assert search(zlib.compress(TEXT)).unread == ["x: a stream of zlib cannot be opened"]
+    assert search(b"\1" * 8 + b"DUCK").unread == ["x: a database of DuckDB may have compressed text"]
     nested = json.dumps({}).encode()
     for _ in range(9):
         nested = zipped(nested, "a")

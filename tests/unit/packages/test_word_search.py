@@ -31,11 +31,22 @@ def test_a_name_is_found_however_it_is_written(content: str) -> None:
 
 @pytest.mark.parametrize(
     "content",
-    ["José Müller", "JOSÉ MÜLLER", "Jose Muller", r"Jos\u00e9 M\u00fcller", "Jos&#233; M&#252;ller", "Jose\u0301 Mu\u0308ller"],
+    [
+        "José Müller",
+        "JOSÉ MÜLLER",
+        "Jose Muller",
+        "jose mueller",
+        r"Jos\u00e9 M\u00fcller",
+        "Jos&#233; M&#252;ller",
+        "Jose\u0301 Mu\u0308ller",
+    ],
 )
 def test_letters_with_accents_are_found_in_all_their_forms(content: str) -> None:
     assert len(found("José Müller", content.encode())) == 1
-    assert len(found("José Müller", content.encode("utf-16-le"))) == 1
+    for encoding in ("utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be"):
+        assert len(found("José Müller", content.encode(encoding))) == 1
+    if "\u0301" not in content:
+        assert len(found("José Müller", content.encode("latin-1"))) == 1
 
 
 def test_short_words_count_only_where_no_letters_are_beside_them() -> None:
