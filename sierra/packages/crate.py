@@ -126,7 +126,7 @@ def _readme(subject: Subject, found: Mapping[str, Member]) -> bytes:
         package.description.strip(),
         REDACTED if subject.redacted else "",
         f"`{INSTRUCTIONS}` tells how to check the results, and what that needs.",
-        f"`{PROJECT}` is a project of SIERRA {__version__} with its records: `sierra ls`, run there, lists its batches.",
+        f"`{PROJECT}` is a project of SIERRA {__version__} with its records: `sierra ls`, run in a copy, lists its batches.",
         f"`{CRATE}` describes all files and runs as an RO-Crate.",
     )
     return ("\n\n".join(filter(None, parts)) + "\n").encode()

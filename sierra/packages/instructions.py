@@ -29,7 +29,7 @@ DIFFERENCES = """
 
 Another processor or another version of a library may change the last digits of floating-point numbers, and chaotic simulations
 amplify such differences. In the recorded image, on the same kind of processor, all bytes should be the same unless the runs are
-not deterministic. `sierra why BATCH` in `project/` shows how a batch differs from the project as it is.
+not deterministic. In a copy of `project/`, `sierra why BATCH` shows how a batch differs from the project as it is.
 """
 PLACES = {
     "README.md": "the text that archives show",
@@ -77,7 +77,8 @@ def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterato
     there = (*members, README, CRATE, MANIFEST)
     yield from (f"- `{name}`: {about}" for name, about in PLACES.items() if any(one.startswith(name) for one in there))
     yield "\n## Other parameters\n"
-    yield "A copy of `project/` is an ordinary project of SIERRA. In it, a research query with other values makes new runs:\n"
+    yield "A copy of `project/` is an ordinary project of SIERRA. In it, a research query with other values makes new runs."
+    yield "In `project/` itself, commands write to the store, and the package would no longer be verified:\n"
     copy = "mkdir -p reproduction\ncp -r project reproduction/project\ncd reproduction/project"
     yield f"```sh\n{copy}\nsierra run {shlex.quote(one_line(described.batches[0].query))}\n```"
 
@@ -92,7 +93,7 @@ def _claims(described: PackageManifest) -> Iterator[str]:
             cells = (_text(one.says), _text(one.shown), f"{one.verdict}: {_text(one.text)}", *known)
             yield f"| {' | '.join(cells)} |"
         yield f"\nEach command executes the runs behind a claim again. The time is that of one core of {SLOWER} speed."
-        yield "In `project/`, `sierra claims` decides all claims on the recorded data, within seconds."
+        yield "In a copy of `project/`, `sierra claims` decides all claims on the recorded data, within seconds."
 
 
 def _needs(described: PackageManifest, content: int) -> Iterator[str]:

@@ -251,6 +251,8 @@ def test_the_instructions_have_commands_that_work_and_measured_needs(root: Path,
     assert "| Some \\| robots cover something. | Fig. 2 | " in text
     [machine] = described["machines"]
     assert f"{machine['cores']} core" in text
+    for line in (*text.splitlines(), *(project.parent / "README.md").read_text().splitlines()):
+        assert "copy" in line or not any(f"`sierra {command}" in line for command in ("claims", "why", "ls"))  # they write
     last = text.split("```sh\n")[-1].split("```")[0]
     path = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     subprocess.run(["sh", "-ec", last], cwd=project.parent, env=path, check=True)
