@@ -14,7 +14,7 @@ from typing import Any
 from sierra.config import project_file, user
 from sierra.config.find_project import ProjectFolder, settings
 from sierra.config.project_file import LoadedProject
-from sierra.store.layout import CONFIG
+from sierra.store.layout import CONFIG, PYPROJECT
 
 REMOVED = {
     ("runners",): "clusters are those of your own configuration",
@@ -28,7 +28,7 @@ REMOVED = {
 
 def load(root: Path) -> tuple[LoadedProject, tuple[str, ...]]:
     """Return the project in `root` without these keys, and a line for each removed key. Raises ConfigError."""
-    file = root / CONFIG
+    file = next((root / name for name in (CONFIG, PYPROJECT) if (root / name).is_file()), root / CONFIG)
     table = settings(file) or {}
     notes = [*_confine(table, "")]
     targets = table.get("targets")

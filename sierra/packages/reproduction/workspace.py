@@ -24,7 +24,7 @@ from sierra.packages.archive import Archive
 from sierra.packages.extracted import CREATED, Extracted
 from sierra.packages.layout import PACKAGE, PROJECT, STORED
 from sierra.packages.members import MANIFEST, written
-from sierra.store.layout import CONFIG
+from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.store.segments import disk_errors
 
 COPY = "package"
@@ -93,8 +93,10 @@ def copy_verified(found: Archive | Extracted, folder: Path) -> None:
 def _check(found: Archive | Extracted) -> None:
     if strange := [name for name in found.names(STORED) if not stored.is_record(name)]:
         raise Damaged(f"{found.path}: the member {strange[0]!r} is no record, but it is in the store")
-    if not {PACKAGE, PROJECT + CONFIG} <= found.hashes.keys() or not found.names(STORED):
-        raise Damaged(f"{found.path} has no project with a store: {PACKAGE}, {PROJECT}{CONFIG} and {STORED} are required")
+    file = any(PROJECT + name in found.hashes for name in (CONFIG, PYPROJECT))
+    if not file or PACKAGE not in found.hashes or not found.names(STORED):
+        wanted = f"{PACKAGE}, {PROJECT}{CONFIG} (or {PYPROJECT}) and {STORED}"
+        raise Damaged(f"{found.path} has no project with a store: {wanted} are required")
 
 
 def _verify_again(found: Archive | Extracted, copy: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -157,6 +158,19 @@ def test_claims_are_decided_by_the_values_of_the_new_executions(tmp_path: Path) 
     code, said = reproduce(tmp_path, str(package), "--yes", "--claim", "large", "--into", "part", *some)
     assert (said["claims"][0]["verdict"], said["claims"][0]["ground"]) == ("holds", "recomputed from recorded data")
     assert said["left_out"], said
+
+
+@pytest.mark.integration
+def test_a_project_in_pyproject_toml_is_reproduced(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG)
+    settings = projects.CONFIG + PACKAGE + claim("large", SQL.format("> 0"))
+    text = "[tool.sierra]\n" + re.sub(r"(?m)^(\[+)", r"\1tool.sierra.", settings)
+    (root / "sierra.toml").unlink()
+    (root / "pyproject.toml").write_text(text)
+    batch = sierra.open(root).run("population_size=1,2", figures=False).batch
+    sierra.open(root).package(batch, path=tmp_path / "swarm.zip")
+    code, said = reproduce(tmp_path, "swarm.zip", "--yes")
+    assert (code, said["claims"][0]["verdict"], said["claims"][0]["ground"]) == (0, "holds", "re-executed")
 
 
 VERDICTS = {"exact": "does not hold", "large": "holds"}
