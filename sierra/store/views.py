@@ -380,19 +380,18 @@ CANDIDATES = f"""
 SELECT r.session AS reusing, e.* REPLACE (r.run AS run) FROM reused_executions r JOIN all_judgements e USING (execution)
 """
 
-ORDER = "(e.lamport, e.place, e.judgement)"
+_PLACES = ("e.lamport", "e.place", "e.judgement")
+ORDER = f"({', '.join(_PLACES)})"
 """The order of judgements e: by their executions, then by their own positions."""
+LAST_FIRST = ", ".join(f"{place} DESC NULLS FIRST" for place in _PLACES)
+"""The same order reversed, for ORDER BY. To sort by one row of these columns takes half as much memory again."""
 
 COUNTING = f"""{LATEST}
-SELECT batch, ordinal, run, c.execution AS execution, c.judgement AS judgement, submitted, lamport
-FROM (
-    SELECT m.batch, m.ordinal, m.run, any_value(l.submitted) AS submitted, any_value(l.lamport) AS lamport,
-           arg_max({{'execution': e.execution, 'judgement': e.judgement}}, {ORDER}) AS c
-    FROM batch_runs m
-    JOIN latest l ON m.batch = l.batch
-    JOIN all_candidates e ON e.run = m.run AND {COUNTS}
-    GROUP BY m.batch, m.ordinal, m.run
-)
+SELECT m.batch, m.ordinal, m.run, e.execution, e.judgement, l.submitted, l.lamport
+FROM batch_runs m
+JOIN latest l ON m.batch = l.batch
+JOIN all_candidates e ON e.run = m.run AND {COUNTS}
+QUALIFY row_number() OVER (PARTITION BY m.batch, m.ordinal, m.run ORDER BY {LAST_FIRST}) = 1
 """
 
 LAST = """
