@@ -26,11 +26,14 @@ from sierra.packages.word_search import Search
 from sierra.provenance.source.manifest import read as read_manifest
 from sierra.store.layout import PYPROJECT
 from sierra.store.store import Store
-from sierra.util.text import counted
+from sierra.util.text import counted, few
 
 DATE = "2000-01-01"
 """The date of packages without one in `[package]`: that of the newest record would show when runs were executed."""
 NOBODY = Author(name="Anonymous", affiliation="Anonymous")
+SUBMODULES = "SELECT DISTINCT submodules FROM sources WHERE submodules IS NOT NULL ORDER BY ALL"
+COMMITS = "the recorded commits of submodules are packed with their ids, authors, dates and messages: {}"
+"""A note: the tree of the source has the ids of these commits, and only the commits prove what the submodules had."""
 HEADER = re.compile(r"\s*\[")
 NAMES = """
 SELECT sha256, 'output ' || path || ' of run ' || run[:10] FROM all_artifacts WHERE kind <> 'log'
@@ -94,10 +97,12 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     """Rewrite the subject's records, and return the project's file without authors; nothing if the package is not anonymous."""
     if not subject.redacted:
         return Made(())
+    submodules = sorted({path for text in subject.store.values(str, SUBMODULES) for path in json.loads(text)})
     rewrite(subject.store, subject.folder / "redacted", subject.date)
     file = subject.project.file
     content = without_authors(file.read_text("utf-8"), subject.project.config.package, in_tool=file.name == PYPROJECT)
-    return Made([Member(PROJECT + file.name, content.encode(), "file that SIERRA reads")])
+    notes = (COMMITS.format(few(submodules, 5)),) if submodules else ()
+    return Made([Member(PROJECT + file.name, content.encode(), "file that SIERRA reads")], notes)
 
 
 def anonymous(package: Package) -> Package:

@@ -293,6 +293,10 @@ def test_submodules_and_data_of_git_lfs_are_packed_and_replayed_without_git(
     packed = sierra.open(root).package(first, second, path=tmp_path / "one.zip")
     assert packed is not None
     assert packed.preview.notes == ()
+    seen: list[str] = []
+    options = {"anonymous": True, "allow": (str(tmp_path),)}  # .gitmodules has the address of the submodule
+    sierra.open(root).package(first, path=tmp_path / "review.zip", agree=lambda one: bool(seen.extend(one.notes)), **options)
+    assert [note for note in seen if "commits of submodules" in note and note.endswith(": library")]
     project = sierra.open(extracted(tmp_path / "one.zip", tmp_path / "one"))
     assert (project.root / "library" / "factor.txt").read_text() == "4"
     assert (project.root / "big.dat").read_bytes() == (root / "big.dat").read_bytes()
