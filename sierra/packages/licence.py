@@ -18,10 +18,10 @@ TEXT = re.compile(r"(?:LICEN[CS]E|COPYING|UNLICENSE)(?:[-.][A-Za-z0-9.+-]+)?", r
 
 def members(subject: Subject, found: Mapping[str, Member]) -> Made:
     """Return the licence files of the project, else a fact that there are none."""
-    if subject.redacted:
-        return Made((), facts=("files with the text of the licence are not packed, because they name who holds the rights",))
     for folder in _folders(subject.project.root):
         if files := sorted(path for path in folder.iterdir() if TEXT.fullmatch(path.name) and path.is_file()):
+            if subject.redacted:
+                return Made((), facts=(f"{files[0].name} is not packed, because it names who holds the rights",))
             return Made([Member(path.name, path, "licence") for path in files])
     name = subject.project.config.package.license
     return Made((), facts=(f"the project has no file with the text of its licence, {name}: add it as LICENSE",))
