@@ -50,9 +50,9 @@ if TYPE_CHECKING:
     from sierra.maintenance.gc import Collection
     from sierra.maintenance.remove import Removal
     from sierra.maintenance.repair import Repair
-    from sierra.packages.imports import Imported
-    from sierra.packages.metadata import Metadata
     from sierra.packages.pack import Packed, Preview
+    from sierra.packages.parts.metadata import Metadata
+    from sierra.packages.reading.imports import Imported
     from sierra.packages.reproduction.outcome import Reproduction, Statement
     from sierra.packages.subject import ImageForm
     from sierra.provenance.commits_between import Known as CommitInRepository
@@ -1210,7 +1210,7 @@ class Project:
 
     def _packaged(self, path: str) -> tuple[Store, list[str]]:
         """Return the store of a package and the ids of its batches. Raises Missing, Damaged."""
-        from sierra.packages import received
+        from sierra.packages.reading import received
 
         opened = received.open_package(Path(path))
         return opened.store, [one.batch for one in opened.manifest.batches]
@@ -1350,7 +1350,7 @@ class Project:
             ...
         sierra.errors.ConfigError: [package] in sierra.toml needs title, authors, license
         """
-        from sierra.packages import metadata
+        from sierra.packages.parts import metadata
 
         return metadata.compare(self.config.package, self.root, write=write)
 
@@ -1370,7 +1370,7 @@ class Project:
         """Write a reproduction package of these batches, if `agree` returns true for the preview: see `sierra.packages.pack`.
 
         With `claims`, also of the batches that the claims of `sierra.toml` rest on. `anonymous`: for double-blind review, see
-        `sierra.packages.anonymous`; `allow`: texts in which names are accepted there.
+        `sierra.packages.anonymity.anonymous`; `allow`: texts in which names are accepted there.
 
         `image`: the forms in which container images are packed, `oci`, `sif`, `both` or `none`. With `wheels`, Python
         packages are packed for these versions of Python (as `3.12`) and processors (as `x86_64`); by default, for this Python.
@@ -1385,7 +1385,7 @@ class Project:
         sierra.errors.ConfigError: [package] in sierra.toml needs title, authors, license
         """
         from sierra.packages import pack
-        from sierra.packages.anonymous import Anonymity
+        from sierra.packages.anonymity.anonymous import Anonymity
         from sierra.packages.subject import Options
 
         if claims:
@@ -1402,7 +1402,7 @@ class Project:
         return pack.pack(self._loaded, self.store, batches, Path(path), agree=agree, options=options, anonymity=anonymity)
 
     def import_package(self, path: str | os.PathLike[str]) -> Imported:
-        """Add the records of a package to the store, and keep where they came from: see `sierra.packages.imports`.
+        """Add the records of a package to the store, and keep where they came from: see `sierra.packages.reading.imports`.
 
         In batches that were executed here, imported executions do not count. Raises Missing, Damaged, UsageError; then nothing
         changes.
@@ -1412,7 +1412,7 @@ class Project:
             ...
         sierra.errors.Missing: results.zip: No such file or directory
         """
-        from sierra.packages import imports
+        from sierra.packages.reading import imports
 
         return imports.import_package(Store.create(ProjectPaths(self.root).store), Path(path))
 

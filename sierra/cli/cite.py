@@ -10,7 +10,7 @@ import typer
 from sierra.cli.output import print_json
 
 if TYPE_CHECKING:
-    from sierra.packages.metadata import Metadata
+    from sierra.packages.parts.metadata import Metadata
 
 
 def _lines(found: Metadata) -> Iterator[str]:

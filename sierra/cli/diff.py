@@ -80,8 +80,8 @@ def diff(
 def _packages(before: str, after: str, *, as_json: bool) -> None:
     """Compare two packages, which needs no project."""
     from sierra.errors import UsageError
-    from sierra.packages import differences
-    from sierra.packages.received import open_package
+    from sierra.packages.reading import differences
+    from sierra.packages.reading.received import open_package
     from sierra.util.hashing import short
     from sierra.util.text import one_line
 

@@ -12,7 +12,7 @@ from sierra.cli.output import print_json
 from sierra.util.text import counted, one_line
 
 if TYPE_CHECKING:
-    from sierra.packages.imports import Imported
+    from sierra.packages.reading.imports import Imported
 
 
 STATES = {

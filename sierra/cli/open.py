@@ -16,7 +16,7 @@ from sierra.util.text import counted, one_line
 if TYPE_CHECKING:
     from typer._click.core import Command
 
-    from sierra.packages.received import Received
+    from sierra.packages.reading.received import Received
 
 READING = ("ls", "show", "sql", "stats", "outputs", "files", "compare", "diff", "why", "fsck")
 """Commands that read records, and execute nothing of the package."""
@@ -49,7 +49,7 @@ def open_(
       sierra open results.zip sql "SELECT * FROM runs"
     """
     from sierra.cli import open_project
-    from sierra.packages import received
+    from sierra.packages.reading import received
 
     found = received.open_package(package)
     context.with_resource(open_project.using(found.project.root))

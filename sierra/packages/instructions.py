@@ -77,7 +77,8 @@ def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterato
     there = (*members, README, CRATE, MANIFEST)
     yield from (f"- `{name}`: {about}" for name, about in PLACES.items() if any(one.startswith(name) for one in there))
     yield "\n## Other parameters\n"
-    yield "A copy of `project/` is an ordinary project of SIERRA. In it, `sierra run` executes a query; other values make new runs."
+    yield "A copy of `project/` is an ordinary project of SIERRA. In it, `sierra run` executes a query; other values make new"
+    yield "runs."
     yield "In `project/` itself, commands write to the store, and the package would no longer be verified:\n"
     copy = "mkdir -p reproduction\ncp -r project reproduction/project\ncd reproduction/project"
     yield f"```sh\n{copy}\nsierra run {shlex.quote(one_line(described.batches[0].query))}\n```"

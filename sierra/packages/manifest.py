@@ -16,7 +16,7 @@ from sierra.deliverables.claims.evaluate import Verdict, evaluate
 from sierra.errors import Damaged
 from sierra.packages.layout import PACKAGE
 from sierra.packages.needs import Machine, Measured, machines, of_batches
-from sierra.packages.sources import folders
+from sierra.packages.parts.sources import folders
 from sierra.packages.subject import Member, Subject, packed_project
 from sierra.version import __version__
 

@@ -15,19 +15,19 @@ from pathlib import Path
 from sierra.config.project_file import LoadedProject
 from sierra.errors import UsageError
 from sierra.maintenance.extract import extract
-from sierra.packages import (
-    anonymous,
-    archive,
+from sierra.packages import archive, instructions, manifest
+from sierra.packages.anonymity import anonymous
+from sierra.packages.anonymity.anonymous import Anonymity
+from sierra.packages.crates import crate
+from sierra.packages.layout import INSTRUCTIONS, PACKAGE
+from sierra.packages.parts import (
     checks,
-    crate,
     declared_files,
     execution,
     figures,
     history,
     images,
-    instructions,
     licence,
-    manifest,
     metadata,
     sources,
     stored,
@@ -35,8 +35,6 @@ from sierra.packages import (
     verifier,
     wheels,
 )
-from sierra.packages.anonymous import Anonymity
-from sierra.packages.layout import INSTRUCTIONS, PACKAGE
 from sierra.packages.subject import Made, Member, Options, Part, Subject
 from sierra.store.store import Store
 

@@ -39,7 +39,7 @@ class Subject:
 
     project: LoadedProject
     store: Store
-    """A temporary store with these batches and nothing else. Parts before `sierra.packages.stored` may add segments."""
+    """A temporary store with these batches and nothing else. Parts before `sierra.packages.parts.stored` may add segments."""
     batches: tuple[str, ...]
     """Their ids, in the order in which they were requested."""
     folder: Path

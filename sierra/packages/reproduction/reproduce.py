@@ -16,8 +16,10 @@ from sierra.deliverables.claims.model import Evaluated
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution.observer import Observer
 from sierra.execution.progress_display import duration
-from sierra.packages import manifest, received, verifier
+from sierra.packages import manifest
 from sierra.packages.layout import PACKAGE, PROGRAM, PROJECT
+from sierra.packages.parts import verifier
+from sierra.packages.reading import received
 from sierra.packages.reproduction import budget, claims, confined_project, planned, report, workspace
 from sierra.packages.reproduction.outcome import ReproducedBatch, Reproduction, Statement
 from sierra.packages.reproduction.planned import PlannedBatch, RecordedRun

@@ -19,11 +19,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sierra.errors import Damaged, Missing, UsageError
-from sierra.packages import stored
 from sierra.packages.archive import Archive
-from sierra.packages.extracted import CREATED, Extracted
 from sierra.packages.layout import PACKAGE, PROJECT, STORED
 from sierra.packages.members import MANIFEST, written
+from sierra.packages.parts import stored
+from sierra.packages.reading.extracted import CREATED, Extracted
 from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.store.segments import disk_errors
 

@@ -17,7 +17,7 @@ import pytest
 import sierra
 from sierra.config.package_table import Package
 from sierra.errors import ConfigError, Identifying, UsageError
-from sierra.packages.anonymous import anonymous, without_authors
+from sierra.packages.anonymity.anonymous import anonymous, without_authors
 from tests import projects
 
 PACKAGE = """

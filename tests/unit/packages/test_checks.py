@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.packages.secret_shapes import kinds, variables
+from sierra.packages.parts.secret_shapes import kinds, variables
 from tests import projects
 
 LETTERS = "aB3dE5gH7jK9mN1pQ3sT5vW7yZ9bC1eF3hJ5"

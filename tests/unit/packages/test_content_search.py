@@ -15,9 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from sierra.packages.content_search import ContentSearch
-from sierra.packages.identifying_words import Word
-from sierra.packages.word_search import Search
+from sierra.packages.anonymity.content_search import ContentSearch
+from sierra.packages.anonymity.identifying_words import Word
+from sierra.packages.anonymity.word_search import Search
 
 TEXT = b"first line\nmade on secret-host\n" + bytes(range(32, 127)) * 20
 

@@ -13,7 +13,8 @@ import pytest
 from sierra.config import project_file
 from sierra.config.package_table import Package
 from sierra.maintenance.extract import extract
-from sierra.packages import crate, crate_actions
+from sierra.packages.crates import actions as crate_actions
+from sierra.packages.crates import crate
 from sierra.packages.layout import CRATE, PROJECT
 from sierra.packages.subject import Member, Subject
 from sierra.store.store import Store

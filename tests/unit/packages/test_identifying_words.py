@@ -9,8 +9,8 @@ import pytest
 
 from sierra.config import project_file
 from sierra.config.package_table import Package
-from sierra.packages import identifying_words
-from sierra.packages.identifying_words import words
+from sierra.packages.anonymity import identifying_words
+from sierra.packages.anonymity.identifying_words import words
 from tests import projects
 
 

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from sierra.config.package_table import Package, Relation
 from sierra.errors import ConfigError
-from sierra.packages import metadata
+from sierra.packages.parts import metadata
 from tests import projects
 
 TABLE = {

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from sierra.errors import Damaged
-from sierra.packages.redact_rows import RowRedactor
-from sierra.packages.redact_store import MARKED
-from sierra.packages.redaction import RULES, Rule, rule
+from sierra.packages.anonymity.redact_rows import RowRedactor
+from sierra.packages.anonymity.redact_store import MARKED
+from sierra.packages.anonymity.redaction import RULES, Rule, rule
 from sierra.store.schema import ID, RECORDED, TIME
 
 

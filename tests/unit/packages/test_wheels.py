@@ -12,9 +12,9 @@ import pytest
 
 import sierra
 from sierra.errors import UsageError
-from sierra.packages import wheels
-from sierra.packages.python_packages import needed, target
-from sierra.packages.wheels import HERE, Wheel, lock
+from sierra.packages.parts import wheels
+from sierra.packages.parts.python_packages import needed, target
+from sierra.packages.parts.wheels import HERE, Wheel, lock
 from tests import projects
 
 PACKAGE = '\n[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'

@@ -6,9 +6,9 @@ import io
 
 import pytest
 
-from sierra.packages import word_search
-from sierra.packages.identifying_words import Word
-from sierra.packages.word_search import Search
+from sierra.packages.anonymity import word_search
+from sierra.packages.anonymity.identifying_words import Word
+from sierra.packages.anonymity.word_search import Search
 
 
 def found(words: str | list[str], content: bytes, *accepted: str) -> list[tuple[str, int, int]]:

@@ -14,11 +14,12 @@ from pathlib import Path
 from sierra.config import project_file
 from sierra.config.project_file import LoadedProject
 from sierra.errors import Damaged
-from sierra.packages import manifest, verifier
+from sierra.packages import manifest
 from sierra.packages.archive import Archive
 from sierra.packages.layout import PACKAGE, PROGRAM, PROJECT, STORED
 from sierra.packages.manifest import PackageManifest
-from sierra.packages.stored import is_record
+from sierra.packages.parts import verifier
+from sierra.packages.parts.stored import is_record
 from sierra.store.layout import STORE, user_packages
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store

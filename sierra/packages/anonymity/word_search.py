@@ -19,7 +19,7 @@ from itertools import permutations, product
 from typing import IO, NamedTuple
 from urllib.parse import quote
 
-from sierra.packages.identifying_words import Word
+from sierra.packages.anonymity.identifying_words import Word
 
 SEPARATORS = ("", " ", "_", "-", ".", "+", "%20", ", ", "\\ ")
 WHOLE = 4

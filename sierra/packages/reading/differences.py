@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
-from sierra.packages.received import Received
+from sierra.packages.reading.received import Received
 from sierra.replay.compare_values import Verdict, of_tables
 from sierra.store.sql_names import identifier
 from sierra.store.store import Store

@@ -21,7 +21,7 @@ from urllib.parse import unquote, urlsplit
 
 from sierra.errors import Missing
 from sierra.packages.layout import REQUIREMENTS, WHEELS
-from sierra.packages.python_packages import Target, needed, target
+from sierra.packages.parts.python_packages import Target, needed, target
 from sierra.packages.subject import Made, Member, Subject
 from sierra.provenance.dependency_model import normalized, versions
 from sierra.provenance.pythons import OWN

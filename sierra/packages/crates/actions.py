@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import NamedTuple
 
-from sierra.packages.crate_graph import Entity, Graph, local, moment, ref
+from sierra.packages.crates.graph import Entity, Graph, local, moment, ref
 from sierra.store.store import Store
 
 MOST = 2000

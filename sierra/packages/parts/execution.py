@@ -17,10 +17,11 @@ from sierra.containers.images.image import Image
 from sierra.errors import Missing, SierraError
 from sierra.execution import commands, plan_from_record, shared_files, targets
 from sierra.execution.plan_from_record import LAST, Last, Recalled
-from sierra.packages import execute_runs, recorded_jobs
+from sierra.packages import execute_runs
 from sierra.packages.layout import EXECUTION, EXECUTOR, PLAN, PROJECT
 from sierra.packages.members import unsafe
-from sierra.packages.sources import folders
+from sierra.packages.parts import recorded_jobs
+from sierra.packages.parts.sources import folders
 from sierra.packages.subject import Made, Member, Subject
 from sierra.provenance.dependency_model import Kind
 from sierra.provenance.source.manifest import LINK, parts, read

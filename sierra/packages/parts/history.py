@@ -16,10 +16,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from sierra.errors import Missing
-from sierra.packages.checks import secret_problems
 from sierra.packages.layout import HISTORY
-from sierra.packages.secret_shapes import kinds
-from sierra.packages.sources import folders
+from sierra.packages.parts.checks import secret_problems
+from sierra.packages.parts.secret_shapes import kinds
+from sierra.packages.parts.sources import folders
 from sierra.packages.subject import Made, Member, Subject
 from sierra.provenance.source.git import Git, in_repository
 from sierra.util.text import counted

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sierra.packages.archive import STORED
 from sierra.packages.layout import PROJECT
-from sierra.packages.secret_shapes import kinds, variables
+from sierra.packages.parts.secret_shapes import kinds, variables
 from sierra.packages.subject import Made, Member, Subject
 from sierra.util.hashing import CHUNK, short
 from sierra.util.text import few, size

@@ -19,8 +19,8 @@ from typing import NamedTuple
 from urllib.parse import quote
 
 from sierra.config.package_table import DOI, Author, Package
-from sierra.packages.crate_actions import Around, Batch, add, batches, parameter
-from sierra.packages.crate_graph import Entity, Graph, local, moment, purl, ref
+from sierra.packages.crates.actions import Around, Batch, add, batches, parameter
+from sierra.packages.crates.graph import Entity, Graph, local, moment, purl, ref
 from sierra.packages.layout import CRATE, INSTRUCTIONS, PROJECT, README, STORED
 from sierra.packages.subject import Made, Member, Subject
 from sierra.version import __version__

@@ -29,8 +29,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, cast
 
-from sierra.packages.identifying_words import Word
-from sierra.packages.word_search import Found, Search
+from sierra.packages.anonymity.identifying_words import Word
+from sierra.packages.anonymity.word_search import Found, Search
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -30,7 +30,7 @@ from sierra.packages import manifest
 from sierra.packages.archive import Archive
 from sierra.packages.layout import PACKAGE, PROJECT, STORED
 from sierra.packages.manifest import PackageManifest
-from sierra.packages.received import records
+from sierra.packages.reading.received import records
 from sierra.store.compaction import Compaction, groups
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.lamport_clock import HIGHEST, ORDERED, number_of, stamp

@@ -1,7 +1,7 @@
 """Anonymous packages, for double-blind review.
 
-The records are rewritten (`sierra.packages.redact_store`), `[package]` names no authors, and the project's own files for
-citations are left out. The source, inputs, outputs and logs cannot be rewritten, because ids of runs and hashes of outputs
+The records are rewritten (`sierra.packages.anonymity.redact_store`), `[package]` names no authors, and the project's own files
+for citations are left out. The source, inputs, outputs and logs cannot be rewritten, because ids of runs and hashes of outputs
 follow from them: all members are searched for words that identify, and one that is found stops the command.
 """
 
@@ -17,12 +17,12 @@ from typing import Any
 from sierra.config.package_table import Author, Package
 from sierra.config.project_file import LoadedProject
 from sierra.errors import ConfigError, Identifying
-from sierra.packages.content_search import ContentSearch
-from sierra.packages.identifying_words import words
+from sierra.packages.anonymity.content_search import ContentSearch
+from sierra.packages.anonymity.identifying_words import words
+from sierra.packages.anonymity.redact_store import rewrite
+from sierra.packages.anonymity.word_search import Search
 from sierra.packages.layout import PROJECT, STORED
-from sierra.packages.redact_store import rewrite
 from sierra.packages.subject import Made, Member, Subject
-from sierra.packages.word_search import Search
 from sierra.provenance.source.manifest import read as read_manifest
 from sierra.store.layout import PYPROJECT
 from sierra.store.store import Store

@@ -1,4 +1,4 @@
-"""Rewriting the records of a store by the rules of `sierra.packages.redaction`.
+"""Rewriting the records of a store by the rules of `sierra.packages.anonymity.redaction`.
 
 Each segment is written again, under the new name that its new hashes give. Files without a column to rewrite stay as they are.
 """
@@ -16,8 +16,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from sierra.maintenance.extract import link_or_copy
-from sierra.packages.redact_rows import HIDDEN, RowRedactor
-from sierra.packages.redaction import RULES, VERSION, Rule, rule
+from sierra.packages.anonymity.redact_rows import HIDDEN, RowRedactor
+from sierra.packages.anonymity.redaction import RULES, VERSION, Rule, rule
 from sierra.store.duckdb_file_io import read_parquet
 from sierra.store.row_types import RedactionRow
 from sierra.store.schema import RECORDED, arrow_schema

@@ -12,10 +12,10 @@ they are. Rewritten are:
     HIDDEN        the text "redacted"
     NOTHING       NULL
     ENVIRONMENT, SOURCE, ISOLATION      the id of such a record, which follows from its rewritten columns
-    ROW           a value that depends on others of its row: see `sierra.packages.redact_rows`
+    ROW           a value that depends on others of its row: see `sierra.packages.anonymity.redact_rows`
 
 The table `redactions` names the sessions whose records were rewritten. Texts that are kept may contain names all the same: see
-`sierra.packages.content_search`.
+`sierra.packages.anonymity.content_search`.
 """
 
 from __future__ import annotations

@@ -1,0 +1,1 @@
+"""The description of a package as a Provenance Run Crate."""

@@ -1,0 +1,1 @@
+"""Parts of a package: each is a function that makes some of its members."""

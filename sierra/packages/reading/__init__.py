@@ -1,0 +1,1 @@
+"""Received packages: opening, comparing and importing them, without executing anything."""
