@@ -94,7 +94,7 @@ def _claims(described: PackageManifest) -> Iterator[str]:
             cells = (_text(one.says), _text(one.shown), f"{one.verdict}: {_text(one.text)}", *known)
             yield f"| {' | '.join(cells)} |"
         yield f"\nEach command executes the runs behind a claim again. The time is that of one core of {SLOWER} speed."
-        yield "In a copy of `project/`, `sierra claims` decides all claims on the recorded data, within seconds."
+        yield "In a copy of `project/`, `sierra claims` decides claims about the source there by the recorded data, in seconds."
 
 
 def _needs(described: PackageManifest, content: int) -> Iterator[str]:

@@ -17,7 +17,7 @@ from sierra.errors import Damaged
 from sierra.packages.layout import PACKAGE
 from sierra.packages.needs import Machine, Measured, machines, of_batches
 from sierra.packages.parts.sources import folders
-from sierra.packages.subject import Member, Subject, packed_project
+from sierra.packages.subject import Subject
 from sierra.version import __version__
 
 FORMAT: Literal["sierra package 1"] = "sierra package 1"
@@ -89,8 +89,8 @@ class _Batch(NamedTuple):
     successful: int
 
 
-def describe(subject: Subject, members: Mapping[str, Member], notes: tuple[str, ...]) -> PackageManifest:
-    """Return the description of a package with these members and notes."""
+def describe(subject: Subject, notes: tuple[str, ...]) -> PackageManifest:
+    """Return the description of a package with these notes."""
     rows = {row.batch: row for row in subject.store.select(_Batch, BATCHES)}
     needs = of_batches(subject.store)
     return PackageManifest(
@@ -101,16 +101,16 @@ def describe(subject: Subject, members: Mapping[str, Member], notes: tuple[str, 
         sources=tuple(
             PackedSource(tree=tree.tree, commit=tree.commit, folder=folder) for folder, tree in folders(subject).items()
         ),
-        claims=tuple(_claims(subject, members, needs)),
+        claims=tuple(_claims(subject, needs)),
         machines=machines(subject.store),
         notes=notes,
         redacted=subject.redacted,
     )
 
 
-def _claims(subject: Subject, members: Mapping[str, Member], needs: Mapping[str, Measured]) -> Iterator[PackedClaim]:
-    """Yield the claims, evaluated on the packed records in the packed project, whose source may not be that of today."""
-    for one in evaluate(packed_project(subject, members), subject.store) if subject.project.config.claims else ():
+def _claims(subject: Subject, needs: Mapping[str, Measured]) -> Iterator[PackedClaim]:
+    """Yield the claims, decided by the packed batches, whose source may not be that of today."""
+    for one in evaluate(subject.project, subject.store, among=subject.batches) if subject.project.config.claims else ():
         seconds = sum(needs[batch].seconds for batch in one.batches if batch in needs)
         same = {name: getattr(one, name) for name in ("name", "says", "shown", "verdict", "text", "batches")}
         yield PackedClaim(**same, seconds=seconds)

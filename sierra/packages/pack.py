@@ -107,7 +107,7 @@ def pack(
         if anonymity is not None:
             subject = anonymity.subject(subject)
         members, notes, facts = _collect(subject)
-        described = manifest.describe(subject, members, (*notes, *facts))
+        described = manifest.describe(subject, (*notes, *facts))
         members[PACKAGE] = Member(PACKAGE, manifest.written(described), "description of the package for programs")
         members[INSTRUCTIONS] = instructions.member(described, members)
         members |= {member.name: member for member in crate.members(subject, members).members}

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import io
-import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Literal
 
-from sierra.config import project_file
 from sierra.config.project_file import LoadedProject
-from sierra.packages.layout import PROJECT, STORED
 from sierra.store.store import Store
-from sierra.util.fs import inside
 from sierra.util.hashing import sha256, sha256_file
 
 ImageForm = Literal["oci", "sif", "both", "none"]
@@ -90,16 +86,3 @@ class Made:
 
 Part = Callable[[Subject, Mapping[str, Member]], Made]
 """A part of a package: a function of the subject and the members of all parts before it."""
-
-
-def packed_project(subject: Subject, members: Mapping[str, Member]) -> LoadedProject:
-    """Return the project as these members make it, in a temporary folder; its store is that of the subject."""
-    root = subject.folder / "project"
-    for name, member in members.items():
-        if name.startswith(PROJECT) and not name.startswith(STORED):
-            path = inside(root, name.removeprefix(PROJECT))
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with member.open() as content, path.open("wb") as file:
-                shutil.copyfileobj(content, file)
-            path.chmod(0o755 if member.executable else 0o644)
-    return project_file.load(root)

@@ -58,9 +58,14 @@ def evaluate(
     return tuple(_evaluated(name, claim, found[name], ground, rests.get(name, ()), imported) for name, claim in chosen.items())
 
 
-def batches(project: LoadedProject, store: Store, names: Sequence[str] = ()) -> dict[str, tuple[str, ...]]:
-    """Return the ids of the batches of each claim, by its name. Raises NotFound, which names a query that has to be run."""
-    known = BatchesOfClaims(project, store)
+def batches(
+    project: LoadedProject, store: Store, names: Sequence[str] = (), *, among: Sequence[str] | None = None
+) -> dict[str, tuple[str, ...]]:
+    """Return the ids of the batches of each claim, by its name; `among` as in `evaluate`.
+
+    Raises NotFound, which names a query that has to be run.
+    """
+    known = BatchesOfClaims(project, store, among)
     return {name: tuple(known.of(name, claim).values()) for name, claim in _named(project, names).items()}
 
 

@@ -1,7 +1,8 @@
 """The batches that decide claims: those of their queries, as the project is now, or those that they name.
 
 Instead, the batches can be chosen among given ones: older ones, or those of another store. Then a claim's query is that of a
-batch if the criteria, the controller, the scenario, the changes and the target are the same, whatever the code was.
+batch if the criteria, the number of runs, the controller, the scenario, the changes and the target are the same, whatever the
+code was. Nothing of the project is read or started for that, so that it may be a received one.
 """
 
 from __future__ import annotations
@@ -18,13 +19,16 @@ from sierra.execution import resolve_plan, resolve_query, targets
 from sierra.query import grammar, query_request
 from sierra.query.query_request import QueryRequest
 from sierra.store.store import Store
+from sierra.util.hashing import short
+from sierra.util.text import counted, few
 
+SHOWN = 3
 RECORDED = "SELECT batch FROM batches WHERE batch = $b"
 SAME_QUERY = """
 SELECT batch FROM batches
 WHERE query = $query AND overrides = $overrides::VARCHAR[] AND controller IS NOT DISTINCT FROM $controller
-  AND scenario IS NOT DISTINCT FROM $scenario AND batch IN $among
-ORDER BY lamport DESC
+  AND scenario IS NOT DISTINCT FROM $scenario AND runs = experiments * $runs AND batch IN $among
+ORDER BY lamport, batch
 """
 
 
@@ -79,23 +83,27 @@ class BatchesOfClaims:
         return batch
 
     def _of_same_query(self, name: str, request: QueryRequest, among: Sequence[str]) -> str:
-        """Return the last recorded one of the given batches that has the query of a request. Raises NotFound."""
+        """Return that of the given batches which has the query of a request. Raises NotFound unless there is exactly one."""
         project = self.project.for_target(request.target)
         query = resolve_query.resolve(project, request)
         axes = {criterion.name for criterion in query.criteria}
-        found = self.store.values(
+        text = " ".join(map(grammar.text, query.criteria))
+        same = self.store.values(
             str,
             SAME_QUERY,
-            query=" ".join(map(grammar.text, query.criteria)),
+            query=text,
             overrides=[f"{one.path}={one.value}" for one in query.sets],
             controller=None if "controller" in axes else query.controller or project.config.controller,
             scenario=None if "scenario" in axes else query.scenario or project.config.scenario,
+            runs=query.runs,
             among=list(among),
         )
-        batch = next((one for one in found if targets.recorded(self.store, one) == request.target), None)
-        if batch is None:
-            raise NotFound(f"[claims.{name}] none of the given batches has its query: {' '.join(request.criteria)}")
-        return batch
+        found = [batch for batch in same if targets.recorded(self.store, batch) == project.config.target]
+        if len(found) != 1:
+            shown = few([short(one) for one in found], SHOWN)
+            which = f"several of the given batches ({shown}) have" if found else "none of the given batches has"
+            raise NotFound(f"[claims.{name}] {which} its query: {text}, {counted(query.runs, 'run')} for each experiment")
+        return found[0]
 
 
 def command(request: QueryRequest) -> str:

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims import evaluate
 from sierra.deliverables.claims.model import Evaluated, Ground
-from sierra.errors import UsageError
-from sierra.packages.reproduction.batches_of_claims import with_batches
+from sierra.errors import SierraError, UsageError
 from sierra.replay.compare_values import Verdict
 from sierra.replay.verdicts import Replay
 from sierra.store.store import Store
@@ -33,46 +32,39 @@ def named(project: LoadedProject, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in known if not names or name in names)
 
 
-@dataclass(frozen=True, slots=True)
-class Rests:
-    """The batches that claims rest on."""
-
-    project: LoadedProject
-    """The project, whose claims name these batches."""
-    batches: Mapping[str, tuple[str, ...]]
-    """The batches of each claim; none if the package does not have them."""
-    unknown: Mapping[str, str]
-    """The reason for each claim without batches."""
-
-
-def rest(project: LoadedProject, store: Store, names: Iterable[str]) -> Rests:
-    """Return the batches of the claims with these names. Executes nothing of the package."""
-    project, unknown = with_batches(project, store)
-    known = [name for name in names if name not in unknown]
+def rest(project: LoadedProject, store: Store, names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Return the packed batches of the claims with these names, none for a claim without. Starts nothing of the package."""
+    packed = _packed(store)
     found: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
-    for name in known:
-        with contextlib.suppress(UsageError):  # the evaluation says why
-            found[name] = evaluate.batches(project, store, (name,))[name]
-    return Rests(project, found, unknown)
+    for name in found:
+        with contextlib.suppress(SierraError):  # the evaluation says why
+            found[name] = evaluate.batches(project, store, (name,), among=packed)[name]
+    return found
 
 
-def decide(rests: Rests, store: Store, replays: Mapping[str, Replay]) -> tuple[Evaluated, ...]:
-    """Return the evaluation of claims with its ground.
+def decide(
+    project: LoadedProject, store: Store, rests: Mapping[str, tuple[str, ...]], replays: Mapping[str, Replay]
+) -> tuple[Evaluated, ...]:
+    """Return the evaluation of claims, which rest on these batches, with its ground.
 
     `replays` are those, by batch, in which all runs with a result were executed again.
     """
-    grounds = {name: _ground([replays.get(batch) for batch in batches]) for name, batches in rests.batches.items()}
+    grounds = {name: _ground([replays.get(batch) for batch in batches]) for name, batches in rests.items()}
     changed = [replay.id for replay in replays.values() if replay.verdict is not Verdict.IDENTICAL]
     new = store.replayed(changed) if changed else store
+    packed = _packed(store)
     found: dict[str, Evaluated] = {}
     for source, names in (
         (store, [name for name, ground in grounds.items() if ground is Ground.RECORDED]),
         (new, [name for name, ground in grounds.items() if ground is not Ground.RECORDED]),
     ):
-        for one in evaluate.evaluate(rests.project, source, names) if names else ():
-            text = rests.unknown.get(one.name, one.text)
-            found[one.name] = replace(one, ground=grounds[one.name], text=text)
-    return tuple(found[name] for name in rests.batches)
+        for one in evaluate.evaluate(project, source, names, among=packed) if names else ():
+            found[one.name] = replace(one, ground=grounds[one.name])
+    return tuple(found[name] for name in rests)
+
+
+def _packed(store: Store) -> list[str]:
+    return store.values(str, "SELECT batch FROM batches ORDER BY batch")
 
 
 def _ground(replays: Sequence[Replay | None]) -> Ground:

@@ -91,11 +91,11 @@ class _Work:
         runners.find(self._options.runner, self._project.config.runners)
         names = claims.named(self._project, self._options.claims)
         rests = claims.rest(self._project, self._store, names)
-        plans = [*self._plans(rests.batches)]
+        plans = [*self._plans(rests)]
         possible = [run for one in plans if not one.missing for run in one.runs]
         chosen = set(possible)
         if self._options.budget is not None:
-            chosen = budget.choose(possible, rests.batches, self._options.budget, self._options.slots)
+            chosen = budget.choose(possible, rests, self._options.budget, self._options.slots)
         if possible:
             open_ = any(not one.isolated for one in plans if not one.missing and not chosen.isdisjoint(one.runs))
             agree(Statement(tuple(self._lines(plans, chosen)), open_))
@@ -103,8 +103,8 @@ class _Work:
             self._observer.notice(line)
         batches = tuple(self._executed(plans, chosen))
         complete = {one.planned.batch: one.replay for one in batches if one.replay and one.complete}
-        decided = claims.decide(rests, self._store, complete) if names else ()
-        return batches, decided, tuple(_left_out(plans, chosen, rests.batches))
+        decided = claims.decide(self._project, self._store, rests, complete) if names else ()
+        return batches, decided, tuple(_left_out(plans, chosen, rests))
 
     def _plans(self, rests: Mapping[str, Sequence[str]]) -> Iterator[PlannedBatch]:
         wanted = {batch for batches in rests.values() for batch in batches}
