@@ -192,6 +192,13 @@ def test_the_batches_of_claims_and_their_ground_are_known_to_callers(recorded: P
     assert evaluate.batches(project, store, ["one"]) == {"one": one.batches}
     with pytest.raises(NotFound, match=r"\[claims\.two\].* run: sierra run noise=1,2"):
         evaluate.batches(project, store)
+    every = store.values(str, "SELECT batch FROM batches")
+    assert evaluate.batches(project, store, ["one"], among=every) == {"one": one.batches}
+    (recorded / "sierra.toml").write_text(
+        CONFIG + claim("one", 'sql = "SELECT true"').replace("[claims.one]", "[claims.one]\nruns = 5")
+    )
+    with pytest.raises(NotFound, match=r"none of the given batches has its query: population_size=1,2,8, 5 runs for each"):
+        evaluate.batches(project_file.load(recorded), store, among=every)
 
 
 @pytest.mark.parametrize(
