@@ -51,10 +51,10 @@ def main() -> NoReturn:
 
 def _ended() -> object:
     """Execute the command; return the exit code."""
-    from sierra.cli.app import app  # only now, because `main` has set how Python looks for unreachable objects
-
     code: object
     try:
+        from sierra.cli.app import app  # only now, because `main` has set how Python looks for unreachable objects
+
         code = app(standalone_mode=False, prog_name="sierra")
     except SierraError as error:
         code = _say(str(error), error.exit_code)
