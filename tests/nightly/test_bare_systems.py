@@ -69,3 +69,21 @@ def test_python_alone_reaches_levels_1_and_2(bare: Path, tmp_path: Path) -> None
     shutil.move(tmp_path / "plain.zip", tmp_path / "checked.zip")
     status, printed = inside(bare, tmp_path / "checked.zip")
     assert (status, "Level 1 of 3 reached" in printed, "SIERRA is not installed" in printed) == (0, True, True)
+
+
+def test_the_mujoco_example_is_reproduced_with_the_wheels_of_its_package(bare: Path, tmp_path: Path) -> None:
+    """One command, no network, another user and path: SIERRA is installed from the package, and decides its claim."""
+    root = tmp_path / "project"
+    assert projects.sierra(tmp_path, "init", "--example", "swarm", root.name).returncode == 0
+    with (root / "sierra.toml").open("a") as file:
+        file.write(TOML.replace("FROM runs", "FROM swarm"))
+    batch = sierra.open(root).run("population_size=1,2", runs=2, figures=False).batch
+    version = "import sys; print('%d.%d' % sys.version_info[:2])"
+    python = subprocess.run(
+        ["chroot", bare, "python3", "-c", version], capture_output=True, text=True, check=True
+    ).stdout.strip()
+    assert sierra.open(root).package(batch, path=tmp_path / "swarm.zip", wheels=True, pythons=[python])
+    status, printed = inside(bare, tmp_path / "swarm.zip", "--execute", "--yes")
+    assert "identical (4 of 4 runs executed again)" in printed, printed
+    assert "re-executed (4 of 4 runs executed again)" in printed
+    assert (status, "Level 3 of 3 reached." in printed) == (0, True)
