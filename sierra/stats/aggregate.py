@@ -5,9 +5,8 @@ statistics before it; names that begin with `_` are intermediate steps and not i
 value and is one file in `measures/`. A statement is put together from them:
 
     observations    one value per run (a measure), or per run and time
-    finite, absent  the finite values, and the numbers of others (`finite_by_….sql`, `absent_by_….sql`)
-    scale, counted  sums of the values of a group as whole numbers of a unit, and the list x, if used
-    finer, grouped  the same in a finer unit for groups that need it; then all that is known of each group
+    counted         n, the smallest and the largest value, per experiment (and time), and the list x, if used (`group_by_….sql`)
+    ranges, sums    the sums of their values as whole numbers of a `unit`, for the mean and sd (`unit.sql`, `sums.sql`)
     (… SELECT *, n) SELECT *, mean) …    one statistic after the other; each may use those before it
 
 No value is averaged silently: missing (NULL or NaN) and infinite values are left out and counted, and so are runs that
@@ -26,7 +25,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from statistics import NormalDist
-from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, cast
+from typing import TYPE_CHECKING, Protocol, TypeAlias, cast
 
 from sierra.config.deliverable_tables import Figure
 from sierra.config.field_types import RawTable
@@ -54,7 +53,7 @@ STATISTICS: Mapping[str, tuple[str, ...]] = {
     "n": (),
     "mean": ("n",),
     "max_deviation": ("mean",),
-    "sd": ("mean",),
+    "sd": ("n",),
     "is_rate": ("n",),
     "interval": ("mean", "sd", "is_rate"),
     "kurtosis": ("mean", "max_deviation"),
@@ -75,11 +74,10 @@ USUAL = tuple(name for name in STATISTICS if name != "mad")
 """The statistics of `sierra stats` if none are chosen; `mad` would sort all values once more."""
 
 ROWS = "SELECT experiment, t, value FROM samples"
-LIST = "list_sort(list(value)) AS x"
+LIST = "coalesce(list_sort(list(value) FILTER (isfinite(value))), []) AS x"
 """The sorted values of a group, for statistics that need each value; sorted, so that the order of rows has no effect."""
-Over: TypeAlias = Literal["experiment", "time"]
-KEYS: Mapping[Over, str] = {"experiment": "experiment", "time": "experiment, t"}
-"""The columns that are equal in a group."""
+STEP = r" AS (_\w+|x\b)"
+"""Intermediate steps in SQL, as a regular expression."""
 
 Statistics: TypeAlias = "tuple[pa.Table, str]"
 Wanted: TypeAlias = "Iterable[str] | Selection"
@@ -220,7 +218,7 @@ class Samples:
 
     def by_experiment(self, measure: str, statistics: Wanted, threshold: float | None = None) -> Statistics:
         """Return statistics of each experiment, each run reduced by `measure`."""
-        text = statement(_file(f"measures/{measure}"), "experiment", statistics)
+        text = statement(_file(f"measures/{measure}"), "group_by_experiment", statistics)
         return self._run(text, statistics, rate=self._remains_rate(measure), threshold=threshold)
 
     def _remains_rate(self, measure: str) -> bool:
@@ -229,7 +227,7 @@ class Samples:
 
     def by_time(self, statistics: Wanted) -> Statistics:
         """Return statistics of each experiment at each of its runs' times."""
-        text = statement(ROWS, "time", statistics)
+        text = statement(ROWS, "group_by_time", statistics)
         return self._run(text, statistics, rate=self.rate)
 
     def at_times(self, times: str | None, statistics: Wanted) -> tuple[pa.Table, str, list[str]]:
@@ -254,7 +252,7 @@ class Samples:
 
     def resampled(self, grid: Sequence[float], statistics: Wanted, *, linear: bool = False) -> Statistics:
         """Return the result of `by_time` at the times of `grid`, which need not be times of any run."""
-        text = statement(_file("resample"), "time", statistics)
+        text = statement(_file("resample"), "group_by_time", statistics)
         return self._run(text, statistics, rate=self.rate and not linear, grid=list(grid), linear=linear)
 
     def runs_over_time(self, grid: Sequence[float] | None = None) -> tuple[pa.Table, list[float]]:
@@ -285,7 +283,7 @@ class Samples:
         most = max(self.coverage.runs.values())
         selection = _selection(statistics)
         level = selection.level if selection else LEVEL
-        params |= {"z": NormalDist().inv_cdf((1 + level) / 2), "rate": rate, "bits": (126 - most.bit_length()) // 2}
+        params |= {"z": NormalDist().inv_cdf((1 + level) / 2), "rate": rate}
         lists: dict[str, Parameter] = {"t": _t(most, level), "median_rank": ranks(0.5, max(1, most), 1 - level)[0]}
         if selection:
             params |= selection.parameters(most)
@@ -309,41 +307,38 @@ def reduced(frame: Frame, measure: str, threshold: float | None = None) -> pa.Ta
     return frame.sql(text, **_used(text, threshold=threshold))
 
 
-def statement(observations: str, over: Over, statistics: Wanted) -> str:
-    """Return a complete statement: the statistics of the rows of `observations`, in groups."""
-    keys = KEYS[over]
+def statement(observations: str, grouping: str, statistics: Wanted) -> str:
+    """Return a complete statement: the statistics of the rows of `observations`, in the groups of `grouping`."""
+    keys = "experiment, t" if grouping == "group_by_time" else "experiment"
     selection = _selection(statistics)
     names = selection.uses if selection else cast("Iterable[str]", statistics)
     texts = [_file(f"statistics/{name}") for name in _ordered(names)]
     columns = selection.columns() if selection else []
-    parts = _parts(over, keys, "".join(map(_code, (*texts, *columns))))
+    parts = _groups(grouping, keys, "".join(map(_code, (*texts, *columns))))
     if selection:
-        never = ("never",) if over == "experiment" else ()
+        never = () if grouping == "group_by_time" else ("never",)
         own = [name for one in selection.formulas for name in _columns(one)]
         shown = ",\n  ".join((keys, "n", "missing", "infinite", *never, *own, *columns))
     else:
-        steps = dict.fromkeys(re.findall(r" AS (_\w+|x\b)", _code("".join((*parts.values(), *texts)))))
-        shown = f"* EXCLUDE ({', '.join(steps)})"
-    cheap = ("observations", "finite") if observations == ROWS else ("finite",)  # to read twice, instead of keeping a copy
-    relations = (
-        f"{name} AS {'NOT MATERIALIZED ' * (name in cheap)}(\n{text.rstrip()}\n)"
-        for name, text in {"observations": observations, **parts}.items()
-    )
+        shown = f"* EXCLUDE ({', '.join(re.findall(STEP, _code(''.join((*parts.values(), *texts)))))})"
+    values = f"ranges LEFT JOIN sums USING ({keys})" if "sums" in parts else "ranges"
+    again = "NOT MATERIALIZED " if observations == ROWS else ""  # to read rows twice is cheaper than to keep a copy
+    relations = [f"WITH observations AS {again}(\n{observations.rstrip()}\n)"]
+    relations += [f"{name} AS (\n{text.rstrip()}\n)" for name, text in parts.items()]
     return (
-        f"WITH {f',{chr(10)}'.join(relations)}\n"
-        f"{'FROM (' * len(texts)}FROM grouped\n{''.join(f'SELECT *,{chr(10)}{text})' + chr(10) for text in texts)}"
+        f"{f',{chr(10)}'.join(relations)}\n"
+        f"{'FROM (' * len(texts)}FROM {values}\n{''.join(f'SELECT *,{chr(10)}{text})' + chr(10) for text in texts)}"
         f"SELECT {shown}\nORDER BY {keys}"
     )
 
 
-def _parts(over: Over, keys: str, formulas: str) -> dict[str, str]:
-    """Return the SQL of each group's values, by the name of its relation. Lists are there if `formulas` use them."""
-    names = {name: name for name in ("scale", "counted", "finer", "grouped")}
-    names = {"finite": f"finite_by_{over}", "absent": f"absent_by_{over}"} | names
-    parts = {name: _file(file).replace("{keys}", keys) for name, file in names.items()}
+def _groups(grouping: str, keys: str, formulas: str) -> dict[str, str]:
+    """Return the SQL of each group's values, by the name of its relation. Lists and sums are there if `formulas` use them."""
+    groups = _file(grouping)
     if re.search(r"\bx\b", formulas):
-        parts["counted"] = parts["counted"].replace("\nFROM", f",\n  {LIST}\nFROM", 1)
-    return parts
+        groups = groups.replace("\nFROM", f",\n  {LIST}\nFROM", 1)
+    sums = {"sums": _file("sums").format(keys=keys)} if "_sum" in formulas else {}
+    return {"counted": groups, "ranges": _file("unit")} | sums
 
 
 def _wanted(needs: Needs, options: Mapping[str, RawTable]) -> Wanted:

@@ -80,7 +80,7 @@ class Selection:
             if isinstance(one, Formula):
                 texts = (one.value, one.low, one.high, self._method(name, one))
                 found += [f'{text} AS "{name}{part}"' for text, part in zip(texts, PARTS, strict=True)]
-        return [*found, *(["coalesce(x, []) AS x"] if self.functions else [])]
+        return [*found, *(["x"] if self.functions else [])]
 
     def _method(self, name: str, formula: Formula) -> str:
         return formula.method or f"CASE WHEN {formula.low} IS NOT NULL THEN {quote(self.statistics[name].interval)} END"

@@ -142,20 +142,6 @@ def test_the_mean_and_sd_of_hostile_values_equal_exact_fractions() -> None:
         assert abs(Fraction(found["sd"]) - sd) <= sd * Fraction(1, 10**14) + Fraction(5e-324), name
 
 
-@pytest.mark.parametrize("power", [-310, 0, 250])
-def test_one_unit_for_a_column_loses_no_more_than_its_rule_allows(power: int) -> None:
-    """The unit of the column serves most of the groups here, and a finer one those whose values differ little."""
-    rng = np.random.default_rng(7)
-    groups = [(10.0 ** (power - e % 16 / 3)) * (rng.random(30) + offset) for offset in (0, 1, 1e3, -1e6) for e in range(16)]
-    table, _ = samples(Memory((e, k, 0.0, float(v)) for e, x in enumerate(groups) for k, v in enumerate(x))).by_time(["sd"])
-    for found, values in zip(table.to_pylist(), groups, strict=True):
-        x = [Fraction(float(value)) for value in values]
-        mean, room = sum(x) / len(x), max(x) - min(x) or Fraction(5e-324)
-        assert abs(Fraction(found["mean"]) - mean) <= room / 2**45 + Fraction(math.ulp(float(mean)))
-        squares = sum((value - mean) ** 2 for value in x) / (len(x) - 1)
-        assert abs(Fraction(found["sd"]) - Fraction(math.sqrt(squares / room**2)) * room) <= room / 2**44 + Fraction(5e-324)
-
-
 def test_the_mean_and_sd_do_not_depend_on_the_statistics_beside_them() -> None:
     rng = np.random.default_rng(3)
     rows = [(e, run, float(t), v) for e in range(3) for run in range(20) for t, v in enumerate(rng.lognormal(0, 9, 5).tolist())]
@@ -579,14 +565,10 @@ def test_every_sql_file_is_used_and_begins_with_a_comment() -> None:
         f"measures/{m}.sql" for m in ("final", "mean", "time_to")
     }
     assert set(files) == known | {
-        "finite_by_time.sql",
-        "finite_by_experiment.sql",
-        "absent_by_time.sql",
-        "absent_by_experiment.sql",
-        "scale.sql",
-        "counted.sql",
-        "finer.sql",
-        "grouped.sql",
+        "group_by_time.sql",
+        "group_by_experiment.sql",
+        "unit.sql",
+        "sums.sql",
         "coverage.sql",
         "doubled.sql",
         "resample.sql",
