@@ -1,7 +1,7 @@
 """Verdicts as JUnit XML for continuous integration.
 
-Of a replay: a test suite for each experiment, a test case for each run. Of others: one test suite, with a test case for each
-claim or comparison. One that is refuted is a failure, one that can't be told is an error.
+A replay has a test suite for each experiment, and a test case for each run. Others have one test suite, with a test case for
+each claim or comparison. One that is refuted is a failure, one that can't be told is an error.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ import shutil
 import stat
 import zipfile
 import zlib
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -114,72 +115,29 @@ def _info(name: str, *, executable: bool) -> zipfile.ZipInfo:
     return info
 
 
-class Archive:
-    """A context manager for a package that is read. Nothing of it is executed, and nothing is written.
+class Opened(ABC):
+    """A package that is read. The content of a member is checked when it is read: it has the SHA-256 of the manifest."""
 
-    When it is opened, the list of members is checked: safe names (see `sierra.packages.members`), regular files only, no member
-    twice, exactly the members of the manifest, methods that SIERRA writes, no password. The content of a member is checked when
-    it is read: no more bytes than the list says, and the SHA-256 of the manifest.
-    """
+    path: Path
+    hashes: Mapping[str, str]
+    """The SHA-256 of all members by name, as the manifest lists them."""
 
-    def __init__(self, path: Path) -> None:
-        """Raises Missing if the file cannot be read, Damaged if it is no package or not a safe one."""
-        self.path = path
-        try:
-            self._file = zipfile.ZipFile(path)
-        except OSError as error:
-            raise self._unreadable(error) from error
-        except (zipfile.BadZipFile, ValueError, NotImplementedError, UnicodeDecodeError) as error:
-            raise Damaged(f"{path} is no package, or not all of it: {_reason(error)}") from error
-        try:
-            self._members = self._checked()
-            self.hashes: Mapping[str, str] = self._manifest()
-        except BaseException:
-            self._file.close()
-            raise
+    @abstractmethod
+    def size(self, name: str) -> int:
+        """Return the number of bytes of a member."""
 
-    def __enter__(self) -> Archive:
-        return self
+    @abstractmethod
+    def _blocks(self, name: str) -> Iterator[bytes]:
+        """Yield the content of a member, whatever the manifest says."""
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._file.close()
-
-    def _unreadable(self, error: OSError) -> SierraError:
-        """Return the error to raise: a zip that names a place before its beginning gives EINVAL."""
-        if error.errno == errno.EINVAL:
-            return Damaged(f"{self.path} is no package, or not all of it: it names a place outside the file")
-        return Missing(f"{self.path}: {error.strerror or error}")
+    @abstractmethod
+    def _is_program(self, name: str) -> bool:
+        """Return whether a member may be executed."""
 
     @property
     def id(self) -> str:
         """The identity of the package."""
         return members.package_id(self.hashes)
-
-    def _checked(self) -> dict[str, zipfile.ZipInfo]:
-        infos = self._file.infolist()
-        members.check_names(info.orig_filename for info in infos)
-        for info in infos:
-            if problem := _problem(info):
-                raise Damaged(f"{self.path}: member {info.orig_filename[:100]!r} {problem}")
-        return {info.orig_filename: info for info in infos}
-
-    def _manifest(self) -> dict[str, str]:
-        if MANIFEST not in self._members:
-            raise Damaged(f"{self.path} is no package of SIERRA: it has no {MANIFEST}")
-        if self._members[MANIFEST].file_size > LARGEST_MANIFEST:
-            raise Damaged(f"{self.path}: {MANIFEST} is too large")
-        hashes = members.read(b"".join(self._blocks(MANIFEST)))
-        listed = set(hashes)
-        present = set(self._members) - {MANIFEST}
-        if extra := sorted(present - listed):
-            raise Damaged(f"{self.path}: {MANIFEST} does not list the member {extra[0]!r}")
-        if lost := sorted(listed - present):
-            raise Damaged(f"{self.path}: the member {lost[0]!r} of {MANIFEST} is missing")
-        return hashes
-
-    def size(self, name: str) -> int:
-        """Return the number of bytes of a member."""
-        return self._members[name].file_size
 
     def names(self, folder: str = "") -> list[str]:
         """Return the names of all members in a folder (`results/`), in order."""
@@ -229,14 +187,78 @@ class Archive:
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
                 with unfinished.open("xb") as file:
-                    for block in self.blocks(name):
-                        file.write(block)
-                if self._members[name].external_attr >> 16 == EXECUTABLE:
+                    file.writelines(self.blocks(name))
+                if self._is_program(name):
                     unfinished.chmod(0o755)
                 _name(unfinished, path)
             finally:
                 unfinished.unlink(missing_ok=True)
         return path
+
+
+class Archive(Opened):
+    """A context manager for a package in a zip. Nothing of it is executed, and nothing is written.
+
+    When it is opened, the list of members is checked: safe names (see `sierra.packages.members`), regular files only, no member
+    twice, exactly the members of the manifest, methods that SIERRA writes, no password. The content of a member is checked when
+    it is read: no more bytes than the list says, and the SHA-256 of the manifest.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises Missing if the file cannot be read, Damaged if it is no package or not a safe one."""
+        self.path = path
+        try:
+            self._file = zipfile.ZipFile(path)
+        except OSError as error:
+            raise self._unreadable(error) from error
+        except (zipfile.BadZipFile, ValueError, NotImplementedError, UnicodeDecodeError) as error:
+            raise Damaged(f"{path} is no package, or not all of it: {_reason(error)}") from error
+        try:
+            self._members = self._checked()
+            self.hashes = self._manifest()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Archive:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._file.close()
+
+    def _unreadable(self, error: OSError) -> SierraError:
+        """Return the error to raise: a zip that names a place before its beginning gives EINVAL."""
+        if error.errno == errno.EINVAL:
+            return Damaged(f"{self.path} is no package, or not all of it: it names a place outside the file")
+        return Missing(f"{self.path}: {error.strerror or error}")
+
+    def _checked(self) -> dict[str, zipfile.ZipInfo]:
+        infos = self._file.infolist()
+        members.check_names(info.orig_filename for info in infos)
+        for info in infos:
+            if problem := _problem(info):
+                raise Damaged(f"{self.path}: member {info.orig_filename[:100]!r} {problem}")
+        return {info.orig_filename: info for info in infos}
+
+    def _manifest(self) -> dict[str, str]:
+        if MANIFEST not in self._members:
+            raise Damaged(f"{self.path} is no package of SIERRA: it has no {MANIFEST}")
+        if self._members[MANIFEST].file_size > LARGEST_MANIFEST:
+            raise Damaged(f"{self.path}: {MANIFEST} is too large")
+        hashes = members.read(b"".join(self._blocks(MANIFEST)))
+        listed = set(hashes)
+        present = set(self._members) - {MANIFEST}
+        if extra := sorted(present - listed):
+            raise Damaged(f"{self.path}: {MANIFEST} does not list the member {extra[0]!r}")
+        if lost := sorted(listed - present):
+            raise Damaged(f"{self.path}: the member {lost[0]!r} of {MANIFEST} is missing")
+        return hashes
+
+    def size(self, name: str) -> int:
+        return self._members[name].file_size
+
+    def _is_program(self, name: str) -> bool:
+        return self._members[name].external_attr >> 16 == EXECUTABLE
 
     def _blocks(self, name: str) -> Iterator[bytes]:
         """Yield the content of a member, not more than its stated size."""

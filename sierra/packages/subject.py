@@ -22,7 +22,7 @@ class Options:
     image: ImageForm = "none"
     """The forms in which container images are packed."""
     wheels: bool = False
-    """Whether wheels of SIERRA and of the project's Python packages are packed."""
+    """True if wheels of SIERRA and of the project's Python packages are packed."""
     pythons: tuple[str, ...] = ()
     """Versions of Python for the wheels, as 3.12; default: this one."""
     machines: tuple[str, ...] = ()

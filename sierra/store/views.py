@@ -35,7 +35,7 @@ NEEDS_IF_IMPORTED = {
     "origins": ("all_sessions", "all_judgements", "imported_sessions"),
     "sessions": ("all_sessions", "imported_sessions", "origins"),
 }
-"""What these tables need too, if any session came in a package."""
+"""The tables that these need too, if any session came in a package."""
 ONCE = {
     "batches": ("batch",),
     "experiments": ("batch", "ordinal"),

@@ -45,7 +45,7 @@ class Found:
     tests: int | None = None
     """The number of the project's claims that tests decide."""
     runs: Mapping[str, float] = field(default_factory=dict)
-    """Of a claim about a value: the values of the runs by seed; none if the statistic counts times never reached."""
+    """The values of the runs by seed, for a claim about a value; none if the statistic counts times never reached."""
     numbers: Mapping[str, SqlValue] = field(default_factory=dict)
     """The further columns of a claim's SQL."""
     notes: tuple[str, ...] = ()

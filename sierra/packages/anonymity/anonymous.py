@@ -176,7 +176,7 @@ def _lines(keys: Mapping[str, Any]) -> Iterator[str]:
 
 
 class _Names:
-    """What the objects of a store are, looked up when the first one is asked for."""
+    """Descriptions of the objects of a store, looked up when the first one is asked for."""
 
     def __init__(self, store: Store) -> None:
         self._store = store

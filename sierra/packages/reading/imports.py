@@ -97,7 +97,7 @@ class _Received:
 
 @dataclass(frozen=True, slots=True)
 class _Change:
-    """What an import adds, and the segments of this store from which that follows."""
+    """The additions of an import, and the segments of this store from which they follow."""
 
     drop: Drop
     sessions: list[ImportedSessionRow]

@@ -15,7 +15,7 @@ from sierra.config import project_file
 from sierra.config.project_file import LoadedProject
 from sierra.errors import Damaged
 from sierra.packages import manifest
-from sierra.packages.archive import Archive
+from sierra.packages.archive import Archive, Opened
 from sierra.packages.layout import PACKAGE, PROGRAM, PROJECT, STORED
 from sierra.packages.manifest import PackageManifest
 from sierra.packages.parts import verifier
@@ -63,7 +63,7 @@ def open_package(path: Path) -> Received:
     return Received(path, identity, described, project, Store(folder / STORE, project.rules), () if known else (OTHER,))
 
 
-def records(archive: Archive) -> list[str]:
+def records(archive: Opened) -> list[str]:
     """Return the names of the files of a package's store. Raises Damaged if it has none, or has other files than records."""
     found = archive.names(STORED)
     if strange := [name for name in found if not is_record(name)]:

@@ -14,7 +14,7 @@ from sierra.util.text import counted
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """What would be executed, for the user to agree to."""
+    """The programs that would be executed, for the user to agree to."""
 
     lines: tuple[str, ...]
     must_ask: bool

@@ -81,7 +81,7 @@ class PlannedBatch:
     """The recorded commands that a run executes, and that of the build."""
     engine: str = NONE
     access: tuple[str, ...] = ()
-    """What a container may use beyond the package, as `network`; empty without a container."""
+    """Things beyond the package that a container may use, as `network`; empty without a container."""
     image: Image | None = None
     """The image of the containers, at its place in the package; None without a container."""
     missing: tuple[str, ...] = ()

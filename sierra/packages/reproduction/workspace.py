@@ -19,11 +19,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sierra.errors import Damaged, Missing, UsageError
-from sierra.packages.archive import Archive
+from sierra.packages.archive import Archive, Opened
 from sierra.packages.layout import PACKAGE, PROJECT, STORED
 from sierra.packages.members import MANIFEST, written
-from sierra.packages.parts import stored
 from sierra.packages.reading.extracted import CREATED, Extracted
+from sierra.packages.reading.received import records
 from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.store.segments import disk_errors
 
@@ -69,7 +69,7 @@ def _lock(descriptor: int, folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def opened(package: Path) -> Iterator[Archive | Extracted]:
+def opened(package: Path) -> Iterator[Opened]:
     """Open a package. Its list of files is checked, and not yet their contents.
 
     Raises Missing if it cannot be read, Damaged if it is not a safe package with a project.
@@ -79,7 +79,7 @@ def opened(package: Path) -> Iterator[Archive | Extracted]:
         yield found
 
 
-def copy_verified(found: Archive | Extracted, folder: Path) -> None:
+def copy_verified(found: Opened, folder: Path) -> None:
     """Verify a package, and copy it to the folder unless the same package is there already.
 
     Raises Damaged for a changed file, UsageError if the folder has another package.
@@ -90,16 +90,15 @@ def copy_verified(found: Archive | Extracted, folder: Path) -> None:
         _copy(found, folder)
 
 
-def _check(found: Archive | Extracted) -> None:
-    if strange := [name for name in found.names(STORED) if not stored.is_record(name)]:
-        raise Damaged(f"{found.path}: the member {strange[0]!r} is no record, but it is in the store")
+def _check(found: Opened) -> None:
     file = any(PROJECT + name in found.hashes for name in (CONFIG, PYPROJECT))
     if not file or PACKAGE not in found.hashes or not found.names(STORED):
         wanted = f"{PACKAGE}, {PROJECT}{CONFIG} (or {PYPROJECT}) and {STORED}"
         raise Damaged(f"{found.path} has no project with a store: {wanted} are required")
+    records(found)
 
 
-def _verify_again(found: Archive | Extracted, copy: Path) -> None:
+def _verify_again(found: Opened, copy: Path) -> None:
     """Verify a package, and a copy that an earlier process made. Raises UsageError if they differ."""
     again = f"{copy.parent} is of another package; choose another folder with --into"
     if not (copy / MANIFEST).is_file():
@@ -111,7 +110,7 @@ def _verify_again(found: Archive | Extracted, copy: Path) -> None:
         known.verify()
 
 
-def _copy(found: Archive | Extracted, folder: Path) -> None:
+def _copy(found: Opened, folder: Path) -> None:
     unfinished = folder / UNFINISHED
     if unfinished.is_symlink():
         raise UsageError(f"{unfinished} is a link; remove it")
