@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import os
 import shutil
 import stat
 import zipfile
@@ -25,7 +24,7 @@ from sierra.errors import Damaged, Missing, SierraError, UsageError
 from sierra.packages import members
 from sierra.packages.members import MANIFEST
 from sierra.store.segments import disk_errors
-from sierra.util.fs import inside
+from sierra.util.fs import inside, unfinished_beside
 from sierra.util.hashing import CHUNK
 
 MADE = (1980, 1, 1, 0, 0, 0)
@@ -72,7 +71,7 @@ def write(path: Path, contents: Mapping[str, Content], executable: Iterable[str]
     members.check_names([*contents, MANIFEST])
     check_new(path)
     programs = frozenset(executable)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    unfinished = unfinished_beside(path)
     with disk_errors(path.parent):
         try:
             with zipfile.ZipFile(unfinished, "x", allowZip64=True) as file:
@@ -182,7 +181,7 @@ class Opened(ABC):
 
     def _extract(self, name: str, folder: Path) -> Path:
         path = inside(folder, name)
-        unfinished = path.with_name(f".sierra.{os.getpid()}")
+        unfinished = unfinished_beside(path)
         with disk_errors(folder):
             path.parent.mkdir(parents=True, exist_ok=True)
             try:

@@ -23,6 +23,7 @@ from pathlib import Path
 
 from sierra.errors import Damaged, Missing
 from sierra.store.layout import SessionPaths, StorePaths
+from sierra.util.fs import write_once
 from sierra.util.hashing import sha256
 from sierra.worker import worker
 
@@ -38,7 +39,7 @@ ADVICE = 'remove the link; to execute runs elsewhere, set in sierra.toml: [store
 def identity(store: StorePaths) -> str:
     """Return the store's id; create one if there is none. Raises Damaged if the file does not contain a valid id."""
     if not os.path.lexists(store.identity):
-        _write_once(store.identity, _checked(os.urandom(12).hex()))
+        write_once(store.identity, f"{_checked(os.urandom(12).hex())}\n".encode())
     if (found := id_in(store.identity)) is None:
         raise Damaged(f"{store.identity}: contains no store id; move it and {store.work} away, and SIERRA creates both again")
     return found
@@ -69,7 +70,7 @@ def mark_work(store: StorePaths) -> None:
         raise Missing(f"{work} is the work folder of another store ({said[:8]}, not {own[:8]}); {ADVICE}")
     if work.is_symlink():
         _check_link(store)
-    _write_once(store.work_mark, own)
+    write_once(store.work_mark, f"{own}\n".encode())
 
 
 def _check_link(store: StorePaths) -> None:
@@ -137,11 +138,11 @@ def make_elsewhere(store: StorePaths, session: SessionPaths, folder: Path) -> Se
     mine.mkdir(parents=True, exist_ok=True)
     if mine.is_symlink() or (_others(mine) and not _is_marked(mine, own)):
         raise Missing(f"{mine} was not made by SIERRA; move it away, or change [store] work_folder")
-    _write_once(mine / StorePaths.MARK, own)
+    write_once(mine / StorePaths.MARK, f"{own}\n".encode())
     runs = mine / session.root.name
     session.elsewhere_file.write_bytes(os.fsencode(runs))
     runs.mkdir()
-    _write_once(runs / StorePaths.MARK, session.root.name)
+    write_once(runs / StorePaths.MARK, f"{session.root.name}\n".encode())
     return SessionPaths(session.root, runs)
 
 
@@ -171,17 +172,3 @@ def _beginning(path: Path) -> bytes:
         return os.read(descriptor, MOST) if stat.S_ISREG(os.fstat(descriptor).st_mode) else b""
     finally:
         os.close(descriptor)
-
-
-def _write_once(path: Path, text: str) -> None:
-    """Write a line to a file that appears complete and never replaces another."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        unfinished.write_text(f"{text}\n")
-        try:
-            os.link(unfinished, path)
-        except OSError:  # the target exists, or the file system has no hard links
-            if not os.path.lexists(path):
-                unfinished.rename(path)
-    finally:
-        unfinished.unlink(missing_ok=True)

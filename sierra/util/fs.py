@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import secrets
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -58,10 +59,29 @@ def read_record(path: Path) -> dict[str, Any]:
 
 def write_whole(path: Path, data: bytes) -> Path:
     """Write a file completely or not at all, replacing an existing one."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    unfinished = unfinished_beside(path)
     try:
         unfinished.write_bytes(data)
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
     return path
+
+
+def write_once(path: Path, data: bytes) -> None:
+    """Write a file completely or not at all, unless one exists: of all that write it at once, the first wins."""
+    unfinished = unfinished_beside(path)
+    try:
+        unfinished.write_bytes(data)
+        try:
+            os.link(unfinished, path)
+        except OSError:  # the target exists, or the file system has no hard links
+            if not os.path.lexists(path):
+                unfinished.rename(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def unfinished_beside(path: Path) -> Path:
+    """Return a new path beside a file that is being written. No other thread, process or computer gets the same."""
+    return path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}")

@@ -6,15 +6,18 @@ import json
 import shutil
 import signal
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 
 import pytest
 
 import sierra
 from sierra.errors import Damaged
 from sierra.execution.checkout import _copy_in
-from sierra.execution.sessions import Session
+from sierra.execution.sessions import Session, exclusively
 from sierra.store.layout import ProjectPaths, StorePaths
+from sierra.store.ownership_marks import identity
 from sierra.store.store import Store
 from tests import projects, stores
 from tests.conftest import Simulated, held
@@ -298,6 +301,21 @@ def test_an_external_folder_named_by_a_session_is_removed_only_with_a_mark(
         projects.quick(root, "gc", "--yes")
         assert files(theirs) == before
         assert not session.exists()
+
+
+def test_threads_that_create_a_store_at_once_agree_on_its_id(tmp_path: Path) -> None:
+    def create(store: StorePaths, together: Barrier) -> str:
+        together.wait()
+        with exclusively(store):
+            return identity(store)
+
+    for repetition in range(50):
+        store, together = StorePaths(tmp_path / str(repetition)), Barrier(4)
+        store.root.mkdir()
+        with ThreadPoolExecutor(4) as threads:
+            ids = {created.result() for created in [threads.submit(create, store, together) for _ in range(4)]}
+        assert len(ids) == 1
+        assert files(store.root) == ["id", "work", "work/lock", "work/mark"]
 
 
 @pytest.mark.integration
