@@ -11,7 +11,7 @@ All dataclasses here are frozen. This module reads no files and imports only the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from fractions import Fraction
 from typing import Any
@@ -444,6 +444,42 @@ class Client:
     """The command that ends the container if the client cannot do it any more."""
 
 
+BASE = 0
+"""The place of the base station in a run on robots; the robots have the places 1, 2, …"""
+ON_ROBOT = "\1"
+"""The mark (which no argument contains) that stands for the folder of the code on a robot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """The part of one robot, or of the base station, in a run on robots.
+
+    The place is part of the run's identity, but no robot's name is: which robot took the place is recorded with the execution.
+    In `argv`, in the values of `environment` and in those of `folders`, the character NUL stands for the run's directory on the
+    robot, and `ON_ROBOT` for the folder of the code there. PATH is only in `environment` if the project declares it.
+    """
+
+    place: int
+    group: str
+    """The group of its place: `robot`, `base`, or the name of a table in `[robots.groups]`."""
+    argv: tuple[str, ...]
+    environment: Mapping[str, str]
+    """Its variables; SIERRA_ROBOT is its place, SIERRA_ROBOTS the number of robots without the base station."""
+    files: tuple[tuple[str, bytes], ...]
+    folders: Mapping[str, str] | None = None
+    """The texts that take the place of marks in its input files, as in `Job`."""
+
+    def at(self, run: str, code: str) -> Member:
+        """Return the member with the paths of the run's directory and of the code on its robot, in place of the marks."""
+
+        def filled(text: str) -> str:
+            return text.replace("\0", run).replace(ON_ROBOT, code)
+
+        environment = {name: filled(value) for name, value in self.environment.items()}
+        folders = None if self.folders is None else {mark: filled(text) for mark, text in self.folders.items()}
+        return replace(self, argv=tuple(map(filled, self.argv)), environment=environment, folders=folders)
+
+
 @dataclass(frozen=True, slots=True)
 class Job:
     """A run that is ready for a worker, on any host.
@@ -475,6 +511,13 @@ class Job:
     """The texts that take the place of marks in the input files; None if there are no marks."""
     helps: Helps | None = None
     """The tracer and hashes that this machine remembers, so that observing takes less time; None for another machine."""
+    members: tuple[Member, ...] = ()
+    """The parts of a run on robots, in the order of their places, the base station first; empty for all other runs.
+
+    They start together, and the run is successful if all of them are. The outputs of a member are in a folder of the run's
+    outputs that has the name of its place: `2/swarm.csv`. A runner that cannot execute members refuses such a job. `argv` is
+    empty then, and `files` are those of the whole run; each member has the files that it needs.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -571,3 +614,5 @@ class Result:
     """Names of files that it wrote, but not among its outputs: `{run}/…`, and others if it was observed. Perhaps not all."""
     left_out: tuple[str, ...] = ()
     """Entries of its output folder that are neither files nor folders: links, sockets. A long list is incomplete."""
+    robots: Mapping[int, str] = field(default_factory=dict)
+    """The names of the robots that took the places of the run; empty for a run without robots."""
