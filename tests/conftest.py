@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
+import logging
 import os
 import shutil
 import signal
@@ -70,6 +71,13 @@ def direct_python() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PATH", f"{Path(sys.base_prefix, 'bin')}{os.pathsep}{os.environ['PATH']}")
         yield
+
+
+@pytest.fixture(autouse=True)
+def no_listeners() -> Iterator[None]:
+    """Check that no test leaves a listener to SIERRA's messages, because those change which messages a program receives."""
+    yield
+    assert logging.getLogger("sierra").handlers == []
 
 
 @pytest.fixture(scope="session")

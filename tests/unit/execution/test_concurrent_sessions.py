@@ -198,7 +198,7 @@ def test_claims_are_ignored_on_file_systems_without_locks(tmp_path: Any, monkeyp
 
     monkeypatch.setattr(fcntl, "flock", flock)
     store = StorePaths(tmp_path)
-    one, two = sessions.Session(store), sessions.Session(store)
+    one, two = sessions.Session(store, logged=False), sessions.Session(store, logged=False)
     assert (one.claim({"a"}), two.claim({"a"})) == ({"a"}, {"a"})
     with sessions.dead(store) as found:
         assert found == []
@@ -212,7 +212,7 @@ def test_session_with_an_old_empty_owner_file_is_dead_on_file_systems_without_lo
 
     monkeypatch.setattr(fcntl, "flock", flock)
     store = StorePaths(tmp_path)
-    owner = sessions.Session(store).paths.owner(0)
+    owner = sessions.Session(store, logged=False).paths.owner(0)
     owner.write_text("")
     with sessions.dead(store) as found:
         assert found == [], "it may be about to sign"
