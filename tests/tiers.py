@@ -1,7 +1,7 @@
 """Tiers of tests: `make test`, `make integration` and `make nightly`.
 
 The folder of a test decides its tier. A mark on a test, a parameter or a file moves it to a later tier: `integration` if it
-needs a cluster, containers or many processes, or more than 1.5 seconds; `nightly` if it takes too long for each change.
+needs a cluster, containers or many processes, or more than about 0.7 seconds; `nightly` if it takes too long for each change.
 """
 
 from __future__ import annotations

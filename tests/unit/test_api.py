@@ -102,6 +102,7 @@ def test_frame_accepts_a_table_name_or_a_statement(project: sierra.Project, summ
         project.frame("swrm")
 
 
+@pytest.mark.integration
 def test_missing_pandas_is_reported_with_the_extra_to_install(root: Path, summary: sierra.Summary) -> None:
     program = (
         "import sys\n"
@@ -130,6 +131,7 @@ def test_results_are_usable_as_arrow_tables_by_other_libraries(project: sierra.P
 HOSTILE = "<script>alert('x')</script>"
 
 
+@pytest.mark.integration
 def test_notebook_html_is_escaped_and_shortened(project: sierra.Project, summary: sierra.Summary) -> None:
     shown = project.sql('SELECT $x AS "<b>", range AS n FROM range(1000)', x=HOSTILE)._repr_html_()
     assert "<script" not in shown

@@ -26,6 +26,7 @@ def started(folder: Path, *words: str) -> subprocess.Popen[str]:
     return subprocess.Popen([forkserver.SIERRA, *words], cwd=folder, text=True, **pipes)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("words", CALLS)
 def test_forked_command_has_the_output_and_exit_code_of_the_program(tmp_path: Path, words: tuple[str, ...]) -> None:
     root = projects.make(tmp_path / "project")

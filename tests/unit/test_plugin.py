@@ -198,6 +198,7 @@ def test_new_version_of_a_reader_reads_recorded_files_again(plain: Path, tmp_pat
     assert "unknown reader 'text'" in refused(plain, "replay", sierra.open(plain).batches[-1].batch)
 
 
+@pytest.mark.integration
 def test_damaged_file_of_a_plugin_format_fails_only_its_own_run(project: Path) -> None:
     script = project / "tortoise.py"
     script.write_text(
@@ -209,6 +210,7 @@ def test_damaged_file_of_a_plugin_format_fails_only_its_own_run(project: Path) -
     assert [row["herd"] for row in rows(project, "SELECT DISTINCT herd FROM walk")] == [1]
 
 
+@pytest.mark.integration
 def test_runner_of_another_package_is_configured_by_its_table(project: Path) -> None:
     nice_simulator(project)
     succeed(project, "run", "herd=1", "--no-figures", "--on", "niced")
@@ -367,11 +369,13 @@ def test_plugin_template_format_conforms(installed: Path) -> None:
     templates.check(lambda data, name: Conf(data, name, ConfOptions()), data, ["speed", "tortoises", "seed"])
 
 
+@pytest.mark.integration
 def test_plugin_statistic_conforms(installed: Path) -> None:
     statistics.check("laggards", {(1.0, 3.0, 9.0, 11.0): 2.0, (4.0,): 4.0}, {"resamples": 999})
     statistics.check("laggards", {(1.0, 3.0, 9.0, 11.0): 6.0}, {"part": 1.0, "resamples": 999})
 
 
+@pytest.mark.integration
 def test_plugin_range_conforms(installed: Path) -> None:
     criteria.check("Primes", {"5": (2, 3, 5, 7, 11), "1": (2,)}, ["", "0", "-1", "x", "5.C2", "1000"])
     criteria.check("Primes", {"2": (11, 13)}, options={"above": 10})
@@ -418,6 +422,7 @@ def test_shipped_statistics_conform(name: str, expected: float) -> None:
     statistics.check(name, {(1.0, 3.0, 9.0, 11.0): expected})
 
 
+@pytest.mark.integration
 def test_a_statistic_of_a_plugin_is_computed_with_its_options(project: Path) -> None:
     assert projects.quick(project, "run", "herd=1", "--no-figures").returncode == 0
     asked = projects.quick(project, "stats", "walk", "distance", "--statistic", "laggards,median", "--json")
@@ -445,6 +450,7 @@ class Made:
 """
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("estimate", ["Estimate(1.0, 2.0, 3.0)", "Estimate(1.0, 0.5)", "Estimate(float('nan'))", "1 / 0"])
 def test_a_statistic_with_a_wrong_interval_is_a_fault_of_its_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, estimate: str
@@ -554,6 +560,7 @@ def test_plugin_scheduler_conforms(installed: Path, tmp_path: Path) -> None:
     runners.check(schedulers.find("spool")(table), tmp_path / "trial")
 
 
+@pytest.mark.integration
 def test_plugin_engine_without_isolation_conforms(installed: Path, tmp_path: Path) -> None:
     engine_conformance.check(engines.find("direct"), None, tmp_path, tmp_path)
 

@@ -190,6 +190,7 @@ def test_zero_slots_are_refused(ask: Ask) -> None:
     assert ask("run", "noise=1", "-j", "0") == (2, "sierra: cannot execute 0 runs at a time; use 1 or more\n")
 
 
+@pytest.mark.integration
 def test_failed_run_is_reported_and_gives_exit_code_1(tmp_path: Path) -> None:
     simulator = 'import sys\nprint("no wheels")\nsys.exit("fell over" if \'count="2"\' in open(sys.argv[1]).read() else 0)\n'
     folder = make(tmp_path / "p", simulator=simulator)
@@ -228,6 +229,7 @@ def test_full_disk_stops_the_batch_which_completes_once_there_is_space(
 NAMES = ["a'; echo foo", 'quo"ted $(id)', "new\nline", "ünï 名"]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("name", NAMES)
 def test_file_names_may_contain_any_character(tmp_path: Path, name: str) -> None:
     folder = make(tmp_path / f"{name} {{seed}}", simulator="")

@@ -58,6 +58,7 @@ WORDS = [
 ]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("words", WORDS, ids=lambda words: "-".join(words)[:20].replace("\x1b", ""))
 def test_recorded_escape_sequences_are_never_printed(evil: Path, words: tuple[str, ...]) -> None:
     [row] = sierra.open(evil).sql("SELECT batch, run FROM executions WHERE status <> 'ok' LIMIT 1").to_pylist()

@@ -185,6 +185,7 @@ def test_the_target_that_is_executed_is_named_before_its_runs(project: Path) -> 
     assert said == ["note: target sim (1 of 2): 4 runs", "note: target robots (2 of 2): 4 runs"]
 
 
+@pytest.mark.integration
 def test_figures_of_several_targets_have_a_line_for_each(project: Path) -> None:
     config = CONFIG.replace(', units = { coverage = "m2" }', "")
     (project / "sierra.toml").write_text(config)
@@ -209,6 +210,7 @@ def test_figures_of_several_targets_have_a_line_for_each(project: Path) -> None:
     assert (checked.returncode, "swarm_coverage_summary_sim_robots" in checked.stdout + checked.stderr) == (1, True)
 
 
+@pytest.mark.integration
 def test_a_query_for_several_targets_draws_them_together_at_its_end(tmp_path: Path) -> None:
     folder = make(tmp_path / "p", CONFIG.replace(', units = { coverage = "m2" }', ""))
     done = projects.quick(folder, "run", "population_size=1", *BOTH, "--figures", "--json")
@@ -224,6 +226,7 @@ def test_figures_of_targets_with_other_units_are_not_drawn(project: Path) -> Non
     assert "targets 'sim' and 'robots' have different units: none and {'coverage': 'm2'}" in drawn.stderr
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("query", "message"),
     [
@@ -263,6 +266,7 @@ def test_recorded_batches_can_be_replayed_after_their_target_is_gone(project: Pa
     assert (answer["target"], answer["executed"]) == ("robots", 0)
 
 
+@pytest.mark.integration
 def test_a_note_says_whose_declarations_are_used_for_a_batch_without_a_target(tmp_path: Path) -> None:
     folder = make(tmp_path / "p", CONFIG.replace('target = "sim"\n', ""))
     identity = projects.run(folder, "population_size=1", "--target", "robots", "--no-figures")[0]["batch"]
@@ -279,6 +283,7 @@ def test_a_note_says_whose_declarations_are_used_for_a_batch_without_a_target(tm
     assert "taken to be those" not in projects.quick(folder, *words).stderr
 
 
+@pytest.mark.integration
 def test_a_template_of_one_of_two_batches_is_named(tmp_path: Path) -> None:
     config = """
         runs = 1
@@ -312,6 +317,7 @@ def test_a_changed_target_is_compared_with_itself(project: Path) -> None:
     assert not any("target" in line for line in answers["robots"]["new_because"])
 
 
+@pytest.mark.integration
 def test_targets_are_differences_between_batches(executed: Path) -> None:
     compared = projects.quick(executed, "diff", batch(executed, "sim"), batch(executed, "robots"))
     assert "target: sim → robots" in compared.stdout
@@ -371,6 +377,7 @@ def test_outputs_are_declared_for_the_target_that_wrote_them(tmp_path: Path) -> 
     assert [one["executed"] for one in answers["targets"].values()] == [0, 0]
 
 
+@pytest.mark.integration
 def test_the_doctor_checks_each_target(project: Path) -> None:
     (project / "sierra.toml").write_text(CONFIG.replace("python3 {project}/robots.py", "no-such-robots"))
     checks = {one["name"]: one for one in json.loads(projects.quick(project, "doctor", "--json").stdout)}
@@ -378,6 +385,7 @@ def test_the_doctor_checks_each_target(project: Path) -> None:
     assert "no-such-robots" in checks["command of target robots"]["found"]
 
 
+@pytest.mark.integration
 def test_a_trial_uses_a_target(executed: Path) -> None:
     done = projects.quick(executed, "try", "population_size=2", "--target", "robots", "--json")
     assert done.returncode == 0, done.stderr

@@ -61,6 +61,7 @@ def completed(root: Path, words: str, program: tuple[str, ...] = (str(projects.S
     return ended.stdout.split()
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("words", "found"),
     [
@@ -78,6 +79,7 @@ def test_names_from_the_project_are_completed(root: Path, words: str, found: lis
     assert completed(root, words) == found
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", ["run", "experiment", "execution"])
 def test_ids_are_completed_after_4_digits(root: Path, kind: str) -> None:
     table = {"run": "batch_runs", "experiment": "experiments", "execution": "executions"}[kind]
@@ -85,6 +87,7 @@ def test_ids_are_completed_after_4_digits(root: Path, kind: str) -> None:
     assert row[kind][:10] in completed(root, f"sierra show {row[kind][:4]}")
 
 
+@pytest.mark.integration
 def test_batch_and_session_ids_are_completed_without_a_prefix(root: Path) -> None:
     [batch] = sierra.open(root).batches
     [log] = (root / ".sierra" / "logs").iterdir()

@@ -9,6 +9,7 @@ import pytest
 from tests.projects import make, quick
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("text", ["[variables\n", 'unknown = 1\ntemplate = "t"\n'])
 def test_recorded_results_can_be_read_while_the_configuration_is_invalid(tmp_path: Path, text: str) -> None:
     project = make(tmp_path / "project")

@@ -50,6 +50,7 @@ def test_the_files_have_the_complete_small_print_and_no_special_character_of_lat
     assert ORIGIN.search(tex.read_bytes())
 
 
+@pytest.mark.integration
 def test_captions_are_recorded_checked_and_found_by_their_content(tmp_path: Path) -> None:
     folder = projects.make(tmp_path / "project")
     assert projects.quick(folder, "run", "population_size=1,2").returncode == 0

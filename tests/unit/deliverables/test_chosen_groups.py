@@ -58,6 +58,7 @@ def places(svg: str, *words: str) -> list[int]:
     return [svg.index(f">{word}<") for word in words]
 
 
+@pytest.mark.integration
 def test_controllers_are_shown_in_the_order_of_their_names_and_labels(batch: Path) -> None:
     note, svg = draw(batch, 'controllers = ["depth0.DPO", "random walk"]')
     assert note == "mean, 95 % CI (Student's t), n = 2; only controllers depth0.DPO, random walk"
@@ -82,6 +83,7 @@ def test_chosen_controllers_whose_runs_failed_are_reported(batch: Path) -> None:
     assert "no row of output 'swarm' belongs to a run of the chosen groups" in draw(batch, 'controllers = ["plain"]')[1]
 
 
+@pytest.mark.integration
 def test_a_batch_with_one_controller_is_drawn_if_it_is_chosen(batch: Path) -> None:
     assert draw(batch, 'controllers = ["depth0.DPO"]', query="population_size=2")[0]
     _, line = draw(batch, 'controllers = ["plain"]', query="population_size=2")

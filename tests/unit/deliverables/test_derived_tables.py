@@ -36,6 +36,7 @@ def root(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.integration
 def test_statistics_of_a_derived_table_are_those_of_its_values(root: Path) -> None:
     project = sierra.open(root)
     batch = project.batches[0].batch

@@ -193,6 +193,7 @@ def test_variables_are_chosen_for_the_x_axis_for_series_and_for_panels(batch: Pa
     assert "name each once" in refusal(batch, *COVERAGE, 'kind = "box"', 'x = "noise"', 'facet = "noise"')
 
 
+@pytest.mark.integration
 def test_where_chooses_rows_by_columns_and_variables(batch: Path) -> None:
     shown = words(draw(batch, *COVERAGE, 'kind = "box"', 'where = "population_size > 1 AND tick < 3"'))
     assert {"2", "4"} <= set(shown)
@@ -256,6 +257,7 @@ def test_palette_labels_limits_and_footnote_are_used(batch: Path) -> None:
 POSES = ('table = "poses"', 'column = ["x", "y"]')
 
 
+@pytest.mark.integration
 def test_paths_of_robots_are_drawn_although_times_have_several_rows(batch: Path) -> None:
     where = 'where = "population_size = 4 AND noise = 0.1"'
     png = draw(batch, *POSES, 'kind = "trajectories"', 'robot = "robot"', "run = 1", where)

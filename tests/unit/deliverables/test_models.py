@@ -65,6 +65,7 @@ def deviations(of: Mapping[object, float], data: Mapping[object, float]) -> list
     return [of[key] - data[key] for key in of]
 
 
+@pytest.mark.integration
 def test_models_are_drawn_with_their_deviation_in_the_figures_of_their_column(root: Path) -> None:
     batch = declare(root, MODELS)
     done = projects.quick(root, "figures", batch)
@@ -88,6 +89,7 @@ def test_models_are_drawn_with_their_deviation_in_the_figures_of_their_column(ro
     assert "-- expression: population_size * t + 4" in (next(root.glob("figures/*/*_summary.svg"))).read_text()
 
 
+@pytest.mark.integration
 def test_each_experiment_has_its_errors(root: Path) -> None:
     batch = declare(root, MODELS)
     found = json.loads(projects.quick(root, "models", batch, "--json").stdout)
@@ -110,6 +112,7 @@ def test_each_experiment_has_its_errors(root: Path) -> None:
     assert "final over all experiments: RMSE" in done.stderr
 
 
+@pytest.mark.integration
 def test_a_program_gets_the_experiments_with_their_inputs_and_its_result_is_recorded(recorded: Path, tmp_path: Path) -> None:
     root = stores.copy(recorded, tmp_path / "project")
     (root / "model.py").write_text(PROGRAM)
@@ -181,6 +184,7 @@ def test_a_model_without_values_is_one_line(root: Path, source: str, code: int, 
     assert (done.returncode, done.stderr.strip().count("\n")) == (code, 0), done.stderr
 
 
+@pytest.mark.integration
 def test_a_figure_is_drawn_without_a_model_that_fails(root: Path) -> None:
     batch = declare(root, model("expression = '1 / (t - t)'") + "[models.other]\nexpression = 't'\ncolumn = 'coverage'\n")
     done = projects.quick(root, "figures", batch)

@@ -69,6 +69,7 @@ def test_statistics_work_if_the_glob_matches_one_file_per_run(tmp_path: Path) ->
     assert project.statistics(summary.batch, "floor", "heat").column("mean").to_pylist() == [1202.0]
 
 
+@pytest.mark.integration
 def test_files_are_listed_in_numeric_order(tmp_path: Path) -> None:
     project = _project(tmp_path / "p")
     summary = project.run("population_size=1", runs=1, figures=False)
@@ -107,6 +108,7 @@ for name in ("robot[0].csv", "robot0.csv"):
 """
 
 
+@pytest.mark.integration
 def test_file_names_with_brackets_are_matched_literally(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.one]\nfile = "robot[0].csv"\n'
     project = _project(tmp_path / "p", config=config, script=LITERAL)

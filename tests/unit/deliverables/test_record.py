@@ -43,6 +43,7 @@ def check(root: Path, *words: str) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
+@pytest.mark.integration
 def test_each_figure_is_recorded_once_however_often_it_is_drawn(drawn: Path) -> None:
     before = rows(drawn)
     names = {path.stem for path in drawn.glob("figures/*/*.svg")}
@@ -101,6 +102,7 @@ def test_check_says_that_the_store_has_other_data_after_an_execution_was_removed
     assert all("other data" in one["problem"] for one in json.loads(said))
 
 
+@pytest.mark.integration
 def test_formats_are_drawn_on_request_and_all_of_their_files_are_checked(drawn: Path) -> None:
     name = a_figure(drawn).stem
     done = projects.quick(drawn, "figures", "--format", "html, pgf", "--json")
@@ -120,6 +122,7 @@ def test_formats_are_drawn_on_request_and_all_of_their_files_are_checked(drawn: 
     assert (code, said.count("is not the file that SIERRA made")) == (1, 1)
 
 
+@pytest.mark.integration
 def test_files_of_formats_that_are_no_longer_drawn_can_be_removed(drawn: Path) -> None:
     sierra.open(drawn).figures(formats=["svg"])
     for ending in ("png", "pdf"):
@@ -131,6 +134,7 @@ def test_files_of_formats_that_are_no_longer_drawn_can_be_removed(drawn: Path) -
     assert check(drawn)[0] == 1
 
 
+@pytest.mark.integration
 def test_sierra_toml_declares_formats(drawn: Path) -> None:
     config = drawn / "sierra.toml"
     text = 'figure_formats = ["svg", "html"]\n' + config.read_text() + '[figures.a]\ncolumn = "coverage"\n'
@@ -220,6 +224,7 @@ def test_show_of_another_file_says_that_sierra_did_not_make_it(drawn: Path) -> N
     assert "was not made by SIERRA" in done.stderr
 
 
+@pytest.mark.integration
 def test_removing_a_batch_removes_the_records_of_its_figures(drawn: Path) -> None:
     batch = sierra.open(drawn).batches[-1].batch
     assert projects.quick(drawn, "rm", batch, "--yes").returncode == 0

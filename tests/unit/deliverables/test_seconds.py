@@ -59,6 +59,7 @@ def test_without_the_key_ticks_stay_ticks(tmp_path: Path) -> None:
     assert not any("second" in text for text in shown)
 
 
+@pytest.mark.integration
 def test_the_key_executes_nothing_again(tmp_path: Path) -> None:
     folder = projects.make(tmp_path / "p", CONFIG, template=TEMPLATE)
     projects.run(folder, "population_size=1")
@@ -77,6 +78,7 @@ def test_a_path_without_a_number_is_reported(tmp_path: Path, path: str, said: st
     assert said in done.stderr
 
 
+@pytest.mark.integration
 def test_runs_that_differ_are_reported(tmp_path: Path) -> None:
     change = 'run_changes = [{ set = "//arena/@rate", value = "{run + 1}" }]\n'
     folder = projects.make(tmp_path / "p", change + CONFIG + 'ticks_per_second = "//arena/@rate"\n', template=TEMPLATE)

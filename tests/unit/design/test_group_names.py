@@ -64,6 +64,7 @@ def refused(folder: Path, *words: str) -> str:
     return done.stderr
 
 
+@pytest.mark.integration
 def test_the_changes_of_a_category_come_before_those_of_its_controller(folder: Path) -> None:
     (made,) = inputs(folder, "population_size=2", "--controller", "depth0.CRW")
     assert (made["depth"], made["controller"]) == (0, "depth0.CRW")

@@ -66,6 +66,7 @@ def test_a_project_without_a_template_gives_values_to_command_and_environment(tm
     assert summary["batch"]
 
 
+@pytest.mark.integration
 def test_a_value_is_one_word_unless_the_argument_has_several(tmp_path: Path) -> None:
     root = make(tmp_path / "p")
     run(root, "population_size=1", "kind=x-y.z")
@@ -74,6 +75,7 @@ def test_a_value_is_one_word_unless_the_argument_has_several(tmp_path: Path) -> 
     assert words[1:3] == ["--kind", "a x-y.z"]
 
 
+@pytest.mark.integration
 def test_arguments_follow_the_command_if_it_has_no_place_for_them(tmp_path: Path) -> None:
     root = make(tmp_path / "p", CONFIG.replace(" {arguments}", ""))
     run(root, "population_size=1", "max_speed=3")
@@ -136,12 +138,14 @@ def test_values_and_a_template_can_be_mixed(tmp_path: Path) -> None:
     assert quick(root, "fsck").returncode == 0
 
 
+@pytest.mark.integration
 def test_names_of_controllers_can_be_in_the_command(tmp_path: Path) -> None:
     root = make(tmp_path / "p", 'command = "python3 sim.py {controller} {seed}"\nruns = 1\n')
     run(root, "controller=calm,wild")
     assert [words[0] for words, *_ in told(root)] == ["calm", "wild"]  # type: ignore[index]
 
 
+@pytest.mark.integration
 def test_braces_of_a_value_stay_as_they_are(tmp_path: Path) -> None:
     config = 'command = "python3 sim.py {label} {seed} {{label}} {Other}"\nruns = 1\n[per_run]\nlabel = ["{seed} \'x; y"]\n'
     root = make(tmp_path / "p", config)

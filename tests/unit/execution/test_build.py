@@ -93,6 +93,7 @@ def edit(root: Path) -> None:
     (root / "sim.sh").write_text(SIMULATOR.replace("echo 0,$count", "echo 0,$((count + 1))"))
 
 
+@pytest.mark.integration
 def test_a_product_is_built_before_runs_use_it_and_recorded(root: Path) -> None:
     done = run(root)
     assert "building, because nothing has been built yet" in done.stderr
@@ -214,6 +215,7 @@ def test_a_failed_build_ends_with_one_line_before_any_run(root: Path) -> None:
     assert "building, because the last build failed" in projects.quick(root, *QUERY).stderr
 
 
+@pytest.mark.integration
 def test_a_failed_build_leaves_the_older_product_which_no_run_uses(root: Path) -> None:
     run(root)
     edit(root)
@@ -263,6 +265,7 @@ def test_a_product_in_the_source_is_an_error_with_a_remedy(tmp_path: Path) -> No
     assert "build/sim would be part of the source, which products must not change; name the code in [source]" in done.stderr
 
 
+@pytest.mark.integration
 def test_outside_git_paths_of_the_source_must_leave_products_out(tmp_path: Path) -> None:
     root = make(tmp_path / "project")
     shutil.rmtree(root / ".git")
@@ -310,6 +313,7 @@ def test_a_build_that_takes_too_long_is_ended_with_all_its_processes(root: Path)
     assert has_ended(int((root / "build.pid").read_text()))
 
 
+@pytest.mark.integration
 def test_the_build_has_the_declared_variables_and_no_others(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FLAVOUR", "of the caller")
     (root / "compile.sh").write_text(COMPILER.replace("$FLAVOUR", "$FLAVOUR $TASTE"))
@@ -318,6 +322,7 @@ def test_the_build_has_the_declared_variables_and_no_others(root: Path, monkeypa
     assert (root / "build/sim").read_text() == f"{SIMULATOR}#  declared\n"
 
 
+@pytest.mark.integration
 def test_the_build_is_executed_in_its_folder(root: Path) -> None:
     (root / "code").mkdir()
     (root / "code/compile.sh").write_text(f"cd ..\n{COMPILER}")
@@ -349,6 +354,7 @@ def test_a_mistake_in_the_table_is_named(root: Path, line: str, complaint: str) 
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.integration
 def test_the_commit_alone_is_not_executed_with_products_of_other_files(root: Path) -> None:
     (root / "sierra.toml").write_text(CONFIG + '[source]\ndirty = "ignore"\n')
     run(root)
@@ -358,6 +364,7 @@ def test_the_commit_alone_is_not_executed_with_products_of_other_files(root: Pat
     assert '[source] dirty = "ignore" executes the commit, but [build] builds the files on disk' in done.stderr
 
 
+@pytest.mark.integration
 def test_a_clean_commit_is_built_where_changes_are_refused(root: Path) -> None:
     (root / "sierra.toml").write_text(CONFIG + '[source]\ndirty = "refuse"\n')
     projects.commit(root, "refuse")

@@ -116,6 +116,7 @@ def test_readers_see_only_complete_records_during_execution(simulate: Simulate) 
     assert [project.end_of(process).returncode for process in processes] == [0, 0]
 
 
+@pytest.mark.integration
 def test_runs_that_fail_in_a_concurrent_session_are_not_executed_again(simulate: Simulate) -> None:
     project = simulate('until [ -e "${0%/*}/../gate" ]; do sleep 0.02; done; echo broken >&2; exit 4')
     asked = ("run", "size=1,2", "--runs", "3", "-j", "2", "--no-figures")

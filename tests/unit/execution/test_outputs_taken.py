@@ -139,6 +139,7 @@ open("log.bin", "wb").write(b"x")
 """
 
 
+@pytest.mark.integration
 def test_write_declares_tables_in_subfolders_and_one_table_of_many_files(tmp_path: Path) -> None:
     project(tmp_path, SUBFOLDERS)
     assert quick(tmp_path, *QUERY).returncode == 0
@@ -161,6 +162,7 @@ def test_write_declares_tables_in_subfolders_and_one_table_of_many_files(tmp_pat
     assert "all tables are declared; nothing was changed\nnot a table: log.bin" in said
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("names", "file"),
     [
@@ -176,6 +178,7 @@ def test_the_proposed_pattern_has_a_place_for_each_number_that_differs(
     assert f'file = "{file}"' in quick(tmp_path, "try").stdout
 
 
+@pytest.mark.integration
 def test_numbers_that_differ_only_between_the_first_and_the_last_name_are_found_too(tmp_path: Path) -> None:
     more = "import os\nos.mkdir('x')\nfor a, b in ((1, 5), (2, 3), (9, 5)): open(f'x/{a}-{b}.csv', 'w').write('a\\n1\\n')\n"
     project(tmp_path, more)
@@ -210,6 +213,7 @@ def test_settings_in_pyproject_get_the_tables_too(tmp_path: Path) -> None:
     assert json.loads(quick(tmp_path, *QUERY, "--json").stdout)["executed"] == 0
 
 
+@pytest.mark.integration
 def test_a_declaration_that_was_removed_is_not_written_without_its_keys(tmp_path: Path) -> None:
     more = "import json\njson.dump([{'a': 1}], open('r.json', 'w'))\nos = __import__('os'); os.remove('swarm.csv')\n"
     config = projects.CONFIG + '[outputs.r]\nfile = "r.json"\nformat = "json"\n'

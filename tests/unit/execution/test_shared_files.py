@@ -162,6 +162,7 @@ def test_a_mistake_is_one_line(tmp_path: Path, files: str, told: str) -> None:
     assert told in done.stderr
 
 
+@pytest.mark.integration
 def test_files_do_not_count_as_output_of_a_run(tmp_path: Path) -> None:
     root = make(tmp_path / "p", CONFIG + "[limits]\noutput = 100000\n")
     (root / "sim" / "meshes" / "a.stl").write_bytes(b"0" * 400000)

@@ -28,6 +28,7 @@ def tried(folder: Path, *words: str, code: int = 0) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.integration
 def test_a_run_is_tried_without_a_store_and_without_making_one(project: Path) -> None:
     found = tried(project)
     assert (found["status"], found["exit_code"], found["values"]) == ("ok", 0, {"montecarlo": 1})
@@ -39,6 +40,7 @@ def test_a_run_is_tried_without_a_store_and_without_making_one(project: Path) ->
     assert "nothing has been run here yet" in quick(project, "ls").stderr
 
 
+@pytest.mark.integration
 def test_the_template_is_used_as_it_is_except_for_the_seed(project: Path) -> None:
     tried(project, "--seed", "4711")
     made = (project / RUN / "input.xml").read_text()
@@ -58,6 +60,7 @@ def test_a_try_leaves_the_store_as_it_was_and_never_counts(project: Path) -> Non
     assert [row["run"] for row in sql(project, "SELECT run FROM runs WHERE population_size = 2")] == [found["run"]]
 
 
+@pytest.mark.integration
 def test_the_chosen_experiment_and_seed_are_executed(project: Path) -> None:
     found = tried(project, "population_size.Log8", "--experiment", "3", "--seed", "7")
     assert (found["values"], found["seed"]) == ({"population_size": 8}, 7)
@@ -73,6 +76,7 @@ def test_an_experiment_that_does_not_exist_is_an_error(project: Path) -> None:
     assert (done.returncode, done.stderr) == (2, "sierra: there is no experiment 1; this query has only experiment 0\n")
 
 
+@pytest.mark.integration
 def test_what_the_program_prints_is_printed(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator=TALKING)
     done = quick(project, "try")
@@ -94,11 +98,13 @@ def test_output_is_printed_while_the_run_executes(tmp_path: Path) -> None:
     assert trying.returncode == 0
 
 
+@pytest.mark.integration
 def test_control_characters_of_a_program_are_escaped(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator="print('\\x1b[2Jgone\\r50 %\\r\\n', end='')\n")
     assert quick(project, "try").stdout.startswith("\\x1b[2Jgone\n50 %\n--\n")
 
 
+@pytest.mark.integration
 def test_a_run_that_a_batch_would_count_as_failed_exits_with_1(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator=SIMULATOR + "sys.exit(3)\n")
     done = quick(project, "try")
@@ -110,6 +116,7 @@ def test_a_run_that_a_batch_would_count_as_failed_exits_with_1(tmp_path: Path) -
     assert tried(project, code=1)["reason"].startswith("did not write 'poses.csv' (output 'poses')")
 
 
+@pytest.mark.integration
 def test_a_table_that_no_reader_reads_is_a_failure(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator="open('swarm.csv', 'w').write('a,b\\n1,2\\n1,2,3\\n')\n")
     found = tried(project, code=1)
@@ -117,12 +124,14 @@ def test_a_table_that_no_reader_reads_is_a_failure(tmp_path: Path) -> None:
     assert "swarm.csv" in found["reason"]
 
 
+@pytest.mark.integration
 def test_files_that_would_be_no_table_are_named_with_the_reason(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator=SIMULATOR + "open('notes.log', 'w').write('x')\n")
     done = quick(project, "try")
     assert "not a table: notes.log: no reader takes .log files\n" in done.stdout
 
 
+@pytest.mark.integration
 def test_tables_in_subfolders_are_named_with_the_lines_that_declare_them(tmp_path: Path) -> None:
     folders = "import os\nos.mkdir('floor')\nfor n in range(3): open(f'floor/f-{n}.csv', 'w').write('a\\n1\\n')\n"
     project = make(tmp_path / "project", simulator=SIMULATOR + folders)
@@ -131,6 +140,7 @@ def test_tables_in_subfolders_are_named_with_the_lines_that_declare_them(tmp_pat
     assert f"not a table: floor/f-0.csv and 2 other files: {said}\n" in done.stdout
 
 
+@pytest.mark.integration
 def test_files_that_are_written_elsewhere_are_named(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator=SIMULATOR + "open('../poses.csv', 'w').write('x')\n")
     found = tried(project)
@@ -138,6 +148,7 @@ def test_files_that_are_written_elsewhere_are_named(tmp_path: Path) -> None:
     assert any("runs wrote files beside their input" in text for text in found["notes"])
 
 
+@pytest.mark.integration
 def test_files_of_the_project_that_an_observed_run_read_are_named(tmp_path: Path, tracer: str) -> None:
     project = make(
         tmp_path / "project", simulator=SIMULATOR.replace("import sys", f"import sys\nopen('{tmp_path}/project/map')")
@@ -210,6 +221,7 @@ def test_a_program_that_is_not_there_is_an_error_before_anything_executes(projec
     assert not (project / RUN).exists()
 
 
+@pytest.mark.integration
 def test_the_commit_is_tried_if_changes_are_ignored(project: Path) -> None:
     (project / "sierra.toml").write_text('[source]\ndirty = "ignore"\n'.join((CONFIG, "")))
     commit(project)
@@ -217,6 +229,7 @@ def test_the_commit_is_tried_if_changes_are_ignored(project: Path) -> None:
     assert tried(project)["status"] == "ok"
 
 
+@pytest.mark.integration
 def test_a_limit_ends_the_run(tmp_path: Path) -> None:
     simulator = "import time\nopen('begun', 'w')\ntime.sleep(1000)\n"
     project = make(tmp_path / "project", CONFIG + "[limits]\nwall = 1\n", simulator=simulator)
@@ -225,6 +238,7 @@ def test_a_limit_ends_the_run(tmp_path: Path) -> None:
     assert (project / RUN / "output" / "begun").exists()
 
 
+@pytest.mark.integration
 def test_a_file_that_the_template_names_is_looked_for_where_runs_look(tmp_path: Path) -> None:
     simulator = "import sys\nopen(open(sys.argv[1]).read().split('map=\"')[1].split('\"')[0])\n"
     project = make(tmp_path / "project", simulator=simulator, template='<a map="maps/one.png"><random seed="0"/></a>')

@@ -311,6 +311,7 @@ def test_changed_host_is_the_last_environment_difference(tmp_path: Path, require
     assert lines(said, "environment")[-1].endswith(" → elsewhere")
 
 
+@pytest.mark.integration
 def test_equal_batches_are_reported_with_the_list_of_compared_kinds(make: Make, require: Callable[..., str]) -> None:
     require("strace")
     root = make()

@@ -76,6 +76,7 @@ def test_a_project_with_build_gets_no_note(root: Path) -> None:
     assert notes(root) == []
 
 
+@pytest.mark.integration
 def test_a_note_names_programs_that_a_commit_does_not_vouch_for(root: Path) -> None:
     (root / "sierra.toml").write_text(CONFIG + '[source]\ndirty = "refuse"\n')
     projects.commit(root, "refuse")

@@ -46,6 +46,7 @@ BESIDE = 'print("a,b\\n1,2", file=open(place + "/trips.csv", "w"))'
 HOME = 'print("a,b\\n1,2", file=open(os.environ["HOME"] + "/trips.csv", "w"))'
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("code", "place", "cure"),
     [
@@ -87,6 +88,7 @@ def test_an_environment_with_another_home_keeps_the_file(made: Made) -> None:
     assert sql(root, "SELECT DISTINCT a, b FROM trips") == [{"a": 1, "b": 2}]
 
 
+@pytest.mark.integration
 def test_the_reason_of_a_missing_output_names_where_it_was_written(made: Made) -> None:
     root = made(BESIDE + '\nopen("log.txt", "w").write("x")', 'observe = "none"', '[outputs.trips]\nfile = "trips.csv"\n')
     run(root, 1)
@@ -94,6 +96,7 @@ def test_the_reason_of_a_missing_output_names_where_it_was_written(made: Made) -
     assert reasons(root) == [{"status": "failed", "reason": reason, "n": 3}]
 
 
+@pytest.mark.integration
 def test_the_siblings_of_an_observed_run_that_wrote_elsewhere_have_failed_too(made: Made, require: Callable[..., str]) -> None:
     require("strace")
     root = made('open(os.path.dirname(sys.argv[0]) + "/trips.csv", "w").write("a,b\\n1,2\\n")', "observe_budget = 0")
@@ -108,6 +111,7 @@ def test_the_siblings_of_an_observed_run_that_wrote_elsewhere_have_failed_too(ma
     assert projects.quick(root, "fsck").returncode == 0
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "code",
     [
@@ -124,6 +128,7 @@ def test_settings_caches_locks_and_temporary_files_are_no_outputs(made: Made, co
     assert run(root, 0)[1] == "note: 3 runs wrote no file; their programs said nothing on stderr\n"
 
 
+@pytest.mark.integration
 def test_a_run_with_outputs_only_gets_a_note(made: Made) -> None:
     root = made(BESIDE + f"\n{BESIDE.replace('place + ', '').replace('/trips', 'table')}", 'observe = "none"')
     summary, said = run(root, 0)

@@ -42,6 +42,7 @@ def reason(root: Path) -> str:
     return line
 
 
+@pytest.mark.integration
 def test_numbers_in_names_become_a_column_in_their_natural_order(tmp_path: Path) -> None:
     root = made(tmp_path)
     ended = quick(root, "run", "population_size=1", "--no-figures")
@@ -62,6 +63,7 @@ def test_time_axis_may_be_the_number_of_the_files(tmp_path: Path) -> None:
     assert {row["t"] for row in json.loads(ended.stdout)} == {0, 2, 9, 10}
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("more", "config", "said"),
     [
@@ -78,6 +80,7 @@ def test_files_that_do_not_fit_fail_the_run_in_one_line(tmp_path: Path, more: st
     assert said in reason(root)
 
 
+@pytest.mark.integration
 def test_missing_number_in_some_runs_differs_from_their_siblings(tmp_path: Path) -> None:
     root = made(tmp_path, ODD_SEED + "    os.remove('floor/floor-9.csv')\n")
     assert quick(root, "run", "population_size=1", "--no-figures", "--runs", "6").returncode == 1

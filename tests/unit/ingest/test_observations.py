@@ -89,12 +89,14 @@ def test_names_of_files_do_not_depend_on_where_runs_execute(root: Path, tmp_path
     assert sql(there, files) == sql(root, files)
 
 
+@pytest.mark.integration
 def test_files_written_outside_the_runs_folders_are_named(root: Path) -> None:
     assert "runs wrote files into the project: {project}/data.log (" in run(root)
     rows = sql(root, "SELECT path, use, count(*) AS n FROM files_written GROUP BY ALL")
     assert rows == [{"path": "{project}/data.log", "use": "written", "n": 4}]
 
 
+@pytest.mark.integration
 def test_a_batch_without_a_complete_observation_says_so(root: Path) -> None:
     (root / "sim.py").write_text(SIMULATOR + 'import subprocess\nsubprocess.run(["/proc/self/root/bin/true"], check=True)\n')
     said = run(root)
@@ -102,6 +104,7 @@ def test_a_batch_without_a_complete_observation_says_so(root: Path) -> None:
     assert "it executed a file through /proc" in said
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("setting", "count"), [("none", 0), ("first", 1), ("all", 4)])
 def test_the_setting_decides_which_runs_are_observed(root: Path, setting: str, count: int) -> None:
     config = root / "sierra.toml"

@@ -180,6 +180,7 @@ def test_line_of_three_megabytes_is_read(tmp_path: Path) -> None:
     assert sorted(len(row[0]) for row in rows) == [1, 3_000_000]
 
 
+@pytest.mark.integration
 def test_column_names_that_are_difficult_in_sql_are_kept_or_made_unique(make: Make) -> None:
     header = 'run,Run,"a ""b""",größe,select,N,,filename,experiment,place'
     project = make(f"write({header!r} + chr(10) + ','.join(map(str, range(10))) + chr(10))")
@@ -207,6 +208,7 @@ def test_undeclared_outputs_get_valid_sql_table_names(make: Make) -> None:
         assert project.sql(f'SELECT count(*) FROM "{name}"').column(0).to_pylist() == [12]
 
 
+@pytest.mark.integration
 def test_rows_of_several_files_of_a_run_have_their_file_name(make: Make) -> None:
     toml = '[outputs.poses]\nfile = "p/*.csv"\n'
     project = make("os.mkdir('p')\nfor i in range(3): write(f'x\\n{i}\\n', f'p/{i}.csv')", toml)
@@ -215,6 +217,7 @@ def test_rows_of_several_files_of_a_run_have_their_file_name(make: Make) -> None
     assert rows == [{"number": n, "file": f"p/{i}.csv", "x": i} for n in range(2) for i in range(3)]
 
 
+@pytest.mark.integration
 def test_files_that_are_not_tables_are_stored_byte_for_byte(make: Make) -> None:
     project = make("write(bytes(range(256)), 'a.bin'); write('hello', 'notes.txt')")
     run(project, runs=1)
@@ -376,6 +379,7 @@ def test_faults_in_a_later_flush_are_detected(tmp_path: Path) -> None:
     assert rows == [(1.5, 2)]
 
 
+@pytest.mark.integration
 def test_different_row_counts_are_kept_with_mismatch_ragged(make: Make) -> None:
     project = make(
         f"write(good if seed != {seeds(2)[1]} else good + '3,3.5\\n')", '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n'
@@ -384,6 +388,7 @@ def test_different_row_counts_are_kept_with_mismatch_ragged(make: Make) -> None:
     assert project.sql("SELECT count(*) AS n FROM out").to_pylist() == [{"n": 13}]
 
 
+@pytest.mark.integration
 def test_optional_tables_may_be_absent(make: Make) -> None:
     toml = '[outputs.more]\nfile = "more.csv"\nrequired = false\n'
     project = make(f"write(good)\nif seed == {seeds(1)[0]}: write(good, 'more.csv')", toml)
@@ -391,6 +396,7 @@ def test_optional_tables_may_be_absent(make: Make) -> None:
     assert project.sql("SELECT DISTINCT number FROM more").to_pylist() == [{"number": 0}]
 
 
+@pytest.mark.integration
 def test_mismatch_is_reported_in_failures_and_gives_exit_code_1(make: Make) -> None:
     project = make(f"write(good if seed != {seeds(2)[1]} else good[:-5])")
     done = projects.quick(project.root, "run", "n=1", "--no-figures", "--json")
@@ -555,6 +561,7 @@ write(FILES[len(range(n))], "out.parquet")
 """A simulator whose columns depend on `n`, in each format."""
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", BY_N)
 def test_columns_may_differ_between_experiments(make: Make, kind: str) -> None:
     project = make(BY_N[kind])
@@ -566,6 +573,7 @@ def test_columns_may_differ_between_experiments(make: Make, kind: str) -> None:
     assert rows == [{"n": n, "rows": 6, "x0": 6, "x2": 6 * (n == 3)} for n in (1, 2, 3)]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", BY_N)
 def test_runs_with_other_columns_than_their_siblings_fail(make: Make, kind: str) -> None:
     project = make(BY_N[kind].replace("range(n)", f"range(1 + (seed == {seeds(2)[1]}))"))
@@ -576,6 +584,7 @@ def test_runs_with_other_columns_than_their_siblings_fail(make: Make, kind: str)
     assert f'(to allow this, set file = "out.{kind}", mismatch = "ragged" in [outputs.out])' in reason
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", BY_N)
 def test_columns_may_differ_between_sibling_runs_with_mismatch_ragged(make: Make, kind: str) -> None:
     toml = f'[outputs.out]\nfile = "out.{kind}"\nmismatch = "ragged"\n'
@@ -592,6 +601,7 @@ def test_run_with_odd_columns_fails_even_if_recorded_first(make: Make) -> None:
     assert failed(project) == [0]
 
 
+@pytest.mark.integration
 def test_truncated_header_is_detected_even_with_one_run_per_experiment(make: Make) -> None:
     project = make("write('tic' if n == 3 else good)")
     assert run(project, "n=1,2,3,4", runs=1).failed == 1
@@ -724,18 +734,21 @@ def test_probably_unintended_text_columns_are_noted_once_with_a_suggestion(notes
     assert [note[: len(said or "")] for note in found] == [said] * (said is not None)
 
 
+@pytest.mark.integration
 def test_comment_with_as_many_fields_as_the_header_is_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     assert not run(make("write('# a, b\\nt,v\\n0,1\\n1,2\\n')"), runs=2).failed
     told = "is text in 2 runs, so it has no figure: the first line is a comment; begin with "
     assert [told in note for note in noted()] == [True, True]
 
 
+@pytest.mark.integration
 def test_wrong_declared_delimiter_is_noted_with_the_right_one(make: Make, noted: Callable[[], list[str]]) -> None:
     project = make("write('t,v\\n0,1\\n1,2\\n')", '[outputs.out]\nfile = "out.csv"\ndelimiter = ";"\n')
     assert not run(project, runs=2).failed
     assert noted() == [ONE_COLUMN.format("t,v") + 'are these several columns? (set delimiter = "," in [outputs.out])']
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("content", "line"),
     [
@@ -756,6 +769,7 @@ def test_repeated_header_fails_runs_even_if_all_runs_have_it(make: Make, content
     assert reasons(project) == [f"out.csv: line {line}: the header is repeated: {header!r} ({hint})"]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("content", "said"),
     [
@@ -788,6 +802,7 @@ def test_empty_column_in_one_experiment_fits_any_type_in_others(make: Make) -> N
     ]
 
 
+@pytest.mark.integration
 def test_ragged_runs_keep_their_own_columns(make: Make) -> None:
     project = make(COLUMNS_BY_N, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
     assert project.run("n=1,3", figures=False).failed == 0
@@ -804,6 +819,7 @@ def test_ragged_columns_accumulate_over_several_sessions(make: Make) -> None:
     assert rows == [{"n": 1, "x1": 0}, {"n": 2, "x1": 12}, {"n": 3, "x1": 12}]
 
 
+@pytest.mark.integration
 def test_ragged_columns_may_differ_between_sibling_runs(make: Make) -> None:
     by_seed = COLUMNS_BY_N.replace("range(n)", "range(1 + seed % 3)")
     project = make(by_seed, '[outputs.out]\nfile = "out.csv"\nmismatch = "ragged"\n')
@@ -878,6 +894,7 @@ def all_notes(patch: pytest.MonkeyPatch) -> Callable[[], list[str]]:
     return lambda: [note for recorder in recorders for note in recorder.notes()]
 
 
+@pytest.mark.integration
 def test_tables_that_are_kept_as_files_are_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     toml = '[outputs.declared]\nfile = "d/*.csv"\n'
     lines = "for folder in ('d', 'logs'): os.mkdir(folder); write(good, folder + '/1.csv'); write(good, folder + '/2.csv')"
@@ -890,6 +907,7 @@ def test_tables_that_are_kept_as_files_are_noted(make: Make, noted: Callable[[],
     ]
 
 
+@pytest.mark.integration
 def test_too_many_undeclared_tables_are_kept_as_files_and_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     run(make("for i in range(21): write(good, f'{i:02}.csv')"))
     assert noted() == [
@@ -910,6 +928,7 @@ def test_column_hidden_by_a_variable_is_noted_if_its_values_differ(
     assert len(column(project, "N_")) == 8
 
 
+@pytest.mark.integration
 def test_columns_that_only_one_run_has_are_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     project = make("write(good if n != 2 else 'tick,w\\n0,1\\n1,1\\n2,1\\n')")
     assert run(project, "n=1,2,3", runs=1).failed == 0
@@ -918,6 +937,7 @@ def test_columns_that_only_one_run_has_are_noted(make: Make, noted: Callable[[],
     ]
 
 
+@pytest.mark.integration
 def test_columns_that_sibling_runs_share_are_not_noted(make: Make, noted: Callable[[], list[str]]) -> None:
     run(make(COLUMNS_BY_N), "n=1,2", runs=2)
     assert noted() == []
@@ -929,6 +949,7 @@ def test_whole_numbers_beyond_float_precision_are_not_mixed_with_decimals(make: 
         run(make("write(good)"), query)
 
 
+@pytest.mark.integration
 def test_links_pipes_and_odd_names_among_outputs_are_harmless(make: Make) -> None:
     project = make("write(good); os.symlink('out.csv', 'link.csv'); os.mkfifo('pipe.csv'); write(good, 'new\\nline.csv')")
     summary = run(project)
@@ -937,6 +958,7 @@ def test_links_pipes_and_odd_names_among_outputs_are_harmless(make: Make) -> Non
     assert "'link.csv' and 1 other are not recorded: only files are recorded, and links are not followed" in summary.notes
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])
 def test_rows_of_a_large_file_keep_their_order_with_several_threads(tmp_path: Path, kind: str) -> None:
     path, count = tmp_path / f"big.{kind}", 250_000

@@ -291,6 +291,7 @@ def test_thousands_of_generated_files_have_as_many_rows_as_python_csv_reads(tmp_
 PIECES = st.lists(st.sampled_from([b"\n", b"\r\n", b"\r", b"x", b'"', b"\n\n"]), max_size=12).map(b"".join)
 
 
+@pytest.mark.integration
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
 @given(content=PIECES, size=st.integers(1, 5))
 def test_worker_counts_do_not_depend_on_the_chunk_size(

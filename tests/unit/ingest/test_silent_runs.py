@@ -14,6 +14,7 @@ SAID = "note: {} wrote no file; {} said on stderr: no robots / nothing to do\n"
 QUERY = ("run", "population_size=1,2", "--no-figures")
 
 
+@pytest.mark.integration
 def test_a_batch_says_once_that_its_runs_wrote_no_file(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator=SILENT)
     done = quick(project, *QUERY)
@@ -23,6 +24,7 @@ def test_a_batch_says_once_that_its_runs_wrote_no_file(tmp_path: Path) -> None:
     assert "wrote no file" not in quick(project, *QUERY).stderr  # nothing was executed
 
 
+@pytest.mark.integration
 def test_a_try_says_that_the_run_wrote_no_file(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator=SILENT)
     done = quick(project, "try")
@@ -30,12 +32,14 @@ def test_a_try_says_that_the_run_wrote_no_file(tmp_path: Path) -> None:
     assert SAID.format("1 run", "its program") in done.stderr
 
 
+@pytest.mark.integration
 def test_a_silent_program_is_named_as_silent(tmp_path: Path) -> None:
     project = make(tmp_path / "project", simulator="pass\n")
     found = json.loads(quick(project, "try", "--json").stdout)
     assert (found["status"], found["notes"]) == ("ok", ["1 run wrote no file; its program said nothing on stderr"])
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("simulator", "more"),
     [

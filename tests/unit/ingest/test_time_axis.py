@@ -49,6 +49,7 @@ def test_declared_or_conventionally_named_time_column_is_used_without_a_report(t
     assert "is used as" not in times(declared)[1]
 
 
+@pytest.mark.integration
 def test_time_column_is_found_in_runs_of_different_lengths(tmp_path: Path) -> None:
     ragged = '[outputs.swarm]\nfile = "swarm.csv"\nmismatch = "ragged"\n'
     found, told = times(asked(tmp_path, TIMESTEP.replace("range(5)", "range(3 + seed % 3)"), ragged))
@@ -82,6 +83,7 @@ def test_columns_that_do_not_increase_alike_in_all_runs_are_not_the_time(written
     assert "are used instead" not in times(tmp_path)[1], "who declares an output has said that it has no time"
 
 
+@pytest.mark.integration
 def test_no_column_is_chosen_as_the_time_for_a_single_run(tmp_path: Path) -> None:
     projects.make(tmp_path, simulator=TIMESTEP)
     assert quick(tmp_path, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0

@@ -26,6 +26,7 @@ def test_same_file_in_two_outputs_is_refused_before_anything_runs(tmp_path: Path
     assert not (tmp_path / ".sierra").exists()
 
 
+@pytest.mark.integration
 def test_file_of_two_patterns_fails_the_run(tmp_path: Path) -> None:
     config = projects.CONFIG + GLOB + '[outputs.numbered]\nfile = "a-{n}.csv"\n'
     projects.make(tmp_path, config, simulator=projects.SIMULATOR + WRITES)
@@ -38,6 +39,7 @@ def test_file_of_two_patterns_fails_the_run(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.integration
 def test_named_file_belongs_to_its_output_whatever_patterns_it_matches(tmp_path: Path) -> None:
     config = (
         projects.CONFIG

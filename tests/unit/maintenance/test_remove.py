@@ -55,6 +55,7 @@ def test_dry_run_lists_the_items_to_delete_and_changes_nothing(root: Path) -> No
     assert stores.state(root) == before
 
 
+@pytest.mark.integration
 def test_removed_run_is_missing_from_the_remaining_batch(root: Path) -> None:
     batch = batches(root)["noise=0.5"]
     [run, *_] = sierra.open(root).sql("SELECT run FROM batch_runs", within=batch).column("run").to_pylist()

@@ -108,6 +108,7 @@ def _pairs(value: object) -> Iterator[tuple[str, object]]:
         yield from _pairs(one)
 
 
+@pytest.mark.integration
 def test_files_of_the_project_that_say_something_else_are_named() -> None:
     made = metadata.files(PACKAGE, "2026-11-23")
     other = metadata.files(Package.model_validate({**TABLE, "title": "Another", "authors": [{"name": "Plato"}]}), "2026-11-23")

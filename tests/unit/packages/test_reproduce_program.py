@@ -225,6 +225,7 @@ def refusal(check: Callable[[list[str]], object], names: list[str], error: type[
     return False
 
 
+@pytest.mark.integration
 @given_in_tiers(NAMES, quick=50)
 def test_both_readers_accept_the_same_names(names: list[str]) -> None:
     ours = refusal(members.check_names, names, SierraError)

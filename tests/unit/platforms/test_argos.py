@@ -426,6 +426,7 @@ def test_invalid_arena_sizes_are_refused(wrong: str) -> None:
         experiments(wrong)
 
 
+@pytest.mark.integration
 @given(st.decimals(1, 1000, places=3), st.decimals(1, 1000, places=3))
 def test_robots_start_between_the_walls_and_walls_are_inside_an_arena_of_any_size(x: object, y: object) -> None:
     made = prepared(arena=f"{x}x{y}")
@@ -720,6 +721,7 @@ platform = { arena = "10x10" }
 )
 
 
+@pytest.mark.integration
 def test_a_scenario_sets_options_of_the_platform_for_its_runs(tmp_path: Path) -> None:
     folder = argos_project(tmp_path / "p", LONG)
     plain = executed(folder, "population_size=20")
@@ -870,6 +872,7 @@ def test_walls_follow_the_arena_whoever_changes_it(tmp_path: Path, words: tuple[
     assert all(row["walls"] == 4 for row in rows)
 
 
+@pytest.mark.integration
 def test_what_follows_is_the_same_as_with_the_option(tmp_path: Path) -> None:
     by_option = prepared(arena="20x8")
     resized = projects.make(tmp_path / "p", CONFIG.replace('arena = "10x10"', "") + SIZED, simulator=COPY)
@@ -926,6 +929,7 @@ def test_the_origin_moves_the_templates_arena_too() -> None:
     assert 0 <= low[1] < high[1] <= 5
 
 
+@pytest.mark.integration
 def test_walls_follow_the_corner_of_a_scenarios_arena(tmp_path: Path) -> None:
     config = CONFIG.replace('arena = "10x10"', 'arena = "10x10"\norigin = "corner"')
     folder = projects.make(tmp_path / "p", config + SIZED, simulator=COPY)

@@ -94,6 +94,7 @@ def test_executing_a_recorded_batch_with_a_rebuilt_library_is_reported(tmp_path:
     assert re.search(r"other programs before: \{project}/build/libspeed.so: \w{10} → \w{10}\n", told)
 
 
+@pytest.mark.integration
 @compiled
 def test_a_replay_names_a_program_that_is_not_built(tmp_path: Path) -> None:
     root = made(tmp_path / "p")

@@ -71,6 +71,7 @@ def test_the_advice_never_excludes_code_that_changed(tmp_path: Path) -> None:
     assert 'paths = ["lib x", "sim.py", "src"]' in taken.advice([b"README", b"data/b"])
 
 
+@pytest.mark.integration
 def test_runs_fail_if_their_program_is_replaced_while_they_execute(simulate: Callable[..., Any], tmp_path: Path) -> None:
     program = tmp_path / "sim"
     program.write_text(f'#!/bin/sh\nuntil [ -e "{tmp_path}/gate" ]; do sleep 0.02; done; {PRINTS}\n')

@@ -116,6 +116,7 @@ def test_the_compiled_program_of_a_packaged_script_is_recorded(built: Built, tmp
     assert {"sim: program", "libcore.so"} <= {one.name for one in found.all}
 
 
+@pytest.mark.integration
 def test_variables_that_the_env_command_sets_are_used_to_find_libraries(built: Built, tmp_path: Path) -> None:
     project = make(tmp_path / "p", f"env LD_LIBRARY_PATH={built.library.parent} {built.program}")
     assert project.run("n=1", figures=False).failed == 0
@@ -318,6 +319,7 @@ def test_folders_of_pythonpath_are_recorded_and_the_users_site_packages_are_not(
 # ---------------------------------------------------------------- files that a template names
 
 
+@pytest.mark.integration
 def test_a_file_that_a_template_names_is_recorded_unless_it_is_in_the_source(tmp_path: Path) -> None:
     """The runs are not observed: nobody knows that they do not read the file."""
     mesh = tmp_path / "outside" / "a mesh.stl"
@@ -336,6 +338,7 @@ def test_a_file_that_a_template_names_is_recorded_unless_it_is_in_the_source(tmp
     assert project.run("n=1", figures=False).executed == 1
 
 
+@pytest.mark.integration
 def test_files_that_an_included_model_names_are_resolved_from_its_folders(tmp_path: Path) -> None:
     project = make(tmp_path / "p", "true", template='<e seed="0" n="0"><include file="models/arm.xml"/></e>')
     for folder in ("models", "models/meshes"):
@@ -348,6 +351,7 @@ def test_files_that_an_included_model_names_are_resolved_from_its_folders(tmp_pa
     assert list(rows(project, "file")) == ["{project}/models/meshes/hand.stl"]
 
 
+@pytest.mark.integration
 def test_files_that_a_scenario_names_are_recorded_for_every_query(tmp_path: Path) -> None:
     (tmp_path / "map.pgm").write_text("one")
     scenario = f"[scenarios.s]\nchanges = [{{ add = '//e', xml = '<map file=\"{tmp_path}/map.pgm\"/>' }}]\n"
@@ -447,6 +451,7 @@ def test_a_relative_include_is_noted_only_if_failed_runs_mention_it(tmp_path: Pa
     assert ["'arm.xml'" in note for note in project.run("n=1,2", figures=False).notes if "relative path" in note] == [True]
 
 
+@pytest.mark.integration
 def test_a_referenced_file_that_is_too_large_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(referenced_files, "MAX_SIZE", 3)
     (tmp_path / "map.pgm").write_text("four")

@@ -74,6 +74,7 @@ def test_the_tree_equals_the_tree_of_git_inside_and_outside_a_repository(folder:
     assert outside.manifest == inside.manifest
 
 
+@pytest.mark.integration
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(names=st.sets(st.text("ab./-0 é\n", min_size=1, max_size=5).filter(lambda n: n.strip("./")), min_size=1, max_size=8))
 def test_the_tree_equals_the_tree_of_git_for_any_file_names(
@@ -354,6 +355,7 @@ def test_runs_execute_again_if_a_simulator_outside_the_project_changes(tmp_path:
     assert project.sql("SELECT DISTINCT v FROM out").column(0).to_pylist() == [2]
 
 
+@pytest.mark.integration
 def test_a_changed_source_file_is_named(tmp_path: Path) -> None:
     project = make_project(tmp_path / "p", "sh sim.sh {input}")
     (project.root / "sim.sh").write_text("exit 0\n")
@@ -362,6 +364,7 @@ def test_a_changed_source_file_is_named(tmp_path: Path) -> None:
     assert "the source has changed: sim.sh" in new_runs(why_new_runs.why_new(project.plan("n=1"), project.store))
 
 
+@pytest.mark.integration
 def test_the_advice_for_changed_notes_says_how_to_exclude_them_from_the_source(tmp_path: Path) -> None:
     project = make_project(tmp_path / "p", "sh sim.sh {input}")
     (project.root / "sim.sh").write_text("exit 0\n")

@@ -77,6 +77,7 @@ def test_scripts_and_programs_of_the_project_do_not_report_versions_by_default(
         assert (first.version or "none").startswith(version or "none")
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     "text",
     [
@@ -137,6 +138,7 @@ def test_an_unchanged_program_is_not_started_again_for_its_version(tmp_path: Pat
     assert said(script(f"echo >> {tmp_path}/asked; echo 2.0")) == "2.0"
 
 
+@pytest.mark.integration
 def test_a_version_is_recorded_and_does_not_change_runs(tmp_path: Path, script: Callable[[str], Path]) -> None:
     path = script("[ $1 = -v ] && echo 1.0; exit 0")
     root = tmp_path / "p"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import sierra
 from tests import projects
 
@@ -22,6 +24,7 @@ def test_a_missing_package_is_named_before_any_run_executes(tmp_path: Path) -> N
     assert projects.quick(root, "run", "population_size=1", "-n").returncode == 0
 
 
+@pytest.mark.integration
 def test_requirements_are_checked_only_in_the_python_of_the_runs(tmp_path: Path) -> None:
     root = projects.make(tmp_path, 'requires = ["absent-package"]\n' + projects.CONFIG)
     assert projects.quick(root, "run", "population_size=1", "--no-figures").returncode == 0

@@ -74,6 +74,7 @@ def final(column: str, **asked: Any) -> float:
     return mean(table(outputs(made(seed, **asked))[0])[-1][column] for seed in SEEDS)
 
 
+@pytest.mark.integration
 def test_the_same_input_gives_the_same_bytes() -> None:
     asked = made(controller="pheromone", scenario="cluttered", population_size=8)
     assert outputs(asked, threads=1) == outputs(asked, threads=2)

@@ -212,6 +212,7 @@ def test_invalid_options_are_reported_and_no_file_is_written(folder: Path) -> No
         assert not (folder / "sierra.toml").exists()
 
 
+@pytest.mark.integration
 def test_options_replace_all_questions(folder: Path) -> None:
     words = (
         "--template",

@@ -87,6 +87,7 @@ def test_placeholders_in_the_command_are_variables(folder: Path) -> None:
     assert settings(folder)["variables"] == {"population_size": {}}
 
 
+@pytest.mark.integration
 def test_options_choose_other_arguments(folder: Path) -> None:
     words = ("--command", GIVEN, "--variable", "speed=--max-speed", "--variable", "team=robots", "--seed", "-")
     done = quick(folder, "init", "-y", *words)
@@ -114,6 +115,7 @@ def test_wrong_options_are_errors_in_one_line(folder: Path) -> None:
         assert not (folder / "sierra.toml").exists()
 
 
+@pytest.mark.integration
 def test_a_program_that_fails_with_its_arguments_leaves_no_sierra_toml(folder: Path) -> None:
     done = quick(folder, "init", "-y", "--command", "python3 model.py --robots many --seed 1")
     assert done.returncode == 1

@@ -90,6 +90,7 @@ def test_a_tried_run_is_shown_and_described_in_comments(tmp_path: Path) -> None:
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0
 
 
+@pytest.mark.integration
 def test_a_run_that_fails_leaves_no_sierra_toml(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "json")
     (folder / "model.py").write_text("import sys\nprint('no map', file=sys.stderr)\nsys.exit(4)\n")
@@ -128,6 +129,7 @@ def test_an_interrupted_run_leaves_no_sierra_toml(tmp_path: Path) -> None:
     assert not (folder / "sierra.toml").exists()
 
 
+@pytest.mark.integration
 def test_a_command_that_nobody_gave_is_tried_before_it_is_written(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "json")
     done = quick(folder, "init", "-y")
@@ -136,6 +138,7 @@ def test_a_command_that_nobody_gave_is_tried_before_it_is_written(tmp_path: Path
     assert settings(folder)["command"] == "python3 model.py {input}"
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("words", [(), ("-y",), ("--json",)])
 def test_a_guessed_command_that_fails_is_not_written(tmp_path: Path, words: tuple[str, ...]) -> None:
     folder = make(tmp_path / "project", "json")
@@ -206,6 +209,7 @@ def test_doubtful_and_binary_files_are_refused_in_one_line(tmp_path: Path, name:
     assert not (folder / "sierra.toml").exists()
 
 
+@pytest.mark.integration
 def test_placeholders_without_a_value_are_all_variables(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", "txt")
     (folder / "world.txt").write_text("robots {{count}} seed {{seed}} speed {{speed}}\n")

@@ -31,6 +31,7 @@ def test_services_that_the_command_uses_are_to_be_declared(tmp_path: Path) -> No
     assert quick(tmp_path, "run", "population_size=1,2", "-n").returncode == 0
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(("columns", "time"), [("tick,x", "tick"), ("x,tick", None)])
 def test_the_time_axis_is_proposed_by_the_rule_of_figures(tmp_path: Path, columns: str, time: str | None) -> None:
     program = f"open('a.csv', 'w').write('{columns}\\n0,1\\n1,2\\n')\n"
@@ -41,6 +42,7 @@ def test_the_time_axis_is_proposed_by_the_rule_of_figures(tmp_path: Path, column
     assert ("# time" in text) == (time is not None)
 
 
+@pytest.mark.integration
 def test_after_an_init_that_failed_the_missing_project_is_named(tmp_path: Path) -> None:
     (tmp_path / "sim.py").write_text("import sys\nsys.exit(3)\n")
     assert quick(tmp_path, "init", "-y", "--command", "python3 sim.py --robots 2").returncode == 1

@@ -168,6 +168,7 @@ def test_keys_without_an_example_are_listed(monkeypatch: pytest.MonkeyPatch, tmp
     assert (whole["runs"], whole["platforms"]["argos"]["threads"]) == (10, 0)
 
 
+@pytest.mark.integration
 def test_the_example_project_is_valid_by_the_json_schema() -> None:
     schema = json.loads(published_schemas.toml_schema())
     jsonschema.Draft202012Validator.check_schema(schema)

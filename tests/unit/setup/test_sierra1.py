@@ -275,6 +275,7 @@ def with_program(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("controller", ["depth0.CRW", "depth0.DPO"])
 def test_every_controller_and_scenario_can_be_expanded(new: Path, controller: str) -> None:
     words = ("population_size.Log4", "max_speed.1.9.C5", "--controller", controller, "--scenario", "HighBlockCount.20x10x2")

@@ -743,6 +743,7 @@ def test_counts_that_are_0_or_1_get_wilsons_interval_only_if_they_are_declared(s
     assert "[outputs.swarm] rates: no column 'sone'; did you mean 'some'?" in wrong.stderr
 
 
+@pytest.mark.integration
 def test_an_axis_named_like_a_statistic_keeps_its_name(simulate: Callable[..., Any]) -> None:
     project = simulate()
     config = project.folder / "sierra.toml"

@@ -236,6 +236,7 @@ for name in ("b=77/x.jsonl", "b=77/[0]/x.jsonl"):
 """
 
 
+@pytest.mark.integration
 def test_folders_within_the_output_folder_give_no_columns(tmp_path: Path) -> None:
     config = projects.CONFIG + '[outputs.x]\nfile = "*.jsonl"\n'
     project = sierra.open(projects.make(tmp_path / "p", config, simulator=INSIDE))

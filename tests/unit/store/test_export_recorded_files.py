@@ -353,6 +353,7 @@ def test_a_table_that_differs_from_the_record_is_not_exported(tmp_path: Path) ->
     assert len(written(tmp_path / "out")) == 1
 
 
+@pytest.mark.integration
 def test_a_store_that_cannot_be_read_is_reported_in_one_line(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", CONFIG)
     assert quick(folder, "run", "population_size=1", "--runs", "1", "--no-figures").returncode == 0

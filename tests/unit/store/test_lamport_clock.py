@@ -146,6 +146,7 @@ def test_a_clock_that_jumps_back_during_a_session_does_not_change_results(root: 
     assert [(number_of(place), place % 2**POSITION) for place in places] == [(1, 0), (1, 1), (2, 0), (2, 1)]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("by", [DAYS, -DAYS])
 def test_the_session_with_the_greater_id_is_later_if_numbers_are_equal(root: Path, by: timedelta) -> None:
     rewrite(root, later(1, by))

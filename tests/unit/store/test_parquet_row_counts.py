@@ -107,6 +107,7 @@ def test_runs_with_ragged_outputs_fail_after_a_change_to_strict(tmp_path: Path) 
     assert sierra.open(root).run("population_size=1", runs=12, figures=False).failed > 0
 
 
+@pytest.mark.integration
 def test_changing_the_time_column_does_not_execute_runs_again(tmp_path: Path) -> None:
     root = projects.make(tmp_path, projects.CONFIG + '[outputs.swarm]\nfile = "swarm.csv"\n')
     sierra.open(root).run("population_size=1", figures=False)

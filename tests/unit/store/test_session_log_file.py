@@ -52,6 +52,7 @@ def logs(root: Path) -> list[Path]:
     return sorted((root / ".sierra" / "logs").glob("*"))
 
 
+@pytest.mark.integration
 def test_a_session_has_a_log_file_that_show_names(root: Path) -> None:
     assert projects.quick(root, *QUERY).stderr == ""
     [file] = logs(root)
@@ -164,6 +165,7 @@ def test_commands_are_logged_without_values_of_variables_and_passwords(argv: tup
     assert "abc" not in lazy_logger.shown(argv)
 
 
+@pytest.mark.integration
 def test_no_value_of_an_environment_variable_is_in_a_log(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SWARM_TOKEN", "topsecret")
     (root / "sierra.toml").write_text(projects.CONFIG + '[environment]\nset = { SWARM_MODE = "topsecret" }\n')
@@ -173,6 +175,7 @@ def test_no_value_of_an_environment_variable_is_in_a_log(root: Path, monkeypatch
     assert "topsecret" not in logs(root)[0].read_text()
 
 
+@pytest.mark.integration
 def test_a_program_that_uses_sierra_receives_messages_of_its_level(root: Path, own: list[logging.LogRecord]) -> None:
     sierra.open(root).run("population_size=1", figures=False)
     assert {record.levelno for record in own if record.name.startswith("sierra")} == {logging.INFO}
@@ -190,6 +193,7 @@ def test_listeners_end_in_any_order_and_leave_no_handlers(own: list[logging.LogR
     assert [record.getMessage() for record in own] == ["heard", "heard too"]
 
 
+@pytest.mark.integration
 def test_gc_removes_logs_of_unrecorded_sessions_and_fsck_names_unknown_files(root: Path) -> None:
     assert projects.quick(root, *QUERY).returncode == 0
     [recorded] = logs(root)

@@ -59,6 +59,7 @@ def one(project: Project, statement: str, **parameters: Any) -> Any:
 # ---------------------------------------------------------------- segments
 
 
+@pytest.mark.integration
 def test_the_manifest_of_a_segment_lists_and_hashes_all_its_files(project: Project) -> None:
     stores.ask(project.root, "n=1")
     segments = list((project.paths.store / "segments").iterdir())
@@ -81,6 +82,7 @@ def test_a_segment_is_not_visible_before_it_is_published(tmp_path: Path) -> None
     assert [row["execution"] for row in store.rows("SELECT * FROM findings")] == ["e"]
 
 
+@pytest.mark.integration
 def test_a_file_that_is_removed_from_an_old_segment_is_missed(project: Project) -> None:
     run(project, "n=1")
     for segment in (project.paths.store / "segments").iterdir():
@@ -179,6 +181,7 @@ def test_tables_are_found_anywhere_in_a_statement(project: Project, statement: s
     assert one(project, statement) == 2
 
 
+@pytest.mark.integration
 def test_tables_have_the_documented_columns_and_types(project: Project) -> None:
     stores.ask(project.root, "n=1")
     for table in (*RECORDED.values(), *DERIVED.values()):
@@ -239,12 +242,14 @@ def test_axes_of_all_batches_are_columns_with_a_common_type(project: Project) ->
     ]
 
 
+@pytest.mark.integration
 def test_an_output_column_named_like_an_axis_keeps_its_values(project: Project) -> None:
     (project.root / "sim.sh").write_text("printf 'N,n_\\n5,6\\n' > out.csv\n")
     run(project, "n=1", runs=1)
     assert project.sql('SELECT n, "N_", "n__" FROM out').to_pylist() == [{"n": 1, "N_": 5, "n__": 6}]
 
 
+@pytest.mark.integration
 def test_rows_of_a_run_can_be_sorted_in_the_order_of_writing(project: Project) -> None:
     other = "printf 'v\\n3\\n1\\n2\\n' > other.csv\n"
     (project.root / "sim.sh").write_text("printf 'v,row\\n3,a\\n1,b\\n2,c\\n' > out.csv\n" + other)
@@ -368,6 +373,7 @@ def test_an_id_is_found_by_its_prefix(project: Project) -> None:
 # ---------------------------------------------------------------- objects
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("size", [0, 1, PART - 1, PART, PART + 1, 3 * PART + 5, 4 * PART + 7])
 def test_an_object_is_read_back_byte_for_byte(tmp_path: Path, size: int) -> None:
     store = Store.create(tmp_path / "s")

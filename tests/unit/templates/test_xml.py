@@ -209,6 +209,7 @@ def contents(depth: int) -> st.SearchStrategy[str]:
 AROUND = st.lists(st.sampled_from(["\n", "<!-- <x y='>' -->", "<?p <z> ?>", "  "])).map("".join)
 
 
+@pytest.mark.integration
 @given(elements(), AROUND, AROUND)
 def test_an_untouched_template_is_rendered_byte_for_byte(root: str, before: str, after: str) -> None:
     text = before + root + after
@@ -883,6 +884,7 @@ def test_the_command_line_names_a_slow_path_in_one_line(tmp_path: Path, monkeypa
     assert wide in line
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize(
     ("path", "count"), [("//b[@c = //b/@c]/@c", 2000), ("//b[d and //b[d]]/d", 2000), ("//a|//b|//d", 4001)]
 )

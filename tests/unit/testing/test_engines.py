@@ -49,6 +49,7 @@ def conforms(name: str, user: User | None, archive: Path, folder: Path) -> None:
     called_as(user, check)
 
 
+@pytest.mark.integration
 def test_the_engine_none_conforms(tmp_path: Path) -> None:
     conformance.check(NoEngine(), None, tmp_path, tmp_path)
 

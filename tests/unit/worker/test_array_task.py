@@ -193,6 +193,7 @@ def test_recorded_runs_are_not_executed_again(folder: Folder) -> None:
     assert len(folder.events(Finished)) == 2
 
 
+@pytest.mark.integration
 def test_runs_with_damaged_results_are_executed_again(folder: Folder, tmp_path: Path) -> None:
     folder.deal(many(3, 'echo "$NAME" > out'))
     folder.run()
@@ -676,6 +677,7 @@ def test_a_missing_program_is_recorded_as_a_result(folder: Folder) -> None:
     assert "could not be started" in (folder.ended()["missing"].result.error or "")
 
 
+@pytest.mark.integration
 def test_a_full_shared_disk_is_reported_and_packed_results_stay_intact(
     folder: Folder, tmp_path: Path, disk: Callable[[Path, str], Path]
 ) -> None:

@@ -337,6 +337,7 @@ def test_the_memory_limit_applies_to_all_processes_together(execute: Callable[..
     assert end["stopped"] == "memory"
 
 
+@pytest.mark.integration
 def test_cpu_time_has_a_limit(execute: Callable[..., dict[str, Any]]) -> None:
     end = execute(python("while True: pass", limits={"cpu_s": 0.5, "grace_s": 1}))
     assert end["stopped"] == "cpu"
@@ -437,6 +438,7 @@ def test_background_processes_of_a_run_are_ended(execute: Callable[..., dict[str
     assert marked(mark) == []
 
 
+@pytest.mark.integration
 def test_processes_that_left_their_group_are_ended_while_other_runs_continue(start: Callable[..., Worker], mark: str) -> None:
     worker = start(2)
     worker.send(job(sys.executable, "-c", ESCAPE, "0.1"), shell("exec sleep 60", name="two"))
@@ -546,6 +548,7 @@ def test_processes_that_cleared_their_environment_end_with_the_worker(
 # ---------------------------------------------------------------- the end of the worker, or of its starter
 
 
+@pytest.mark.integration
 def test_a_closed_pipe_stops_runs_even_with_a_full_queue(start: Callable[..., Worker], mark: str) -> None:
     worker = start(2)
     worker.send(*(shell("exec sleep 60", name=str(n)) for n in range(40)))
@@ -635,6 +638,7 @@ def test_sigterm_stops_runs_and_starts_no_more(start: Callable[..., Worker], mar
     assert marked(mark) == []
 
 
+@pytest.mark.integration
 def test_a_second_sigterm_leaves_no_grace_time(start: Callable[..., Worker]) -> None:
     worker = start()
     worker.send(python(ASKED, limits={"grace_s": 60}))

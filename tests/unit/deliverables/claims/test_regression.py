@@ -46,6 +46,7 @@ def verdict(before: dict[str, Any], now: dict[str, Any]) -> str:
     return str(changed.verdict)
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("paired", [True, False])
 def test_noise_seldom_alarms_and_twice_the_margin_mostly_does(paired: bool) -> None:
     """Simulation: 20 runs with a standard deviation of the margin; at the margin itself, at most 2.5 % are regressions."""

@@ -450,6 +450,7 @@ def test_jobs_held_by_the_system_are_stuck_and_jobs_held_by_the_user_are_not(
 # cancelling
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("elements", [(4,), (3, 7, 9)], ids=str)
 @pytest.mark.parametrize("waits", [True, False])
 def test_all_jobs_of_one_name_are_cancelled(

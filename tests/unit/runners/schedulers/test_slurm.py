@@ -287,6 +287,7 @@ def test_an_answer_without_a_job_is_reported_as_unknown(
         scheduler().submit(request_of())
 
 
+@pytest.mark.integration
 def test_waiting_for_an_answer_of_sbatch_ends_after_a_time_limit(
     sbatch: Callable[[str], None], request_of: Callable[..., Request], monkeypatch: pytest.MonkeyPatch
 ) -> None:
