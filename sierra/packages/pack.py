@@ -6,7 +6,6 @@ The batches are extracted to a temporary store first, from which all parts of th
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -37,7 +36,10 @@ from sierra.packages.parts import (
 )
 from sierra.packages.subject import Made, Member, Options, Part, Subject
 from sierra.store.store import Store
+from sierra.util.scratch import scratch
 
+SCRATCH = ".sierra-package-"
+"""The prefix of the names of temporary folders, which are beside the package."""
 PARTS: tuple[Part, ...] = (
     sources.members,
     anonymous.members,  # rewrites the records, which all parts below show
@@ -100,10 +102,9 @@ def pack(
     path = path.parent.resolve() / path.name
     archive.check_new(path)
     batches = _batches(store, prefixes)
-    with tempfile.TemporaryDirectory(prefix=".sierra-package-", dir=path.parent, ignore_cleanup_errors=True) as folder:
-        scratch = Path(folder)
-        part = extract(store, batches, scratch / "store")
-        subject = Subject(project, part, batches, scratch, _date(project, part), options or Options())
+    with scratch(path.parent, SCRATCH) as folder:
+        part = extract(store, batches, folder / "store")
+        subject = Subject(project, part, batches, folder, _date(project, part), options or Options())
         if anonymity is not None:
             subject = anonymity.subject(subject)
         members, notes, facts = _collect(subject)
