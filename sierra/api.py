@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from sierra.maintenance.repair import Repair
     from sierra.packages.pack import Packed, Preview
     from sierra.packages.parts.metadata import Metadata
+    from sierra.packages.reading.differences import PackageDifferences
     from sierra.packages.reading.imports import Imported
     from sierra.packages.reproduction.outcome import Reproduction, Statement
     from sierra.packages.subject import ImageForm
@@ -710,6 +711,27 @@ class Project:
         from sierra.explain import diff
 
         return diff.compare(self._loaded, self.store, before, after)
+
+    def diff_packages(self, before: str, after: str) -> PackageDifferences:
+        """Return the differences between two batches of which at least one is in a package.
+
+        Each is a prefix of a batch's id, or the path of a package: with `:HASH` for one of its batches, else its batch with the
+        same id as the other one, or its only one. Raises NotFound, Missing, Damaged.
+        """
+        from contextlib import ExitStack
+
+        from sierra.packages.reading import differences
+
+        packaged = {word: match for word in (before, after) if (match := IN_PACKAGE.fullmatch(word))}
+        own = {word: self.batch(word) for word in (before, after) if word not in packaged}
+        with ExitStack() as opened:
+            sides = [
+                differences.of_batch(*self._batch_in_package(match[2], match[3], own.values()))
+                if (match := packaged.get(word))
+                else differences.of_batch(self.store, own[word])
+                for word in (before, after)
+            ]
+            return differences.compare(*map(opened.enter_context, sides))
 
     def why(self, prefix: str) -> Why:
         """Explain why runs were executed or not, which executions are effective, and what the query would execute now.

@@ -69,6 +69,11 @@ def claims(
     opened = project()
     found: Sequence[Evaluated | Changed]
     found = opened.claims(*(names or ())) if against is None else opened.claims_against(against, *(names or ()))
+    report(found, junit, as_json=as_json)
+
+
+def report(found: Sequence[Evaluated | Changed], junit: Path | None, *, as_json: bool) -> None:
+    """Print claims, and write them as JUnit to a file if one is given; end with exit status 1 unless all are fine."""
     if junit is not None:
         from sierra.cli.junit import write_cases
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from sierra.explain.diff.compare import Comparison
     from sierra.explain.diff.model import Difference
 
+PACKAGED = re.compile(r".+\.zip(:\w+)?")
+"""A package, or a batch in one."""
 ZIP = ".zip"
 LINES = 6
 """The largest number of differences of one kind that are shown."""
@@ -32,7 +35,8 @@ def diff(
         typer.Argument(
             metavar="A",
             autocompletion=complete.ids,
-            help="Id of a batch, experiment, run or execution; a prefix is enough. Or a package, FILE.zip.",
+            help="Id of a batch, experiment, run or execution; a prefix is enough. Or a package, FILE.zip, or a batch in one, "
+            "FILE.zip:HASH.",
         ),
     ],
     after: Annotated[
@@ -46,12 +50,13 @@ def diff(
     patch: Annotated[bool, typer.Option("--patch", help="Show the whole patch and all other details.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text, with all details.")] = False,
 ) -> None:
-    """Compare two batches, experiments, runs, executions or packages.
+    """Compare two batches, experiments, runs, executions or packages, or a batch with a package.
 
     Differences that probably affect results come first: query, platform, command, image, programs, source, variables,
     inputs, rules, seeds, containers, the machine. Differences of the results come last. Nothing is executed; the comparison
     uses only the records. For a run, its effective execution is compared. For packages, the metadata, batches, runs, sources,
-    programs, environments and results of effective executions are compared.
+    programs, environments and results of effective executions are compared. A batch of this project is compared with the batch
+    of a package that has the same id, or with its only one.
 
     The exit code is 0 if nothing differs, and 1 if something does.
 
@@ -60,10 +65,11 @@ def diff(
       sierra diff 774d 0cdc
       sierra diff 774d 0cdc --patch
       sierra diff ours.zip theirs.zip
+      sierra diff 774d theirs.zip
     """
     from sierra.cli.open_project import project
 
-    if before.endswith(ZIP) or after.endswith(ZIP):
+    if PACKAGED.fullmatch(before) or PACKAGED.fullmatch(after):
         _packages(before, after, as_json=as_json)
         return
     answer = project().diff(before, after)
@@ -78,20 +84,24 @@ def diff(
 
 
 def _packages(before: str, after: str, *, as_json: bool) -> None:
-    """Compare two packages, which needs no project."""
-    from sierra.errors import UsageError
+    """Compare two packages, which needs no project, or batches of which one is in a package."""
+    from sierra.cli.open_project import project
     from sierra.packages.reading import differences
     from sierra.packages.reading.received import open_package
     from sierra.util.hashing import short
     from sierra.util.text import one_line
 
-    if not (before.endswith(ZIP) and after.endswith(ZIP)):
-        raise UsageError("a package can only be compared with another package; sierra import adds its records to this store")
-    answer = differences.compare(open_package(Path(before)), open_package(Path(after)))
+    whole = before.endswith(ZIP) and after.endswith(ZIP)
+    if whole:
+        sides = [differences.of_package(open_package(Path(path))) for path in (before, after)]
+        answer = differences.compare(*sides)
+    else:
+        answer = project().diff_packages(before, after)
     if as_json:
         print_json(answer)
     else:
-        print(f"package {short(answer.before)} → package {short(answer.after)}")
+        kind = "package" if whole else "batch"
+        print(f"{kind} {short(answer.before)} → {kind} {short(answer.after)}")
         for one in answer.differences:
             print(one_line(f"{one.kind}: {one.line}"))
         print(f"the same: {', '.join(answer.same)}")

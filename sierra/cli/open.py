@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 READING = ("ls", "show", "sql", "stats", "outputs", "files", "compare", "diff", "why", "fsck")
 """Commands that read records, and execute nothing of the package."""
+OF_PACKAGES = {"figures": "sierra.cli.open_figures:figures", "claims": "sierra.cli.open_claims:claims"}
+"""Commands that differ from those of projects: they read the package, which their context has."""
 
 
 class Reading(lazy_parameters.Group):
@@ -27,7 +29,7 @@ class Reading(lazy_parameters.Group):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = cast("dict[str, Command]", Commands({name: COMMANDS[name] for name in READING}))  # only read
+        self.commands = cast("dict[str, Command]", Commands({name: COMMANDS[name] for name in READING} | OF_PACKAGES))
 
 
 app = typer.Typer(name="open", cls=Reading, invoke_without_command=True, rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -47,11 +49,14 @@ def open_(
       sierra open results.zip
       sierra open results.zip ls
       sierra open results.zip sql "SELECT * FROM runs"
+      sierra open results.zip claims
+      sierra open results.zip figures --to figures
     """
     from sierra.cli import open_project
     from sierra.packages.reading import received
 
     found = received.open_package(package)
+    context.obj = found
     context.with_resource(open_project.using(found.project.root))
     if context.invoked_subcommand is None:
         print("\n".join(map(one_line, _lines(found))))

@@ -1,31 +1,50 @@
-"""Differences between two packages: metadata, batches, runs, results with their values, sources, programs and environments.
+"""Differences between two packages, or between a recorded batch and a package.
 
+Compared are batches, runs, results with their values, sources, programs and environments, and the metadata of two packages.
 The records of both are read apart from each other, and nothing is executed. Results are those of effective executions.
 """
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 from collections.abc import Callable, Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from sierra.maintenance.extract import extract
+from sierra.packages.manifest import PackageManifest
 from sierra.packages.reading.received import Received
 from sierra.replay.compare_values import Verdict, of_tables
 from sierra.store.sql_names import identifier
 from sierra.store.store import Store
 from sierra.util.hashing import short
-from sierra.util.text import counted, few
+from sierra.util.text import counted, few, verb
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+METADATA = "metadata"
+"""The kind of differences that only two packages have."""
 SHOWN = 3
 COMPARED = 20
 """The largest number of runs with other results whose values are compared."""
 BESIDE = ("run", "execution", "number")
 """Columns of outputs that are not values, as the independent variables are not."""
+
+
+class Side(NamedTuple):
+    """One of two things that are compared."""
+
+    id: str
+    """The id of the package, or of the batch."""
+    store: Store
+    """A store with what is compared and nothing else."""
+    manifest: PackageManifest | None = None
+    """The description of the package; None for a batch."""
 
 
 class Difference(NamedTuple):
@@ -37,33 +56,46 @@ class Difference(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PackageDifferences:
-    """The differences of two packages, and the kinds in which they do not differ."""
+    """The differences of two packages or batches, and the kinds in which they do not differ."""
 
     before: str
     after: str
-    """The ids of the packages."""
+    """The ids of both."""
     differences: tuple[Difference, ...]
     same: tuple[str, ...]
 
 
-def compare(before: Received, after: Received) -> PackageDifferences:
-    """Return the differences of two packages. Raises Damaged and SqlError if records cannot be read."""
-    found = [Difference(kind, line) for kind, lines in KINDS.items() for line in lines(before, after)]
+def of_package(package: Received) -> Side:
+    """Return a whole package as a side."""
+    return Side(package.id, package.store, package.manifest)
+
+
+@contextlib.contextmanager
+def of_batch(store: Store, batch: str) -> Iterator[Side]:
+    """Yield a batch of a store as a side, until the end of the context: the records that a package of it would have."""
+    with tempfile.TemporaryDirectory(prefix="sierra-", ignore_cleanup_errors=True) as folder:
+        yield Side(batch, extract(store, (batch,), Path(folder, "store")))
+
+
+def compare(before: Side, after: Side) -> PackageDifferences:
+    """Return the differences of two packages or batches. Raises Damaged and SqlError if records cannot be read."""
+    kinds = {kind: lines for kind, lines in KINDS.items() if kind != METADATA or (before.manifest and after.manifest)}
+    found = [Difference(kind, line) for kind, lines in kinds.items() for line in lines(before, after)]
     differing = {one.kind for one in found}
-    return PackageDifferences(before.id, after.id, tuple(found), tuple(kind for kind in KINDS if kind not in differing))
+    return PackageDifferences(before.id, after.id, tuple(found), tuple(kind for kind in kinds if kind not in differing))
 
 
-def _metadata(before: Received, after: Received) -> Iterator[str]:
+def _metadata(before: Side, after: Side) -> Iterator[str]:
     for name in ("title", "date", "sierra", "redacted"):
         was, now = getattr(before.manifest, name), getattr(after.manifest, name)
         if was != now:
             yield f"{name}: {was} → {now}"
 
 
-def _sets(statement: str) -> Callable[[Received, Received], Iterator[str]]:
-    """Return a function that names what only one of two packages has, by a statement for the names."""
+def _sets(statement: str) -> Callable[[Side, Side], Iterator[str]]:
+    """Return a function that names what only one of two sides has, by a statement for the names."""
 
-    def lines(before: Received, after: Received) -> Iterator[str]:
+    def lines(before: Side, after: Side) -> Iterator[str]:
         was, now = (set(one.store.values(str, statement)) for one in (before, after))
         for only, where in ((was - now, "first"), (now - was, "second")):
             if only:
@@ -89,7 +121,7 @@ def _effective(store: Store) -> dict[str, _State]:
     return {row.run: row for row in store.select(_State, EFFECTIVE)}
 
 
-def _results(before: Received, after: Received) -> Iterator[str]:
+def _results(before: Side, after: Side) -> Iterator[str]:
     """Yield whether runs in both have the same results, and for some runs that have not, how far their values are apart."""
     old, new = _effective(before.store), _effective(after.store)
     both = old.keys() & new.keys()
@@ -98,7 +130,8 @@ def _results(before: Received, after: Received) -> Iterator[str]:
             yield f"successful only in the {where}: {counted(len(only), 'run')}: {few(sorted(map(short, only)), SHOWN)}"
     other = sorted(run for run in both if old[run].result != new[run].result)
     if other:
-        yield f"{len(other)} of {counted(len(both), 'run')} in both have other results: {few(list(map(short, other)), SHOWN)}"
+        runs = f"{len(other)} of {counted(len(both), 'run')} in both {verb(len(other), 'has', 'have')}"
+        yield f"{runs} other results: {few(list(map(short, other)), SHOWN)}"
         yield from _files(before.store, after.store, [(old[run].execution, new[run].execution) for run in other])
         yield from _values(before.store, after.store, list(islice(other, COMPARED)))
 
@@ -150,8 +183,8 @@ def _tables(store: Store) -> set[str]:
     return {name for segment in store.segments() for name, _ in segment.outputs()}
 
 
-KINDS: dict[str, Callable[[Received, Received], Iterator[str]]] = {
-    "metadata": _metadata,
+KINDS: dict[str, Callable[[Side, Side], Iterator[str]]] = {
+    METADATA: _metadata,
     "batches": _sets("SELECT left(batch, 10) || ' (' || query || ')' FROM batches"),
     "runs": _sets("SELECT DISTINCT left(run, 10) FROM batch_runs"),
     "source": _sets("SELECT DISTINCT tree FROM sources"),

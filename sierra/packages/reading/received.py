@@ -6,8 +6,6 @@ names. Each file is checked while it is extracted.
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,12 +21,15 @@ from sierra.packages.parts.stored import is_record
 from sierra.store.layout import STORE, user_packages
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
+from sierra.util.scratch import scratch
 from sierra.version import __version__
 
 OTHER = (
     f"{PROGRAM} in the package is not that of SIERRA {__version__}: read it before you execute it, or use the one of a package "
     "that you wrote"
 )
+UNFINISHED = ".unfinished-"
+"""The prefix of the names of folders that packages are extracted to."""
 READ = (".toml", ".sql")
 """Endings of the project's files that commands read to show records."""
 
@@ -63,6 +64,11 @@ def open_package(path: Path) -> Received:
     return Received(path, identity, described, project, Store(folder / STORE, project.rules), () if known else (OTHER,))
 
 
+def batches(store: Store) -> list[str]:
+    """Return the ids of the batches in a package's store, whatever its description says."""
+    return store.values(str, "SELECT batch FROM batches ORDER BY batch")
+
+
 def records(archive: Opened) -> list[str]:
     """Return the names of the files of a package's store. Raises Damaged if it has none, or has other files than records."""
     found = archive.names(STORED)
@@ -79,13 +85,9 @@ def _keep(archive: Archive, folder: Path) -> None:
     wanted = [*records(archive), *files]
     with disk_errors(folder.parent):
         folder.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = Path(tempfile.mkdtemp(prefix=".", dir=folder.parent))
-    try:
-        archive.extract(wanted, unfinished)
-        with disk_errors(folder.parent):
+        with scratch(folder.parent, UNFINISHED) as unfinished:
+            archive.extract(wanted, unfinished)
             _name(unfinished / PROJECT, folder)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def _name(extracted: Path, folder: Path) -> None:

@@ -15,6 +15,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims import evaluate
 from sierra.deliverables.claims.model import Evaluated, Ground
 from sierra.errors import SierraError, UsageError
+from sierra.packages.reading import received
 from sierra.replay.compare_values import Verdict
 from sierra.replay.verdicts import Replay
 from sierra.store.store import Store
@@ -34,7 +35,7 @@ def named(project: LoadedProject, names: Sequence[str]) -> tuple[str, ...]:
 
 def rest(project: LoadedProject, store: Store, names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Return the packed batches of the claims with these names, none for a claim without. Starts nothing of the package."""
-    packed = _packed(store)
+    packed = received.batches(store)
     found: dict[str, tuple[str, ...]] = dict.fromkeys(names, ())
     for name in found:
         with contextlib.suppress(SierraError):  # the evaluation says why
@@ -52,7 +53,7 @@ def decide(
     grounds = {name: _ground([replays.get(batch) for batch in batches]) for name, batches in rests.items()}
     changed = [replay.id for replay in replays.values() if replay.verdict is not Verdict.IDENTICAL]
     new = store.replayed(changed) if changed else store
-    packed = _packed(store)
+    packed = received.batches(store)
     found: dict[str, Evaluated] = {}
     for source, names in (
         (store, [name for name, ground in grounds.items() if ground is Ground.RECORDED]),
@@ -61,10 +62,6 @@ def decide(
         for one in evaluate.evaluate(project, source, names, among=packed) if names else ():
             found[one.name] = replace(one, ground=grounds[one.name])
     return tuple(found[name] for name in rests)
-
-
-def _packed(store: Store) -> list[str]:
-    return store.values(str, "SELECT batch FROM batches ORDER BY batch")
 
 
 def _ground(replays: Sequence[Replay | None]) -> Ground:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from pathlib import Path
 
@@ -25,6 +26,17 @@ def test_figures_are_packed_as_drawn_and_stale_ones_are_named(tmp_path: Path) ->
     assert drawn
     assert packed is not None
     assert packed.preview.notes == ()
+    listed = json.loads(projects.quick(tmp_path, "open", "one.zip", "figures", "--json").stdout)
+    assert {file for one in listed for file in one["files"]} == drawn.keys()
+    assert {(one["kind"], one["batch"]) for one in listed} == {("figure", batch)}
+    name = listed[0]["name"]
+    written = projects.quick(tmp_path, "open", "one.zip", "figures", name, "--to", "here")
+    assert written.returncode == 0, written.stderr
+    assert written.stdout.splitlines() == [f"here/{file}" for file in listed[0]["files"]]
+    assert all((tmp_path / "here" / file).read_bytes() == drawn[file].read_bytes() for file in listed[0]["files"])
+    again = projects.quick(tmp_path, "open", "one.zip", "figures", name, "--to", "here")
+    assert (again.returncode, "exists already" in again.stderr) == (2, True)
+    assert projects.quick(tmp_path, "open", "one.zip", "figures", "other").returncode == 2
     stale = sorted(drawn)[0]
     drawn[stale].write_bytes(b"another")
     packed = sierra.open(root).package(batch, path=tmp_path / "two.zip")

@@ -73,7 +73,7 @@ def value(root: Path, statement: str) -> Any:
 def test_a_new_batch_is_read_like_one_of_this_store_and_keeps_its_origin(lab: Path, other: Path) -> None:
     said = projects.quick(other, "import", str(lab.parent / "both.zip"))
     assert said.returncode == 0, said.stderr
-    assert ": Coverage of a swarm\n6 executions added, 2 of replays were left out\n" in said.stdout
+    assert ": Coverage of a swarm\n6 executions added, 2 of replays left out\n" in said.stdout
     assert said.stdout.count(": its executions count\n") == 2
     assert rows(other, NOW) == rows(lab, NOW)
     project = sierra.open(other)
@@ -212,7 +212,22 @@ def test_two_packages_are_compared_without_a_project(lab: Path, other: Path, tmp
     assert "other results" not in both.stdout
     same = projects.quick(tmp_path, "diff", ours, ours)
     assert (same.returncode, same.stdout.count("\n")) == (0, 2)
-    assert projects.quick(lab, "diff", ours, batch).returncode == 2
+
+
+def test_a_batch_of_a_store_is_compared_with_one_in_a_package(lab: Path, other: Path) -> None:
+    project = sierra.open(other)
+    batch, second = (project.run(*query, figures=False).batch for query in (FIRST, SECOND))
+    both = str(lab.parent / "both.zip")
+    said = projects.quick(other, "diff", batch, both)
+    assert said.returncode == 1, said.stderr
+    assert "results: 4 of 4 runs in both have other results" in said.stdout
+    assert "results: clock.csv differs in 4 runs\n" in said.stdout
+    assert said.stdout.endswith("\nthe same: batches, runs, source, programs, environment\n")
+    other_way = projects.quick(other, "diff", f"{both}:{second[:10]}", batch[:10])
+    assert "batches: 1 only in the first: " in other_way.stdout
+    assert "runs: 2 only in the second: " in other_way.stdout
+    assert projects.quick(lab, "diff", batch, both).returncode == 0
+    assert projects.quick(other, "diff", batch, f"{both}:0000").returncode == 2
 
 
 KILLED = """

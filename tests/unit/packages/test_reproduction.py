@@ -222,6 +222,21 @@ def test_statements_of_claims_read_nothing_but_the_store(package: Path, tmp_path
 
 
 @pytest.mark.integration
+def test_claims_of_an_opened_package_are_decided_by_its_records_alone(tmp_path: Path) -> None:
+    claims = claim("exact", SQL.format("= {most}")) + claim("less", SQL.format("< {most}")) + claim("reading", SECRET)
+    package = packed(tmp_path, claims)
+    done = projects.quick(tmp_path, "open", str(package), "claims", "--json", "--junit", "claims.xml")
+    exact, less, reading = json.loads(done.stdout)
+    assert (done.returncode, exact["verdict"], less["verdict"]) == (1, "holds", "does not hold"), done.stderr
+    assert (exact["ground"], len(exact["batches"])) == ("recomputed from recorded data", 1)
+    assert (reading["verdict"], "read_text() is not allowed" in reading["text"]) == ("can't tell", True)
+    assert 'tests="3"' in (tmp_path / "claims.xml").read_text()
+    assert projects.quick(tmp_path, "open", str(package), "claims", "exact").returncode == 0
+    assert projects.quick(tmp_path, "open", str(package), "claims", "other").returncode == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["claims.xml", "swarm.zip"]
+
+
+@pytest.mark.integration
 def test_an_extracted_package_is_verified_and_stays_as_it_is(package: Path, tmp_path: Path) -> None:
     folder = tmp_path / "extracted"
     with zipfile.ZipFile(package) as file:
