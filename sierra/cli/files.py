@@ -13,7 +13,7 @@ from sierra.cli import complete
 from sierra.cli.arguments import AsJson
 from sierra.cli.output import fields, note, print_json, readable, table
 from sierra.errors import UsageError
-from sierra.util.text import counted
+from sierra.util.text import counted, verb
 
 if TYPE_CHECKING:
     from sierra.api import Project
@@ -161,7 +161,7 @@ def _print_outcomes(listed: Listing, outcomes: Sequence[Outcome], folder: Path, 
     for outcome in failures[:SHOWN_FAILURES]:
         print(f"sierra: {readable(outcome.path)}: {outcome.failure}", file=sys.stderr)
     if len(failures) > SHOWN_FAILURES:
-        print(f"sierra: and {len(failures) - SHOWN_FAILURES} more files were not written", file=sys.stderr)
+        print(f"sierra: and {counted(len(failures) - SHOWN_FAILURES, 'more file')} not written", file=sys.stderr)
     if failures:
         raise typer.Exit(1)
 
@@ -174,8 +174,10 @@ def _summary(listed: Listing, outcomes: Sequence[Outcome], folder: Path) -> None
     runs = counted(len({outcome.file.taken for outcome in written}), "run")
     print(f"{counted(len(written), 'file')} of {runs} written to {folder}")
     if tables:
-        rest = "" if identical == len(tables) else f"; {len(tables) - identical} have the same values in different bytes"
-        print(f"{identical} of {len(tables)} tables are byte-identical to the files that the runs wrote{rest}")
+        other = len(tables) - identical
+        rest = "" if not other else f"; {other} {verb(other, 'has', 'have')} the same values in different bytes"
+        found = f"{identical} of {counted(len(tables), 'table')} {verb(identical, 'is', 'are')}"
+        print(f"{found} byte-identical to the files that the runs wrote{rest}")
     if cut:
         print(f"{counted(cut, 'log')} shortened when recorded: only the beginning and the end are written")
     for line in _doubtful(listed.runs):

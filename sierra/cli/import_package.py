@@ -46,8 +46,8 @@ def import_(
 
 
 def _print(done: Imported) -> None:
-    known = f", {done.known:,} were in the store before" if done.known else ""
-    replays = f", {done.replays:,} of replays were left out" if done.replays else ""
+    known = f", {done.known:,} in the store before" if done.known else ""
+    replays = f", {done.replays:,} of replays left out" if done.replays else ""
     print(one_line(f"package {done.package[:10]}: {done.title}"))
     print(f"{counted(done.executions, 'execution')} added{known}{replays}")
     for batch in done.batches:

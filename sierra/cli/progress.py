@@ -71,7 +71,7 @@ class Planning(Observer):
 
 def _ask(experiments: int, runs: int) -> None:
     """Ask the user to confirm a large number of runs."""
-    message = f"{counted(experiments, 'experiment')} are {runs} runs"
+    message = f"{counted(experiments, 'experiment')} are {counted(runs, 'run')}"
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise UsageError(f"{message}, which take long to plan; use --yes to confirm")
     print(f"{message}, which take long to plan; continue? [y/N] ", end="", file=sys.stderr, flush=True)

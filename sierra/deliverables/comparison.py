@@ -29,7 +29,7 @@ from sierra.store.sql_names import column_names
 from sierra.store.store import Store
 from sierra.util.hashing import short
 from sierra.util.json_types import JsonView
-from sierra.util.text import like, n_of
+from sierra.util.text import counted, like, n_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -263,7 +263,7 @@ def _cells_of_batches(found: Mapping[str, RunTable]) -> tuple[list[Cell], tuple[
     if not common:
         raise UsageError("the batches have no experiment with the same values of the variables in common")
     left = len(every) - len(common)
-    notes = (f"{left} of {len(every)} experiments are not in all batches, and are left out",) if left else ()
+    notes = (f"left out, because not in all batches: {left} of {counted(len(every), 'experiment')}",) if left else ()
     cells = [
         Cell(
             found[first].shown(places[first][point]),

@@ -15,6 +15,7 @@ from sierra.model import Value
 from sierra.stats.comparison.model import Cell, Sample
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -188,7 +189,7 @@ def _one_group(
         raise SierraError("no experiment of this batch has two or more runs with a value")
     notes = ["the groups are taken as independent; if their runs are pairs by seed, fewer runs are enough"]
     if len(pairs) < len(runs.cells):
-        notes.append(f"{len(runs.cells) - len(pairs)} experiments with fewer than two values are left out")
+        notes.append(f"left out: {counted(len(runs.cells) - len(pairs), 'experiment')} with fewer than two values")
     return runs, pairs, notes
 
 

@@ -14,6 +14,7 @@ from sierra.model import Value
 from sierra.stats import sample_size
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -85,7 +86,7 @@ def runs_needed(
         if any(not run.reached for run in values):
             raise UsageError("some runs never reached the threshold; the mean of their times is not known")
         if len(values) < 2:
-            notes.append(f"experiment {ordinal} has {len(values)} runs with a value, but two or more are needed")
+            notes.append(f"experiment {ordinal} has {counted(len(values), 'run')} with a value, but two or more are needed")
             continue
         numbers = [run.value for run in values]
         sd = statistics.stdev(numbers)

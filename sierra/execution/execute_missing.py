@@ -294,7 +294,7 @@ class Executor:
     def _join(self, session: Session, wanted: AbstractSet[str]) -> None:
         """Follow runs that were submitted before."""
         mine = sessions.claims(session.paths) & wanted
-        self._options.observer.notice(f"following {len(mine)} runs that were submitted before (session {session.id})")
+        self._options.observer.notice(f"following {counted(len(mine), 'run')} submitted before (session {session.id})")
         attached = attach(self.store, session, _Joined(self._tally, mine), detach=self._options.detach)
         self.notes += attached.notes
         self.left += [session.paths] if attached.left else []

@@ -21,7 +21,7 @@ from sierra.store.store import Store
 from sierra.store.table_layout import Columns, TableLayout
 from sierra.store.type_inference import AS_TEXT, own_kind, right_kind
 from sierra.store.views import ORDER
-from sierra.util.text import counted
+from sierra.util.text import counted, verb
 
 ANY_TABLE = "SELECT 1 FROM all_artifacts WHERE kind = 'table' LIMIT 1"
 
@@ -122,10 +122,12 @@ def _odd(siblings: Sequence[Sibling], name: str, declared: Output | None, *, eve
     if declared is None or declared.required:
         if len(having) < len(lacking):
             for row in having:
-                yield row.execution, f"there is a table {name!r}, but {len(lacking)} of {others} have none"
+                have = verb(len(lacking), "has", "have")
+                yield row.execution, f"there is a table {name!r}, but {len(lacking)} of {others} {have} none"
             return
         for row in lacking:
-            yield row.execution, f"table {name!r} is missing, but {len(having)} of {others} have it"
+            have = verb(len(having), "has", "have")
+            yield row.execution, f"table {name!r} is missing, but {len(having)} of {others} {have} it"
     forms = Counter(form for row in having for form in row.forms or ())
     parsed = {form: TableLayout.load(form) for form in forms}
     likely = _usual([(parsed[form], number) for form, number in forms.items()])

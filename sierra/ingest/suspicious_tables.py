@@ -25,7 +25,7 @@ from sierra.store.type_inference import AS_TEXT
 from sierra.store.union_files import TEXT
 from sierra.store.views import tables_of
 from sierra.util.hashing import short as digits
-from sierra.util.text import counted
+from sierra.util.text import counted, verb
 
 COMMENT = """the first line is a comment; begin with the column names, without '#' (comment = "#" leaves comments out)"""
 NOTED_DOUBTS = 3
@@ -100,7 +100,8 @@ class TableWarnings:
             whose = f"output {one.output!r} of run {digits(one.run)} has {counted(one.rows, 'row')}"
             yield f"{whose}, the other runs of its experiment have {theirs}: was the run cut short?"
         if len(doubtful) > NOTED_DOUBTS:
-            yield f"{counted(len(doubtful) - NOTED_DOUBTS, 'more run')} have less than half of the rows of the others"
+            more = len(doubtful) - NOTED_DOUBTS
+            yield f"{counted(more, 'more run')} {verb(more, 'has', 'have')} less than half of the rows of the others"
 
     def _empty(self, names: Iterable[str]) -> Iterator[str]:
         """Yield a warning for each of these tables, which have no row in any run."""

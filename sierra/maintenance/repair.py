@@ -35,6 +35,7 @@ from sierra.store.segments import FORMAT, MANIFEST, Segment, manifest
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
 from sierra.util.lazy_logger import Log
+from sierra.util.text import counted
 
 log = Log(__name__)
 
@@ -141,7 +142,7 @@ def _salvage(paths: StorePaths, root: Path, checked: Checked, dry_run: bool, tel
         if "artifacts" in segment.files and "objects.parquet" in checked.contents.broken.get(segment.name, ()):
             yield f"segments/{segment.name}: the bytes of files that became tables are lost, but their rows are not"
     if loss.executions:
-        yield f"{len(loss.executions)} executions are lost; sierra run executes the effective ones again"
+        yield f"lost: {counted(len(loss.executions), 'execution')}; sierra run executes the effective ones again"
     for batch in sorted(loss.batches):
         yield f"batch {short(batch)} is not complete; run its query again to record it again"
 

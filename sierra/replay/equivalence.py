@@ -18,6 +18,7 @@ from sierra.stats import aggregate as stats
 from sierra.stats import equivalence
 from sierra.store.samples import Column, Frame
 from sierra.store.store import Store
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -100,9 +101,9 @@ def _compare(name: str, metric: Equivalence, pairs: list[tuple[float, float]]) -
     alone = sum(any(map(math.isnan, pair)) for pair in pairs)
     if alone or len(pairs) < 2:
         why = (
-            f"{alone} of {len(pairs)} runs have no value in the record or in the replay"
+            f"{alone} of {counted(len(pairs), 'run')} without a value in the record or in the replay"
             if alone
-            else f"{len(pairs)} runs have a value, but two are needed"
+            else f"{counted(len(pairs), 'run')} with a value, but two are needed"
         )
         return Metric(name, metric, None, None, None, f"{name}: {why}")
     mean, now = (equivalence.mean_of(values) for values in zip(*pairs, strict=True))

@@ -52,7 +52,7 @@ from sierra.store.table_layout import TableLayout
 from sierra.templates.base import Files
 from sierra.util.hashing import short
 from sierra.util.lazy_logger import Log
-from sierra.util.text import like
+from sierra.util.text import counted, like
 from sierra.version import __version__
 
 log = Log(__name__)
@@ -279,11 +279,9 @@ def _look_up(store: Store, found: Found, options: ReplayOptions) -> _Record:
     if not left:
         raise Missing(f"{found.kind} {short(found.id)} wrote only logs, and logs are not compared")
     if left < len(taken):
-        record.notes.append(f"{len(taken) - left} of {len(taken)} runs wrote only logs, and logs are not compared")
+        record.notes.append(f"{len(taken) - left} of {counted(len(taken), 'run')} wrote only logs, and logs are not compared")
     if without := len(named) - len(good):
-        record.notes.append(
-            f"{without} of {len(named)} runs have no successful execution to compare with; they are not replayed"
-        )
+        record.notes.append(f"not replayed: {without} of {counted(len(named), 'run')} without a successful execution")
     if len({(row.programs, row.ingest_rules) for row in by}) > 1:
         record.notes.append("not all runs were recorded with the same programs and rules; the first ones are used")
     return record

@@ -17,6 +17,11 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+def verb(count: int, one: str, several: str) -> str:
+    """Return the form of a verb for a number of things: `verb(1, "is", "are")` is `is`."""
+    return one if count == 1 else several
+
+
 def n_of(counts: Iterable[int]) -> str:
     """Return the smallest and the largest of some numbers of runs: "n = 5", "n = 3–5"."""
     low, high = min(every := list(counts)), max(every)

@@ -18,6 +18,7 @@ from sierra.deliverables.figures.style import Look
 from sierra.errors import SierraError, UsageError
 from sierra.model import Axis
 from sierra.util.arrow_columns import numpy_of
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -102,7 +103,7 @@ def notes_on_paths(drawing: Drawing, run: int) -> list[str]:
     return [
         *([f"each {every}th point and the last"] if every > 1 else []),
         *([f"{bad} of {table.num_rows} points without a place left out"] if bad else []),
-        *([f"{lost} of {len(drawing.cells)} experiments have no run {run}"] if lost else []),
+        *([f"{lost} of {counted(len(drawing.cells), 'experiment')} without run {run}"] if lost else []),
     ]
 
 
@@ -127,7 +128,7 @@ def notes_on_matrix(drawing: Drawing, times: Sequence[float]) -> list[str]:
     bad = counts["rows"] - counts["finite"]
     absent = len(set(times)) - len(table.column("t").unique()) if len(times) > 1 else 0
     return [
-        *([f"{absent} of {len(set(times))} times have no row"] if absent else []),
+        *([f"{absent} of {counted(len(set(times)), 'time')} without a row"] if absent else []),
         *([f"{bad} missing or infinite values left out"] if bad else []),
         *([f"log scale: {low} of {len(values)} cells not above 0 left out"] if low else []),
     ]

@@ -16,6 +16,7 @@ from sierra.deliverables.figures.facets import Panels
 from sierra.deliverables.figures.style import Floats, Look
 from sierra.deliverables.figures.timeseries import with_n
 from sierra.errors import UsageError
+from sierra.util.text import counted
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
@@ -125,7 +126,7 @@ def not_above_0(drawing: Drawing) -> list[str]:
     """Return a note on the runs that a logarithmic x axis cannot show."""
     values = _all(drawing)
     bad = int((values <= 0).sum()) if drawing.figure.log_x else 0
-    return [f"log scale: {bad} of {len(values)} runs not above 0 are left of the axis"] if bad else []
+    return [f"log scale: {bad} of {counted(len(values), 'run')} not above 0, left of the axis"] if bad else []
 
 
 def has_density(values: Floats) -> bool:

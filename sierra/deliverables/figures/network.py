@@ -16,7 +16,7 @@ from sierra.deliverables.figures import style
 from sierra.deliverables.figures.facets import MOST
 from sierra.errors import NotInstalled, UsageError
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.text import counted, few, natural
+from sierra.util.text import counted, few, natural, verb
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -52,7 +52,7 @@ def notes(drawing: Drawing, options: NetworkOptions) -> list[str]:
         *([f"{counted(counts['loops'], 'edge')} from a node to itself left out"] if counts["loops"] else []),
         *([f"{counted(counts['weightless'], 'edge')} without a finite weight left out"] if counts["weightless"] else []),
         *([f"{counted(counts['lost'], 'row')} without a source left out"] if counts["lost"] else []),
-        *([f"{empty} of {len(drawing.cells)} experiments have no such rows"] if empty else []),
+        *([f"{empty} of {counted(len(drawing.cells), 'experiment')} without such rows"] if empty else []),
     ]
 
 
@@ -118,7 +118,7 @@ def _given(nodes: pa.Table) -> Places:
     names = nodes.column("node").to_pylist()
     if lost := [name for name, known in zip(names, np.isfinite(x) & np.isfinite(y), strict=True) if not known]:
         raise UsageError(
-            f"{len(lost)} of {counted(len(names), 'node')} have no position: {few(lost, 3)}; "
+            f"{len(lost)} of {counted(len(names), 'node')} {verb(len(lost), 'has', 'have')} no position: {few(lost, 3)}; "
             "a node needs a row of which it is the source"
         )
     return dict(zip(names, zip(x.tolist(), y.tolist(), strict=True), strict=True))

@@ -27,7 +27,7 @@ from sierra.stats import student_t
 from sierra.store.samples import Frame, names_time
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
-from sierra.util.text import few
+from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -158,7 +158,7 @@ def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: l
     """Yield differences of runs that both sides have with different effective executions."""
     [(count, others, same)] = snapshot.run(SHARED)
     if count:
-        notes.append(Note(f"{count} runs are in both; {same} of them have the same effective execution"))
+        notes.append(Note(f"{counted(count, 'run')} in both, {same} with the same effective execution"))
     if not others:
         return
     details: list[str] = []
@@ -170,7 +170,7 @@ def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: l
         differing += bool(found)
         details += [difference.line.removeprefix("results: ") for difference in found]
     if differing or others > len(looked):
-        line = f"results: {others} of the {count} runs that are in both wrote different bytes"
+        line = f"results: {others} of {counted(count, 'run')} in both wrote different bytes"
         yield Difference("results", "runs", line, None, others, tuple(details))
 
 

@@ -13,6 +13,7 @@ from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded,
 from sierra.store.row_types import SharedFileRow
 from sierra.store.store import Snapshot
 from sierra.templates.input_diff import Spot, differing
+from sierra.util.text import counted
 
 LOOKED_AT = 40
 """Number of pairs of runs whose files are read: the first pair of each experiment, then the second, and so on."""
@@ -48,12 +49,12 @@ def inputs(snapshot: Snapshot, before: Side, after: Side, notes: list[Note]) -> 
         for name in dict.fromkeys((*pair.files[0], *pair.files[1])):
             for spot in _spots(name, pair, content):
                 found.setdefault((name, spot.path), []).append((pair, spot))
-    read = f"{len(looked)} runs" if len(looked) == others else f"{len(looked)} runs that were read"
+    read = counted(len(looked), "run") if len(looked) == others else f"{counted(len(looked), 'run')} that could be read"
     several = any(len(files) > 1 for pair in pairs for files in pair.files)
     for (name, _), occurrences in found.items():
         yield _difference(f"{name}: " if several else "", occurrences, len(looked), read, before, after)
     if len(looked) < others:
-        text = f"inputs differ in {others} of the {runs} compared runs; {len(looked)} of them were read"
+        text = f"inputs differ in {others} of {counted(runs, 'compared run')}; read: {len(looked)} of them"
         notes.append(Note(text, "inputs"))
 
 

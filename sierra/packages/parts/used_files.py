@@ -48,9 +48,9 @@ def members(subject: Subject, found: Mapping[str, Member]) -> Made:
         machine = snapshot.select(_Used, MACHINE)
         [(unobserved,)] = snapshot.run(UNOBSERVED)
     lines = "".join(f"{used.sha256}  {used.path!a}\n" for used in machine)
-    facts = [f"{counted(len(machine), 'file')} of this machine that runs used are listed in {USED}, and not packed"]
+    facts = [f"{counted(len(machine), 'file')} of this machine that runs used: not packed, but listed in {USED}"]
     if unobserved:
-        facts.append(f"{counted(unobserved, 'execution')} were not observed, so that files that they used may be missing")
+        facts.append(f"{counted(unobserved, 'execution')} not observed: files that only they used may be missing")
     listing = Member(USED, lines.encode(), "files of the machine that runs used, with their SHA-256")
     return Made([*made, listing], notes=tuple(notes), facts=tuple(facts))
 

@@ -50,7 +50,7 @@ from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
 from sierra.util.lazy_logger import Log
-from sierra.util.text import counted, few
+from sierra.util.text import counted, few, verb
 from sierra.worker import array_task, worker
 
 log = Log(__name__)
@@ -120,7 +120,7 @@ class Cluster:
         self._is_own = True
         if rest:
             unknown = "runs with these values were never timed" if work.times else "the duration of runs is not known yet"
-            self._note(f"{unknown}: {counted(counts[0], 'run')} of {work.count} are executed first")
+            self._note(f"{unknown}: {counted(counts[0], 'run')} of {work.count} {verb(counts[0], 'is', 'are')} executed first")
         self._submit_all()
 
     def _deal(self, work: Work, sized: Size, session: SessionPaths) -> tuple[tuple[int, ...], int]:
@@ -553,7 +553,8 @@ class Cluster:
         self._submission = replace(self._submission, counts=(*self._submission.counts, *counts), rest=0)
         self._submission.save(self._session)
         self._shares += [Share(each, tries=1) for each in counts]
-        self._note(f"{result.how}: the other {sum(counts)} runs are split into {counted(count, 'array task')} ({why})")
+        runs = f"the other {counted(sum(counts), 'run')} {verb(sum(counts), 'is', 'are')}"
+        self._note(f"{result.how}: {runs} split into {counted(count, 'array task')} ({why})")
         self._submit_tasks(tuple(range(begin, begin + count)), "", after=self._probe_job if self._probing else "")
         with disk_errors(self._session.root):
             self._session.rest.unlink()

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from sierra.model import Value
 from sierra.stats.comparison.model import Analysis, Effect, Omnibus, Pair, Verdict
-from sierra.util.text import counted
+from sierra.util.text import counted, verb
 
 SENTENCES = 8
 """The largest number of pairs with a sentence each; more pairs are counted."""
@@ -63,7 +63,8 @@ def _findings(result: Analysis) -> Iterator[str]:
     yield from map(_effect, result.effects)
     yield from (_omnibus(one, result) for one in result.omnibus[:SENTENCES])
     if len(result.omnibus) > SENTENCES:
-        yield f"The other {counted(len(result.omnibus) - SENTENCES, 'omnibus test')} are in the table."
+        more = len(result.omnibus) - SENTENCES
+        yield f"The other {counted(more, 'omnibus test')} {verb(more, 'is', 'are')} in the table."
     if len(result.pairs) <= SENTENCES:
         yield from (_pair(pair, result) for pair in result.pairs)
         return

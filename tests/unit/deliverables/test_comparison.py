@@ -248,7 +248,7 @@ def test_experiments_that_only_one_batch_has_are_left_out_and_counted(recorded: 
     first, second, _ = [row["batch"] for row in projects.sql(recorded, "SELECT batch FROM batches ORDER BY lamport")]
     found = answer(recorded, first[:8], second[:8], "--column", "coverage")
     assert [pair["point"] for pair in found["pairs"]] == [{"population_size": 2}]
-    assert "2 of 3 experiments are not in all batches, and are left out" in found["notes"]
+    assert "left out, because not in all batches: 2 of 3 experiments" in found["notes"]
     assert found["pairs"][0]["verdict"] == "too few runs"
 
 

@@ -98,7 +98,7 @@ def test_matrices_at_several_times_have_a_column_for_each_time() -> None:
     drawing = made("matrix", (SIZE,), at=[0, 3.0, 99])
     assert titles(drawing)[1, 1] == "size = 2, time = 3"
     assert np.nanmax(panels(drawing)[3].collections[0].get_array()) == 10 + 3 + 2.5
-    assert noted(drawing).note == "mean of the runs, at 0, 3, 99, n = 6; 1 of 3 times have no row"
+    assert noted(drawing).note == "mean of the runs, at 0, 3, 99, n = 6; 1 of 3 times without a row"
 
 
 def test_too_many_panels_are_one_line_that_says_what_to_do() -> None:

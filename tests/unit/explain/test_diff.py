@@ -191,7 +191,7 @@ def test_changed_values_and_run_counts_are_reported_and_common_runs_are_compared
     said = diff(root, before, ask(root, "population_size=2,4", runs=3))
     assert lines(said, "query") == ["population_size: 1, 2 → 2, 4", "runs per experiment: 2 → 3"]
     assert kinds(said) == ["query"]
-    assert any("2 runs are in both; 2 of them have the same effective execution" in note for note in said["notes"])
+    assert any("2 runs in both, 2 with the same effective execution" in note for note in said["notes"])
 
 
 @pytest.mark.integration

@@ -263,7 +263,7 @@ def test_rows_that_were_never_read_are_found_missing_and_their_execution_is_drop
     [finding] = [finding for finding in fsck(root).findings if not finding.kind.fine]
     assert (finding.kind, finding.path) == (Kind.LOST, "output.swarm")
     assert f"(swarm.csv: {row['rows']} instead of {row['counted_rows']})" in finding.what
-    assert any("1 executions are lost" in line for line in repaired(root))
+    assert any("lost: 1 execution;" in line for line in repaired(root))
     assert fsck(root).sound
 
 
