@@ -79,6 +79,8 @@ class ReplayOptions:
     """Ids of the runs to replay; None for all."""
     image: Image | None = None
     """The recorded image, if it is in another place than the pinned or recorded one."""
+    earlier: frozenset[str] = frozenset()
+    """Sessions of earlier replays. Their successful executions count, if programs, machine and isolation are the same."""
 
     def includes(self, one: ChosenExecution) -> bool:
         """Return whether a run is replayed."""
@@ -178,22 +180,32 @@ def replay(
             readers=record.of.readers,
             engines=project.config.engines,
         )
-        made = {one.run: commands.execution_id(session.id, one.run) for one in record.runs}
-        tally = Tally(Relay(observer, leave=False), len(record.runs))
+        done = _done(store, record, options.earlier, replace(context, **service.isolation.context))
+        rest = [one for one in record.runs if one.run not in done]
+        made = {one.run: commands.execution_id(session.id, one.run) for one in rest}
+        made |= {run: one.execution for run, one in done.items()}
+        if done:
+            runs = f"{len(done)} of {counted(len(record.runs), 'run')}"
+            notes = (*notes, f"{runs} executed by an earlier call here, by the same programs")
+            observer.notice(notes[-1])
+        tally = Tally(Relay(observer, leave=False), len(rest))
         source_guard = guard(root, b"", now)
-        followed = service.execute(
-            runner,
-            context,
-            _inputs(record, store),
-            len(record.runs),
-            now,
-            tally,
-            times=expected_durations.recorded(store, [one.run for one in record.runs]) if runner.stays else None,
-            doubt=lambda: service.doubt(source_guard),
-            kept=kept,
+        interrupted = (
+            bool(rest)
+            and service.execute(
+                runner,
+                context,
+                _inputs(record, rest, store),
+                len(rest),
+                now,
+                tally,
+                times=expected_durations.recorded(store, [one.run for one in rest]) if runner.stays else None,
+                doubt=lambda: service.doubt(source_guard),
+                kept=kept,
+            ).interrupted
         )
         failed = {run: tally.statuses[run] for run in tally.failed}
-        interrupted = followed.interrupted or session.paths.cancelled.exists()
+        interrupted = interrupted or session.paths.cancelled.exists()
         _leave(session.paths, kept)
         if interrupted:
             return Replay(session.id, record.found, (), notes, interrupted=True, of=record.named, kept=kept, built=built)
@@ -213,6 +225,7 @@ def replay(
             kept=kept,
             built=built,
             files=files,
+            sessions=(session.id, *sorted({one.session for one in done.values()})),
         )
         _keep(answer, store, session, record, now, around, began, options, engine)
         return answer
@@ -402,9 +415,44 @@ def _other_machine(store: Store, record: _Record, around: EnvironmentRow) -> Ite
                 yield f"different machine: {name} {'that differ: ' if isinstance(was, list) else ''}was {old}, is now {new}"
 
 
-def _inputs(record: _Record, store: Store) -> Iterator[tuple[Run, Files]]:
-    """Yield each run with its recorded inputs."""
-    for taken, files in plan_from_record.inputs(store, {one.run: one for one in record.runs}.values()):
+class _Done(NamedTuple):
+    """A successful execution of an earlier replay."""
+
+    run: str
+    execution: str
+    session: str
+
+
+DONE = """
+SELECT run, max(execution) AS execution, arg_max(session, execution) AS session FROM executions
+WHERE list_contains($sessions, session) AND list_contains($runs, run) AND purpose = 'replay' AND status = 'ok'
+  AND programs = $programs AND environment = $environment AND ingest_rules = $rules
+  AND isolation IS NOT DISTINCT FROM $isolation
+GROUP BY run
+"""
+"""SQL: one of these executions for each run."""
+
+
+def _done(store: Store, record: _Record, sessions: frozenset[str], context: Context) -> dict[str, _Done]:
+    """Return the executions of earlier replays that count, by run: those that this replay would repeat."""
+    if not sessions:
+        return {}
+    rows = store.select(
+        _Done,
+        DONE,
+        sessions=sorted(sessions),
+        runs=[one.run for one in record.runs],
+        programs=context.programs,
+        environment=context.environment,
+        rules=context.ingest_rules,
+        isolation=context.isolation and context.isolation.isolation,
+    )
+    return {row.run: row for row in rows}
+
+
+def _inputs(record: _Record, runs: Sequence[ChosenExecution], store: Store) -> Iterator[tuple[Run, Files]]:
+    """Yield each of these runs with its recorded inputs."""
+    for taken, files in plan_from_record.inputs(store, {one.run: one for one in runs}.values()):
         yield Run(taken.run, taken.ordinal, taken.number, record.seeds[taken.run], (), b""), files
 
 

@@ -76,6 +76,8 @@ class Replay:
     """The products that were built from the restored source; None without `[build]`."""
     files: UsedFiles | None = None
     """The files that the recorded executions used, compared with those now; None if an image has them."""
+    sessions: tuple[str, ...] = ()
+    """The sessions of the compared executions: its own, and those of earlier replays whose executions count."""
 
     def _repr_html_(self) -> str:
         axes = tuple(self.experiments[0].values) if self.experiments else ()

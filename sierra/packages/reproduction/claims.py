@@ -51,7 +51,7 @@ def decide(
     `replays` are those, by batch, in which all runs with a result were executed again.
     """
     grounds = {name: _ground([replays.get(batch) for batch in batches]) for name, batches in rests.items()}
-    changed = [replay.id for replay in replays.values() if replay.verdict is not Verdict.IDENTICAL]
+    changed = [one for replay in replays.values() if replay.verdict is not Verdict.IDENTICAL for one in replay.sessions]
     new = store.replayed(changed) if changed else store
     packed = received.batches(store)
     found: dict[str, Evaluated] = {}

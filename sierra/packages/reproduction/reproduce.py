@@ -70,7 +70,8 @@ def reproduce(
         for note in notes:
             observer.notice(one_line(note))
         store = Store(project.root / STORE, project.rules)
-        parts = _Work(project, store, options, observer).reproduce(agree)
+        earlier = workspace.replays_here(found, store)
+        parts = _Work(project, store, options, observer, earlier).reproduce(agree)
         done = Reproduction(found.id, described.title, folder, notes, *parts)
         report.write(done)
     return done
@@ -79,11 +80,15 @@ def reproduce(
 class _Work:
     """The work on a verified copy."""
 
-    def __init__(self, project: LoadedProject, store: Store, options: Options, observer: Observer) -> None:
+    def __init__(
+        self, project: LoadedProject, store: Store, options: Options, observer: Observer, earlier: frozenset[str]
+    ) -> None:
+        """`earlier`: sessions of replays that earlier calls made here."""
         self._project = project
         self._store = store
         self._options = options
         self._observer = observer
+        self._earlier = earlier
 
     def reproduce(
         self, agree: Callable[[Statement], None]
@@ -138,7 +143,14 @@ class _Work:
     def _replayed(self, one: PlannedBatch, runs: frozenset[str]) -> ReproducedBatch:
         local = self._options.runner == "local"
         only = None if len(runs) == len(one.runs) else runs
-        options = ReplayOptions(self._options.slots, only=only, runner=self._options.runner, engine=one.engine, image=one.image)
+        options = ReplayOptions(
+            self._options.slots,
+            only=only,
+            runner=self._options.runner,
+            engine=one.engine,
+            image=one.image,
+            earlier=self._earlier,
+        )
         try:
             if local and (missing := planned.lacking_packages(self._project, self._store, one)):
                 return ReproducedBatch(one, len(runs), None, "; ".join(missing))

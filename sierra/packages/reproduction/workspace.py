@@ -5,8 +5,8 @@
     FOLDER/reproduction.json    report for programs
     FOLDER/.sierra-reproduction mark, and lock of the process that works here
 
-The copy appears complete or not at all. If an earlier process was killed, the next one with the same package verifies the copy
-again and continues there: only the store may have got more files.
+The copy appears complete or not at all. If an earlier process was killed or interrupted, the next one with the same package
+verifies the copy again and continues there: only the store may have got more files. Runs that were executed there count.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sierra.errors import Damaged, Missing, UsageError
+from sierra.execution import recover
 from sierra.packages.archive import Archive, Opened
 from sierra.packages.layout import PACKAGE, PROJECT, STORED
 from sierra.packages.members import MANIFEST, written
@@ -26,8 +27,10 @@ from sierra.packages.reading.extracted import CREATED, Extracted
 from sierra.packages.reading.received import records
 from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.store.segments import disk_errors
+from sierra.store.store import Snapshot, Store
 
 COPY = "package"
+SEGMENTS = f"{STORED}segments/"
 REPORT = "reproduction"
 """The stem of the names of the reports."""
 MARK = ".sierra-reproduction"
@@ -77,6 +80,18 @@ def opened(package: Path) -> Iterator[Opened]:
     with Extracted(package) if package.is_dir() else Archive(package) as found:
         _check(found)
         yield found
+
+
+def replays_here(found: Opened, store: Store) -> frozenset[str]:
+    """Return the sessions of the replays that earlier calls made in this folder: those of records that are not in the package.
+
+    Finished runs of killed processes are recorded first.
+    """
+    recover.finish_dead(store)
+    packed = {name.removeprefix(SEGMENTS).split("/")[0] for name in found.names(SEGMENTS)}
+    own = [segment for segment in store.segments() if segment.name not in packed]
+    with Snapshot(store.paths.root, own) as snapshot:
+        return frozenset(snapshot.values(str, "SELECT DISTINCT session FROM executions WHERE purpose = 'replay'"))
 
 
 def copy_verified(found: Opened, folder: Path) -> None:

@@ -152,6 +152,7 @@ def test_claims_are_decided_by_the_values_of_the_new_executions(tmp_path: Path) 
         "equivalent",
     )
     assert found == {name: (verdict, "statistically re-executed") for name, verdict in VERDICTS.items()}
+    assert reproduce(tmp_path, str(package), "--yes")[1]["claims"] == said["claims"]  # by the same executions
     copy = sierra.open(tmp_path / "swarm-reproduction" / "package" / "project")
     [longest] = copy.sql("SELECT max(wall_s) AS s FROM executions WHERE purpose = 'run'").to_pylist()
     some = ("--budget", f"{longest['s'] + 1e-3:.3f}s", "-j1")
@@ -280,13 +281,14 @@ def test_a_package_without_a_project_or_with_more_than_records_is_refused(
 
 
 @pytest.mark.integration
-def test_a_killed_reproduction_is_repeated_in_the_same_folder(tmp_path: Path) -> None:
+def test_a_killed_reproduction_is_continued_in_the_same_folder(tmp_path: Path) -> None:
     package = packed(tmp_path, claim("exact", SQL.format("= {most}")), SLOW)
     command = [str(projects.SIERRA), "reproduce", str(package), "--yes", "-j1"]
     folder = tmp_path / "swarm-reproduction"
     started = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     until = time.monotonic() + 60
-    while not list(folder.glob("package/project/.sierra/work/*/*")) and time.monotonic() < until:
+    journal = "package/project/.sierra/work/*/journal.jsonl"
+    while not any(b'"end"' in path.read_bytes() for path in folder.glob(journal)) and time.monotonic() < until:
         time.sleep(0.1)
     busy = reproduce(tmp_path, str(package), "--yes")
     assert (busy[0], "another sierra process works in" in busy[1]["error"]) == (2, True)
@@ -294,7 +296,16 @@ def test_a_killed_reproduction_is_repeated_in_the_same_folder(tmp_path: Path) ->
     started.wait()
     (folder / ".sierra-unfinished" / "project").mkdir(parents=True)
     code, said = reproduce(tmp_path, str(package), "--yes")
-    assert (code, said["batches"][0]["counts"], said["claims"][0]["ground"]) == (0, {"identical": 4}, "re-executed")
+    whole = (0, {"identical": 4}, "re-executed")
+    assert (code, said["batches"][0]["counts"], said["claims"][0]["ground"]) == whole
+    project = sierra.open(folder / "package" / "project")
+    replays = "SELECT count(DISTINCT session), count(*), count(DISTINCT run) FROM executions WHERE purpose = 'replay'"
+    executed = project.sql(replays).to_pylist()
+    assert list(executed[0].values()) == [2, 4, 4]
+    code, said = reproduce(tmp_path, str(package), "--yes")
+    assert (code, said["batches"][0]["counts"], said["claims"][0]["ground"]) == whole
+    assert project.sql(replays).to_pylist() == executed
+    assert project.fsck().sound
     (folder / "package" / "project" / "sim.py").write_text("changed")
     assert "is not what" in reproduce(tmp_path, str(package), "--yes")[1]["error"]
 
