@@ -16,7 +16,7 @@ SAME_FORMAT = {"tsv": "csv", "ndjson": "jsonl"}
 """Endings of output files with the format that another ending is named after."""
 FILE_FORMAT = "file"
 """The format of outputs that are kept as files and become no table."""
-NAMED_FORMATS = ("json", "xml", "graphml", "npy", "arrow", "sqlite", "hdf5", "netcdf")
+NAMED_FORMATS = ("json", "xml", "graphml", "npy", "arrow", "sqlite", "hdf5", "netcdf", "bag")
 """Formats that are only read if they are named, because such files were kept as files before there was a reader."""
 PLACEHOLDER = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 """A name in braces that stands for a number in the name of an output file."""
@@ -27,8 +27,12 @@ KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(CSV_KEYS, ("csv",)),
     "rows": ("json", "xml", "graphml", "sqlite", "hdf5", "netcdf"),
     **dict.fromkeys(("flatten", "unnest"), ("json", "jsonl")),
+    **dict.fromkeys(("topics", "ros", "covariances"), ("bag",)),
 }
 """Keys of `[outputs.NAME]` that are only for certain formats."""
+BAG_COLUMNS = ("topic", "received_ns")
+"""The columns of each table that is made from a bag."""
+ROS_VERSIONS = ("dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
 LATER_KEYS = tuple(KEYS_OF_FORMATS)
 """Keys of `[outputs.NAME]` that were added after rules had been recorded."""
 Delimiter = Annotated[str, StringConstraints(pattern=r"^(.|blanks)?$|^[\t\n]$")]
@@ -80,6 +84,7 @@ class Output(Table):
                         "sqlite",
                         "hdf5",
                         "netcdf",
+                        "bag",
                         "file",
                     ],
                 }
@@ -120,6 +125,15 @@ class Output(Table):
         None, description="whether objects in JSON become columns such as `pose.x`; default: yes in `json`, no in `jsonl`"
     )
     unnest: str = Field("", description="list in each JSON object whose items become rows, such as `robots`")
+    topics: tuple[str, ...] = Field(
+        (),
+        description="topics of a bag whose messages are the rows, such as `/{robot}/odom`: a name in braces is a part of the "
+        "topic and a column, `*` is any text",
+    )
+    ros: str = Field(
+        "", description="version of ROS 2, such as `humble`, whose types count if a bag does not have their definitions"
+    )
+    covariances: bool = Field(False, description="whether covariances in a bag become columns")
     time: str = Field("", description="column that is the time axis; default: the row number")
     ticks_per_second: Positive | Annotated[str, Field(min_length=1)] | None = Field(
         None,
@@ -165,6 +179,8 @@ class Output(Table):
         if self.kind in ("hdf5", "netcdf") and not self.rows.strip(" ,"):
             what = "the path of a dataset or group" if self.kind == "hdf5" else "one or more variables, separated by commas"
             raise ValueError(f'format = "{self.kind}" needs rows, {what}')
+        if self.kind == "bag":
+            _check_topics(self.topics, self.ros)
         if self.ticks and any(character in self.file for character in "*?["):
             raise ValueError(f"file: {{{self.ticks[0]}}} and the characters * ? [ exclude each other: {self.file!r}")
         if len(set(map(str.lower, self.ticks))) < len(self.ticks):
@@ -204,6 +220,19 @@ class Output(Table):
         """Return the name of its format: as declared, or from the ending of the file. There may be no reader of that name."""
         ending = self.file.rsplit(".", 1)[-1].lower()
         return self.format or (FILE_FORMAT if ending in NAMED_FORMATS else SAME_FORMAT.get(ending, ending))
+
+
+def _check_topics(topics: tuple[str, ...], ros: str) -> None:
+    """Check the keys of a bag. Raises ValueError."""
+    if not topics:
+        raise ValueError('format = "bag" needs topics, such as ["/{robot}/odom"]')
+    names = [tuple(PLACEHOLDER.findall(topic)) for topic in topics]
+    if len(set(names)) > 1:
+        raise ValueError("topics: all should have the same names in braces, because these become columns")
+    if len({*map(str.lower, names[0]), *BAG_COLUMNS}) < len(names[0]) + len(BAG_COLUMNS):
+        raise ValueError(f"topics: names in braces should be unique, and none of {', '.join(BAG_COLUMNS)}")
+    if ros not in ("", *ROS_VERSIONS):
+        raise ValueError(f"ros: unknown version {ros!r}; known are {', '.join(ROS_VERSIONS)}")
 
 
 def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:

@@ -208,6 +208,7 @@ READERS = Kind(
         "sqlite": "sierra.ingest.sqlite_tables:SqliteTables",
         "hdf5": "sierra.ingest.hdf5_datasets:Hdf5Datasets",
         "netcdf": "sierra.ingest.netcdf_variables:NetcdfVariables",
+        "bag": "sierra.ingest.bags.bag_topics:BagTopics",
     },
 )
 _KINDS = "sierra.deliverables.figures.kinds"

@@ -25,8 +25,8 @@ from sierra.config.plugin_registry import READERS, Tables
 from sierra.errors import ConfigError, Missing
 from sierra.util.json_types import Json
 
-EXTRAS = {"hdf5": "HDF5", "netcdf": "NetCDF"}
-"""The formats whose readers need an extra of the same name."""
+EXTRAS = {"hdf5": ("HDF5", "h5py", "hdf5"), "netcdf": ("NetCDF", "h5py", "netcdf"), "bag": ("bags of ROS", "rosbags", "bags")}
+"""The formats whose readers need an extra: the format in words, the package, and the extra."""
 Columns = Mapping[str, Sequence[object]]
 """A table: the values of each column, by its name. All columns have the same length."""
 
@@ -89,12 +89,13 @@ def check_packages(formats: Set[str]) -> None:
     from importlib.util import find_spec
 
     for name in sorted(formats & set(EXTRAS)):
+        words, package, extra = EXTRAS[name]
         try:
-            found = find_spec("h5py") is not None
+            found = find_spec(package) is not None
         except ValueError:
             found = False
         if not found:
-            raise Missing(f"outputs in {EXTRAS[name]} need the package h5py: pip install 'sierra-experiments[{name}]'")
+            raise Missing(f"outputs in {words} need the package {package}: pip install 'sierra-experiments[{extra}]'")
 
 
 def described(formats: Iterable[str], tables: Tables) -> Used:

@@ -54,6 +54,9 @@ class Form:
     rows: str = ""
     unnest: str = ""
     flatten: bool | None = None
+    topics: tuple[str, ...] = ()
+    ros: str = ""
+    covariances: bool = False
 
 
 PLAIN = Form()

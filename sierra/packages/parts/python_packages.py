@@ -18,7 +18,7 @@ from sierra.provenance.pythons import OWN
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
 
-EXTRAS = ("figures", "embedding", "hdf5", "netcdf")
+EXTRAS = ("figures", "embedding", "hdf5", "netcdf", "bags")
 """SIERRA's extras that reading and drawing may need. Those whose packages are installed count."""
 GLIBC = (*range(28, 4, -1), *range(29, 42))
 """Minor versions of glibc 2 that wheels may need, the preferred ones first: most systems have 2.28."""

@@ -80,8 +80,8 @@ MADE: dict[str, tuple[Any, Form]] = {
     "arrow": (arrow, PLAIN),
     "sqlite": (sqlite, Form(rows="s")),
 }
-EXTRA = {"hdf5", "netcdf"}
-"""Formats that `test_hdf5_and_netcdf` checks."""
+EXTRA = {"hdf5", "netcdf", "bag"}
+"""Formats that `test_hdf5_and_netcdf` and `test_bags` check."""
 
 
 def columns(kind: str, table: dict[str, list[Any]]) -> dict[str, list[Any]]:
