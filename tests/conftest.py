@@ -21,6 +21,7 @@ from hypothesis import settings
 
 from sierra.store.store import Store
 from tests import clusters, projects, stores, tiers
+from tests.support import robot_fleet
 from tests.waiting import PATIENCE_S, until
 
 # If a shell starts the tests in the background, they and their child processes ignore these signals.
@@ -150,6 +151,22 @@ def slurm(
     cluster.heal()
     yield cluster
     cluster.heal()
+
+
+@pytest.fixture(scope="session")
+def running_fleet() -> Iterator[robot_fleet.Fleet]:
+    """Yield three robots that each test process starts once, on first use; tests use `fleet`."""
+    with robot_fleet.Fleet() as fleet:
+        yield fleet
+
+
+@pytest.fixture
+def fleet(require: Callable[..., str], request: pytest.FixtureRequest) -> robot_fleet.Fleet:
+    """Return three robots without faults, with empty homes, and with a real sshd each."""
+    robot_fleet.needed(require)
+    running: robot_fleet.Fleet = request.getfixturevalue("running_fleet")
+    running.heal()
+    return running
 
 
 PRINTS = r"printf 't,v\n1,1\n2,4\n' > swarm.csv"
