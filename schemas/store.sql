@@ -48,7 +48,8 @@ CREATE TABLE specs (
     "files" VARCHAR[],  -- names of the input files that each run gets
     "named_inputs" VARCHAR[],  -- those of the files that are part of the spec's id; NULL or empty: none
     "shared_files" VARCHAR,  -- the files beside the inputs, as in shared_files; NULL: none
-    "around" VARCHAR  -- services and the commands before and after the run's command, as JSON; NULL if there are none
+    "around" VARCHAR,  -- services and the commands before and after the run's command, as JSON; NULL if there are none
+    "robots" VARCHAR  -- commands of groups of places on robots that differ from command, as JSON; NULL for runs without robots
 );
 
 -- Executions of runs: when, where and by which programs each run was executed, and how it ended. If an execution was evaluated again by changed rules, status, reason and ingest_rules are those of the last evaluation; the table all_judgements has all evaluations.
@@ -59,7 +60,7 @@ CREATE TABLE executions (
     "batch" VARCHAR,  -- the batch that it was executed for
     "started" TIMESTAMP WITH TIME ZONE,  -- when its program started
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended
-    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch or interrupted
+    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, interrupted, or invalid (see trials)
     "reason" VARCHAR,  -- why the status is not ok, in one line
     "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
     "signal" BIGINT,  -- the signal that ended it; NULL if none did
@@ -101,6 +102,51 @@ CREATE TABLE attempts (
     "state" VARCHAR,  -- finished, or cut off
     "error" VARCHAR,  -- why it could not continue, as reported by itself or else by the scheduler
     "environment" VARCHAR  -- the environment in which it ran
+);
+
+-- Robots of executions: which robot had which place in a run, its host and its clock, and how its part ended. The view robot_clocks converts stamps of the robots to one time axis.
+CREATE TABLE robots (
+    "execution" VARCHAR,  -- the execution
+    "place" BIGINT,  -- its place in the run: 1, 2, …; 0 is the base station
+    "robot_group" VARCHAR,  -- the group of its place: robot, base, or a name in [robots.groups]
+    "robot" VARCHAR,  -- the robot's name in the fleet
+    "status" VARCHAR,  -- how its part ended: ok, failed, stopped, or lost
+    "reason" VARCHAR,  -- what happened to it, in one line; NULL if nothing did
+    "host" VARCHAR,  -- host name that it reported
+    "machine" VARCHAR,  -- architecture of its processor, such as aarch64
+    "processor" VARCHAR,  -- model of its processor
+    "kernel" VARCHAR,  -- release and version of its kernel
+    "boot_id" VARCHAR,  -- id of the boot of its kernel; another id shows that it was started again
+    "environment" VARCHAR,  -- its environment, as in environments; NULL if none is recorded
+    "firmware" VARCHAR,  -- the version of its firmware, as it was reported
+    "calibration_sha256" VARCHAR,  -- SHA-256 of its calibration file
+    "battery_start" DOUBLE,  -- charge of its battery before the run [%]
+    "battery_end" DOUBLE,  -- charge of its battery after the run [%]
+    "offset_start_ns" BIGINT,  -- its clock minus the clock of the submitting host, before the run [ns]
+    "offset_end_ns" BIGINT,  -- its clock minus the clock of the submitting host, after the run [ns]
+    "clock_start_ns" BIGINT,  -- its clock when the first offset was measured, since 1970-01-01 UTC [ns]
+    "clock_end_ns" BIGINT,  -- its clock when the last offset was measured, since 1970-01-01 UTC [ns]
+    "rtt_ns" BIGINT,  -- round-trip time of these measurements; offsets are uncertain by half of it [ns]
+    "start_skew_ns" BIGINT,  -- start of its program minus the common start, by the submitting host's clock [ns]
+    "started" TIMESTAMP WITH TIME ZONE,  -- when its program started, by the submitting host's clock
+    "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended, by the submitting host's clock
+    "exit_code" BIGINT,  -- exit status of its program; NULL if a signal ended it or it is unknown
+    "signal" BIGINT  -- the signal that ended its program; NULL if none did
+);
+
+-- Remarks on supervised executions; the last row of an execution counts, and an earlier one is never changed. An execution whose last row is not valid has the status invalid. It counts nowhere, and its run is executed again.
+CREATE TABLE trials (
+    "execution" VARCHAR,  -- the execution
+    "marked" TIMESTAMP WITH TIME ZONE,  -- when the remark was made
+    "valid" BOOLEAN,  -- whether the trial counts; NULL if nobody decided, and then it counts
+    "reason" VARCHAR,  -- why it is not valid, in one line
+    "note" VARCHAR,  -- a free note
+    "operator" VARCHAR,  -- who supervised it
+    "block" BIGINT,  -- the block of the randomised order of trials, from 0
+    "position" BIGINT,  -- its position in the order of trials, from 0
+    "poses" VARCHAR,  -- the poses at which robots were placed, as JSON
+    "arena" VARCHAR,  -- the name or version of the arena
+    "lamport" BIGINT  -- position of the remark in the logical order, as in sessions
 );
 
 -- Runs that were executed once more than requested, because two attempts at one array task ran at the same time.
@@ -559,7 +605,7 @@ CREATE TABLE all_judgements (
     "batch" VARCHAR,  -- the batch that it was executed for
     "started" TIMESTAMP WITH TIME ZONE,  -- when its program started
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended
-    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch or interrupted; by this judgement
+    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, interrupted, or invalid (see trials); by this judgement
     "reason" VARCHAR,  -- why the status is not ok, in one line; by this judgement
     "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
     "signal" BIGINT,  -- the signal that ended it; NULL if none did
@@ -593,7 +639,7 @@ CREATE TABLE all_candidates (
     "batch" VARCHAR,  -- the batch that it was executed for
     "started" TIMESTAMP WITH TIME ZONE,  -- when its program started
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended
-    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch or interrupted
+    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, interrupted, or invalid (see trials)
     "reason" VARCHAR,  -- why the status is not ok, in one line
     "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
     "signal" BIGINT,  -- the signal that ended it; NULL if none did
@@ -669,6 +715,16 @@ CREATE TABLE nondeterminism (
     "executions" BIGINT,  -- successful executions with these programs [1]
     "results" BIGINT,  -- number of different results [1]
     "verdict" VARCHAR  -- the worst verdict of a replay (equal, within tolerance: by the declared rules); NULL if only bytes are known
+);
+
+-- Clocks of robots. A robot's stamp (ns since 1970-01-01 UTC) becomes one of the submitting host: stamp - offset_ns - round(drift * (stamp - clock_ns))::BIGINT
+CREATE TABLE robot_clocks (
+    "execution" VARCHAR,  -- the execution
+    "place" BIGINT,  -- the robot's place in the run, as in robots
+    "clock_ns" BIGINT,  -- its clock when the first offset was measured [ns]
+    "offset_ns" BIGINT,  -- its clock minus the clock of the submitting host at that time [ns]
+    "drift" DOUBLE,  -- how much the offset grows per second of its clock; NULL without a second measurement [s/s]
+    "uncertainty_ns" DOUBLE  -- half of the round-trip time of the measurements [ns]
 );
 
 -- Runs with the values of the independent variables, which are further columns. A run that belongs to experiments with different values of one variable has a row for each value.

@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from sierra.store.derived_tables import Rules
     from sierra.store.export_recorded_files import Listing, Outcome
     from sierra.store.public_result import Result
-    from sierra.store.row_types import SourceRow
+    from sierra.store.row_types import SourceRow, TrialRow
     from sierra.studies.study import Outcome as StudyOutcome
 
 PACKAGED = ".zip"
@@ -742,6 +742,28 @@ class Project:
         from sierra.explain import why_executed as why
 
         return why.why(self._loaded, self.store, prefix)
+
+    def mark_trial(
+        self,
+        prefix: str,
+        *,
+        valid: bool | None = None,
+        reason: str | None = None,
+        note: str | None = None,
+        operator: str | None = None,
+    ) -> TrialRow:
+        """Record a remark on an execution, or on the effective execution of a run; what is None stays as it was.
+
+        If it is not `valid`, it does not count any more, and the next request of its batch executes the run again. Nothing is
+        deleted. Raises NotFound for an unknown id, UsageError if it becomes invalid without a reason.
+
+        >>> run = project.sql("SELECT run FROM runs LIMIT 1").to_pylist()[0]["run"]
+        >>> project.mark_trial(run, note="as expected").note
+        'as expected'
+        """
+        from sierra.execution import trial_marks
+
+        return trial_marks.mark(self.store, prefix, valid=valid, reason=reason, note=note, operator=operator)
 
     def pin(self, name: str | None = None) -> Contents:
         """Pin the image that a name (default: `[container] image`) refers to now in `sierra.lock`; return its content.

@@ -557,6 +557,8 @@ class Status(StrEnum):
     MISMATCH = "mismatch"
     """A program that ended successfully, but wrote a table that is cut short or has another shape than its siblings."""
     INTERRUPTED = "interrupted"
+    INVALID = "invalid"
+    """A success that does not count, because somebody marked the trial as invalid."""
 
 
 @dataclass(frozen=True, slots=True)

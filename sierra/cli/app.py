@@ -34,6 +34,7 @@ COMMANDS = {
     "show": "sierra.cli.show:show",
     "files": "sierra.cli.files:files",
     "outputs": "sierra.cli.outputs:outputs",
+    "trial": "sierra.cli.trial:app",
     "sql": "sierra.cli.sql:sql",
     "stats": "sierra.cli.stats:stats",
     "figures": "sierra.cli.figures:figures",

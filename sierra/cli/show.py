@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 SHOWN_REASONS = 10
 MORE = 4
 """The largest number of column names that are printed if the columns do not fit the terminal."""
-OPTIONAL = ("named_inputs", "shared_files")
+OPTIONAL = ("named_inputs", "shared_files", "robots")
 """Columns of a spec that are left out if they are NULL."""
 APART = ("build", "failures", "programs", "environment", "image", "isolations", "isolation", "host_access", "history", "around")
 """The parts of a batch or an execution that are printed in forms of their own, after the others."""

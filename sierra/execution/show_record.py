@@ -31,9 +31,11 @@ from sierra.store.row_types import (
     ExecutionRow,
     ImageRow,
     IsolationRow,
+    RobotRow,
     SessionRow,
     SourceRow,
     SpecRow,
+    TrialRow,
 )
 from sierra.store.sql_result import SqlValue
 from sierra.store.store import Found, Snapshot, Store
@@ -332,11 +334,17 @@ class ShownExecution:
     """The packages in which it came, the imported one first; empty if it was made here."""
     log_file: str | None = None
     """Log file of its session."""
+    robots: Sequence[RobotRow] = ()
+    trials: Sequence[TrialRow] = ()
+    """Remarks that people made on it, the one that counts last."""
 
     def as_dict(self) -> Record:
         members = _members(self) if self.isolation else _without(_members(self), "isolation")
         artifacts = [_without(artifact._asdict(), "execution", "run") for artifact in self.artifacts]
-        return {"kind": self.kind, **_without_nulls(self.row._asdict()), **members, "artifacts": artifacts}
+        robots = [_without_nulls(_without(one._asdict(), "execution")) for one in self.robots]
+        trials = [_without_nulls(_without(one._asdict(), "execution", "lamport")) for one in self.trials]
+        own = {"robots": robots, "trials": trials, "artifacts": artifacts}
+        return {"kind": self.kind, **_without_nulls(self.row._asdict()), **members, **own}
 
 
 @dataclass(frozen=True, slots=True)
@@ -628,6 +636,8 @@ def _execution(snapshot: Snapshot, identity: str) -> ShownExecution:
         environment=_environment(snapshot, row.environment),
         observation=_observation(snapshot, row),
         packages=snapshot.values(str, PACKAGES, s=row.session),
+        robots=snapshot.select(RobotRow, "SELECT * FROM robots WHERE execution = $e ORDER BY place", e=identity),
+        trials=snapshot.select(TrialRow, "SELECT * FROM trials WHERE execution = $e ORDER BY lamport", e=identity),
     )
 
 

@@ -31,6 +31,7 @@ from sierra.store.objects import Objects
 from sierra.store.row_types import ArtifactRow, DuplicateRow, ExecutionRow, FileWrittenRow, IngestRulesRow
 from sierra.store.segments import Writer
 from sierra.store.store import Store
+from sierra.store.views import INVALID_TRIAL
 from sierra.util.fs import inside
 from sierra.util.hashing import merkle, short
 from sierra.util.json_types import RecordValue
@@ -42,6 +43,8 @@ SOON_S, LATE_S = 2.0, 600.0
 LOG_KEPT = 1 << 20
 """The number of bytes that are kept of each log: a quarter from its beginning, three quarters from its end."""
 LOG_SHOWN = 2000
+WITH_EXECUTION = ("robots", "trials")
+"""Tables of which a runner reports rows that are recorded with their execution."""
 TRACED = "strace"
 """The method of observations by the tracer."""
 COUNT = "SELECT count(*) AS executions FROM executions WHERE session = $s"
@@ -83,6 +86,8 @@ class Recorder:
         self._reading = context.ingest_rules
         self._pending: list[Judgement] = []
         self._other_rows: dict[str, list[Mapping[str, RecordValue]]] = {}
+        self._parts: dict[str, list[tuple[str, Mapping[str, RecordValue]]]] = {}
+        """The rows of `WITH_EXECUTION` that are not recorded yet, with their tables, by execution."""
         self._environments: set[str] = set()
         """The environments that are recorded or will be; usually one for all elements."""
         self._ruled = 0
@@ -114,6 +119,7 @@ class Recorder:
         result = replace(result, elsewhere=written(result))
         status, reason = judge(result, self.context.outputs, self.context.success)
         if status is Status.INTERRUPTED:
+            self._parts.pop(result.execution, None)
             self._put_away(result)
         else:
             self._left_out.update(dict.fromkeys(result.left_out[: max(NOTED_AT_MOST - len(self._left_out), 0)]))
@@ -136,6 +142,9 @@ class Recorder:
     def add_rows(self, rows: Iterable[tuple[str, Mapping[str, RecordValue]]], copies: Iterable[Result]) -> None:
         """Add other records: rows by table, and runs that were executed once more than requested."""
         for table, row in rows:
+            if table in WITH_EXECUTION:
+                self._parts.setdefault(str(row["execution"]), []).append((table, row))
+                continue
             if table == "environments":
                 if row["environment"] in self._environments:
                     continue
@@ -165,6 +174,8 @@ class Recorder:
         if (doubt := self._doubt()) is not None:
             self._pending = [doubted(one, doubt) for one in self._pending]
         judged = self._write(writer)
+        judged = [self._marked(one) for one in judged]
+        self._write_parts(writer, judged)
         self._store.publish(writer)
         self._ruled += 1
         for one in judged:
@@ -248,6 +259,24 @@ class Recorder:
             writer.records([IngestRulesRow(self._reading, self.context.declared)])
             writer.records([self.context.isolation] if self.context.isolation else [])
         return judged
+
+    def _marked(self, one: Judgement) -> Judgement:
+        """Return the judgement by which the run is reported: that of a person who found the trial invalid, if there is one."""
+        trials = [row for table, row in self._parts.get(one.result.execution, ()) if table == "trials"]
+        if one.status is not Status.OK or not trials or trials[-1].get("valid") in (None, True):
+            return one
+        reason = trials[-1].get("reason")
+        return Judgement(one.result, Status.INVALID, f"{INVALID_TRIAL}: {reason}" if reason else INVALID_TRIAL)
+
+    def _write_parts(self, writer: Writer, judged: Iterable[Judgement]) -> None:
+        """Write the rows that belong to these executions."""
+        rows: dict[str, list[Mapping[str, RecordValue]]] = {}
+        for one in judged:
+            for table, row in self._parts.pop(one.result.execution, ()):
+                own = {"lamport": self.context.lamport()} if table == "trials" else {}
+                rows.setdefault(table, []).append({**row, **own})
+        for table, several in rows.items():
+            writer.rows(table, several)
 
     def _write_observations(self, writer: Writer) -> None:
         found = [one for one in (observed(judgement.result) for judgement in self._pending) if one is not None]

@@ -480,6 +480,10 @@ LOST_BY_EXECUTION = {
     "the names in folders that executions listed are not recorded": """
         SELECT DISTINCT execution FROM observations JOIN files_read f USING (files) ANTI JOIN listings l ON l.sha256 = f.sha256
         WHERE f.use = 'listed' AND f.sha256 IS NOT NULL""",
+    "robots belong to executions that are not recorded": """
+        SELECT DISTINCT execution FROM robots ANTI JOIN executions USING (execution)""",
+    "remarks on trials belong to executions that are not recorded": """
+        SELECT DISTINCT execution FROM trials ANTI JOIN executions USING (execution)""",
     "judgements belong to executions that are not recorded": """
         SELECT DISTINCT judgement FROM judgements ANTI JOIN executions USING (execution)""",
     "verdicts belong to executions that are not recorded": """

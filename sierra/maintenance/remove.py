@@ -202,8 +202,9 @@ AROUND = {
     "environments": (
         "environment",
         "(SELECT environment FROM gone UNION SELECT environment FROM all_sessions "
-        "UNION SELECT environment FROM replays) EXCEPT "
+        "UNION SELECT environment FROM robots UNION SELECT environment FROM replays) EXCEPT "
         "(SELECT environment FROM staying UNION SELECT environment FROM staying_sessions "
+        "UNION SELECT environment FROM robots WHERE environment IS NOT NULL AND execution NOT IN (SELECT own FROM gone) "
         "UNION SELECT environment FROM staying_replays)",
     ),
     "programs": (
@@ -332,7 +333,7 @@ def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Remov
     )
 
 
-OF_EXECUTIONS = ("executions", "artifacts", "findings", "output", "observations", "files_written")
+OF_EXECUTIONS = ("executions", "artifacts", "findings", "output", "observations", "files_written", "robots", "trials")
 
 
 def _drop(snapshot: Snapshot, store: Store, named: Mapping[str, AbstractSet[str]]) -> dict[str, dict[str, AbstractSet[str]]]:

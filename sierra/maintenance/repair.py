@@ -39,7 +39,7 @@ from sierra.util.text import counted
 
 log = Log(__name__)
 
-OF_EXECUTIONS = ("executions", "artifacts", "findings", "output", "observations", "files_written")
+OF_EXECUTIONS = ("executions", "artifacts", "findings", "output", "observations", "files_written", "robots", "trials")
 JUDGEMENTS = "SELECT judgement FROM judgements WHERE list_contains($e, execution)"
 
 

@@ -57,7 +57,11 @@ class Look:
     alive: bool
     """True if more results may come."""
     rows: tuple[tuple[str, Mapping[str, RecordValue]], ...] = ()
-    """Further rows to record: pairs of a table's name and a row."""
+    """Further rows to record: pairs of a table's name and a row.
+
+    Rows of `robots` and `trials` belong to an execution. They come before its result, or in the same look, and are recorded
+    with it; if it was interrupted, they are left out. The recorder sets `trials.lamport`.
+    """
     notes: tuple[str, ...] = ()
     """Messages for the user."""
     queued: int = 0

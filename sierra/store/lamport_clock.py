@@ -23,7 +23,7 @@ NUMBER, TIE, POSITION = 23, 18, 22
 HIGHEST = (1 << NUMBER) - 1
 ORDERED = (
     *("batches", "builds", "deliverables", "executions", "findings", "imported_sessions", "imports", "judgements", "looks"),
-    *("replays", "sessions", "studies"),
+    *("replays", "sessions", "studies", "trials"),
 )
 """The tables with the column `lamport`."""
 

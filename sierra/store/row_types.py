@@ -65,6 +65,9 @@ class SpecRow(NamedTuple):
     around: Annotated[
         str | None, "services and the commands before and after the run's command, as JSON; NULL if there are none"
     ] = None
+    robots: Annotated[
+        str | None, "commands of groups of places on robots that differ from command, as JSON; NULL for runs without robots"
+    ] = None
 
 
 class ExecutionRow(NamedTuple):
@@ -80,7 +83,7 @@ class ExecutionRow(NamedTuple):
     batch: Annotated[str, "the batch that it was executed for"]
     started: Annotated[datetime, "when its program started"]
     ended: Annotated[datetime, "when its program ended"]
-    status: Annotated[str, "ok, failed, timeout, memory, cpu, output, mismatch or interrupted"]
+    status: Annotated[str, "ok, failed, timeout, memory, cpu, output, mismatch, interrupted, or invalid (see trials)"]
     reason: Annotated[str | None, "why the status is not ok, in one line"]
     exit_code: Annotated[int | None, "the program's exit status; NULL if a signal ended it"]
     signal: Annotated[int | None, "the signal that ended it; NULL if none did"]
@@ -134,6 +137,61 @@ class AttemptRow(NamedTuple):
     state: Annotated[str, "finished, or cut off"]
     error: Annotated[str | None, "why it could not continue, as reported by itself or else by the scheduler"]
     environment: Annotated[str | None, "the environment in which it ran"]
+
+
+class RobotRow(NamedTuple):
+    """Robots of executions: which robot had which place in a run, its host and its clock, and how its part ended.
+
+    The view robot_clocks converts stamps of the robots to one time axis.
+    """
+
+    execution: Annotated[str, "the execution"]
+    place: Annotated[int, "its place in the run: 1, 2, …; 0 is the base station"]
+    robot_group: Annotated[str, "the group of its place: robot, base, or a name in [robots.groups]"]
+    robot: Annotated[str, "the robot's name in the fleet"]
+    status: Annotated[str, "how its part ended: ok, failed, stopped, or lost"]
+    reason: Annotated[str | None, "what happened to it, in one line; NULL if nothing did"] = None
+    host: Annotated[str | None, "host name that it reported"] = None
+    machine: Annotated[str | None, "architecture of its processor, such as aarch64"] = None
+    processor: Annotated[str | None, "model of its processor"] = None
+    kernel: Annotated[str | None, "release and version of its kernel"] = None
+    boot_id: Annotated[str | None, "id of the boot of its kernel; another id shows that it was started again"] = None
+    environment: Annotated[str | None, "its environment, as in environments; NULL if none is recorded"] = None
+    firmware: Annotated[str | None, "the version of its firmware, as it was reported"] = None
+    calibration_sha256: Annotated[str | None, "SHA-256 of its calibration file"] = None
+    battery_start: Annotated[float | None, "charge of its battery before the run", "%"] = None
+    battery_end: Annotated[float | None, "charge of its battery after the run", "%"] = None
+    offset_start_ns: Annotated[int | None, "its clock minus the clock of the submitting host, before the run", "ns"] = None
+    offset_end_ns: Annotated[int | None, "its clock minus the clock of the submitting host, after the run", "ns"] = None
+    clock_start_ns: Annotated[int | None, "its clock when the first offset was measured, since 1970-01-01 UTC", "ns"] = None
+    clock_end_ns: Annotated[int | None, "its clock when the last offset was measured, since 1970-01-01 UTC", "ns"] = None
+    rtt_ns: Annotated[int | None, "round-trip time of these measurements; offsets are uncertain by half of it", "ns"] = None
+    start_skew_ns: Annotated[
+        int | None, "start of its program minus the common start, by the submitting host's clock", "ns"
+    ] = None
+    started: Annotated[datetime | None, "when its program started, by the submitting host's clock"] = None
+    ended: Annotated[datetime | None, "when its program ended, by the submitting host's clock"] = None
+    exit_code: Annotated[int | None, "exit status of its program; NULL if a signal ended it or it is unknown"] = None
+    signal: Annotated[int | None, "the signal that ended its program; NULL if none did"] = None
+
+
+class TrialRow(NamedTuple):
+    """Remarks on supervised executions; the last row of an execution counts, and an earlier one is never changed.
+
+    An execution whose last row is not valid has the status invalid. It counts nowhere, and its run is executed again.
+    """
+
+    execution: Annotated[str, "the execution"]
+    marked: Annotated[datetime, "when the remark was made"]
+    valid: Annotated[bool | None, "whether the trial counts; NULL if nobody decided, and then it counts"]
+    reason: Annotated[str | None, "why it is not valid, in one line"] = None
+    note: Annotated[str | None, "a free note"] = None
+    operator: Annotated[str | None, "who supervised it"] = None
+    block: Annotated[int | None, "the block of the randomised order of trials, from 0"] = None
+    position: Annotated[int | None, "its position in the order of trials, from 0"] = None
+    poses: Annotated[str | None, "the poses at which robots were placed, as JSON"] = None
+    arena: Annotated[str | None, "the name or version of the arena"] = None
+    lamport: Annotated[int, "position of the remark in the logical order, as in sessions"] = 0
 
 
 class DuplicateRow(NamedTuple):
@@ -669,6 +727,8 @@ ROWS: dict[str, type[NamedTuple]] = {
     "specs": SpecRow,
     "executions": ExecutionRow,
     "attempts": AttemptRow,
+    "robots": RobotRow,
+    "trials": TrialRow,
     "duplicates": DuplicateRow,
     "isolations": IsolationRow,
     "judgements": JudgementRow,

@@ -55,7 +55,7 @@ RECORDED = {name: _recorded(name, row) for name, row in ROWS.items()}
 LATER: dict[str, tuple[str, ...]] = {
     "sessions": ("build", "target"),
     "observations": ("distributions",),
-    "specs": ("named_inputs", "shared_files", "around"),
+    "specs": ("named_inputs", "shared_files", "around", "robots"),
 }
 """By table, the last columns that were added within this format: older files lack them, and their values are NULL there."""
 
@@ -157,6 +157,17 @@ DERIVED = {
                 TEXT,
                 "the worst verdict of a replay (equal, within tolerance: by the declared rules); NULL if only bytes are known",
             ),
+        ),
+        _table(
+            "robot_clocks",
+            "Clocks of robots. A robot's stamp (ns since 1970-01-01 UTC) becomes one of the submitting host: "
+            "stamp - offset_ns - round(drift * (stamp - clock_ns))::BIGINT",
+            ("execution", ID, "the execution"),
+            ("place", INT, "the robot's place in the run, as in robots"),
+            ("clock_ns", INT, "its clock when the first offset was measured", "ns"),
+            ("offset_ns", INT, "its clock minus the clock of the submitting host at that time", "ns"),
+            ("drift", "DOUBLE", "how much the offset grows per second of its clock; NULL without a second measurement", "s/s"),
+            ("uncertainty_ns", "DOUBLE", "half of the round-trip time of the measurements", "ns"),
         ),
         _table(
             "points",

@@ -20,13 +20,14 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 NEEDS = {
-    "all_judgements": ("findings", "judgements"),
+    "all_judgements": ("findings", "judgements", "trials"),
     "executions": ("all_judgements",),
     "artifacts": ("all_judgements",),
     "all_artifacts": ("artifacts",),
     "all_candidates": ("all_judgements", "reused_executions"),
     "effective": ("batch_runs", "sessions", "all_judgements", "all_candidates", "stale_sessions", "origins"),
     "nondeterminism": ("executions", "verdicts", "imported_sessions"),
+    "robot_clocks": ("robots",),
     "points": ("batch_runs", "experiments", "batches"),
     "runs": ("batch_runs", "experiments", "batches", "executions", "effective", "origins"),
 }
@@ -262,6 +263,8 @@ class Views:
                 "SELECT e.* REPLACE (coalesce(f.status, e.status) AS status, coalesce(f.reason, e.reason) AS reason) "
                 f"FROM ({first}) e LEFT JOIN findings f ON f.execution = e.judgement"
             )
+        if "trials" in self._files:
+            first = JUDGED_BY_PEOPLE.format(judgements=first, beginning=quote(INVALID_TRIAL))
         if self._imported:
             return f"SELECT e.*, i.packages AS packages FROM ({first}) e LEFT JOIN imported_sessions i ON i.session = e.session"
         return f"SELECT *, NULL::VARCHAR[] AS packages FROM ({first})"
@@ -374,6 +377,19 @@ COUNTS = """e.status = 'ok' AND e.purpose = 'run' AND e.ingest_rules = l.ingest_
 judgement of the last execution is effective.
 """
 
+INVALID_TRIAL = "invalid trial"
+"""The beginning of the reasons of executions that people marked as invalid."""
+JUDGED_BY_PEOPLE = """
+SELECT e.* REPLACE (
+    CASE WHEN t.refused AND e.status = 'ok' THEN 'invalid' ELSE e.status END AS status,
+    CASE WHEN t.refused AND e.status = 'ok' THEN {beginning} || coalesce(': ' || t.said, '') ELSE e.reason END AS reason
+) FROM ({judgements}) e LEFT JOIN (
+    SELECT execution, NOT coalesce(last.valid, true) AS refused, last.reason AS said
+    FROM (SELECT execution, arg_max({{'valid': valid, 'reason': reason}}, lamport) AS last FROM trials GROUP BY execution)
+) t ON t.execution = e.execution
+"""
+"""All judgements; the successful ones of executions whose trial is not valid have the status invalid."""
+
 OWN = "SELECT NULL::VARCHAR AS reusing, * FROM all_judgements"
 CANDIDATES = f"""
 {OWN} UNION ALL BY NAME
@@ -436,7 +452,12 @@ SELECT s.*, CASE j.worst WHEN 0 THEN 'identical' WHEN 1 THEN 'equal' WHEN 2 THEN
     END AS verdict
 FROM several s LEFT JOIN compared j USING (run, programs)
 """
-DEFINED = {"effective": COUNTING, "nondeterminism": NONDETERMINISM}
+ROBOT_CLOCKS = """
+SELECT execution, place, clock_start_ns AS clock_ns, offset_start_ns AS offset_ns,
+       (offset_end_ns - offset_start_ns) / nullif(clock_end_ns - clock_start_ns, 0) AS drift, rtt_ns / 2 AS uncertainty_ns
+FROM robots WHERE offset_start_ns IS NOT NULL AND clock_start_ns IS NOT NULL
+"""
+DEFINED = {"effective": COUNTING, "nondeterminism": NONDETERMINISM, "robot_clocks": ROBOT_CLOCKS}
 
 
 COUNTED = """

@@ -31,7 +31,9 @@ LOADED = ("executed", "read", "linked")
 """The uses of files that are named wherever they were; of other uses, only files of the project and the system."""
 HOSTS = """
 SELECT host FROM executions UNION SELECT host FROM environments UNION SELECT host FROM builds UNION SELECT node FROM attempts
+UNION SELECT host FROM robots WHERE host IS NOT NULL
 """
+ROBOTS = "SELECT robot FROM robots"
 ATTEMPTS = """
 SELECT attempt FROM attempts UNION SELECT attempt FROM duplicates
 UNION SELECT attempt FROM executions WHERE attempt IS NOT NULL
@@ -62,6 +64,7 @@ class RowRedactor:
 
     def __init__(self, snapshot: Snapshot) -> None:
         self.host = Pseudonyms("host-{}", snapshot.values(str, HOSTS))
+        self.robot = Pseudonyms("robot-{}", snapshot.values(str, ROBOTS))
         self.package = Pseudonyms("package-{}", snapshot.values(str, PACKAGES))
         self.attempt = Pseudonyms("attempt-{}", snapshot.values(str, ATTEMPTS))
         paths = (one for path in snapshot.values(str, PATHS) for one in path.split(":"))

@@ -57,6 +57,7 @@ class _Redactor:
         self._shift = _shift(snapshot, date)
         self._changes: dict[Rule, Callable[[str], str]] = {
             Rule.HOST: self._rows.host,
+            Rule.ROBOT: self._rows.robot,
             Rule.PACKAGE: self._rows.package,
             Rule.HIDDEN: lambda text: HIDDEN,
             Rule.ATTEMPT: self._rows.attempt,

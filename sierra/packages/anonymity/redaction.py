@@ -6,6 +6,7 @@ they are. Rewritten are:
 
     TIME          all times are moved by one duration, so that the last one is midnight of the package's date: durations stay
     HOST          host-1, host-2, …: the same name for the same host everywhere
+    ROBOT         robot-1, robot-2, …: the name of a robot
     PACKAGE       package-1, package-2, …: the id of an imported package, which may be published with names
     ATTEMPT       attempt-1, attempt-2, …: the original has the names of a job and of a node
     PLACE         the folder of a path, unless it is in the project or belongs to the system: /redacted/1/argos3
@@ -35,6 +36,7 @@ class Rule(Enum):
     KEEP = auto()
     TIME = auto()
     HOST = auto()
+    ROBOT = auto()
     PACKAGE = auto()
     ATTEMPT = auto()
     HIDDEN = auto()
@@ -62,7 +64,7 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
     ),
     "experiments": _rules("experiment batch ordinal"),
     "batch_runs": _rules("batch ordinal number run seed input other_inputs spec"),
-    "specs": _rules("spec platform command variables source image host_access files named_inputs shared_files around"),
+    "specs": _rules("spec platform command variables source image host_access files named_inputs shared_files around robots"),
     "executions": _rules(
         "execution run session batch status reason exit_code signal wall_s user_s system_s max_rss_bytes slot result log_tail "
         "programs ingest_rules purpose lamport",
@@ -83,6 +85,19 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
         allocation=Rule.NOTHING,
         environment=E,
     ),
+    "robots": _rules(
+        "execution place robot_group status reason machine processor kernel firmware calibration_sha256 battery_start "
+        "battery_end offset_start_ns offset_end_ns rtt_ns start_skew_ns exit_code signal",
+        robot=Rule.ROBOT,
+        host=Rule.HOST,
+        boot_id=Rule.NOTHING,
+        environment=E,
+        clock_start_ns=Rule.NOTHING,
+        clock_end_ns=Rule.NOTHING,
+        started=T,
+        ended=T,
+    ),
+    "trials": _rules("execution valid reason note block position poses arena lamport", operator=Rule.HIDDEN, marked=T),
     "duplicates": _rules("execution run result same", attempt=Rule.ATTEMPT),
     "isolations": _rules(
         "engine version rootless mode image network devices limits_asked limits_enforced",
