@@ -717,6 +717,11 @@ class Project:
 
         Each is a prefix of a batch's id, or the path of a package: with `:HASH` for one of its batches, else its batch with the
         same id as the other one, or its only one. Raises NotFound, Missing, Damaged.
+
+        >>> project.diff_packages(summary.batch, "theirs.zip")
+        Traceback (most recent call last):
+            ...
+        sierra.errors.Missing: theirs.zip: No such file or directory
         """
         from contextlib import ExitStack
 
