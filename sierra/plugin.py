@@ -12,6 +12,7 @@ group of entry points      contract           chosen by                         
 `sierra.platforms`         `Platform`         `platform = "NAME"`                        `[platforms.NAME]`
 `sierra.templates`         `Template`         `template_format`, or the ending           `[template_formats.NAME]`
 `sierra.runners`           `Runner`           `sierra run … --on NAME`                   `[runners.NAME]`
+`sierra.links`             `Link`             `link = "NAME"` of a runner                `[links.NAME]`
 `sierra.schedulers`        `Scheduler`        `[runners.…] scheduler = "NAME"`           the same table
 `sierra.engines`           `Engine`           `[container] engine = "NAME"`, `--engine`  `[engines.NAME]`
 `sierra.readers`           `OutputReader`     `[outputs.…] format`, or the ending        `[readers.NAME]`
@@ -30,10 +31,10 @@ Each class has two class attributes beside what its contract says:
 
 **Identity.** A run's id is the hash of its inputs, command, environment, source and image. The options of a platform and of a
 template format are part of it as far as they change these. The options of a reader, and its package's version, are part of the
-hash of the rules by which executions are evaluated. The options of a runner, a scheduler and an engine are part of no id, so
-they must not change results. The options of a statistic change the numbers of tables and figures, and no id. A kind of figure
-and a comparison method are part of no id either. The values and changes that a range of a criterion computes are part of ids as
-if they were written in the query; its options are not.
+hash of the rules by which executions are evaluated. The options of a runner, a scheduler, a link and an engine are part of no
+id, so they must not change results. The options of a statistic change the numbers of tables and figures, and no id. A kind of
+figure and a comparison method are part of no id either. The values and changes that a range of a criterion computes are part of
+ids as if they were written in the query; its options are not.
 
 **Errors.** Raise `ConfigError` for invalid settings, `TemplateError` for a template, `Missing` for something that does not
 exist on this machine, `UnreadableError` for an output file, with one line: what is wrong, which one, what would be right. Any
@@ -42,8 +43,9 @@ other error counts as a fault of the plug-in, and SIERRA says so in one line tha
 **Loading.** A plug-in is imported when a command uses its name. An import that fails breaks only these commands. Two packages
 that offer the same name for one kind are an error that names both; the shipped names cannot be replaced.
 
-`sierra.testing` has a conformance suite for each kind: `platforms`, `templates`, `runners` (for schedulers too), `engines`,
-`readers`, `statistics`, `figures`, `comparisons` and `criteria`. The contracts are the docstrings of the classes below.
+`sierra.testing` has a conformance suite for each kind: `platforms`, `templates`, `runners` (for schedulers too), `links`,
+`engines`, `readers`, `statistics`, `figures`, `comparisons` and `criteria`. The contracts are the docstrings of the classes
+below.
 """
 
 from __future__ import annotations
@@ -61,6 +63,8 @@ from sierra.deliverables.figures.base import Request as FigureRequest
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.errors import ConfigError, Full, Missing, PluginError, QueryError, SierraError, TemplateError, UsageError
 from sierra.ingest.base import Columns, OutputReader, UnreadableError
+from sierra.links.base import LIMIT, Channel, Ended, Folder, Link, LinkOptions, Overdue, Unreachable, UntrustedHost
+from sierra.links.commands import Commands, Stream
 from sierra.model import (
     Add,
     Axis,
@@ -101,6 +105,7 @@ from sierra.templates.base import ARGUMENTS, Document, Files, Rendered, Renderer
 __all__ = [
     "ARGUMENTS",
     "KINDS",
+    "LIMIT",
     "NAME_LENGTH",
     "VERSION",
     "Add",
@@ -111,9 +116,11 @@ __all__ = [
     "Cell",
     "CellResult",
     "Change",
+    "Channel",
     "Client",
     "ClusterTable",
     "Columns",
+    "Commands",
     "ComparisonMethod",
     "Computed",
     "ConfigError",
@@ -122,12 +129,14 @@ __all__ = [
     "Document",
     "Drawing",
     "Effect",
+    "Ended",
     "Engine",
     "Estimate",
     "Figure",
     "FigureKind",
     "FigureRequest",
     "Files",
+    "Folder",
     "Following",
     "Formula",
     "Full",
@@ -137,6 +146,8 @@ __all__ = [
     "Kind",
     "Limit",
     "Limits",
+    "Link",
+    "LinkOptions",
     "Local",
     "Look",
     "Missing",
@@ -146,6 +157,7 @@ __all__ = [
     "Omnibus",
     "OutputFile",
     "OutputReader",
+    "Overdue",
     "Pair",
     "Parameter",
     "Platform",
@@ -174,13 +186,16 @@ __all__ = [
     "State",
     "Statistic",
     "StorePaths",
+    "Stream",
     "Table",
     "Task",
     "Template",
     "TemplateError",
     "TemplateView",
     "Times",
+    "Unreachable",
     "UnreadableError",
+    "UntrustedHost",
     "UsageError",
     "Value",
     "Work",

@@ -276,7 +276,8 @@ CRITERIA = Kind(
     "sierra.query.base:Range",
     {"Log": "sierra.query.named_ranges:LogRange", "Linear": "sierra.query.named_ranges:LinearRange"},
 )
-KINDS = (PLATFORMS, TEMPLATES, RUNNERS, SCHEDULERS, ENGINES, READERS, STATISTICS, FIGURES, COMPARISONS, CRITERIA)
+LINKS = Kind("link", "sierra.links.base:Link", {"fabric": "sierra.links.fabric:Fabric"})
+KINDS = (PLATFORMS, TEMPLATES, RUNNERS, LINKS, SCHEDULERS, ENGINES, READERS, STATISTICS, FIGURES, COMPARISONS, CRITERIA)
 
 
 def check(project: Project) -> None:
@@ -284,6 +285,7 @@ def check(project: Project) -> None:
     PLATFORMS.check(project.platforms)
     TEMPLATES.check(project.template_formats)
     ENGINES.check(project.engines)
+    LINKS.check(project.links)
     READERS.check(project.readers)
     figure_options.check(project.figures)
     STATISTICS.check(project.statistics)

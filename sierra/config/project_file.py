@@ -227,6 +227,7 @@ class Project(Table):
     runners: Mapping[str, RawTable] = Field(
         default_factory=dict, description="clusters for `--on`, by name: `slurm`, `pbs`, or your own name with a `scheduler`"
     )
+    links: Mapping[str, RawTable] = Field(default_factory=dict, description="options of links to hosts over SSH, by name")
     template_formats: Mapping[str, RawTable] = Field(default_factory=dict, description="options of template formats, by name")
     engines: Mapping[str, RawTable] = Field(default_factory=dict, description="options of container engines, by name")
     readers: Mapping[str, RawTable] = Field(

@@ -26,6 +26,7 @@ from sierra.config.plugin_registry import (
     ENGINES,
     FIGURES,
     KINDS,
+    LINKS,
     PLATFORMS,
     READERS,
     RUNNERS,
@@ -99,7 +100,7 @@ def json_schema(note: Note | None = None) -> Schema:
     With `note`, those of the installed plug-ins are included. `note` receives a line for each one that cannot be used.
     """
     schema = _schema(Project)
-    for kind in (PLATFORMS, RUNNERS, TEMPLATES, ENGINES, READERS, STATISTICS, COMPARISONS, CRITERIA):
+    for kind in (PLATFORMS, RUNNERS, LINKS, TEMPLATES, ENGINES, READERS, STATISTICS, COMPARISONS, CRITERIA):
         table = schema["properties"][kind.table]
         named = {name: _define(schema, f"{kind.table}.{name}", kind.load(name).Options) for name in _with_options(kind, note)}
         if named:

@@ -1,0 +1,195 @@
+"""Commands and copies of folders on a host, for any back end that can start a command line there."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from sierra.links import copy_folder, framing
+from sierra.links.base import LIMIT, Ended, Folder, LinkOptions, Overdue, Unreachable
+
+AT_ONCE = 1 << 14
+"""The bytes of input that a command can be sent without waiting: less than the buffers of all links."""
+
+
+class Stream(Protocol):
+    """A command line that was started on a host, as bytes."""
+
+    def send(self, data: bytes, timeout: float) -> None:
+        """Send input. Raises TimeoutError if none was taken for `timeout` s, BrokenPipeError if nobody reads, Unreachable."""
+
+    def end_input(self) -> None:
+        """Close the input."""
+
+    def read(self, timeout: float) -> tuple[int, bytes] | None:
+        """Return 1 or 2 and some bytes of standard output or error; None at the end. Raises TimeoutError, and Unreachable."""
+
+    def close(self, *, ended: bool = False) -> None:
+        """Forget the command, while others may wait in `send` or `read`. `ended`: the command has ended."""
+
+    def problem(self) -> str:
+        """Return why the stream has ended without a status, if something is known."""
+
+
+class Exchange:
+    """A command that executes: its stream without frames, and its place among the sessions of the link."""
+
+    def __init__(self, name: str, stream: Stream, mark: str, place: threading.Semaphore) -> None:
+        self.name, self._stream, self._place = name, stream, place
+        self._outputs = {1: framing.Unframed(mark), 2: framing.Unframed(mark)}
+        self._open = threading.Lock()
+
+    @property
+    def status(self) -> int | None:
+        return self._outputs[1].status
+
+    @property
+    def ended(self) -> bool:
+        return all(one.status is not None for one in self._outputs.values())
+
+    def send(self, data: bytes, timeout: float) -> None:
+        self._stream.send(data, timeout)
+
+    def end_input(self) -> None:
+        with contextlib.suppress(OSError, Unreachable):
+            self._stream.end_input()
+
+    def read(self, timeout: float) -> tuple[int, bytes] | None:
+        """Return 1 or 2 and bytes that the command wrote, if any; None if it has ended. Raises TimeoutError, Unreachable."""
+        if self.ended:
+            return None
+        found = self._stream.read(timeout)
+        if found is None:
+            said = self._stream.problem() or " ".join(filter(None, (one.before for one in self._outputs.values())))
+            raise Unreachable(f"{self.name}: the connection ended while a command executed{f': {said}' if said else ''}")
+        return found[0], self._outputs[found[0]].feed(found[1])
+
+    def close(self) -> None:
+        if self._open.acquire(blocking=False):  # only once
+            self._stream.close(ended=self.ended)
+            self._place.release()
+
+
+class Lines:
+    """The Channel of an exchange."""
+
+    def __init__(self, exchange: Exchange, silence: float) -> None:
+        self._exchange, self._silence = exchange, silence
+        self._held, self._errors, self._over = b"", b"", False
+
+    def send(self, line: str) -> None:
+        name = self._exchange.name
+        try:
+            self._exchange.send(line.encode() + b"\n", self._silence)
+        except TimeoutError:
+            raise Unreachable(f"{name}: does not take a line for {self._silence:g} s") from None
+        except OSError:
+            raise Unreachable(f"{name}: the command has ended, so that it takes no line") from None
+
+    def receive(self, timeout: float) -> str | None:
+        end = time.monotonic() + timeout
+        while b"\n" not in self._held and not self._over:
+            try:
+                found = self._exchange.read(max(0.0, end - time.monotonic()))
+            except TimeoutError:
+                raise Overdue(f"{self._exchange.name}: no answer within {timeout:g} s") from None
+            self._over = found is None
+            match found:
+                case (1, data):
+                    self._held += data
+                case (2, data):
+                    self._errors = (self._errors + data)[:LIMIT]
+        line, complete, self._held = self._held.partition(b"\n")
+        return line.decode(errors="replace") if line or complete else None
+
+    def status(self) -> int | None:
+        return self._exchange.status if self._over else None
+
+    def errors(self) -> str:
+        return self._errors.decode(errors="replace")
+
+    def close(self) -> None:
+        self._exchange.end_input()
+        self._exchange.close()
+
+
+class Commands(ABC):
+    """All methods of a Link but its connection. A back end implements `_start`, `_check` and `close`."""
+
+    def __init__(self, host: str, options: LinkOptions) -> None:
+        self.name = host
+        self._options = options
+        self._places = threading.Semaphore(options.sessions)
+
+    @abstractmethod
+    def _start(self, line: str) -> Stream:
+        """Start a command line on the host; connect if there is no connection. Raises Unreachable and UntrustedHost."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the connection."""
+
+    def run(self, argv: Sequence[str], *, stdin: bytes = b"", timeout: float = 30.0) -> Ended:
+        end = time.monotonic() + timeout
+        with self._exchange(argv, timeout, limit=timeout) as exchange:
+            if len(stdin) > AT_ONCE:
+                threading.Thread(target=_feed, args=(exchange, stdin, timeout), daemon=True).start()
+            else:
+                _feed(exchange, stdin, timeout)
+            kept = {1: bytearray(), 2: bytearray()}
+            try:
+                while found := exchange.read(max(0.0, end - time.monotonic())):
+                    output = kept[found[0]]
+                    output += found[1][: LIMIT - len(output)]
+                    if time.monotonic() > end and not exchange.ended:
+                        raise TimeoutError
+            except TimeoutError:
+                raise Overdue(f"{self.name}: {argv[0]} did not end within {timeout:g} s") from None
+        assert exchange.status is not None  # noqa: S101 - it has ended
+        return Ended(exchange.status, bytes(kept[1]), bytes(kept[2]))
+
+    def channel(self, argv: Sequence[str]) -> Lines:
+        return Lines(self._exchanged(argv, self._options.lost), self._options.lost)
+
+    def push(self, folder: Path, target: str, *, timeout: float = 60.0) -> Folder:
+        listed = copy_folder.listed(folder)
+        with self._exchange(copy_folder.program("push"), timeout) as exchange:
+            return copy_folder.push(exchange, folder, listed, target, timeout)
+
+    def pull(self, folder: str, target: Path, *, timeout: float = 60.0) -> Folder:
+        with self._exchange(copy_folder.program("pull"), timeout) as exchange:
+            return copy_folder.pull(exchange, folder, target, timeout)
+
+    @contextlib.contextmanager
+    def _exchange(self, argv: Sequence[str], wait: float, limit: float | None = None) -> Iterator[Exchange]:
+        exchange = self._exchanged(argv, wait, limit)
+        try:
+            yield exchange
+        finally:
+            exchange.close()
+
+    def _exchanged(self, argv: Sequence[str], wait: float, limit: float | None = None) -> Exchange:
+        if not self._places.acquire(timeout=wait):
+            raise Overdue(
+                f"{self.name}: {self._options.sessions} commands are executing, and none ended within {wait:g} s; "
+                "increase sessions of the link if the host allows more"
+            )
+        mark = framing.new_mark()
+        try:
+            return Exchange(self.name, self._start(framing.line(argv, mark, limit)), mark, self._places)
+        except BaseException:
+            self._places.release()
+            raise
+
+
+def _feed(exchange: Exchange, data: bytes, timeout: float) -> None:
+    """Send the input of a command, and end it. A command may end without reading it."""
+    with contextlib.suppress(OSError, Unreachable):
+        if data:
+            exchange.send(data, timeout)
+        exchange.end_input()

@@ -1,0 +1,181 @@
+"""Copies of folders to and from a host: the part on this machine. `sierra.links.remote_folder` is the part on the host."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sierra.errors import Missing
+from sierra.links import remote_folder
+from sierra.links.base import Folder, Overdue, Unreachable
+
+if TYPE_CHECKING:
+    from sierra.links.commands import Exchange
+
+Entry = list[Any]
+"""See `sierra.links.remote_folder`."""
+LONGEST = 1 << 28
+"""The greatest size in bytes of the list of a folder that a host may send."""
+LOADER = "import json, sys; exec(json.loads(sys.stdin.buffer.readline()))"
+
+
+def program(way: str) -> tuple[str, ...]:
+    """Return the command that executes the part on the host, whose text is its first line of input."""
+    return ("python3", "-c", LOADER, way)
+
+
+def listed(folder: Path) -> list[Entry]:
+    """Return the entries of a local folder. Raises Missing if there are other things than files, folders and links within."""
+    try:
+        found, left_out = remote_folder.entries(os.fsencode(folder))
+    except OSError as error:
+        raise Missing(f"{error.filename!r} cannot be read: {error.strerror}") from error
+    if left_out:
+        raise Missing(f"{folder}: only files, folders, and links that stay within can be copied, not {_few(left_out)}")
+    return found
+
+
+def push(exchange: Exchange, folder: Path, entries: list[Entry], target: str, timeout: float) -> Folder:
+    """Send a folder, unless the host has it already."""
+    host = _Host(exchange, timeout, f"{exchange.name}: {_shown(target)} cannot be written")
+    host.request(target, entries)
+    if host.answer()["state"] == "send":
+        for data in _contents(folder, entries):
+            host.send(data)
+        host.answer()
+    return _folder(entries)
+
+
+def pull(exchange: Exchange, folder: str, target: Path, timeout: float) -> Folder:
+    """Receive a folder, unless the target has its contents already."""
+    host = _Host(exchange, timeout, f"{exchange.name}: {_shown(folder)} cannot be copied")
+    host.request(folder)
+    answer = host.answer()
+    entries = _checked(exchange.name, answer["entries"])
+    left_out = tuple(_shown(str(name)) for name in answer["left_out"])
+    try:
+        if not _is_there(target, entries):
+            with remote_folder.unfinished(os.fsencode(target.absolute())) as made:
+                remote_folder.write(made, entries, host.read)
+                remote_folder.finish(made, os.fsencode(target.absolute()))
+    except remote_folder.Problem as error:
+        raise Missing(f"{exchange.name}: {_shown(folder)}: {error}") from error
+    except OSError as error:
+        raise Missing(f"{target} cannot be written: {error.strerror}") from error
+    return _folder(entries, left_out)
+
+
+def _is_there(target: Path, entries: list[Entry]) -> bool:
+    """Check whether a target has these contents. Raises Missing if it has others."""
+    if not os.path.lexists(target):
+        return False
+    if target.is_dir() and remote_folder.entries(os.fsencode(target)) == (entries, []):
+        return True
+    raise Missing(f"{target} is there already, with other contents; remove it or choose another name")
+
+
+class _Host:
+    """The part on the host, with a limit on its silence."""
+
+    def __init__(self, exchange: Exchange, timeout: float, failure: str) -> None:
+        self._exchange, self._timeout, self._failure = exchange, timeout, failure
+        self._held, self._errors = b"", b""
+
+    def request(self, *words: object) -> None:
+        for line in (Path(remote_folder.__file__).read_text(), words):
+            self.send(json.dumps(line).encode() + b"\n")
+
+    def send(self, data: bytes) -> None:
+        try:
+            self._exchange.send(data, self._timeout)
+        except TimeoutError:
+            raise self._overdue() from None
+        except OSError:
+            self.answer()  # the reason
+            raise Unreachable(f"{self._failure}: the connection ended") from None
+
+    def answer(self) -> dict[str, Any]:
+        """Return the next answer. Raises Missing if it is a problem."""
+        line = b""
+        while not line.strip():
+            while b"\n" not in self._held:
+                self._receive()
+                if len(self._held) > LONGEST:
+                    raise Missing(f"{self._failure}: the host sends a list of more than {LONGEST >> 20} MiB")
+            line, _, self._held = self._held.partition(b"\n")
+        found: dict[str, Any] = json.loads(line)
+        if "error" in found:
+            raise Missing(f"{self._failure}: {_shown(str(found['error']))}")
+        return found
+
+    def read(self, size: int) -> bytes:
+        """Return at most this number of bytes of contents; at least one."""
+        while not self._held:
+            self._receive()
+        data, self._held = self._held[:size], self._held[size:]
+        return data
+
+    def _receive(self) -> None:
+        try:
+            found = self._exchange.read(self._timeout)
+        except TimeoutError:
+            raise self._overdue() from None
+        if found is None:
+            said = self._errors.decode(errors="replace").strip().splitlines()[-1:]
+            raise Missing(f"{self._failure}: {said[0] if said else 'python3 ended'} (Python 3.8 or newer is needed there)")
+        if found[0] == 1:
+            self._held += found[1]
+        else:
+            self._errors = (self._errors + found[1])[-(1 << 14) :]
+
+    def _overdue(self) -> Overdue:
+        return Overdue(f"{self._failure}: no progress within {self._timeout:g} s")
+
+
+def _contents(folder: Path, entries: list[Entry]) -> Iterator[bytes]:
+    """Yield the contents of all files, with exactly their sizes. Raises Missing if a file is gone."""
+    for entry in entries:
+        if entry[0] == "file":
+            try:
+                yield from remote_folder.contents(os.fsencode(folder) + b"/" + remote_folder.raw(entry[1]), entry[3])
+            except OSError as error:
+                raise Missing(f"{folder}/{_shown(entry[1])} changed while it was copied: {error.strerror}") from error
+
+
+def _checked(host: str, entries: Any) -> list[Entry]:
+    """Return entries that a host sent, if none leads out of a folder. Raises Missing."""
+    folders, seen = {""}, set()
+    for entry in entries:
+        match entry:
+            case ["folder", str(path)]:
+                folders.add(path)
+            case ["file", str(path), str(digest), int(size), bool()] if size >= 0 and re.fullmatch("[0-9a-f]{64}", digest):
+                pass
+            case ["link", str(path), str(to)] if remote_folder.stays_within(path, to):
+                pass
+            case _:
+                raise Missing(f"{host}: sends {_shown(repr(entry))}, which is no entry of a folder")
+        parent, _, name = path.rpartition("/")
+        if name in ("", ".", "..") or "\0" in name or path in seen or parent not in folders:
+            raise Missing(f"{host}: sends the name {_shown(path)}, which does not stay within the folder")
+        seen.add(path)
+    return list(entries)
+
+
+def _folder(entries: list[Entry], left_out: tuple[str, ...] = ()) -> Folder:
+    files = {entry[1]: entry[2] for entry in entries if entry[0] == "file"}
+    return Folder(files, {entry[1]: entry[2] for entry in entries if entry[0] == "link"}, left_out)
+
+
+def _shown(name: str) -> str:
+    """Return a name on one line."""
+    return name if name.isprintable() else ascii(name)[1:-1]
+
+
+def _few(names: list[str]) -> str:
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(map(_shown, names[:3])) + more

@@ -1,0 +1,255 @@
+"""The part of an exchange of folders that executes on the host: it needs Python 3.8 or newer and nothing else there.
+
+`push` reads a line of JSON from standard input, `[target, entries]`, and answers with the line `{"state": "there"}` if the
+target has these entries, or `{"state": "send"}`. Then it reads the contents of all files, one after the other, and answers with
+`{"state": "done"}`. `pull` reads `[folder]`, and answers with `{"entries": …, "left_out": …}` and the contents of all files.
+Problems are answered with `{"error": text}`. Empty lines before an answer are signs of life.
+
+An entry is `["file", path, sha256, bytes, executable]`, `["folder", path]` or `["link", path, target]`. Names are UTF-8 with
+surrogate escapes, so that each sequence of bytes has a text. The same functions make the entries on this machine.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import re
+import secrets
+import shutil
+import signal
+import stat
+import sys
+import time
+
+TYPE_CHECKING = False  # the host needs no types
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from typing import Any
+
+CHUNK = 1 << 18
+SILENCE_S = 600
+"""Seconds without input after which the transfer ends and removes what it wrote: the connection is lost."""
+FREE = re.compile(r"(\.\./)*[^/]+(/[^/]+)*")
+UNFINISHED = b".sierra-unfinished"
+
+
+class Problem(Exception):
+    """What prevents the transfer, in one line."""
+
+
+def stays_within(path: str, target: str) -> bool:
+    """Check that a link stays within the folder: `..` is allowed at its beginning only, because later parts may be links."""
+    if not FREE.fullmatch(target) or "\0" in target:
+        return False
+    parts = target.split("/")
+    ups = next((number for number, part in enumerate(parts) if part != ".."), len(parts))
+    return ups <= path.count("/") and not {".", ".."} & set(parts[ups:])
+
+
+def entries(root: bytes, alive: Callable[[], None] = lambda: None) -> tuple[list[list[Any]], list[str]]:
+    """Return the entries of a folder, sorted, and the paths of all that is neither file nor folder nor link within it."""
+    found: list[list[Any]] = []
+    left_out: list[str] = []
+
+    def visit(folder: bytes, prefix: str) -> None:
+        for one in sorted(os.scandir(folder), key=lambda entry: entry.name):
+            path = prefix + text(one.name)
+            status = one.stat(follow_symlinks=False)
+            if stat.S_ISDIR(status.st_mode):
+                found.append(["folder", path])
+                visit(one.path, path + "/")
+            elif stat.S_ISREG(status.st_mode):
+                digest, size = hash_of(one.path, alive)
+                found.append(["file", path, digest, size, bool(status.st_mode & 0o111)])
+            elif stat.S_ISLNK(status.st_mode) and stays_within(path, text(os.readlink(one.path))):
+                found.append(["link", path, text(os.readlink(one.path))])
+            else:
+                left_out.append(path)
+
+    visit(root, "")
+    return found, left_out
+
+
+def hash_of(path: bytes, alive: Callable[[], None]) -> tuple[str, int]:
+    digest, size = hashlib.sha256(), 0
+    with open(path, "rb") as file:
+        while True:
+            data = file.read(CHUNK)
+            alive()
+            if not data:
+                return digest.hexdigest(), size
+            digest.update(data)
+            size += len(data)
+
+
+def text(name: bytes) -> str:
+    return name.decode("utf-8", "surrogateescape")
+
+
+def raw(name: str) -> bytes:
+    return name.encode("utf-8", "surrogateescape")
+
+
+@contextlib.contextmanager
+def unfinished(target: bytes) -> Iterator[bytes]:
+    """Yield a new folder beside the target, which is removed unless it was renamed. Those that were left are removed, too."""
+    beside, name = os.path.split(target)
+    os.makedirs(beside, exist_ok=True)
+    prefix = UNFINISHED + b"-" + hashlib.sha256(name).hexdigest()[:16].encode() + b"-"
+    for one in os.listdir(beside):
+        if one.startswith(prefix):
+            remove_left(os.path.join(beside, one))
+    made = os.path.join(beside, prefix + secrets.token_hex(8).encode())
+    os.mkdir(made, 0o700)
+    held = lock(made)
+    try:
+        yield made
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+        os.close(held)
+
+
+def remove_left(path: bytes) -> None:
+    """Remove the folder of a transfer that is gone; that of a running one is locked."""
+    with contextlib.suppress(OSError):
+        held = lock(path)
+        shutil.rmtree(path, ignore_errors=True)
+        os.close(held)
+
+
+def lock(folder: bytes) -> int:
+    opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(opened)
+        raise
+    return opened
+
+
+def write(root: bytes, listed: list[list[Any]], read: Callable[[int], bytes]) -> None:
+    """Write entries into an empty folder, with the contents of files from `read`, and verify them."""
+    for entry in listed:
+        path = os.path.join(root, raw(entry[1]))
+        if entry[0] == "folder":
+            os.mkdir(path, 0o777)
+        elif entry[0] == "file":
+            write_file(path, entry, read)
+    for entry in listed:
+        if entry[0] == "link":
+            os.symlink(raw(entry[2]), os.path.join(root, raw(entry[1])))
+
+
+def write_file(path: bytes, entry: list[Any], read: Callable[[int], bytes]) -> None:
+    digest, left = hashlib.sha256(), entry[3]
+    opened = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o777 if entry[4] else 0o666)
+    with open(opened, "wb", buffering=0) as file:
+        while left:
+            data = read(min(CHUNK, left))
+            if not data:
+                raise Problem("the connection ended")
+            digest.update(data)
+            while data:
+                written = file.write(data)
+                left -= written
+                data = data[written:]
+    if digest.hexdigest() != entry[2]:
+        raise Problem("%s changed while it was copied; try again" % ascii(entry[1])[1:-1])
+
+
+def finish(made: bytes, target: bytes) -> None:
+    """Give a complete folder its name."""
+    os.sync()
+    os.chmod(made, 0o777 & ~umask())
+    try:
+        os.rename(made, target)
+    except OSError as error:
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+            raise Problem("it is there already, with other contents; remove it or choose another name") from None
+        raise
+
+
+def umask() -> int:
+    now = os.umask(0o077)
+    os.umask(now)
+    return now
+
+
+def push(read: Callable[[int], bytes], line: bytes, answer: Callable[..., None], alive: Callable[[], None]) -> None:
+    target, listed = json.loads(line)
+    target = os.path.abspath(os.path.join(raw(os.path.expanduser("~")), raw(target)))
+    if os.path.lexists(target):
+        if os.path.isdir(target) and entries(target, alive) == (listed, []):
+            return answer(state="there")
+        raise Problem("it is there already, with other contents; remove it or choose another name")
+    with unfinished(target) as made:
+        answer(state="send")
+        write(made, listed, read)
+        finish(made, target)
+    return answer(state="done")
+
+
+def pull(line: bytes, answer: Callable[..., None], alive: Callable[[], None], out: Any) -> None:
+    (folder,) = json.loads(line)
+    folder = os.path.join(raw(os.path.expanduser("~")), raw(folder))
+    listed, left_out = entries(folder, alive)
+    answer(entries=listed, left_out=left_out)
+    for entry in listed:
+        if entry[0] == "file":
+            for data in contents(os.path.join(folder, raw(entry[1])), entry[3]):
+                signal.alarm(SILENCE_S)
+                out.write(data)
+    out.flush()
+
+
+def contents(path: bytes, size: int) -> Iterator[bytes]:
+    """Yield exactly this number of bytes: those of a file that has become shorter are filled up, and have another hash."""
+    with open(path, "rb") as file:
+        while size:
+            data = file.read(min(CHUNK, size)) or bytes(min(CHUNK, size))
+            size -= len(data)
+            yield data
+
+
+def main() -> None:
+    source: Any = sys.stdin.buffer
+    out = sys.stdout.buffer
+    last = [time.monotonic()]
+
+    def answer(**fields: Any) -> None:
+        out.write(json.dumps(fields).encode() + b"\n")
+        out.flush()
+
+    def alive() -> None:
+        if time.monotonic() - last[0] > 1:
+            last[0] = time.monotonic()
+            signal.alarm(SILENCE_S)
+            out.write(b"\n")
+            out.flush()
+
+    def read(size: int) -> bytes:
+        signal.alarm(SILENCE_S)
+        data: bytes = source.read1(size)
+        return data
+
+    def end(*_: object) -> None:
+        raise Problem("the connection is lost")
+
+    for number in (signal.SIGALRM, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, end)
+    signal.alarm(SILENCE_S)
+    line = source.readline()
+    try:
+        push(read, line, answer, alive) if sys.argv[1] == "push" else pull(line, answer, alive, out)
+    except Problem as error:
+        answer(error=str(error))
+    except OSError as error:
+        answer(error=error.strerror or str(error))
+
+
+if __name__ == "__main__":
+    main()
