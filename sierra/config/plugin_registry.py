@@ -276,7 +276,9 @@ CRITERIA = Kind(
     "sierra.query.base:Range",
     {"Log": "sierra.query.named_ranges:LogRange", "Linear": "sierra.query.named_ranges:LinearRange"},
 )
-LINKS = Kind("link", "sierra.links.base:Link", {"fabric": "sierra.links.fabric:Fabric"})
+LINKS = Kind(
+    "link", "sierra.links.base:Link", {"fabric": "sierra.links.fabric:Fabric", "openssh": "sierra.links.openssh:OpenSsh"}
+)
 KINDS = (PLATFORMS, TEMPLATES, RUNNERS, LINKS, SCHEDULERS, ENGINES, READERS, STATISTICS, FIGURES, COMPARISONS, CRITERIA)
 
 

@@ -16,6 +16,11 @@ from sierra.links.base import LIMIT, Ended, Folder, LinkOptions, Overdue, Unreac
 AT_ONCE = 1 << 14
 """The bytes of input that a command can be sent without waiting: less than the buffers of all links."""
 
+PAUSE_S = 0.05
+"""Seconds between attempts to get a session, if sshd has no more: those of overdue commands last a little longer."""
+LEAVE_S = 0.5
+"""Seconds in which a command that has ended leaves its session."""
+
 
 class Stream(Protocol):
     """A command line that was started on a host, as bytes."""
@@ -185,6 +190,10 @@ class Commands(ABC):
         except BaseException:
             self._places.release()
             raise
+
+
+def too_many_sessions(name: str) -> str:
+    return f"{name}: sshd refuses one more session; decrease sessions of the link below its MaxSessions"
 
 
 def _feed(exchange: Exchange, data: bytes, timeout: float) -> None:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from sierra.config.field_types import Table
 from sierra.errors import NotInstalled, SierraError
 from sierra.links.base import LinkOptions, Unreachable, UntrustedHost
-from sierra.links.commands import Commands, Stream
+from sierra.links.commands import LEAVE_S, PAUSE_S, Commands, Stream, too_many_sessions
 
 if TYPE_CHECKING:
     import paramiko
@@ -30,9 +30,6 @@ KNOWN_HOSTS = {
     "globalknownhostsfile": "/etc/ssh/ssh_known_hosts /etc/ssh/ssh_known_hosts2",
 }
 """The files with the keys of hosts, by the keys of a configuration of OpenSSH, and their defaults."""
-PAUSE_S = 0.05
-LEAVE_S = 0.5
-"""Seconds in which a command that has ended leaves its session."""
 
 
 class Fabric(Commands):
@@ -63,9 +60,7 @@ class Fabric(Commands):
                     break
                 except paramiko.ChannelException as error:  # too many sessions; those of overdue commands last a little longer
                     if time.monotonic() > end:
-                        raise Unreachable(
-                            f"{self.name}: sshd refuses one more session; decrease sessions of the link below its MaxSessions"
-                        ) from error
+                        raise Unreachable(too_many_sessions(self.name)) from error
                     time.sleep(PAUSE_S)
             channel.exec_command(line)
         except (OSError, EOFError, paramiko.SSHException) as error:
