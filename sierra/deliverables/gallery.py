@@ -142,6 +142,8 @@ class Gallery:
         self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
         self._seen: dict[str, stats.Coverage] = {}
         self._times: dict[str, str] = {}
+        self.robot_notes: dict[str, str] = {}
+        """Notes by output that the robots of a run wrote together: how they become one value."""
         self.time_notes: dict[str, str] = {}
         """Notes by output, if its time column is neither declared nor known by its name: what is used instead."""
 
@@ -212,7 +214,7 @@ class Gallery:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the reader on the target, the declarations and the times that are used."""
-        return (*self.target_notes, *self.declared_notes, *self.time_notes.values())
+        return (*self.target_notes, *self.declared_notes, *self.robot_notes.values(), *self.time_notes.values())
 
     def only_column(self, output: OutputTable) -> str:
         """Return the only numeric column of an output that is not its time. Raises UsageError if there are several."""
@@ -286,7 +288,7 @@ class Gallery:
             models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in made.models)
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
-        note = "; ".join(filter(None, (*self.target_notes, note)))
+        note = "; ".join(filter(None, (*self.target_notes, self.robot_notes.get(output.name), note)))
         sql = "\n\n".join(filter(None, (self.frame.statements(output.name), made.sql)))
         return replace(made, tables=tables, models=models, note=note, sql=sql, time=time or "row", units=units)
 
@@ -356,6 +358,8 @@ class Gallery:
                 raise NotFound("it has no numeric column")
             time = self.time(output)
             column = next((c for c in output.columns if c != time), output.columns[0])
+            if note := self.frame.robots_note(output.name, time):
+                self.robot_notes[output.name] = note
             seen = stats.coverage(Column(self.frame, output.name, column, time), several=True)
             self._seen[output.name] = replace(seen, selected=output.name not in self.frame.written)
         if not several:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
 from sierra.model import Axis, Value
+from sierra.store import robot_means
 from sierra.store.derived_tables import Definition, Made
 from sierra.store.duckdb_messages import explain
 from sierra.store.row_mapper import R
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 MEMBERS = "SELECT judgement FROM membership"
+ON_ROBOTS = "SELECT 1 FROM batches JOIN specs USING (spec) WHERE batch = $b AND robots IS NOT NULL LIMIT 1"
 MIXED = "has numbers in some runs and other values in others"
 TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
 """Names of a first column that make it the time axis, if the project declares no time column."""
@@ -80,10 +82,14 @@ class Frame:
         self._checked: set[tuple[str, str]] = set()
         """The tables and conditions of valid pairs."""
         self._relations: dict[str, Relation] = {}
+        self._aligned: dict[tuple[str, str, str], bool | None] = {}
+        """Whether the robots of each run have the same times, by table, time and condition; None: some have two rows at one."""
         self.problems: dict[str, SierraError] = {}
         """Why derived tables cannot be used for statistics, by name; known after `outputs`."""
-        self._snapshot.views.make(("batch_runs", "all_judgements", "experiments", "batches"))
+        self._snapshot.views.make(("batch_runs", "all_judgements", "experiments", "batches", "specs"))
         self._members(these)
+        self._on_robots = bool(self._snapshot.run(ON_ROBOTS, {"b": batch}))
+        """True if the runs of the batch take robots."""
         self._files = self._output_files()
         """The files of each output, by name; a derived table has none."""
         taken = {name.lower() for name in self._files}
@@ -231,11 +237,12 @@ class Frame:
                 found += self._derived_output(name)
                 continue
             source = self._relation(name, files)
-            columns = [(name, kind) for name, kind in source.types.items() if name not in ("run", "execution", "file")]
+            by_robot = self.is_of_robots(name)
+            hidden = ("run", "execution", "file", *([robot_means.COLUMN] if by_robot else []))
+            columns = [(name, kind) for name, kind in source.types.items() if name not in hidden]
             many = "count(DISTINCT file)" if "file" in source.types else "1"
-            sizes = (
-                f"SELECT count(*) AS rows, {many} AS files FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY execution"
-            )
+            each = f"execution, {robot_means.COLUMN}" if by_robot else "execution"
+            sizes = f"SELECT count(*) AS rows, {many} AS files FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY {each}"
             [(rows, most, fewest)] = self._snapshot.run(
                 f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0), coalesce(min(rows), 0) FROM ({sizes})"
             )
@@ -309,6 +316,8 @@ class Frame:
         are needed, because in a single run any increasing column would qualify.
         """
         data = self._data(table)
+        if self.is_of_robots(table):  # each robot has a time of its own; the first one's rows follow each other
+            data = f"(SELECT * FROM {data} WHERE {robot_means.COLUMN} = (SELECT min({robot_means.COLUMN}) FROM {data}))"
         grows = [column for column in columns if column in self._growing(data, columns)]
         return next(
             (column for column in grows if self._snapshot.run(ALIKE.format(column=identifier(column), data=data))), None
@@ -364,13 +373,43 @@ class Frame:
         t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
         self._snapshot.run("DROP VIEW IF EXISTS samples")
         try:
-            self._snapshot.run(
-                f'CREATE TEMP VIEW samples AS SELECT "# experiment" AS experiment, run, "# number" AS number, '
-                f"{t} AS t, {identifier(column)}::DOUBLE AS value FROM {self._rows(table, where)}"
-            )
+            self._snapshot.run(f"CREATE TEMP VIEW samples AS {self._values(table, column, time, t, where)}")
         except Exception as error:
             where = f"output {table!r}, column {column!r} over {time or 'its rows'!r}"
             raise NotFound(f"{where}: {explain(error)}") from error
+
+    def _values(self, table: str, column: str, time: str, t: str, where: str) -> str:
+        """Return the query for the values of a column: those of each row, or the means of the robots of a run."""
+        value, data = identifier(column), self._rows(table, where)
+        aligned = self._same_times(table, time, t, where) if self.is_of_robots(table) else None
+        if aligned is None:
+            own = '"# experiment" AS experiment, run, "# number" AS number'
+            return f"SELECT {own}, {t} AS t, {value}::DOUBLE AS value FROM {data}"
+        template = robot_means.SAME_TIMES if aligned else robot_means.OTHER_TIMES
+        return template.format(rows=robot_means.rows(data, value, t))
+
+    def is_of_robots(self, table: str) -> bool:
+        """Check that the robots of each run write a table together, each a part of its rows."""
+        if not self._on_robots or not self._files.get(table):
+            return False
+        return {robot_means.COLUMN, "file"} <= self._relation(table, self._files[table]).types.keys()
+
+    def robots_note(self, table: str, time: str = "") -> str:
+        """Return a note about the statistics of a table; "" if robots did not write it together."""
+        if not self.is_of_robots(table):
+            return ""
+        t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
+        aligned = self._same_times(table, time, t, "")
+        return "" if aligned is None else robot_means.note(table, same_times=aligned)
+
+    def _same_times(self, table: str, time: str, t: str, where: str) -> bool | None:
+        """Return whether the robots of each run have the same times; None if a robot has two rows at one time."""
+        key = (table, time, where)
+        if key not in self._aligned:
+            rows = robot_means.rows(self._rows(table, where), "NULL", t)
+            [(doubled, same)] = self._snapshot.run(robot_means.TIMES.format(rows=rows))
+            self._aligned[key] = None if doubled else same
+        return self._aligned[key]
 
     def data(self, table: str, time: str = "", where: str = "") -> None:
         """Create the view `data` of all rows of one output, with all columns. Raises NotFound for an unknown output.

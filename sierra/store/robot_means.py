@@ -1,0 +1,64 @@
+"""The mean of the robots of a run: statistics over runs have one value per run and time, and robots are no repetitions.
+
+In a table that all robots of a run write, the value of the run at a time t is the mean of the values of its robots at t. The
+base station (robot 0) does not count if other robots write the table too. If one of the values is missing or not finite, so
+is the mean: the robots that are left would be another swarm.
+
+Robots may write at different times. Then the times of a run are those of all its robots, and each robot has, from its first to
+its last time, the value of its last row. A robot that wrote two rows at one time has no single value; such a table stays as it
+is, and statistics refuse it.
+"""
+
+from __future__ import annotations
+
+COLUMN = "robot"
+"""The column with the place of the robot that wrote a row."""
+
+ROWS = """
+SELECT "# experiment" AS experiment, run, "# number" AS number, {column} AS robot, {t} AS t, {value}::DOUBLE AS value
+FROM {data} WHERE {column} > 0 OR NOT EXISTS (SELECT 1 FROM {data} WHERE {column} > 0)
+"""
+"""The rows of all robots that count."""
+
+TIMES = """
+SELECT coalesce(max(doubled), false) AS doubled, coalesce(bool_and(robots = all_robots), true) AS same FROM (
+    SELECT robots, all_robots, rows > robots AS doubled FROM (
+        SELECT experiment, run, t, count(*) AS rows, count(DISTINCT robot) AS robots FROM ({rows}) WHERE isfinite(t)
+        GROUP BY ALL
+    ) JOIN (SELECT experiment, run, count(DISTINCT robot) AS all_robots FROM ({rows}) GROUP BY ALL) USING (experiment, run)
+)
+"""
+"""Two facts: whether a robot has two rows at one time, and whether all robots of each run have the same times."""
+
+MEAN = "CASE WHEN bool_and(coalesce(isfinite(value), false)) THEN list_sum(list(value ORDER BY robot)) / count(*) END AS value"
+"""Added in the order of the robots, so that the order of rows has no effect on the last digits."""
+
+SAME_TIMES = f"SELECT experiment, run, number, t, {MEAN} FROM ({{rows}}) GROUP BY experiment, run, number, t"
+
+OTHER_TIMES = f"""
+WITH rows AS (SELECT * FROM ({{rows}}) WHERE isfinite(t)),
+robots AS (SELECT experiment, run, number, robot, min(t) AS first, max(t) AS last FROM rows GROUP BY ALL),
+times AS (SELECT DISTINCT experiment, run, number, t FROM rows),
+points AS (
+    SELECT experiment, run, number, robot, t FROM times JOIN robots USING (experiment, run, number)
+    WHERE t BETWEEN first AND last
+)
+SELECT p.experiment, p.run, p.number, p.t, {MEAN} FROM (
+    SELECT p.*, r.value FROM points p ASOF JOIN rows r
+    ON p.experiment = r.experiment AND p.run = r.run AND p.robot = r.robot AND p.t >= r.t
+) p GROUP BY p.experiment, p.run, p.number, p.t
+UNION ALL SELECT experiment, run, number, t, value FROM ({{rows}}) WHERE NOT coalesce(isfinite(t), false)
+"""
+
+
+def rows(data: str, value: str, t: str) -> str:
+    """Return the query for the rows that count. `data` is a relation; `value` and `t` are SQL expressions."""
+    return ROWS.format(column=COLUMN, data=data, value=value, t=t)
+
+
+def note(table: str, *, same_times: bool) -> str:
+    """Return a note for readers of the statistics of a table."""
+    how = "" if same_times else "; their times differ, so the last value of each robot is carried forward"
+    return (
+        f"output {table!r}: the value of a run is the mean of its robots at each time{how} (a derived table can have another)"
+    )
