@@ -240,6 +240,8 @@ class Design:
     lists: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     """Lists of values, by name: run number n takes item n (modulo the list's length)."""
     independent_seeds: bool = False
+    on_robots: bool = False
+    """True if the changes of runs may also use `robot`, the place of a robot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,16 +325,20 @@ class RunSpec:
     shared_files: str | None = None
     """The id of the files that lie beside the inputs of all runs; None without any."""
     around: Around = Around()
+    robots: Mapping[str, tuple[str, ...]] | None = None
+    """For runs on robots: the commands of groups of places that differ from `command`; None for runs without robots."""
 
     @property
     def words(self) -> tuple[str, ...]:
-        """Return all words of the command and of the commands around it."""
-        return (*self.command, *self.around.words)
+        """Return all words of the command, of the commands of single robots, and of the commands around them."""
+        of_groups = (word for argv in (self.robots or {}).values() for word in argv)
+        return (*self.command, *of_groups, *self.around.words)
 
     def preimage(self) -> dict[str, Any]:
         named = {"named_inputs": list(self.named_inputs)} if self.named_inputs else {}
         shared = {"shared_files": self.shared_files} if self.shared_files else {}
         around = {"around": self.around.preimage()} if self.around else {}  # specs without it keep their ids
+        robots = {} if self.robots is None else {"robots": {group: list(argv) for group, argv in self.robots.items()}}
         return {
             **named,
             **shared,
@@ -342,6 +348,7 @@ class RunSpec:
             "source": self.source,
             "image": {"id": self.image, "reach": list(self.host_access)} if self.image else None,
             **around,
+            **robots,
         }
 
 

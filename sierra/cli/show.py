@@ -56,7 +56,7 @@ def show(
       sierra show figures/3f9a1c0b12/swarm_coverage_summary.pdf
     """
     from sierra.cli.open_project import project
-    from sierra.execution.around import described, recorded
+    from sierra.execution.around import commands_of_robots, described, recorded
     from sierra.execution.show_record import ShownBatch, ShownExecution, ShownRun
 
     if (os.sep in prefix or "." in prefix) and Path(prefix).exists():
@@ -70,7 +70,9 @@ def show(
     match shown:
         case ShownBatch():
             spec = {name: value for name, value in shown.spec._asdict().items() if value is not None or name not in OPTIONAL}
-            record["spec"] = {**_without_parts(spec), **described(recorded(shown.spec.around))}
+            robots = commands_of_robots(shown.spec.robots)
+            spec.pop("robots", None)
+            record["spec"] = {**_without_parts(spec), **described(recorded(shown.spec.around), robots)}
             _print_record(_without_parts(record), long=long)
             if shown.build:
                 _print_build(shown.build)

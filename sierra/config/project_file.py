@@ -46,6 +46,7 @@ from sierra.config.find_project import ProjectFolder, find, settings
 from sierra.config.model_table import Model
 from sierra.config.output_tables import Equivalence, Output, Success, file_once
 from sierra.config.package_table import Package
+from sierra.config.robots_table import ROBOT, RobotsTable
 from sierra.config.validate import options
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.store.layout import CONFIG, PYPROJECT
@@ -115,6 +116,7 @@ class Project(Table):
         description="the program and its arguments; {input}, {output}, {seed}, {project}, {python} and the query's "
         "variables are filled in",
     )
+    robots: RobotsTable | None = Field(None, description="the robots of each run; default: runs take no robots")
     before: Commands = Field(
         (),
         description="commands that are executed before the command in each run, one after the other; "
@@ -295,6 +297,13 @@ class Project(Table):
         return self
 
     @model_validator(mode="after")
+    def _robots(self) -> Project:
+        taken = [name for name in (*self.variables, *self.per_run) if name == ROBOT]
+        if self.robots and taken:
+            raise ValueError(f"{ROBOT}: in runs on robots, {{{ROBOT}}} is the robot's place; use another name")
+        return self
+
+    @model_validator(mode="after")
     def _one_deliverable_each(self) -> Project:
         if both := sorted(self.figures.keys() & self.paper_tables.keys()):
             raise ValueError(f"[figures.{both[0]}] and [paper_tables.{both[0]}] would have files of the same name; rename one")
@@ -342,10 +351,18 @@ class Project(Table):
     def _uses(self, name: str) -> bool:
         """Return True if a command uses a variable, or if a change does that does not belong to a variable."""
         services = (word for one in self.services.values() for word in (*one.command, *one.ready.words))
+        robots = self.robots
         words = (*self.command, *(word for command in (*self.before, *self.after) for word in command), *services)
+        words = (
+            (*words, *(word for command in (robots.command, *robots.commands.values()) for word in command))
+            if robots
+            else words
+        )
         if name not in OWN_PLACEHOLDERS and any(f"{{{name}}}" in word for word in words):
             return True
-        groups = (*self.controllers.values(), *self.scenarios.values())
+        if robots and robots.count == name:
+            return True
+        groups = (*self.controllers.values(), *self.scenarios.values(), *(robots.groups.values() if robots else ()))
         tables = (*self.changes, *self.run_changes, *(change for group in groups for change in group.changes))
         texts = (text or "" for table in tables for text in (table.value, table.xml, table.json_, table.to))
         return any(re.search(rf"\{{[^}}]*\b{name}\b", text) for text in texts)

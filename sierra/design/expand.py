@@ -7,11 +7,12 @@ files are generated again later, lazily, and only for the runs that execute.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 
-from sierra.design import run_values, seeds
-from sierra.design.factorial_design import PlanningProgress, ignore_progress
+from sierra.config.robots_table import ROBOT, RobotsTable
+from sierra.design import robots, run_values, seeds
+from sierra.design.factorial_design import PlanningProgress, changes, ignore_progress, mentions
 from sierra.errors import ConfigError, QueryError
 from sierra.model import Batch, Cell, Design, Experiment, Run, RunSpec, Value
 from sierra.platforms.base import Platform
@@ -26,6 +27,10 @@ USUAL = {"command": ("input.xml",), "argos": ("input.argos",)}
 """The names of input files, by platform, that are not part of specifications: these have kept the ids of format 1."""
 
 
+Renderers = Mapping[str, Renderer]
+"""Functions that make the inputs of runs, by the group of a robot's place; without robots, there is one."""
+
+
 class Expansion:
     """A design with everything that its runs are made from."""
 
@@ -37,8 +42,18 @@ class Expansion:
         spec: RunSpec,
         given: run_values.Used = run_values.Used(),  # noqa: B008 - it is immutable
         folder: str = "",
+        on_robots: RobotsTable | None = None,
     ) -> None:
-        """`given` are the values that commands and environments get. `folder` is that of the template's file in a run."""
+        """`given` are the values that commands and environments get. `folder` is that of the template's file in a run.
+
+        `on_robots`: the robots of each run; None if runs take none.
+        """
+        self._robots = on_robots
+        self._alike = on_robots is not None and not (
+            any(mentions(change, robots.VALUE) for change in design.per_run)
+            or any(group.changes for group in on_robots.groups.values())
+        )
+        """True if all robots of a run get the same input."""
         self._folder = f"{folder}/" if folder else ""
         self._design = design
         self._given = given
@@ -69,31 +84,31 @@ class Expansion:
         for cell, experiment in zip(self._design.cells, batch.experiments, strict=True):
             runs = [run for run in experiment.runs if wanted(run)]
             if runs:
-                render = self._renderer(cell)
+                render = self._renderers(cell)
                 for run in runs:
                     yield run, self._files(cell, render, run.number, run.seed)
 
     def seeded(self, run: Run, seed: int) -> tuple[Run, Files]:
         """Return the run that another seed makes of a run of the batch, with its input files."""
         cell = self._design.cells[run.experiment]
-        return self._run(cell, self._renderer(cell), run.number, seed)
+        return self._run(cell, self._renderers(cell), run.number, seed)
 
     def _naming(self, spec: RunSpec) -> RunSpec:
         """Return the specification with the names that the platform gives, unless they are those of every project with it."""
         cell = self._design.cells[0]
-        files = self._files(cell, self._renderer(cell), 0, self._seed(cell, 0))
+        files = self._files(cell, self._renderers(cell), 0, self._seed(cell, 0))
         own = tuple(name for name in (name.removeprefix(self._folder) for name, _ in files) if name not in spec.named_inputs)
         usual = (USUAL.get(spec.platform), ())
         return spec if own in usual else replace(spec, named_inputs=(*spec.named_inputs, *own))
 
     def _experiment(self, cell: Cell) -> Experiment:
-        render = self._renderer(cell)
+        render = self._renderers(cell)
         runs = tuple(self._run(cell, render, number, self._seed(cell, number))[0] for number in self._numbers)
         values = {axis.name: cell.values[axis.name] for axis in self._design.axes}
         shown = {name: exact(value) for name, value in values.items()}
         return Experiment(merkle("experiment", (run.id for run in runs), {"values": shown}), cell.ordinal, values, runs)
 
-    def _run(self, cell: Cell, render: Renderer, number: int, seed: int) -> tuple[Run, Files]:
+    def _run(self, cell: Cell, render: Renderers, number: int, seed: int) -> tuple[Run, Files]:
         files = self._files(cell, render, number, seed)
         inputs = [(name, sha256(content)) for name, content in files]
         names = tuple(name for name, _ in inputs)
@@ -103,17 +118,40 @@ class Expansion:
         identity = run_id(self.spec_id, inputs, seed)
         return Run(identity, cell.ordinal, number, seed, self._names.setdefault(names, names), digests), files
 
-    def _renderer(self, cell: Cell) -> Renderer:
-        return self._template.changed(cell.changes, cell.values).per_run(self._design.per_run)
+    def _renderers(self, cell: Cell) -> Renderers:
+        """Return the functions that make the inputs of an experiment's runs, by the group of the robot's place."""
+        document = self._template.changed(cell.changes, cell.values)
+        groups = self._robots.groups if self._robots else {}
+        own = {
+            name: changes(group.changes, f"[robots.groups.{name}] changes") for name, group in groups.items() if group.changes
+        }
+        return {
+            ROBOT: document.per_run(self._design.per_run),
+            **{name: document.per_run((*self._design.per_run, *theirs)) for name, theirs in own.items()},
+        }
 
-    def _files(self, cell: Cell, render: Renderer, number: int, seed: int) -> Files:
+    def _files(self, cell: Cell, render: Renderers, number: int, seed: int) -> Files:
         lists = {name: values[number % len(values)] for name, values in self._design.lists.items()}
         values = {**cell.values, **lists, "seed": seed, "run": number}
+        files = self._made(render[ROBOT], values) if self._robots is None else self._of_robots(self._robots, render, values)
+        return (*files, *given) if (given := self._given.files(values)) else files
+
+    def _made(self, render: Renderer, values: Mapping[str, Value]) -> Files:
+        """Return the files of one input."""
         rendered = render(values)
         files = self._platform.files(rendered) if isinstance(rendered, bytes) else _named(rendered, self._platform)
-        if self._folder:
-            files = tuple((self._folder + name, content) for name, content in files)
-        return (*files, *given) if (given := self._given.files(values)) else files
+        return tuple((self._folder + name, content) for name, content in files) if self._folder else files
+
+    def _of_robots(self, table: RobotsTable, render: Renderers, values: Mapping[str, Value]) -> Files:
+        """Return the input files of a run on robots."""
+        if self._alike:
+            files = self._made(render[ROBOT], {**values, robots.VALUE: 1})
+            return robots.inputs(robots.places(table, values), lambda place: files)
+
+        def made(place: robots.Place) -> Files:
+            return self._made(render.get(place.group, render[ROBOT]), {**values, robots.VALUE: place.number})
+
+        return robots.inputs(robots.places(table, values), made)
 
     def _seed(self, cell: Cell, number: int) -> int:
         stream = ""

@@ -106,7 +106,8 @@ def different_runs(designed: Design) -> list[Mapping[str, Value]]:
     """Return values of per-run changes in some runs: all values of the lists, and a seed that nobody has set by chance."""
     count = min(designed.query.runs, max([2, *map(len, designed.lists.values())]) if designed.per_run else 1)
     lists = [{name: values[number % len(values)] for name, values in designed.lists.items()} for number in range(count)]
-    return [{**values, "seed": SOME_SEED, "run": number} for number, values in enumerate(lists)]
+    robot = {"robot": 1} if designed.on_robots else {}
+    return [{**values, "seed": SOME_SEED, "run": number, **robot} for number, values in enumerate(lists)]
 
 
 def _by_value(layers: Layers, number: int) -> bool:

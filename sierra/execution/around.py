@@ -90,20 +90,25 @@ def _check_own_port(one: Service, variables: Mapping[str, str], texts: Mapping[s
         )
 
 
-def described(around: Around) -> Mapping[str, str]:
-    """Return lines for people, by name: `before`, `after` and `service NAME`."""
+def described(around: Around, robots: Mapping[str, Sequence[str]] | None = None) -> Mapping[str, str]:
+    """Return lines for people, by name: `before`, `after`, `service NAME`, and `robots GROUP` for the commands of robots."""
     several = {"before": around.before, "after": around.after}
     lines = {name: "; ".join(map(shlex.join, argvs)) for name, argvs in several.items() if argvs}
     for one in around.services:
         kind, *test = one.ready
         scope = ", scope: batch" if one.shared else ""
         lines[f"service {one.name}"] = f"{shlex.join(one.command)}, ready: {kind} {shlex.join(test)}{scope}"
-    return lines
+    return lines | {f"robots {group}": shlex.join(argv) for group, argv in (robots or {}).items()}
 
 
 def recorded(text: str | None) -> Around:
     """Return what a row of `specs` has in its column `around`."""
     return Around.of(json.loads(text)) if text else Around()
+
+
+def commands_of_robots(text: str | None) -> Mapping[str, tuple[str, ...]] | None:
+    """Return what a row of `specs` has in its column `robots`."""
+    return None if text is None else {group: tuple(argv) for group, argv in json.loads(text).items()}
 
 
 def _joined(several: Iterable[Sequence[str]]) -> str:

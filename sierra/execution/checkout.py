@@ -42,7 +42,7 @@ def programs_in(
     products of a build: of the other files in their folders, only those count that a word names itself. Raises Missing.
     """
     variables = spec.environment
-    if spec.image is not None:
+    if spec.image is not None or spec.robots is not None:  # the programs are in the image, or on the robots
         return _without_leftovers(_beside_image(spec, manifest, root, data), spec, data, made)
     files = referenced_files.files((*spec.words, *variables.values()), root, source.paths(manifest), data, project or root)
     words, *around = (commands.fill(one, root, project=project) for one in (spec.command, *spec.around.commands))

@@ -15,7 +15,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -24,11 +24,11 @@ from sierra.config.change_tables import OWN_PLACEHOLDERS
 from sierra.config.project_file import Project
 from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, WRITABLE, ContainerSpec, Engine, Mount, Process
 from sierra.containers.images.image import Image
-from sierra.design import run_values
+from sierra.design import robots, run_values
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError, QueryError
 from sierra.execution.build.products import matches
-from sierra.model import FOLDER, IN_PROJECT, Client, Job, Limits, Run, RunSpec, Service
+from sierra.model import BASE, FOLDER, IN_PROJECT, ON_ROBOT, Client, Job, Limits, Member, Run, RunSpec, Service
 from sierra.platforms.base import Platform
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.templates.base import ARGUMENTS, FOLDERS, Files
@@ -63,6 +63,10 @@ FIXED = {
 }
 """Variables that every run gets; they are part of its identity."""
 OWN = ("HOME", "TMPDIR")
+ROBOT_PYTHON = "python3"
+"""The value of `{python}` on robots, which have a Python of their own."""
+KNOWN_ON_ROBOTS = (*OWN_PLACEHOLDERS, robots.VALUE)
+"""Names in braces that have a meaning of their own in commands on robots."""
 HERE = "\0"
 """Placeholder for the run's folder, which only the worker knows."""
 _IN_RUN = f"{INSIDE}/run"
@@ -93,8 +97,10 @@ def command(
     Raises ConfigError for an unknown placeholder, or for a path that does not exist in a container. Raises QueryError for a
     variable that the query does not vary.
     """
-    known = (*OWN_PLACEHOLDERS, *declared.names)
-    words = _with_arguments(platform.command(), declared.arguments)
+    own = KNOWN_ON_ROBOTS if project is not None and project.robots else OWN_PLACEHOLDERS
+    known = (*own, *declared.names)
+    given = project.robots.command if project is not None and project.robots else ()
+    words = _with_arguments(given or platform.command(), declared.arguments)
     return checked(words, root, "command", known, contained=contained, made=made, declared=declared, project=project)
 
 
@@ -314,7 +320,9 @@ class CommandBuilder:
         self._box = box
         self._script = script or Path(worker.__file__)
         self._here = _IN_RUN if box and not box.shared else HERE
-        self._placed = {"project": PROJECT if box else str(root)}
+        self._on_robots = spec.robots is not None
+        self._placed = {"project": PROJECT if box else ON_ROBOT if self._on_robots else str(root)}
+        python = ROBOT_PYTHON if self._on_robots else python
         self._placed["python"] = PYTHON if image else python
         self._project = Path(self._placed["project"]) if box else project
         self._environment = {
@@ -324,7 +332,7 @@ class CommandBuilder:
             "SIERRA_RUN_DIR": self._here,
             "SIERRA_SESSION": session,
         }
-        if not box:
+        if not (box or self._on_robots):  # a robot has a PATH of its own
             self._environment["PATH"] = search_path(self._environment)
         if script and (box is None or box.gpu):
             wanted = (name for name in worker.DEVICES if name not in self._environment)
@@ -339,8 +347,11 @@ class CommandBuilder:
         execution = execution_id(self._environment["SIERRA_SESSION"], run.id)
         seed = str(run.seed)
         own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": seed, "SIERRA_EXECUTION": execution}
+        if self._on_robots:
+            members = tuple(self._members(files, seed, own))
+            return Job(run.id, execution, (), {}, files, self._bounds, members=members)
         given = run_values.read(files)
-        argv = self._argv(files, seed, given.values)
+        argv = self._argv(self._spec.command, files, seed, given.values)
         variables = {**self._environment, **own, **given.environment}
         client = self._shared or self._contained(argv, variables)
         return Job(
@@ -356,6 +367,19 @@ class CommandBuilder:
             beside=(_BESIDE if self._shared else str(self._beside)) if self._beside else None,
         )
 
+    def _members(self, files: Files, seed: str, own: Mapping[str, str]) -> Iterator[Member]:
+        """Yield the parts of all robots in a run."""
+        listed = robots.read(files)
+        count = str(sum(place.number != BASE for place, _ in listed))
+        groups = self._spec.robots or {}
+        for place, theirs in listed:
+            given, number = run_values.read(theirs), str(place.number)
+            command = groups.get(place.group, self._spec.command)
+            argv = self._argv(command, theirs, seed, {**given.values, robots.VALUE: number})
+            filled = zip(self._environment, with_texts(self._environment.values(), {robots.VALUE: number}), strict=True)
+            variables = {**dict(filled), **own, "SIERRA_ROBOT": number, "SIERRA_ROBOTS": count, **given.environment}
+            yield Member(place.number, place.group, argv, variables, theirs, self._folders(theirs))
+
     def _folders(self, files: Files) -> Mapping[str, str] | None:
         """Return the paths for the marks of folders in input files; None if there are no marks. Raises ConfigError."""
         mark = FOLDER.encode()
@@ -364,14 +388,14 @@ class CommandBuilder:
                 raise ConfigError("{project} and {output} can only be filled in in UTF-8; save the template as UTF-8")
             return None
         project = self._placed["project"]
-        if not worker.SAFE.fullmatch(project):
+        if not (self._on_robots or worker.SAFE.fullmatch(project)):
             raise ConfigError(
                 f"{{project}} in an input would be {project!r}, which some formats would read in another way; "
                 "move the project to a folder with a plain name"
             )
         return {FOLDERS["project"]: project, FOLDERS["output"]: f"{self._here}/{RUN_OUTPUT}"}
 
-    def _argv(self, files: Files, seed: str, given_values: Mapping[str, str]) -> tuple[str, ...]:
+    def _argv(self, command: tuple[str, ...], files: Files, seed: str, given_values: Mapping[str, str]) -> tuple[str, ...]:
         """Return the command of a run. If it does not depend on the run, it is built once per input file name."""
         file = files[0][0]
         if not given_values and (same := self._same.get(file)) is not None:
@@ -379,10 +403,8 @@ class CommandBuilder:
         here = self._here
         own = {"input": f"{here}/{file}", "output": f"{here}/{RUN_OUTPUT}", "run": here, "seed": seed}
         values = {**given_values, **own}
-        given = arguments(files) if SPLICED in self._spec.command else ()
-        argv = tuple(
-            chain.from_iterable(given if word == SPLICED else self._fill((word,), values) for word in self._spec.command)
-        )
+        given = arguments(files) if SPLICED in command else ()
+        argv = tuple(chain.from_iterable(given if word == SPLICED else self._fill((word,), values) for word in command))
         argv = self._conducted(self._located(argv), values) if self._spec.around else self._located(argv)
         if not given_values and not any("{seed}" in word or word == SPLICED for word in self._spec.words):
             self._same[file] = argv

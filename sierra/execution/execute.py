@@ -13,7 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from sierra.errors import Missing
-from sierra.execution import recover, session_records
+from sierra.execution import on_robots, recover, session_records
 from sierra.execution.observation import reusable_executions, shared_services, stale_sessions
 from sierra.execution.plan import Plan, context, versioned
 from sierra.execution.reasons import FAILED
@@ -52,6 +52,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
     check_packages(plan)
     plan = versioned(plan)
     make = partial(runners.find(options.runner, plan.project.config.runners), options.slots)
+    on_robots.check_fleet(make(), options.runner, plan)
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())
     try:
         session.take_number()
@@ -92,6 +93,8 @@ def check_packages(plan: Plan) -> None:
     """Raise Missing if the runs need Python packages that are not installed."""
     from sierra.provenance import required_packages
 
+    if plan.batch.spec.robots is not None:  # their own Pythons execute the runs
+        return
     if absent := required_packages.missing(plan.project.config, contained=plan.engine.name != "none"):
         raise Missing(
             f"runs need Python packages that are not installed ({', '.join(absent)}): {required_packages.remedy(absent)}"

@@ -80,6 +80,7 @@ class _Batch(NamedTuple):
     variables: str | None
     host_access: list[str] | None
     around: str | None
+    robots: str | None
     submitted: datetime | None
     failed: int | None
     missing: int | None
@@ -97,6 +98,7 @@ WITH last AS (
 )
 SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.scenario, l.targets, b.experiments, b.runs,
        b.axes, b.overrides, b.base_seed, b.template_sha256, s.source, s.image, s.command, s.variables, s.host_access, s.around,
+       s.robots,
        l.submitted, l.failed, l.missing, b.batch IN (
            SELECT m.batch FROM findings f JOIN all_judgements e ON e.judgement = f.execution JOIN batch_runs m ON m.run = e.run
        ) AS doubted, coalesce(l.reexecuted, 0) > 0 OR b.batch IN (SELECT batch FROM replays) AS repeated,
@@ -198,6 +200,7 @@ DIFFERENCES = {
     "image": "image",
     "command": "command",
     "around": "services, before or after",
+    "robots": "commands of robots",
     "variables": "environment",
     "host_access": "host access",
 }

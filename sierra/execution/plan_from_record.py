@@ -155,6 +155,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         tuple(row.named_inputs or ()),
         row.shared_files,
         around.recorded(row.around),
+        around.commands_of_robots(row.robots),
     )
     manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
     check_packages({output.kind for output in outputs.values()})

@@ -12,7 +12,7 @@ from sierra.config.project_file import LoadedProject, Project
 from sierra.containers import container_setup, engines, images
 from sierra.containers.engines.base import Engine
 from sierra.containers.images.image import Image
-from sierra.design import platform_options, run_values
+from sierra.design import platform_options, robots, run_values
 from sierra.design.expand import Expansion
 from sierra.design.factorial_design import GROUPED, PlanningProgress, design, ignore_progress
 from sierra.errors import ConfigError, Missing
@@ -20,6 +20,7 @@ from sierra.execution import (
     around,
     commands,
     input_texts,
+    on_robots,
     plan_checks,
     plan_notes,
     project_source,
@@ -56,7 +57,7 @@ def plan(
     """
     project = project.for_target(request.target)
     query = resolve_query.resolve(project, request)
-    project = replace(project, config=platform_options.merged(project.config, query))
+    project = replace(project, config=on_robots.configured(platform_options.merged(project.config, query)))
     config, root = project.config, project.root
     plan_checks.check_names(project)
     plugin_registry.check(config)
@@ -70,8 +71,10 @@ def plan(
     command = commands.command(platform, root, contained=image is not None, made=made, declared=declared, project=config)
     surroundings = around.declared(config, root, declared, contained=image is not None, made=made)
     around.check_ports(config, command, surroundings)
+    groups = on_robots.of_groups(config, root, declared, made)
     variables = {**commands.environment(platform, config), **(box.variables if box else {})}
-    values = commands.used_values((*command, *surroundings.words), declared, config)
+    of_groups = tuple(word for argv in (groups or {}).values() for word in argv)
+    values = commands.used_values((*command, *of_groups, *surroundings.words), declared, config)
     own = project_source.own_paths(project)
     code = project_source.code(project)
     held = source.paths(code.manifest)
@@ -90,12 +93,19 @@ def plan(
         code.tree,
         image.id if image else None,
         container_setup.host_access(box),
-        (*map(os.path.normpath, config.templates.values()), *values.named, *([f"{folder}/"] if folder else [])),
+        (
+            *map(os.path.normpath, config.templates.values()),
+            *values.named,
+            *([robots.FILE] if config.robots else []),
+            *([f"{folder}/"] if folder else []),
+        ),
         beside[0].shared if beside else None,
         surroundings,
+        groups,
     )
+    on_robots.check_paths(spec.words if groups is not None else ())
     designed = design(query, config, platform, template, report)
-    expansion = Expansion(designed, template, platform, spec, values, folder)
+    expansion = Expansion(designed, template, platform, spec, values, folder, config.robots)
     batch = expansion.batch(report)
     if twice := set(batch.runs[0].names).intersection(row.name for row in beside):
         raise ConfigError(f"files: each run has a generated {min(twice)} in its folder; rename the file")

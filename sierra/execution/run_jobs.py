@@ -27,7 +27,7 @@ from sierra.model import Helps, Job, Limits, Run, RunSpec, Times
 from sierra.provenance import environment, tracer
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
-from sierra.runners.base import Runner, Work, needed
+from sierra.runners.base import Runner, Work, check_members, needed
 from sierra.store.layout import StorePaths, user_digests
 from sierra.store.row_types import EnvironmentRow, SharedFileRow
 from sierra.store.store import Store
@@ -110,6 +110,7 @@ class Service:
         `times` are the expected durations for a cluster. `doubt` and `kept`: see `Recorder`. `detach` and `enough`: see
         `sierra.execution.follow.follow`.
         """
+        check_members(runner, runner.name, on_robots=self._setup.spec.robots is not None)
         context = replace(context, **self.isolation.context)
         context.save(self._session.paths.context)
         record = self._setup.project.config.environment.record
@@ -123,6 +124,7 @@ class Service:
             not detach,
             environment.recorded(record),
             self._setup.environment._asdict(),
+            self._setup.root,
         )
         recorder = Recorder(self._store, self._session.paths, context, kept, doubt)
         try:
@@ -172,7 +174,8 @@ class Service:
 
     def _is_observed(self) -> bool:
         """Return whether runs may be observed."""
-        return not self._setup.image and self._setup.project.config.observe != "none"
+        here = self._setup.image is None and self._setup.spec.robots is None
+        return here and self._setup.project.config.observe != "none"
 
     def _search(self) -> str:
         """Return the PATH of the runs."""

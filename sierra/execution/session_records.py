@@ -303,6 +303,7 @@ def _spec_row(batch: Batch) -> SpecRow:
         named_inputs=list(spec.named_inputs) or None,
         shared_files=spec.shared_files,
         around=json.dumps(spec.around.preimage()) if spec.around else None,
+        robots=None if spec.robots is None else json.dumps(spec.robots),
     )
 
 

@@ -47,6 +47,7 @@ class Recorded(NamedTuple):
     image: str | None
     host_access: list[str] | None
     around: str | None
+    robots: str | None
     target: str | None
     """The target of its last session."""
     files: list[str]
@@ -55,7 +56,7 @@ class Recorded(NamedTuple):
 
 COLUMNS = """
 SELECT b.batch, b.query, b.runs, b.controller, b.scenario, b.base_seed, b.overrides, b.template, b.template_sha256, b.platform,
-       r.command, r.variables, r.source, r.image, r.host_access, r.around, s.target, r.files,
+       r.command, r.variables, r.source, r.image, r.host_access, r.around, r.robots, s.target, r.files,
        r.shared_files
 FROM batches b JOIN specs r USING (spec) LEFT JOIN (
     SELECT batch, max(lamport) AS asked, nullif(arg_max(coalesce(target, ''), lamport), '') AS target
@@ -164,7 +165,8 @@ def _spec(plan: Plan, store: Store, before: Recorded) -> Iterator[PlanChange]:
     spec = plan.batch.spec
     if before.command != list(spec.command):
         yield PlanChange(Aspect.COMMAND, was=" ".join(before.command), now=" ".join(spec.command))
-    old, new = around.described(around.recorded(before.around)), around.described(spec.around)
+    old = around.described(around.recorded(before.around), around.commands_of_robots(before.robots))
+    new = around.described(spec.around, spec.robots)
     for name in sorted(old.keys() | new.keys()):
         if old.get(name) != new.get(name):
             yield PlanChange(Aspect.AROUND, name, old.get(name), new.get(name))

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
+from itertools import chain
 from pathlib import PurePosixPath
 
 from sierra.config.output_tables import FILE_FORMAT, NAMED_FORMATS, SAME_FORMAT, Output
 from sierra.config.plugin_registry import READERS
+from sierra.ingest import robot_files
 from sierra.ingest.base import Used
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Form, Shape
@@ -40,6 +42,7 @@ class OutputMatcher:
     def of(self, result: Result) -> Iterator[tuple[str, Shape, OutputFile]]:
         """Yield the files of one execution that become tables: first the declared ones, then files with a table's suffix."""
         automatic = []
+        of_robots: dict[str, list[OutputFile]] = {}
         for file in sorted(result.outputs, key=lambda file: natural(file.path)):
             declared = next(iter(claims(self._outputs, file.path)), None)
             kind = self._outputs[declared].kind if declared else automatic_format(file.path)
@@ -51,22 +54,26 @@ class OutputMatcher:
                 self._keep(NOT_UTF8, file)
             elif declared is not None:
                 yield declared, self._shape(self._outputs[declared]), file
+            elif result.robots and robot_files.place_of(file.path) is not None:
+                of_robots.setdefault(file.path.partition("/")[2], []).append(file)
             elif "/" in file.path:
                 self._keep(IN_FOLDERS, file)
             else:
                 automatic.append(file)
-        if len(automatic) > AUTOMATIC_AT_MOST:
-            for file in automatic:
+        if len(automatic) + len(of_robots) > AUTOMATIC_AT_MOST:
+            for file in (*automatic, *chain.from_iterable(of_robots.values())):
                 self._keep(TOO_MANY, file)
             return
         taken = {name.lower() for name in self._outputs}
-        for file in automatic:
-            name = table_name(file.path)
+        for path, files in {**{file.path: [file] for file in automatic}, **of_robots}.items():
+            name, kind, several = table_name(path), automatic_format(path) or "", path in of_robots
             if name.lower() in taken:
-                self._keep(TAKEN, file)
-            else:
-                taken.add(name.lower())
-                yield name, Shape(automatic_format(file.path) or ""), file
+                for file in files:
+                    self._keep(TAKEN, file)
+                continue
+            taken.add(name.lower())
+            shape = Shape(kind, many=True, ticks=(robot_files.COLUMN,)) if several else Shape(kind)
+            yield from ((name, shape, file) for file in files)
 
     def _shape(self, output: Output) -> Shape:
         many = bool(output.ticks) or any(c in output.file for c in "*?[")

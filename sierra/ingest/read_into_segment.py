@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra.config.output_tables import Output
+from sierra.ingest import robot_files
 from sierra.ingest.consistency import siblings
 from sierra.ingest.match_outputs import OutputMatcher
 from sierra.ingest.messages import shown
@@ -147,4 +148,6 @@ def _written(result: Result, file: OutputFile, output: Output | None) -> Written
     path = str(Path(result.directory, RUN_OUTPUT, file.path))
     seen = (file.head, file.lines, file.ended, file.bytes, file.quotes, file.blank, file.alike)
     ticks = output.ticks_of(file.path) if output is not None and output.ticks else None
+    if output is None and result.robots and (place := robot_files.place_of(file.path)) is not None:
+        ticks = (place,)
     return Written(path, result.run, result.execution, file.path, *seen, ticks or ())

@@ -93,6 +93,8 @@ class Past:
     artifacts: tuple[ArtifactRow, ...]
     elsewhere: tuple[str, ...] = ()
     """The files that it wrote, but not among its outputs."""
+    robots: Mapping[int, str] = field(default_factory=dict)
+    """The names of its robots by place."""
     tabled: bool = False
     """True if the rows of its tables by the new rules are already recorded."""
 
@@ -119,6 +121,7 @@ class Past:
             slot=0,
             outputs=tuple(outputs),
             elsewhere=self.elsewhere,
+            robots=self.robots,
         )
 
     def failed_by_rules(self, result: Result) -> bool:
@@ -184,6 +187,7 @@ SELECT run, b.execution AS execution, b.exit_code AS exit_code, b.found AS found
 FROM best ORDER BY run
 """
 WRITTEN = "SELECT execution, path FROM files_written WHERE use = 'written' AND list_contains($executions, execution)"
+ROBOTS = "SELECT execution, place, robot FROM robots WHERE list_contains($executions, execution)"
 ARTIFACTS = "SELECT a.* FROM all_artifacts a SEMI JOIN chosen USING (execution) ORDER BY execution, path"
 
 
@@ -203,14 +207,18 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
     artifacts: dict[str, list[ArtifactRow]] = {row.judgement: [] for row in rows}
     for artifact in snapshot.select(ArtifactRow, ARTIFACTS):
         artifacts[artifact.execution].append(artifact)
-    snapshot.views.make(("files_written",))
+    robots: dict[str, dict[int, str]] = {}
+    snapshot.views.make(("files_written", "robots"))
+    for execution, place, name in snapshot.run(ROBOTS, {"executions": [row.execution for row in rows]}):
+        robots.setdefault(execution, {})[place] = name
     written: dict[str, list[str]] = {}
     for execution, path in snapshot.run(WRITTEN, {"executions": [row.execution for row in rows]}):
         written.setdefault(execution, []).append(path)
     for row in rows:
         if row.ingest_rules in rules:
             elsewhere = tuple(sorted(written.get(row.execution, ())))
-            one = Past(row, *rules[row.ingest_rules], tuple(artifacts[row.judgement]), elsewhere)
+            known = robots.get(row.execution, {})
+            one = Past(row, *rules[row.ingest_rules], tuple(artifacts[row.judgement]), elsewhere, known)
             yield replace(one, tabled=_is_tabled(one, context))
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sierra.config.output_tables import Output, Success
-from sierra.ingest import astray
+from sierra.ingest import astray, robot_files
 from sierra.ingest.match_outputs import claimed_twice
 from sierra.ingest.observations import observed
 from sierra.model import Result, Status
@@ -63,6 +63,8 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
     if result.exit_code not in success.exit_status:
         return Status.FAILED, f"exit status {result.exit_code}"
     for name, output in outputs.items():
+        if output.required and (place := robot_files.lacking(output, result.outputs, result.robots)) is not None:
+            return Status.FAILED, f"{robot_files.named(place, result.robots)} did not write {robot_files.own(output)!r}"
         if output.required and not any(output.matches(file.path) for file in result.outputs):
             return Status.FAILED, astray.lacking(name, output, result.elsewhere)
     if (reason := astray.failure(result, outputs) or claimed_twice(result, outputs)) is not None:
@@ -74,12 +76,13 @@ def _marked(result: Result, success: Success) -> tuple[Status, str | None]:
     if not success.marker:
         return Status.OK, None
     log = success.marker in (RUN_STDOUT, RUN_STDERR)
-    marker = Path(result.directory, "" if log else RUN_OUTPUT, success.marker)
-    there = not marker.is_symlink() and marker.is_file()
-    if not there and not log:  # a missing log is an empty log
-        return Status.FAILED, f"did not write its marker {success.marker!r}"
-    if success.contains and not (there and success.contains.encode() in marker.read_bytes()):
-        return Status.FAILED, f"its marker {success.marker!r} does not contain {success.contains!r}"
+    for path in (success.marker,) if log else robot_files.markers(success.marker, result):
+        marker = Path(result.directory, "" if log else RUN_OUTPUT, path)
+        there = not marker.is_symlink() and marker.is_file()
+        if not there and not log:  # a missing log is an empty log
+            return Status.FAILED, f"did not write its marker {path!r}"
+        if success.contains and not (there and success.contains.encode() in marker.read_bytes()):
+            return Status.FAILED, f"its marker {path!r} does not contain {success.contains!r}"
     return Status.OK, None
 
 

@@ -165,6 +165,7 @@ def _recipes(records: Records) -> Iterator[Finding]:
             tuple(row.named_inputs or ()),
             row.shared_files,
             around.recorded(row.around),
+            around.commands_of_robots(row.robots),
         )
         return digest("recipe", made.preimage())
 

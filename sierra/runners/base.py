@@ -11,15 +11,16 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import ClassVar, Protocol
+from pathlib import Path
+from typing import ClassVar, Protocol, runtime_checkable
 
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import RUNNERS, SCHEDULERS, Tables
-from sierra.errors import ConfigError, Missing, SierraError
+from sierra.errors import ConfigError, Missing, SierraError, UsageError
 from sierra.model import Job, Requirement, Result, Times
 from sierra.provenance.dependency_model import INSTALLED, Kind, Program, Programs
 from sierra.provenance.hash_cache import HashCache
@@ -45,6 +46,8 @@ class Work:
     """Names or patterns of the environment variables that are recorded."""
     around: Mapping[str, JsonView] = field(default_factory=dict)
     """The row of `environments` of this process. It supplies what a node does not report about itself."""
+    code: Path | None = None
+    """The folder of the code, which robots get; None if the runs do not need it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +132,26 @@ class Runner(Protocol):
         Work that survives the process goes on. It may be called again.
         """
         ...
+
+
+@runtime_checkable
+class RunsMembers(Protocol):
+    """A runner that executes the members of jobs (see `sierra.model.Job`), and no other jobs: on robots."""
+
+    def check_robots(self, counts: Collection[int], *, base: bool) -> None:
+        """Raise ConfigError if there are runs that take more robots than there are; it is called before `submit`.
+
+        `counts` are the numbers of robots that the runs take, without the base station; `base`: they take one.
+        """
+
+
+def check_members(runner: Runner, name: str, *, on_robots: bool) -> None:
+    """Raise UsageError if a runner cannot execute runs on robots, or if it can execute only these."""
+    able = isinstance(runner, RunsMembers)
+    if on_robots and not able:
+        raise UsageError(f"runner {name!r} cannot execute runs on robots ([robots] in sierra.toml); use --on robots")
+    if able and not on_robots:
+        raise UsageError(f"runner {name!r} executes runs on robots only; declare [robots] in sierra.toml, or use --on local")
 
 
 def needed(programs: Programs, search: str) -> tuple[Requirement, ...]:

@@ -108,8 +108,8 @@ TABLES = (
 
 def find(plan: Plan, snapshot: Snapshot, runs: Collection[str]) -> dict[str, Reusable]:
     """Return the executions that count for these runs of the plan, by run."""
-    if not runs or plan.image is not None or plan.checkout is not None:
-        return {}  # an image covers the programs; a checkout is not the folder with the current files
+    if not runs or plan.image is not None or plan.checkout is not None or plan.batch.spec.robots is not None:
+        return {}  # an image covers the programs; a checkout is not the folder with the current files; robots are not observed
     if not snapshot.holds("observations"):
         return {}
     snapshot.views.make(TABLES)

@@ -80,7 +80,10 @@ def spec(before: Side, after: Side) -> Iterator[Difference]:
     old, new = before.spec, after.spec
     yield from changed("platform", "platform", old.platform, new.platform)
     yield from changed("command", "command", " ".join(old.command), " ".join(new.command))
-    was, now = (around.described(around.recorded(side.spec.around)) for side in (before, after))
+    was, now = (
+        around.described(around.recorded(side.spec.around), around.commands_of_robots(side.spec.robots))
+        for side in (before, after)
+    )
     for name in sorted(was.keys() | now.keys()):
         yield from changed("command", name, was.get(name), now.get(name))
     for name in sorted(before.variables.keys() | after.variables.keys()):

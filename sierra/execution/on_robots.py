@@ -1,0 +1,93 @@
+"""Runs on robots: their commands and outputs, and what is refused.
+
+Each robot writes into a folder of its own, named by its place. An output with `file = "swarm.csv"` is therefore read from
+`{robot}/swarm.csv`: the files of all robots become one table with the column `robot`. A `file` that begins with a place
+(`0/tracking.csv`) or with `{robot}/` stays as it is.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from sierra.config.output_tables import PLACEHOLDER, Output
+from sierra.config.project_file import Project
+from sierra.config.robots_table import ROBOT
+from sierra.design import robots
+from sierra.design.run_values import Declared
+from sierra.errors import ConfigError
+from sierra.execution import commands
+from sierra.execution.plan import Plan
+from sierra.ingest.robot_files import OF_ROBOT
+from sierra.model import BASE
+from sierra.runners.base import Runner, RunsMembers, check_members
+
+OF_PLACE = re.compile(rf"(\./)?([0-9]+|{re.escape(OF_ROBOT)})/")
+
+
+def configured(config: Project) -> Project:
+    """Return the project with the command and the outputs of its robots, if its runs take robots. Raises ConfigError."""
+    if config.robots is None:
+        return config
+    _check(config)
+    outputs = {name: _of_robots(name, output) for name, output in config.outputs.items()}
+    return config.model_copy(update={"command": config.robots.command or config.command, "outputs": outputs})
+
+
+def _check(config: Project) -> None:
+    """Raise ConfigError for settings that runs on robots do not have."""
+    around = {"before": config.before, "after": config.after, "[services]": config.services, "files": config.files}
+    for name in (name for name, used in around.items() if used):
+        raise ConfigError(f"{name} has no effect on robots; remove it there, or let the robots' own commands do it")
+    if config.container is not None:
+        raise ConfigError("[container]: runs on robots execute without a container; remove it for this target")
+
+
+def _of_robots(name: str, output: Output) -> Output:
+    """Return an output as it is read from the folders of all robots. Raises ConfigError."""
+    if OF_PLACE.match(output.file):
+        return output
+    if any(character in output.file for character in "*?["):
+        raise ConfigError(
+            f"[outputs.{name}] file: {output.file!r} cannot have * ? [ in runs on robots; name the file, or put a name in "
+            "braces in place of a number"
+        )
+    if ROBOT in PLACEHOLDER.findall(output.file):
+        raise ConfigError(f"[outputs.{name}] file: {{{ROBOT}}} is the folder of a robot; begin with it, or use another name")
+    return output.model_copy(update={"file": OF_ROBOT + "/" + output.file.removeprefix("./")})
+
+
+def of_groups(
+    config: Project, root: Path, declared: Declared, made: Iterable[str] = ()
+) -> Mapping[str, tuple[str, ...]] | None:
+    """Return the commands of groups of places in the form that is part of a run's identity; None for runs without robots.
+
+    Raises ConfigError and QueryError as `commands.checked`.
+    """
+    if config.robots is None:
+        return None
+
+    def checked(group: str, argv: tuple[str, ...]) -> tuple[str, ...]:
+        place = f"[robots.{group}] command" if group == "base" else f"[robots.groups.{group}] command"
+        known = (*commands.KNOWN_ON_ROBOTS, *declared.names)
+        return commands.checked(argv, root, place, known, contained=False, made=tuple(made), declared=declared, project=config)
+
+    return {group: checked(group, argv) for group, argv in config.robots.commands.items()}
+
+
+def check_paths(words: Iterable[str]) -> None:
+    """Raise ConfigError for a word that names a file outside the project, which a robot does not have."""
+    for word in words:
+        if commands.ABOVE.search(word):
+            raise ConfigError(f"command: {word!r} is outside of the project, which is all that a robot gets")
+
+
+def check_fleet(runner: Runner, name: str, plan: Plan) -> None:
+    """Raise UsageError if a runner cannot execute the runs of a plan, ConfigError if its fleet is too small for them."""
+    check_members(runner, name, on_robots=plan.batch.spec.robots is not None)
+    if isinstance(runner, RunsMembers):
+        first = {experiment.runs[0].id for experiment in plan.batch.experiments}
+        each = [robots.read(files) for _, files in plan.inputs.files(plan.batch, lambda run: run.id in first)]
+        counts = {sum(place.number != BASE for place, _ in one) for one in each}
+        runner.check_robots(counts, base=any(place.number == BASE for one in each for place, _ in one))

@@ -1,0 +1,51 @@
+"""Files of runs on robots: each robot's outputs are in a folder that is named by its place.
+
+`{robot}` at the beginning of an output's `file` stands for that folder, and becomes the column `robot`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+
+from sierra.config.output_tables import Output
+from sierra.model import BASE, OutputFile, Result
+
+OF_ROBOT = "{robot}"
+COLUMN = "robot"
+_DIRECT = re.compile(r"([0-9]{1,9})/[^/]+")
+
+
+def place_of(path: str) -> int | None:
+    """Return the place of the robot that wrote a file directly into its folder; None for any other file."""
+    found = _DIRECT.fullmatch(path)
+    return int(found[1]) if found else None
+
+
+def own(output: Output) -> str:
+    """Return the path of an output in the folder of a robot."""
+    return output.file.removeprefix("./").removeprefix(OF_ROBOT + "/")
+
+
+def lacking(output: Output, files: Iterable[OutputFile], robots: Mapping[int, str]) -> int | None:
+    """Return the place of the first robot that did not write an output that all robots write; None if all did.
+
+    The base station need not write it.
+    """
+    if not output.file.removeprefix("./").startswith(OF_ROBOT + "/"):
+        return None
+    wrote = {numbers[0] for file in files if (numbers := output.ticks_of(file.path)) is not None}
+    return next((place for place in sorted(robots) if place != BASE and place not in wrote), None)
+
+
+def named(place: int, robots: Mapping[int, str]) -> str:
+    """Return a robot for messages: `robot 2 (tb3-07)`."""
+    name = "the base station" if place == BASE else f"robot {place}"
+    return f"{name} ({robots[place]})" if robots.get(place) else name
+
+
+def markers(marker: str, result: Result) -> tuple[str, ...]:
+    """Return the paths of the files that must exist in the output folder: a marker of each robot, or the one that is named."""
+    if not result.robots or place_of(marker) is not None:
+        return (marker,)
+    return tuple(f"{place}/{marker}" for place in sorted(result.robots) if place != BASE)

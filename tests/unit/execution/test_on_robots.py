@@ -1,0 +1,174 @@
+"""Runs on robots: their identity, their inputs, and what is recorded of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import sierra
+from sierra.errors import ConfigError, QueryError, SierraError, UsageError
+from sierra.execution.commands import CommandBuilder
+from sierra.model import ON_ROBOT, Job
+from tests import projects, robots
+
+GROUPS = """
+[targets.robots.robots.base]
+command = "{python} tracker.py"
+[targets.robots.robots.groups.leader]
+places = [2, 7]
+command = "{python} robot.py {input} {robot} --leader"
+changes = [{ set = "//@x", value = "{robot * 10}" }]
+"""
+
+
+@pytest.fixture(autouse=True)
+def _fleet(monkeypatch: pytest.MonkeyPatch) -> None:
+    robots.register(monkeypatch)
+
+
+def jobs(root: Path, *query: str) -> list[Job]:
+    """Return the jobs of a query for the target `robots`."""
+    plan = sierra.open(root).plan(*query, target="robots", runs=1)
+    builder = CommandBuilder(plan.batch.spec, root, plan.engine, plan.limits, "session", root)
+    return [builder.job(run, files) for run, files in plan.inputs.files(plan.batch, lambda run: True)]
+
+
+@pytest.mark.integration
+def test_all_robots_of_a_run_write_one_table_and_are_recorded(tmp_path: Path) -> None:
+    root = robots.project(tmp_path / "p", GROUPS)
+    project = sierra.open(root)
+    summary = project.run("population_size=1,3", target="robots", figures=False)
+    assert (summary.executed, summary.failed) == (4, 0), summary
+    assert projects.sql(
+        root, "SELECT population_size, robot, count(*) AS rows, max(tick) AS last FROM swarm GROUP BY ALL ORDER BY ALL"
+    ) == [{"population_size": count, "robot": robot, "rows": 8, "last": 3} for count in (1, 3) for robot in range(1, count + 1)]
+    assert projects.sql(root, "SELECT DISTINCT robot FROM tracking") == [{"robot": 0}]
+    [found] = projects.sql(root, "SELECT execution FROM runs WHERE population_size = 3 AND number = 0")
+    execution = found["execution"]
+    assert projects.sql(
+        root, f"SELECT place, robot_group, robot FROM robots WHERE execution = '{execution}' ORDER BY place"
+    ) == [
+        {"place": 0, "robot_group": "base", "robot": "tb3-00"},
+        {"place": 1, "robot_group": "robot", "robot": "tb3-01"},
+        {"place": 2, "robot_group": "leader", "robot": "tb3-02"},
+        {"place": 3, "robot_group": "robot", "robot": "tb3-03"},
+    ]
+    # the clock of robot 2 is 2 s ahead, and 20 µs more after 10 s: 10 µs after 5 s
+    start = robots.START_NS
+    assert projects.sql(
+        root,
+        f"SELECT stamp - offset_ns - round(drift * (stamp - clock_ns))::BIGINT - {start} AS common, uncertainty_ns "
+        f"FROM (SELECT {start + 5 * robots.SECOND} AS stamp), robot_clocks WHERE place = 2 AND execution = '{execution}'",
+    ) == [{"common": 3 * robots.SECOND - 10_000, "uncertainty_ns": 1_000_000.0}]
+    shown = projects.quick(root, "show", execution[:12]).stdout
+    assert "tb3-02" in shown
+    assert project.fsck().findings == ()
+    again = project.run("population_size=1,2,3", target="robots", figures=False)
+    assert (again.executed, again.reused) == (2, 4), "the size of the largest run is no part of smaller ones"
+
+
+def test_each_robot_gets_inputs_and_commands_of_its_own(tmp_path: Path) -> None:
+    changes = 'run_changes = [{ set = "//@x", value = "{robot + run}" }]\n'
+    variables = '[environment]\nset = { ROS_NAMESPACE = "tb{robot}" }\n'
+    root = robots.project(tmp_path / "p", GROUPS + variables, changes + robots.CONFIG)
+    [job] = jobs(root, "population_size=3")
+    assert [(one.place, one.group) for one in job.members] == [(0, "base"), (1, "robot"), (2, "leader"), (3, "robot")]
+    inputs = [dict(one.files)["input.xml"].decode() for one in job.members]
+    assert [text.split('x="')[1].split('"')[0] for text in inputs] == ["0", "1", "20", "3"]
+    assert [one.argv for one in job.members[1:3]] == [
+        ("python3", f"{ON_ROBOT}/robot.py", "\0/input.xml", "1"),
+        ("python3", f"{ON_ROBOT}/robot.py", "\0/input.xml", "2", "--leader"),
+    ]
+    names = ("SIERRA_ROBOT", "SIERRA_ROBOTS", "ROS_NAMESPACE")
+    assert [job.members[2].environment[name] for name in names] == ["2", "3", "tb2"]
+    assert "PATH" not in job.members[2].environment
+    assert (job.argv, job.environment) == ((), {})
+    listed = json.loads(dict(job.files)["sierra_robots.json"])["robots"]
+    assert [sorted(one) for one in listed] == [
+        ["files", "group", "place"],
+        ["group", "place"],
+        *2 * [["files", "group", "place"]],
+    ]
+
+
+def test_commands_and_groups_are_part_of_the_identity_and_other_projects_keep_theirs(tmp_path: Path) -> None:
+    def runs(name: str, more: str = "", target: str = "robots") -> set[str]:
+        return {job.run for job in jobs(robots.project(tmp_path / name, more), "population_size=3")} if target else set()
+
+    plain = runs("plain")
+    assert plain == runs("again")
+    others = [
+        runs("group", "[targets.robots.robots.groups.leader]\nplaces = [2]\n"),
+        runs("base", '[targets.robots.robots.base]\ncommand = "{python} tracker.py"\n'),
+        runs("far", "[targets.robots.robots.groups.leader]\nplaces = [9]\n"),
+    ]
+    assert [one == plain for one in others] == [False, False, True]
+    sim = robots.project(tmp_path / "sim")
+    with_robots = sierra.open(sim).plan("population_size=3").batch.id
+    (sim / "sierra.toml").write_text(robots.CONFIG.split("[targets.robots]")[0])
+    assert sierra.open(sim).plan("population_size=3").batch.id == with_robots
+
+
+@pytest.mark.parametrize(
+    ("change", "query", "kind", "message"),
+    [
+        (('count = "population_size"', 'count = "swarm"'), "population_size=2", QueryError, "which the query does not vary"),
+        ((), "population_size=1.5,2", QueryError, "population_size is 1.5, but a run takes a whole number of robots"),
+        ((), "population_size=0,1", QueryError, "count is 0; a run takes 1 to 1000 robots"),
+        (("{input}\"\ntarget", "{input} {robot}\"\ntarget"), "population_size=2", ConfigError, "unknown placeholder {robot}"),
+        (('file = "swarm.csv"', 'file = "*.csv"'), "population_size=2", ConfigError, "name the file, or put a name in braces"),
+        (("[targets.sim]", "[targets.robots.container]\nimage='x'\n[targets.sim]"), "population_size=2", ConfigError, "a cont"),
+        (('runs = 2', 'runs = 2\nbefore = "true"'), "population_size=2", ConfigError, "before has no effect on robots"),
+        (('robot.py {input}', '../robot.py {project}/../x'), "population_size=2", ConfigError, "outside of the project"),
+    ],
+)  # fmt: skip
+def test_what_robots_cannot_do_is_refused_in_one_line(
+    tmp_path: Path, change: tuple[str, ...], query: str, kind: type[SierraError], message: str
+) -> None:
+    config = robots.CONFIG.replace(*change) if change else robots.CONFIG
+    root = robots.project(tmp_path / "p", config=config)
+    target = "sim" if "unknown placeholder" in message else "robots"
+    with pytest.raises(kind) as raised:
+        sierra.open(root).plan(query, target=target)
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ("[targets.robots.robots.groups.robot]\nplaces = [1]\n", "groups.robot: this name is taken"),
+        ("[targets.robots.robots.groups]\na = { places = [1] }\nb = { places = [1] }\n", "place 1 is in a and in b"),
+        ("[targets.robots.robots.groups.a]\nplaces = [0]\n", "places"),
+        ("[per_run]\nrobot = [1, 2]\n", "{robot} is the robot's place"),
+    ],
+)  # fmt: skip
+def test_contradictory_tables_of_robots_are_refused(tmp_path: Path, more: str, message: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        sierra.open(robots.project(tmp_path / "p", more)).plan("population_size=2", target="robots")
+    assert message in str(raised.value)
+
+
+def test_runners_refuse_runs_that_they_cannot_execute(tmp_path: Path) -> None:
+    project = sierra.open(robots.project(tmp_path / "p", "[runners.pretend]\nrobots = 2\n"))
+    with pytest.raises(UsageError, match=r"'local' cannot execute runs on robots .* use --on robots"):
+        project.run("population_size=2", target="robots", runner="local", figures=False)
+    with pytest.raises(UsageError, match="'pretend' executes runs on robots only"):
+        project.run("population_size=2", target="sim", runner="pretend", figures=False)
+    with pytest.raises(ConfigError, match="runs take 3 robots, but the fleet has 2"):
+        project.run("population_size=2,3", target="robots", figures=False)
+    assert list(project.batches) == []
+
+
+@pytest.mark.integration
+def test_a_robot_without_an_output_and_an_invalid_trial_do_not_count(tmp_path: Path) -> None:
+    config = robots.CONFIG.replace("{input} {robot}", "{input} {robot} silent")
+    root = robots.project(tmp_path / "p", "[runners.pretend]\ninvalid = [0]\n", config)
+    summary = sierra.open(root).run("population_size=1,2", target="robots", runs=1, figures=False)
+    assert summary.failed == 2
+    assert projects.sql(root, "SELECT status, reason FROM executions ORDER BY lamport") == [
+        {"status": "invalid", "reason": "invalid trial: fell over"},
+        {"status": "failed", "reason": "robot 2 (tb3-02) did not write 'swarm.csv'"},
+    ]
