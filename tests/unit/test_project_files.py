@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 LOCK = (ROOT / "requirements.lock").read_text("utf-8")
 WORKER = (ROOT / "sierra" / "worker" / "worker.py").read_text("utf-8")
+AGENT = (ROOT / "sierra" / "worker" / "robot_agent.py").read_text("utf-8")
 
 NEWER_THAN_3_8 = {"annotationlib", "compression", "graphlib", "string.templatelib", "tomllib", "zoneinfo"}
 """Modules of the standard library that Python 3.8 does not have."""
@@ -138,8 +139,9 @@ def test_wheel_contains_the_whole_package() -> None:
     assert Path("sierra/py.typed") in shipped
 
 
-def test_worker_imports_only_the_standard_library_of_python_3_8() -> None:
-    found = imports(WORKER) - {"sierra", "sierra.worker", "sierra.worker.file_trace"}  # only for types
+@pytest.mark.parametrize("text", [WORKER, AGENT], ids=["worker", "robot agent"])
+def test_worker_imports_only_the_standard_library_of_python_3_8(text: str) -> None:
+    found = imports(text) - {"sierra", "sierra.worker", "sierra.worker.file_trace"}  # only for types
     top = {name.partition(".")[0] for name in found}
     assert top <= sys.stdlib_module_names
     assert not (top | found) & NEWER_THAN_3_8
@@ -147,3 +149,4 @@ def test_worker_imports_only_the_standard_library_of_python_3_8() -> None:
 
 def test_worker_has_only_python_3_8_syntax() -> None:
     ast.parse(WORKER, feature_version=(3, 8))
+    ast.parse(AGENT, feature_version=(3, 8))

@@ -1,0 +1,736 @@
+"""The agent: executes runs on one robot for a driver, and ends them if it hears no more of that driver.
+
+It is one file that needs only the standard library (Python 3.8 or newer), and `worker.py` beside it. A driver starts it by SSH:
+
+    robot_agent.py FOLDER LOCK
+
+Both sides exchange lines of JSON: the driver sends requests (`do`), the agent answers with events (`event`).
+
+| `do` | answer | meaning |
+|---|---|---|
+| `hello` | `hello` or `refused` | lock the robot, end and remove leftovers, execute the setup line |
+| `check` | `checked` | measure battery and disk, execute the checks |
+| `clock` | `clock` | the two clocks, in ns |
+| `arm` | `armed` or `refused` | make the run's folder, and start its worker, which waits |
+| `at` | `gated` or `late` | start the run at this time (ns) of this robot's clock; a time in the past is refused |
+| `stop` | (`ended`) | end the run |
+| `done` | `removed` | remove the run's folder |
+| `beat` | `beat` | the driver lives |
+| `bye` | | give the robot back |
+
+A request may have an `id`, which its answer repeats. The events `started` and `ended` come by themselves.
+
+*Lock*: an abstract socket with the name LOCK. Only one process of a host can have it, of whatever user, and the kernel frees it
+when that process ends. Whoever finds it taken connects to it, and reads who has it.
+
+*Lease*: each byte of the driver renews it. If it has expired by the monotonic clock, or if the input has ended, nothing more
+starts, a run is ended as by `stop`, and the agent ends. Therefore nothing is left to start later, also after a reboot.
+
+*Stop*: SIGTERM to the run (by its worker), and the stop command of the robot at the same time; after the grace time, SIGKILL.
+If processes had to be killed, the stop command is executed once more, because they may have moved the robot since. It is also
+executed when a run has ended by itself. If it fails or takes too long, the event `ended` says so. All processes that a run
+started are found: the worker is their subreaper, and the agent is that of the worker.
+
+A run's folder is FOLDER/runs/ATTEMPT. It has `process.json` from the time when the run is armed, and `ended.json` at its end.
+An attempt whose folder exists is never started again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import os
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING, Any, Callable, Dict, Mapping, Sequence
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+Record = Dict[str, Any]
+
+RUNS = "runs"
+PROCESS, ENDED, STOP_LOG, WORKER_LOG = "process.json", "ended.json", "stop.log", "worker.log"
+LEASE_S, GRACE_S, STOP_S = 5.0, 2.0, 5.0
+SETUP_S, CHECK_S = 60.0, 10.0
+SETTLE_S = 3.0  # after the grace time, for a worker to end what it has killed, and to hash the outputs of others
+LOOK_S = 0.1  # between two looks at a run, and at the clocks
+BEGIN_S = 0.002  # between two looks whether a run has begun
+SOON_S = 60.0  # a start that is farther away is a mistake
+STEP_S = 0.05  # of the wall clock, from which on it is reported
+TAIL_BYTES = 400
+MOST_UNSENT = 1 << 20
+LEFT_OUT = ("_", "SHLVL", "PWD", "OLDPWD")  # variables that a shell sets
+
+
+class Refused(Exception):
+    """A request that cannot be fulfilled, with the reason in one line."""
+
+
+class Stopping:
+    """The stop command of a robot while it executes."""
+
+    def __init__(self, argv: Sequence[str], environment: Mapping[str, str], log: str, limit: float) -> None:
+        self.process: subprocess.Popen[bytes] | None = None
+        self.problem: str | None = None
+        self.log = log
+        self.limit = limit
+        self.kill_at = time.monotonic() + limit
+        try:
+            with open(log, "wb") as file:
+                self.process = subprocess.Popen(
+                    argv, stdin=subprocess.DEVNULL, stdout=file, stderr=file, env=environment, start_new_session=True
+                )
+        except (OSError, ValueError) as error:
+            self.problem = "cannot be started: " + the_worker().explain(error)
+
+    def has_ended(self) -> bool:
+        """Return whether it has ended; ends it if it takes too long."""
+        if self.process is None:
+            return True
+        status = self.process.poll()
+        if status is None and time.monotonic() < self.kill_at:
+            return False
+        if status is None:
+            self.problem = "did not end within %g s" % self.limit
+        elif status:
+            self.problem = "ended with %s%s" % (ending(status), last_line(self.log))
+        kill_all(self.process.pid)
+        self.process.wait()
+        self.process = None
+        return True
+
+
+class Run:
+    """One run on this robot, from arming to its end."""
+
+    def __init__(
+        self, folder: str, order: Record, environment: Mapping[str, str], stop: Sequence[str], grace: float, stop_limit: float
+    ) -> None:
+        """Make its folder, and start a worker that waits for the job. Raises OSError.
+
+        `stop` is the stop command, `stop_limit` the seconds that it may take.
+        """
+        self.folder = folder
+        self.attempt: str = order["attempt"]
+        self.job: Record = order["job"]
+        self.environment = environment
+        self.stop_argv = stop
+        self.grace = grace
+        self.stop_limit = stop_limit
+        self.gate: float | None = None
+        self.started = self.reported = self.over = False
+        self.why: str | None = None
+        self.kill_at: float | None = None
+        self.killed = False
+        self.stopping: Stopping | None = None
+        self.problems: list[str] = []
+        self.steps: list[float] = []
+        self.between_clocks = time.time() - time.monotonic()
+        os.makedirs(os.path.dirname(folder), exist_ok=True)
+        os.mkdir(folder)
+        with open(os.path.join(folder, WORKER_LOG), "wb") as log:
+            self.worker = subprocess.Popen(
+                [sys.executable, "-I", "-S", beside("worker.py"), folder, "1"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=log,
+                env=dict(environment),
+                start_new_session=True,
+            )
+        born = the_worker().birth(self.worker.pid)
+        executions = [self.job["execution"]]
+        write_whole(
+            os.path.join(folder, PROCESS),
+            {"pid": self.worker.pid, "born": born, "boot": boot_id(), "executions": executions, "who": order.get("who")},
+        )
+
+    def begin(self) -> None:
+        """Give the worker its job: it starts the program at once."""
+        self.started = True
+        self.gate = None
+        try:
+            pipe = the_worker().stdin_of(self.worker)
+            pipe.write(json.dumps(self.job, separators=(",", ":")).encode() + b'\n{"end": true}\n')
+            pipe.flush()
+        except OSError as error:
+            self.problems.append("its worker is gone: " + the_worker().explain(error))
+
+    def end(self, why: str) -> None:
+        """Tell the run to end, and start the stop command. The first reason counts."""
+        if self.why is not None or self.over:
+            return
+        self.why = why
+        self.gate = None
+        self.kill_at = time.monotonic() + self.grace + SETTLE_S
+        if self.started:
+            self.worker.terminate()
+            self.execute_stop_command()
+        else:
+            self.close_pipe()
+
+    def execute_stop_command(self) -> None:
+        if self.stop_argv:
+            log = os.path.join(self.folder, STOP_LOG)
+            self.stopping = Stopping(self.stop_argv, self.environment, log, self.stop_limit)
+
+    def look(self, now: float) -> bool:
+        """Look at the run; return whether it has ended, with all of its processes."""
+        self.look_at_clocks()
+        if self.kill_at is not None and now >= self.kill_at:
+            self.killed = True
+            kill_all(self.worker.pid)
+        if self.worker.poll() is None:
+            return False
+        if not self.over:
+            self.over = True
+            self.close_pipe()
+            self.killed = end_orphans(self.worker_of_stop()) or self.killed or self.was_killed()
+            if self.started and self.why is None:
+                self.execute_stop_command()
+        if self.stopping is not None:
+            if not self.stopping.has_ended():
+                return False
+            if self.stopping.problem:
+                self.problems.append("the stop command %s" % self.stopping.problem)
+            again, self.killed, self.stopping = self.killed and self.why is not None, False, None
+            if again:
+                self.execute_stop_command()
+                return False
+        return not end_orphans(0)
+
+    def worker_of_stop(self) -> int:
+        """Return the process of the stop command; 0 if there is none."""
+        return self.stopping.process.pid if self.stopping and self.stopping.process else 0
+
+    def was_killed(self) -> bool:
+        """Return whether the worker had to kill the run's program."""
+        record = self.record()
+        return self.why is not None and record is not None and record.get("signal") == signal.SIGKILL
+
+    def look_at_clocks(self) -> None:
+        """Note a step of the wall clock: it has moved against the monotonic one."""
+        between = time.time() - time.monotonic()
+        if abs(between - self.between_clocks) > STEP_S:
+            self.steps.append(round(between - self.between_clocks, 3))
+            self.between_clocks = between
+
+    def events(self) -> list[Record]:
+        """Return all complete lines of the worker's journal."""
+        lines = []
+        with contextlib.suppress(OSError), open(os.path.join(self.folder, "journal.jsonl"), "rb") as file:
+            lines = file.read().split(b"\n")[:-1]
+        return [json.loads(line) for line in lines]
+
+    def has_begun(self) -> bool:
+        return any(event["event"] == "start" for event in self.events())
+
+    def record(self) -> Record | None:
+        """Return the worker's report on the run's end; None without one."""
+        ends = [event for event in self.events() if event["event"] == "end"]
+        return ends[-1] if ends else None
+
+    def ended(self) -> Record:
+        """Return the report on the run's end."""
+        record = self.record()
+        status = self.worker.returncode
+        if record is None and self.started:
+            words = last_line(os.path.join(self.folder, WORKER_LOG))
+            self.problems.append("its worker ended with %s%s" % (ending(status), words))
+        return {
+            "attempt": self.attempt,
+            "started": self.started,
+            "why": self.why,
+            "end": record,
+            "problems": self.problems,
+            "steps": self.steps,
+        }
+
+    def close_pipe(self) -> None:
+        with contextlib.suppress(OSError):
+            if self.worker.stdin is not None:
+                self.worker.stdin.close()
+
+
+class Agent:
+    """One robot at the service of one driver."""
+
+    def __init__(self, folder: str, lock: str) -> None:
+        self.folder = folder
+        self.lock_name = lock
+        self.lock: socket.socket | None = None
+        self.who: Record = {}
+        self.lease = LEASE_S
+        self.grace = GRACE_S
+        self.stop_limit = STOP_S
+        self.stop_argv: Sequence[str] = ()
+        self.battery: Sequence[str] | str | None = None
+        self.checks: Sequence[Sequence[str]] = ()
+        self.environment: dict[str, str] = {}
+        self.run: Run | None = None
+        self.heard = time.monotonic()
+        self.leaving: str | None = None
+        self.terminated = False
+        self.unread = bytearray()
+        self.unsent = bytearray()
+        self.wake, wake = os.pipe()
+        for end in (self.wake, wake, 1):
+            os.set_blocking(end, False)
+        signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
+
+    def serve(self) -> None:
+        """Serve the driver until it says good-bye, or is not heard of any more."""
+        while not (self.leaving and self.run is None):
+            self.wait(self.until_next())
+            now = time.monotonic()
+            if self.terminated:
+                self.leave("a signal has ended the agent")
+            if not self.leaving and now - self.heard > self.lease:
+                self.leave("lost the driver: it was not heard of for %g s" % self.lease)
+            self.attend(now)
+        self.write(0.2)
+
+    def until_next(self) -> float:
+        """Return the seconds until something must be done, whatever the driver does."""
+        now = time.monotonic()
+        run = self.run
+        if run is None:
+            return max(0.0, min(1.0, self.heard + self.lease - now + 0.001))
+        if run.gate is not None:
+            return max(0.0, min(run.gate - now, LOOK_S))
+        begins = run.started and not run.reported and run.why is None
+        return BEGIN_S if begins else LOOK_S / 10 if run.why or run.over else LOOK_S
+
+    def wait(self, seconds: float) -> None:
+        """Wait so long, or until there is a request, and execute all requests."""
+        reading: list[Any] = [self.wake, *([] if self.leaving else [0]), *([self.lock] if self.lock else [])]
+        ready, writable, _ = select.select(reading, [1] if self.unsent else [], [], seconds)
+        if self.wake in ready:
+            os.read(self.wake, 4096)
+        if writable:
+            self.write()
+        if self.lock in ready:
+            self.say_who()
+        if 0 in ready:
+            self.read()
+
+    def read(self) -> None:
+        data = os.read(0, 1 << 20)
+        if not data:
+            self.leave("lost the driver: its connection has ended")
+            return
+        self.heard = time.monotonic()
+        self.unread += data
+        if b"\n" not in data:
+            return
+        *lines, rest = self.unread.split(b"\n")
+        self.unread = bytearray(rest)
+        for line in lines:
+            if not self.leaving:
+                self.handle(json.loads(line))
+        self.heard = time.monotonic()  # also after a request that took long
+
+    def handle(self, request: Record) -> None:
+        """Execute a request, and send its answer."""
+        try:
+            answer = self.answer(request)
+        except Refused as error:
+            answer = {"event": "refused", "reason": str(error)}
+        except (OSError, ValueError) as error:
+            answer = {"event": "refused", "reason": the_worker().explain(error)}
+        if answer is not None:
+            self.tell({**answer, "id": request.get("id")})
+
+    def answer(self, request: Record) -> Record | None:
+        """Execute a request, and return its answer. Raises Refused, OSError, ValueError."""
+        known: dict[str, Callable[[Record], Record | None]] = {
+            "hello": self.hello,
+            "check": self.check,
+            "clock": lambda _: {"event": "clock", "wall": time.time_ns(), "monotonic": time.monotonic_ns()},
+            "arm": self.arm,
+            "at": self.at,
+            "stop": self.stop,
+            "done": self.done,
+            "beat": lambda _: {"event": "beat"},
+            "bye": lambda _: self.leave("the driver has ended it"),
+        }
+        if request["do"] not in known:
+            raise Refused("unknown request %r" % request["do"])
+        return known[request["do"]](request)
+
+    def hello(self, request: Record) -> Record:
+        """Lock the robot, remove leftovers, and execute the setup line."""
+        self.lease, self.grace = request.get("lease", LEASE_S), request.get("grace", GRACE_S)
+        self.who = request["who"]
+        self.stop_argv, self.stop_limit = request.get("stop", ()), request.get("stop_limit", STOP_S)
+        self.battery, self.checks = request.get("battery"), request.get("checks", ())
+        self.acquire(time.monotonic() + request.get("patience", 0.0))
+        os.makedirs(self.folder, exist_ok=True)
+        before = dict(os.environ)
+        self.environment = with_setup(request.get("setup"), {**before, **request.get("variables", {})})
+        leftovers = self.end_leftovers(request.get("keep", ()))
+        names = [name for name, value in self.environment.items() if before.get(name) != value]
+        variables = {name: self.environment[name] for name in sorted({*names, "PATH"} & self.environment.keys())}
+        return {
+            "event": "hello",
+            "folder": os.path.abspath(self.folder),
+            "boot": boot_id(),
+            "host": os.uname().nodename,
+            "python": "%d.%d.%d" % sys.version_info[:3],
+            "executable": sys.executable,
+            "kernel": os.uname().release,
+            "machine": os.uname().machine,
+            "os": operating_system(),
+            "variables": variables,
+            "leftovers": leftovers,
+        }
+
+    def acquire(self, give_up: float) -> None:
+        """Lock the robot. An agent of the same driver that is ending is waited for. Raises Refused."""
+        while self.lock is None:
+            lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            try:
+                lock.bind("\0" + self.lock_name)
+                lock.listen(8)
+                lock.setblocking(False)
+                self.lock = lock
+            except OSError:
+                lock.close()
+                holder = self.holder()
+                if holder.get("session") != self.who.get("session") or time.monotonic() > give_up:
+                    raise Refused("in use by %s" % (holder.get("text") or "another process that holds its lock")) from None
+                time.sleep(LOOK_S)
+
+    def holder(self) -> Record:
+        """Return who holds the lock; empty if nobody says so."""
+        with contextlib.suppress(OSError, ValueError), socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as lock:
+            lock.settimeout(2.0)
+            lock.connect("\0" + self.lock_name)
+            with lock.makefile("rb") as file:
+                who = json.loads(file.readline(1 << 16))
+                return who if isinstance(who, dict) else {}
+        return {}
+
+    def say_who(self) -> None:
+        """Tell another process who holds the lock."""
+        with contextlib.suppress(OSError):
+            if self.lock is not None:
+                other, _ = self.lock.accept()
+                with other:
+                    other.setblocking(False)
+                    other.send(json.dumps(self.who).encode() + b"\n")
+
+    def end_leftovers(self, keep: Sequence[str]) -> list[Record]:
+        """End what earlier agents left running, and remove the folders of their runs, except those to keep. Return them all."""
+        root = os.path.join(self.folder, RUNS)
+        found = []
+        for attempt in sorted(the_worker().entries_of(root)):
+            folder = os.path.join(root, attempt)
+            ended = end_processes_of(folder)
+            if ended:
+                self.execute_stop_command()
+            found.append({"attempt": attempt, "ended": ended, "report": read_record(os.path.join(folder, ENDED))})
+            if attempt not in keep:
+                the_worker().remove(folder)
+        return found
+
+    def execute_stop_command(self) -> None:
+        """Execute the stop command, and wait for its end."""
+        if self.stop_argv:
+            stopping = Stopping(self.stop_argv, self.environment, os.path.join(self.folder, STOP_LOG), self.stop_limit)
+            while not stopping.has_ended():
+                time.sleep(LOOK_S / 10)
+
+    def check(self, request: Record) -> Record:
+        """Measure battery (percent) and disk (bytes), and execute the checks."""
+        failed = []
+        for argv in self.checks:
+            status, words = self.output_of(argv)
+            if status != 0:
+                failed.append("%s: %s" % (" ".join(argv), words or "status %s" % status))
+        space = shutil.disk_usage(self.folder)
+        return {"event": "checked", "battery": self.battery_level(), "disk": space.free, "failed": failed}
+
+    def battery_level(self) -> float | None:
+        """Return the first number that the battery's file or command gives; None without one. Raises Refused."""
+        if self.battery is None:
+            return None
+        if isinstance(self.battery, str):
+            with open(os.path.expanduser(self.battery), encoding="utf-8", errors="replace") as file:
+                words = file.read(4096)
+        else:
+            status, words = self.output_of(self.battery)
+            if status != 0:
+                raise Refused("its battery cannot be read: %s" % (words or "status %s" % status))
+        try:
+            return float(words.split()[0].rstrip("%"))
+        except (IndexError, ValueError):
+            raise Refused("its battery cannot be read: %r is not a number" % words[:40]) from None
+
+    def output_of(self, argv: Sequence[str]) -> tuple[int | None, str]:
+        """Execute a command; return its status, None if it does not end in time, and its output or the error."""
+        try:
+            ended = subprocess.run(
+                argv,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                env=self.environment,
+                timeout=CHECK_S,
+                start_new_session=True,
+            )
+        except subprocess.TimeoutExpired:
+            return None, "did not end within %g s" % CHECK_S
+        except (OSError, ValueError) as error:
+            return None, the_worker().explain(error)
+        return ended.returncode, " ".join(ended.stdout.decode("utf-8", "replace").split())[-TAIL_BYTES:]
+
+    def arm(self, order: Record) -> Record:
+        """Prepare a run. Raises Refused if another one is not over, or if this one was armed before."""
+        if self.lock is None:
+            raise Refused("arming needs a hello first")
+        if self.run is not None:
+            raise Refused("run %s is not over" % self.run.attempt)
+        folder = os.path.join(self.folder, RUNS, order["attempt"])
+        if os.path.lexists(folder):
+            raise Refused("attempt %s was armed before" % order["attempt"])
+        try:
+            self.run = Run(folder, order, self.environment, self.stop_argv, self.grace, self.stop_limit)
+        except OSError:
+            the_worker().remove(folder)
+            raise
+        return {"event": "armed", "attempt": self.run.attempt}
+
+    def at(self, request: Record) -> Record:
+        """Start the armed run at a time of this robot's wall clock (ns)."""
+        run = self.run
+        if run is None or run.started or run.gate is not None or run.why is not None or run.attempt != request["attempt"]:
+            raise Refused("attempt %s is not armed" % request["attempt"])
+        wait = request["at"] / 1e9 - time.time()
+        if not 0 <= wait <= SOON_S:
+            run.end("late")
+            return {"event": "late", "by": -wait}
+        run.gate = time.monotonic() + wait
+        return {"event": "gated"}
+
+    def stop(self, request: Record) -> Record | None:
+        if self.run is not None and self.run.attempt == request["attempt"]:
+            self.run.end(request["why"])
+        return None
+
+    def done(self, request: Record) -> Record:
+        """Remove the folder of an ended run."""
+        if self.run is not None and self.run.attempt == request["attempt"]:
+            raise Refused("run %s is not over" % self.run.attempt)
+        the_worker().remove(os.path.join(self.folder, RUNS, os.path.basename(request["attempt"])))
+        return {"event": "removed"}
+
+    def leave(self, why: str) -> None:
+        """End the run, and then this agent."""
+        self.leaving = self.leaving or why
+        if self.run is not None:
+            self.run.end(why)
+
+    def attend(self, now: float) -> None:
+        """Start the run when its time has come, and report its beginning and its end."""
+        run = self.run
+        if run is None:
+            return
+        if run.gate is not None and now >= run.gate:
+            run.begin()
+        if run.started and not run.reported and run.has_begun():
+            run.reported = True
+            self.tell({"event": "started", "attempt": run.attempt})
+        if run.look(now):
+            self.run = None
+            report = run.ended()
+            with contextlib.suppress(OSError):  # of a full disk, the driver hears at once
+                write_whole(os.path.join(run.folder, ENDED), report)
+            self.tell({"event": "ended", **report})
+
+    def tell(self, event: Record) -> None:
+        """Send an event. A driver that does not read loses it."""
+        if len(self.unsent) < MOST_UNSENT:
+            self.unsent += json.dumps(event, separators=(",", ":")).encode() + b"\n"
+        self.write()
+
+    def write(self, patience: float = 0.0) -> None:
+        """Send what is unsent as far as the driver takes it, and wait for it so many seconds."""
+        give_up = time.monotonic() + patience
+        while self.unsent:
+            try:
+                del self.unsent[: os.write(1, self.unsent)]
+            except BlockingIOError:
+                if time.monotonic() >= give_up:
+                    return
+                time.sleep(LOOK_S / 10)
+            except OSError:  # nobody is there any more
+                self.unsent.clear()
+
+
+def with_setup(line: str | None, environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables that are set after bash has executed a line. Raises Refused if it fails."""
+    own = {name: value for name, value in environment.items() if not name.startswith("SSH_")}
+    if not line:
+        return own
+    script = "exec 3>&1 >&2\n%s\nstatus=$?; [ $status = 0 ] || exit $status\nexec env -0 >&3" % line
+    try:
+        ended = subprocess.run(
+            ["bash", "-c", script],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            env=own,
+            timeout=SETUP_S,
+            start_new_session=True,
+        )
+    except subprocess.TimeoutExpired:
+        raise Refused("its setup line did not end within %g s" % SETUP_S) from None
+    if ended.returncode:
+        words = " ".join(ended.stderr.decode("utf-8", "replace").split())[-TAIL_BYTES:]
+        raise Refused("its setup line ended with %s: %s" % (ending(ended.returncode), words))
+    pairs = (pair.partition("=") for pair in ended.stdout.decode("utf-8", "surrogateescape").split("\0") if "=" in pair)
+    return {name: value for name, _, value in pairs if name not in LEFT_OUT and not name.startswith("BASH_FUNC_")}
+
+
+def end_processes_of(folder: str) -> int:
+    """Kill the processes of an earlier agent's run that are alive; return how many were. After a reboot there are none."""
+    record = read_record(os.path.join(folder, PROCESS)) or {}
+    if record.get("boot") != boot_id():
+        return 0
+    worker = the_worker()
+    pid = record.get("pid", 0)
+    marks = [b"SIERRA_EXECUTION=" + one.encode() for one in record.get("executions", ())]
+    ended: set[int] = set()
+    give_up = time.monotonic() + SETTLE_S
+    while time.monotonic() < give_up:
+        alive = {pid} if record.get("born") is not None and worker.birth(pid) == record["born"] else set()
+        alive = {one for one in (*alive, *worker.marked(marks)) if one and worker.stat_of(one)[:1] != [b"Z"]}
+        if not alive:
+            break
+        ended |= alive
+        for one in alive:
+            kill_all(one)
+        time.sleep(LOOK_S / 10)
+    return len(ended)
+
+
+def kill_all(pid: int) -> None:
+    """Kill a process, its descendants and its group."""
+    worker = the_worker()
+    for one in worker.descendants(pid):
+        worker.signal_process(one, signal.SIGKILL)
+    worker.signal_group(pid, signal.SIGKILL)
+
+
+def end_orphans(spared: int) -> bool:
+    """Kill the processes that have lost their worker; return whether one was alive. `spared` is the stop command's."""
+    worker = the_worker()
+    living = 0
+    for pid in worker.orphans():
+        fields = worker.stat_of(pid)
+        if pid == spared or not fields:
+            continue
+        if fields[0] != b"Z":
+            living += 1
+            kill_all(pid)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(pid, os.WNOHANG)
+    return living > 0
+
+
+def write_whole(path: str, record: Record) -> None:
+    """Write a record to a file that appears whole or not at all."""
+    with open(path + ".part", "w", encoding="ascii") as file:
+        json.dump(record, file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(path + ".part", path)
+
+
+def read_record(path: str) -> Record | None:
+    """Return the record in a file; None if there is none, or if it is damaged."""
+    try:
+        with open(path, encoding="ascii") as file:
+            record = json.load(file)
+    except (OSError, ValueError):
+        return None
+    return record if isinstance(record, dict) else None
+
+
+def last_line(path: str) -> str:
+    """Return `: ` and the last line of a log; empty if there is none."""
+    try:
+        with open(path, "rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
+            lines = file.read().decode("utf-8", "replace").strip().splitlines()
+    except OSError:
+        return ""
+    return ": " + lines[-1] if lines else ""
+
+
+def ending(status: int) -> str:
+    return "signal %d" % -status if status < 0 else "status %d" % status
+
+
+def boot_id() -> str:
+    """Return the name that the kernel has given to this boot."""
+    return the_worker().read_proc("sys/kernel/random/boot_id").decode().strip()  # type: ignore[no-any-return]
+
+
+def operating_system() -> str:
+    """Return the name of the distribution; empty if it is unknown."""
+    with contextlib.suppress(OSError), open("/etc/os-release", encoding="utf-8", errors="replace") as file:
+        for line in file:
+            if line.startswith("PRETTY_NAME="):
+                return line.partition("=")[2].strip().strip('"')
+    return ""
+
+
+def beside(name: str) -> str:
+    """Return the path of a file in the folder of this one."""
+    return os.path.join(os.path.dirname(os.path.abspath(__file__)), name)
+
+
+@functools.lru_cache(maxsize=None)
+def the_worker() -> ModuleType:
+    """Load the worker, which lies beside this file."""
+    import importlib.util
+
+    path = beside("worker.py")
+    spec = importlib.util.spec_from_file_location("worker", path)
+    if spec is None or spec.loader is None:
+        raise FileNotFoundError(path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def become_subreaper() -> None:
+    """Become the parent of processes whose worker has died (Linux only)."""
+    import ctypes
+
+    ctypes.CDLL(None, use_errno=True).prctl(36, 1, 0, 0, 0)
+
+
+def main(arguments: list[str]) -> int:
+    folder, lock = arguments
+    with contextlib.suppress(ImportError, OSError, AttributeError):
+        become_subreaper()
+    agent = Agent(os.path.abspath(os.path.expanduser(folder)), lock)
+    signal.signal(signal.SIGCHLD, lambda number, frame: None)
+    for number in (signal.SIGHUP, signal.SIGINT):
+        signal.signal(number, signal.SIG_IGN)  # the end of a login ends nothing; the input ends too
+    signal.signal(signal.SIGTERM, lambda number, frame: setattr(agent, "terminated", True))
+    agent.serve()
+    return 0
+
+
+if __name__ == "__main__":
+    os._exit(main(sys.argv[1:]))

@@ -1,0 +1,274 @@
+"""Tests of the agent on a robot, as a process that this test drives through pipes, without SSH."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import secrets
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sierra.worker import robot_agent, worker
+from tests.waiting import until
+
+IGNORES = "import signal, time; signal.signal(15, signal.SIG_IGN); print('on', flush=True); time.sleep(60)"
+DAEMON = """
+import os, time
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        open("daemon", "w").write(str(os.getpid()))
+        time.sleep(60)
+    os._exit(0)
+while not os.path.exists("daemon"): time.sleep(0.01)
+time.sleep(60)
+"""
+
+
+class Driver:
+    """The driver of one agent."""
+
+    def __init__(self, folder: Path, lock: str) -> None:
+        argv = [sys.executable, "-I", "-S", robot_agent.__file__, str(folder), lock]
+        self.process = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+        self.folder = folder
+        self.attempt = secrets.token_hex(6)
+        self.lines = bytearray()
+        self.ended = False
+
+    def send(self, do: str, **fields: Any) -> None:
+        assert self.process.stdin
+        self.process.stdin.write(json.dumps({"do": do, **fields}).encode() + b"\n")
+
+    def receive(self, event: str, seconds: float = 10.0) -> dict[str, Any]:
+        """Return the next event with this name; others are dropped."""
+        assert self.process.stdout
+        give_up = time.monotonic() + seconds
+        while time.monotonic() < give_up:
+            line, found, rest = self.lines.partition(b"\n")
+            if found:
+                self.lines = rest
+                if (record := json.loads(line))["event"] == event:
+                    return dict(record)
+                continue
+            if select.select([self.process.stdout], [], [], 0.05)[0]:
+                data = os.read(self.process.stdout.fileno(), 65536)
+                assert data, f"the agent ended before {event}"
+                self.lines += data
+        raise AssertionError(f"no {event} in {seconds} s")
+
+    def hello(self, **options: Any) -> dict[str, Any]:
+        self.send("hello", who={"session": self.attempt, "text": f"tester {self.attempt}"}, **options)
+        return self.receive("hello")
+
+    def arm(self, code: str, **more: Any) -> None:
+        self.send("arm", attempt=self.attempt, job=job(code, self.attempt, **more))
+        self.receive("armed")
+
+    def go(self, seconds: float = 0.1) -> None:
+        self.send("at", attempt=self.attempt, at=time.time_ns() + int(seconds * 1e9))
+        self.receive("gated")
+
+    def start(self, code: str, **more: Any) -> None:
+        self.arm(code, **more)
+        self.go()
+        self.receive("started")
+
+    @property
+    def output(self) -> Path:
+        return self.folder / "runs" / self.attempt / "1" / "output"
+
+    def is_alone(self) -> bool:
+        """Return whether no process of the run is alive."""
+        return not worker.marked([b"SIERRA_EXECUTION=" + self.attempt.encode()])
+
+
+def job(code: str, execution: str, grace: float = 0.3, **limits: float) -> dict[str, Any]:
+    return {
+        "run": "ab" * 32,
+        "execution": execution,
+        "argv": [sys.executable, "-I", "-c", code],
+        "environment": {"PATH": os.environ["PATH"], "SIERRA_EXECUTION": execution},
+        "files": {},
+        "limits": {"grace_s": grace, **limits},
+    }
+
+
+Start = Callable[..., Driver]
+
+
+@pytest.fixture
+def agent(tmp_path: Path) -> Iterator[Start]:
+    """Return a function that starts an agent; all of one test are on the same robot."""
+    lock = f"sierra-test-{secrets.token_hex(6)}"
+    drivers: list[Driver] = []
+
+    def start() -> Driver:
+        drivers.append(Driver(tmp_path / "robot", lock))
+        return drivers[-1]
+
+    yield start
+    for driver in drivers:
+        driver.process.kill()
+        driver.process.wait()
+        for pipe in (driver.process.stdin, driver.process.stdout):
+            with contextlib.suppress(OSError):
+                assert pipe
+                pipe.close()
+        until(driver.is_alone, "the run of a killed agent is gone", 10)
+
+
+def test_a_run_starts_at_its_time_and_leaves_its_outputs(agent: Start):
+    driver = agent()
+    hello = driver.hello(setup="export GREETING='a  b'", stop=["sh", "-c", "echo $GREETING > ../../../stopped"])
+    assert hello["variables"]["GREETING"] == "a  b"
+    driver.arm("open('x', 'w').write('1')")
+    at = time.time_ns() + 200_000_000
+    driver.send("at", attempt=driver.attempt, at=at)
+    driver.receive("gated")
+    ended = driver.receive("ended")
+    assert ended["end"]["exit_code"] == 0
+    assert ended["why"] is None
+    assert ended["problems"] == []
+    assert 0 <= ended["end"]["started"] - at / 1e9 < 0.1
+    assert [file["path"] for file in ended["end"]["outputs"]] == ["x"]
+    driver.send("arm", attempt=driver.attempt, job=job("", driver.attempt))
+    assert driver.receive("refused")["reason"] == f"attempt {driver.attempt} was armed before"
+    driver.send("done", attempt=driver.attempt)
+    driver.receive("removed")
+    assert list((driver.folder / "runs").iterdir()) == []
+
+
+def test_a_late_start_and_a_lost_driver_start_nothing(agent: Start):
+    driver = agent()
+    driver.hello()
+    driver.arm("open('x', 'w')")
+    driver.send("at", attempt=driver.attempt, at=time.time_ns() - 1)
+    assert driver.receive("late")["by"] > 0
+    assert driver.receive("ended")["started"] is False
+
+    driver.attempt = "other"
+    driver.arm("open('x', 'w')")
+    driver.go(0.3)
+    assert driver.process.stdin
+    driver.process.stdin.close()
+    assert driver.process.wait(5) == 0
+    assert not driver.output.exists()
+
+
+def test_a_lost_lease_ends_the_run_and_executes_the_stop_command(agent: Start):
+    driver = agent()
+    driver.hello(lease=0.4, stop=["touch", str(driver.folder / "stopped")])
+    driver.start("import time; time.sleep(60)")
+    began = time.monotonic()
+    assert driver.process.wait(10) == 0
+    assert time.monotonic() - began < 2.0
+    assert driver.is_alone()
+    assert (driver.folder / "stopped").exists()
+    report = json.loads((driver.folder / "runs" / driver.attempt / "ended.json").read_text())
+    assert report["why"] == "lost the driver: it was not heard of for 0.4 s"
+
+    after = agent()
+    [left] = after.hello(keep=[driver.attempt])["leftovers"]
+    assert (left["attempt"], left["ended"], left["report"]) == (driver.attempt, 0, report)
+    assert (driver.folder / "runs" / driver.attempt).exists()
+
+
+@pytest.mark.parametrize("code", [IGNORES, DAEMON], ids=["ignores SIGTERM", "daemon"])
+def test_everything_ends_within_the_grace_time(agent: Start, code: str):
+    driver = agent()
+    times = driver.folder / "stops"
+    driver.hello(grace=0.3, stop=["sh", "-c", f"echo stop >> {times}"])
+    driver.start(code)
+    until(lambda: any(driver.output.iterdir()) or (driver.output.parent / "stdout").read_text(), "the program is on", 10)
+    driver.send("stop", attempt=driver.attempt, why="the operator stopped it")
+    began = time.monotonic()
+    ended = driver.receive("ended")
+    assert time.monotonic() - began < 2.5
+    assert ended["why"] == "the operator stopped it"
+    assert driver.is_alone()
+    if code is IGNORES:  # it may have moved the robot until it was killed
+        assert times.read_text() == "stop\nstop\n"
+
+
+@pytest.mark.parametrize(("argv", "said"), [(["false"], "ended with status 1"), (["sleep", "60"], "did not end within 0.2 s")])
+def test_a_stop_command_that_fails_or_hangs_is_reported(agent: Start, argv: list[str], said: str):
+    driver = agent()
+    driver.hello(grace=0.2, stop=argv, stop_limit=0.2)
+    driver.start("import time; time.sleep(60)")
+    driver.send("stop", attempt=driver.attempt, why="a test")
+    assert driver.receive("ended")["problems"] == [f"the stop command {said}"]
+    assert driver.is_alone()
+
+
+def test_a_robot_has_one_driver(agent: Start):
+    first = agent()
+    first.hello()
+    second = agent()
+    second.send("hello", who={"session": "other"})
+    assert second.receive("refused")["reason"] == f"in use by tester {first.attempt}"
+    first.send("bye")
+    first.process.wait(5)
+    assert second.hello()["leftovers"] == []
+
+
+@pytest.mark.parametrize("step", ["armed", "gated", "started"])
+def test_what_a_killed_agent_leaves_is_ended_and_removed(agent: Start, step: str):
+    driver = agent()
+    stopped = driver.folder / "stopped"
+    driver.hello(grace=0.2)
+    driver.arm(DAEMON, grace=0.2)
+    if step != "armed":
+        driver.go(0.05 if step == "started" else 0.3)
+    if step == "started":
+        driver.receive("started")
+        until((driver.output / "daemon").exists)
+    driver.process.send_signal(signal.SIGKILL)
+    driver.process.wait()
+    after = agent()
+    hello = after.hello(stop=["touch", str(stopped)])
+    assert [one["attempt"] for one in hello["leftovers"]] == [driver.attempt]
+    assert stopped.exists() == (hello["leftovers"][0]["ended"] > 0)
+    assert driver.is_alone()
+    assert list((driver.folder / "runs").iterdir()) == []
+    if step != "started":
+        time.sleep(0.3)
+        assert not driver.output.exists()
+
+
+def test_refusals_are_one_line(agent: Start, tmp_path: Path):
+    driver = agent()
+    driver.send("hello", who={}, setup="echo no such robot >&2; false")
+    assert driver.receive("refused")["reason"] == "its setup line ended with status 1: no such robot"
+    driver.hello(battery=str(tmp_path / "battery"), checks=[["sh", "-c", "echo no topic; exit 3"]])
+    driver.send("check")
+    assert driver.receive("refused")["reason"] == f"{tmp_path}/battery: No such file or directory"
+    (tmp_path / "battery").write_text("81%\n")
+    driver.send("check")
+    checked = driver.receive("checked")
+    assert checked["battery"] == 81
+    assert checked["failed"] == ["sh -c echo no topic; exit 3: no topic"]
+    driver.send("at", attempt="x", at=0)
+    assert driver.receive("refused")["reason"] == "attempt x is not armed"
+    assert driver.process.stdin
+    driver.process.stdin.write(b'{"do": 5}\n')
+    assert driver.receive("refused")["reason"] == "unknown request 5"
+
+
+def test_a_step_of_the_wall_clock_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    order = {"attempt": "a", "job": job("", "a")}
+    run = robot_agent.Run(str(tmp_path / "runs" / "a"), order, dict(os.environ), (), 0.2, 0.2)
+    wall = time.time
+    monkeypatch.setattr(time, "time", lambda: wall() - 137.0)
+    run.end("a test")
+    until(lambda: run.look(time.monotonic()))
+    assert run.ended()["steps"] == [pytest.approx(-137, abs=0.1)]
