@@ -6,6 +6,7 @@ written to a new segment, and the whole old segment is moved to `damaged/`. Save
 
 - An execution stays if its record, and all its artifacts, files, logs and rows, are present and give its result. Otherwise it
   is dropped, and `sierra run` executes it again.
+- It is also dropped if its segment has lost the list of imported sessions, unless another segment tells where it was made.
 - A batch stays if its id follows from its experiments and runs, and if all their inputs and its source are present. Otherwise
   the records of the batch are dropped, its executions stay, and the next run of its query reuses them.
 
@@ -16,10 +17,11 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from sierra.errors import Damaged, SierraError
 from sierra.execution import sessions
@@ -31,7 +33,8 @@ from sierra.maintenance.fsck import Checked, Report, Tell
 from sierra.maintenance.transaction import aside, changing, publish, undisturbed
 from sierra.store.compaction import Compaction, Drop, groups, touched
 from sierra.store.layout import StorePaths
-from sierra.store.segments import FORMAT, MANIFEST, Segment, manifest
+from sierra.store.segments import FORMAT, IMPORTED, MANIFEST, Segment, manifest
+from sierra.store.store import Snapshot
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
 from sierra.util.lazy_logger import Log
@@ -49,6 +52,13 @@ class Repair:
 
     done: tuple[str, ...]
     report: Report
+
+
+class _Made(NamedTuple):
+    """An execution, and the session that made it."""
+
+    execution: str
+    session: str
 
 
 @dataclass(slots=True)
@@ -182,6 +192,7 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
                     loss.executions |= set() if finding.what == check_records.ORPHANS else set(finding.affected.executions)
                     if not finding.affected.executions:
                         loss.batches |= set(finding.affected.batches)
+        loss.executions |= _of_unknown_origin(paths, contents.sound, broken)
         loss.executions |= set(read.column(JUDGEMENTS, e=sorted(loss.executions)))
         readable = [segment for segment in contents.sound if segment.name not in broken]
         going = {segment.name for segment in touched(read.snapshot, readable, loss.drop)}
@@ -190,3 +201,16 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
         read.snapshot.__exit__()
         contents.broken = broken
     return loss
+
+
+def _of_unknown_origin(paths: StorePaths, sound: Sequence[Segment], broken: Mapping[str, AbstractSet[str]]) -> set[str]:
+    """Return the executions of segments that have lost the list of imported sessions, and that may be imported ones."""
+    lost = {name for name, files in broken.items() if f"{IMPORTED}.parquet" in files or MANIFEST in files}
+    lacking = [one for one in sound if one.name in lost and "imports" in one.files and IMPORTED not in one.files]
+    if not lacking:
+        return set()
+    with Snapshot(paths.root, lacking) as snapshot:
+        found = snapshot.select(_Made, "SELECT DISTINCT execution, session FROM executions")
+    with Snapshot(paths.root, sound) as snapshot:
+        known = set(snapshot.values(str, f"SELECT session FROM {IMPORTED}"))
+    return {one.execution for one in found if one.session not in known}

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from sierra.errors import Missing
+from sierra.errors import Damaged, Missing
 from sierra.store.parquet_writer import write
 from sierra.store.row_types import TABLES
 from sierra.store.schema import sql_types
@@ -45,6 +45,8 @@ from sierra.util.hashing import sha256, sha256_file
 FORMAT = "sierra store 4\n"
 """The format of segments and of their role in the store. It is raised whenever an older SIERRA would misread it."""
 MANIFEST = "MANIFEST"
+IMPORTED = "imported_sessions"
+"""The table of the sessions that came in packages."""
 OUTPUT = "output."
 SUFFIX = ".parquet"
 REPLACES = "REPLACES"
@@ -73,6 +75,16 @@ class Segment:
         for name, path in self.files.items():
             if name.startswith(OUTPUT):
                 yield name.removeprefix(OUTPUT).partition("~")[0], path
+
+
+def check_origin(segment: Segment) -> None:
+    """Raise Damaged if a segment has lost the list of its imported sessions: their executions would count as own ones."""
+    if "imports" not in segment.files or IMPORTED in segment.files:
+        return
+    folder = Path(segment.files["imports"]).parent
+    with contextlib.suppress(OSError):
+        if f"  {IMPORTED}.parquet\n" in (folder / MANIFEST).read_text("utf-8", "replace"):
+            raise Damaged(f"{folder}/{IMPORTED}.parquet is missing: run sierra fsck --repair")
 
 
 def is_first_part(path: str) -> bool:

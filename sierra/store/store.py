@@ -24,7 +24,7 @@ from sierra.store.duckdb_messages import explain
 from sierra.store.layout import StorePaths
 from sierra.store.read_lock import Shared
 from sierra.store.row_mapper import R, V, typed, values
-from sierra.store.segments import FORMAT, Segment, Writer, disk_errors, listed
+from sierra.store.segments import FORMAT, Segment, Writer, check_origin, disk_errors, listed
 from sierra.store.sql_names import identifier, unnested
 from sierra.store.sql_result import Answer, RawRow, SqlValue
 from sierra.store.statement import check_describes
@@ -116,7 +116,10 @@ class Store:
 
     def _listed(self) -> list[Segment]:
         beneath = [] if self._beneath is None else listed(self._beneath)
-        return [*beneath, *listed(self.paths.segments)]
+        found = [*beneath, *listed(self.paths.segments)]
+        for segment in found:
+            check_origin(segment)
+        return found
 
     def writer(self, folder: Path, batch: str) -> Writer:
         """Return a writer for a segment in `folder`, which must be in this store's file system."""

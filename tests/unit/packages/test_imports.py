@@ -230,6 +230,40 @@ def test_a_batch_of_a_store_is_compared_with_one_in_a_package(lab: Path, other: 
     assert projects.quick(other, "diff", batch, f"{both}:0000").returncode == 2
 
 
+def test_executions_whose_origin_is_lost_never_count_as_own_ones(lab: Path, other: Path) -> None:
+    package = str(lab.parent / "first.zip")
+    project = sierra.open(other)
+    project.import_package(package)
+    second = project.run(*SECOND, figures=False).batch
+    for lost in (other / ".sierra").rglob("imported_sessions.parquet"):
+        lost.unlink()
+    with pytest.raises(Damaged, match=r"imported_sessions\.parquet is missing"):
+        sierra.open(other).batches  # noqa: B018 - a property
+    assert not sierra.open(other).fsck().sound
+    assert sierra.open(other).repair().report.sound
+    assert value(other, EFFECTIVE) == 6  # four executions; two of them also count in the first batch
+    assert [row["batch"] for row in rows(other, "SELECT DISTINCT batch FROM executions")] == [second]
+    sierra.open(other).remove(*(one.batch for one in sierra.open(other).batches))
+    assert sierra.open(other).import_package(package).executions == 4
+    assert value(other, f"{EFFECTIVE} WHERE packages IS NULL") == 0
+
+
+def test_gc_and_rm_keep_the_origin_of_imported_batches(lab: Path, other: Path) -> None:
+    project = sierra.open(other)
+    first = project.run(*FIRST, figures=False).batch
+    project.import_package(lab.parent / "both.zip")
+    before = rows(other, "SELECT * FROM origins ORDER BY batch"), rows(other, NOW)
+    assert project.collect() is not None
+    assert (rows(other, "SELECT * FROM origins ORDER BY batch"), rows(other, NOW)) == before
+    project.remove(first)
+    assert project.fsck().sound
+    [left] = rows(other, "SELECT batch, packages IS NOT NULL AS imported FROM batches JOIN origins USING (batch)")
+    assert left["imported"]
+    project.remove(left["batch"])
+    assert project.import_package(lab.parent / "both.zip").executions == 6
+    assert project.fsck().sound
+
+
 KILLED = """
 import os, signal, sys
 from sierra.store.segments import Writer
