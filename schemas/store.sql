@@ -198,7 +198,7 @@ CREATE TABLE findings (
     "lamport" BIGINT  -- its position in the logical order, as in sessions
 );
 
--- Files that executions left, and their logs, as they were last evaluated.
+-- Files that executions left, and their logs, as they were last evaluated. A bag has a row for each of its tables.
 CREATE TABLE artifacts (
     "execution" VARCHAR,  -- the execution
     "run" VARCHAR,  -- the run

@@ -30,6 +30,10 @@ KEYS_OF_FORMATS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("topics", "ros", "covariances"), ("bag",)),
 }
 """Keys of `[outputs.NAME]` that are only for certain formats."""
+SEVERAL_TABLES = ("bag",)
+"""Formats whose files may belong to several outputs, each of which makes a table of another part."""
+BAG_ENDINGS = ("bag", "mcap", "db3")
+"""The endings of bags."""
 BAG_COLUMNS = ("topic", "received_ns")
 """The columns of each table that is made from a bag."""
 ROS_VERSIONS = ("dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
@@ -236,11 +240,12 @@ def _check_topics(topics: tuple[str, ...], ros: str) -> None:
 
 
 def file_once(outputs: Mapping[str, Output]) -> Mapping[str, Output]:
-    """Check that no two outputs have the same file. Raises ValueError."""
+    """Check that no two outputs have the same file, except bags. Raises ValueError."""
     owners: dict[str, str] = {}
     for name, output in outputs.items():
         file = output.file.removeprefix("./")
-        if (first := owners.setdefault(file, name)) != name:
+        first = owners.setdefault(file, name)
+        if first != name and not (outputs[first].kind == output.kind in SEVERAL_TABLES):
             raise ValueError(f"{first!r} and {name!r} have the same file {file!r}; a file becomes one table")
     return outputs
 

@@ -33,7 +33,8 @@ WITH those AS (
     SELECT execution FROM executions e JOIN batches b USING (batch) JOIN specs r USING (spec)
     WHERE e.status = 'ok' AND e.purpose = 'run' AND r.command = $command
 )
-SELECT sum(size)::DOUBLE / (SELECT count(*) FROM those) AS bytes FROM artifacts SEMI JOIN those USING (execution)
+SELECT sum(size)::DOUBLE / (SELECT count(*) FROM those) AS bytes
+FROM (SELECT DISTINCT execution, path, size FROM artifacts SEMI JOIN those USING (execution))
 """
 
 

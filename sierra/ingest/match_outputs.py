@@ -8,7 +8,7 @@ from dataclasses import fields
 from itertools import chain
 from pathlib import PurePosixPath
 
-from sierra.config.output_tables import FILE_FORMAT, NAMED_FORMATS, SAME_FORMAT, Output
+from sierra.config.output_tables import FILE_FORMAT, NAMED_FORMATS, SAME_FORMAT, SEVERAL_TABLES, Output
 from sierra.config.plugin_registry import READERS
 from sierra.ingest import robot_files
 from sierra.ingest.base import Used
@@ -44,7 +44,8 @@ class OutputMatcher:
         automatic = []
         of_robots: dict[str, list[OutputFile]] = {}
         for file in sorted(result.outputs, key=lambda file: natural(file.path)):
-            declared = next(iter(claims(self._outputs, file.path)), None)
+            owners = claims(self._outputs, file.path)
+            declared = next(iter(owners), None)
             kind = self._outputs[declared].kind if declared else automatic_format(file.path)
             if declared is not None and (named := unnamed_format(self._outputs[declared])):
                 self._keep(UNNAMED.format(output=declared, format=named), file)
@@ -53,7 +54,8 @@ class OutputMatcher:
             if shown(file.path) != file.path:
                 self._keep(NOT_UTF8, file)
             elif declared is not None:
-                yield declared, self._shape(self._outputs[declared]), file
+                for name in owners if kind in SEVERAL_TABLES else owners[:1]:
+                    yield name, self._shape(self._outputs[name]), file
             elif result.robots and robot_files.place_of(file.path) is not None:
                 of_robots.setdefault(file.path.partition("/")[2], []).append(file)
             elif "/" in file.path:
@@ -106,7 +108,8 @@ def claims(outputs: Mapping[str, Output], path: str) -> list[str]:
 def claimed_twice(result: Result, outputs: Mapping[str, Output]) -> str | None:
     """Return the message that a file belongs to several outputs, of which at least one is a table; None if there is none."""
     for file in result.outputs if len(outputs) > 1 else ():
-        names = claims(outputs, file.path)
+        by_pattern = {outputs[name].file.removeprefix("./"): name for name in reversed(claims(outputs, file.path))}
+        names = list(reversed(by_pattern.values()))
         if len(names) > 1 and any(outputs[name].kind != FILE_FORMAT for name in names):
             both = " and ".join(f"{name!r} ({outputs[name].file})" for name in names[:2])
             return f"{shown(file.path)}: belongs to the outputs {both}; a file becomes one table: change file in one of them"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -43,23 +43,24 @@ class TableIngest:
     """The files that belong to tables, by execution and path."""
 
     outputs: Mapping[str, Output]
-    files: dict[tuple[str, str], TableFile] = field(default_factory=dict)
+    files: dict[tuple[str, str], list[TableFile]] = field(default_factory=dict)
     faults: dict[str, str] = field(default_factory=dict)
     """The reasons why executions are at fault."""
 
-    def of(self, execution: str, file: OutputFile) -> TableFile:
-        return self.files.get((execution, file.path), NO_TABLE)
+    def of(self, execution: str, file: OutputFile) -> Sequence[TableFile]:
+        """Return the tables that were made from a file: one, several of a bag, or `NO_TABLE`."""
+        return self.files.get((execution, file.path), (NO_TABLE,))
 
     def judged(self, one: Judgement) -> Judgement:
         """Return the judgement after the tables were read."""
         execution = one.result.execution
         if execution in self.faults:
             return Judgement(one.result, Status.MISMATCH, self.faults[execution])
-        for file in one.result.outputs if one.status is Status.OK else ():
-            found = self.of(execution, file)
+        files = one.result.outputs if one.status is Status.OK else ()
+        for path, found in ((file.path, found) for file in files for found in self.of(execution, file)):
             output = self.outputs.get(found.output or "")
             if output and found.rows is not None and found.rows < output.min_rows:
-                return Judgement(one.result, Status.FAILED, too_few(file.path, found.rows, str(found.output), output))
+                return Judgement(one.result, Status.FAILED, too_few(path, found.rows, str(found.output), output))
         return one
 
 
@@ -79,9 +80,14 @@ def too_few(path: str, rows: int, name: str, output: Output) -> str:
 
 
 def artifact_rows(result: Result, tables: TableIngest) -> Iterator[ArtifactRow]:
-    """Yield a row of `artifacts` for each file of an execution except its logs."""
+    """Yield the rows of `artifacts` for the files of an execution except its logs."""
     for file in result.outputs:
-        found = tables.of(result.execution, file)
+        yield from file_rows(result, file, tables)
+
+
+def file_rows(result: Result, file: OutputFile, tables: TableIngest) -> Iterator[ArtifactRow]:
+    """Yield the row of `artifacts` for a file; for a file of several tables, one for each."""
+    for found in tables.of(result.execution, file):
         yield ArtifactRow(
             execution=result.execution,
             run=result.run,
@@ -127,7 +133,7 @@ def tabled(
             for one in written:
                 rows = reading.rows.get(key := (one.execution, one.name))
                 read_in = (rows, reading.counted.get(key), _layout(reading, one)) if rows is not None else (None, None, None)
-                made.files[key] = TableFile(name, *read_in)
+                made.files.setdefault(key, []).append(TableFile(name, *read_in))
             for execution, fault in reading.faults.items():
                 made.faults.setdefault(execution, fault)
     finally:

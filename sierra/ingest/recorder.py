@@ -19,7 +19,7 @@ from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
 from sierra.ingest.observations import WRITTEN, observed, written
-from sierra.ingest.read_into_segment import TableIngest, artifact_rows, tabled
+from sierra.ingest.read_into_segment import TableIngest, file_rows, tabled
 from sierra.ingest.recording_context import Context
 from sierra.ingest.silent_runs import SilentRuns
 from sierra.ingest.success import Doubt, Judgement, doubted, judge
@@ -343,10 +343,11 @@ class Recorder:
 
 def _artifacts(result: Result, tables: TableIngest, objects: Objects, *, raw: bool) -> Iterator[ArtifactRow]:
     """Yield a row for each file that a run left, and store its bytes as an object; those of tables only with `raw`."""
-    for file, row in zip(result.outputs, artifact_rows(result, tables), strict=True):
-        if raw or row.kind == "file":
-            objects.add_file(Path(result.directory, RUN_OUTPUT, file.path), file.sha256, file.bytes)
-        yield row
+    for file in result.outputs:
+        for row in file_rows(result, file, tables):
+            if raw or row.kind == "file":
+                objects.add_file(Path(result.directory, RUN_OUTPUT, file.path), file.sha256, file.bytes)
+            yield row
     for name in (RUN_STDOUT, RUN_STDERR):
         content, size = kept_of(f"{result.directory}/{name}")
         if size:

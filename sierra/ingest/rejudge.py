@@ -104,7 +104,8 @@ class Past:
 
     def result(self, execution: str, directory: Path, files: Mapping[str, OutputFile]) -> Result:
         """Return the result that a worker would have reported; `files` are the files whose bytes are in `directory`."""
-        outputs = (files.get(row.path) or _unread(row) for row in self.artifacts if row.kind != "log")
+        paths = {row.path: row for row in self.artifacts if row.kind != "log"}
+        outputs = (files.get(path) or _unread(row) for path, row in paths.items())
         return Result(
             run=self.last.run,
             execution=execution,
@@ -265,8 +266,8 @@ def needed(one: Past, context: Context) -> list[ArtifactRow]:
     """Return the files to read for an evaluation: files that become tables and are not yet tables, and the markers."""
     tables = set() if one.tabled else {file.path for _, _, file in _tables(one, context)}
     markers = {context.success.marker, *(() if one.succeeded else (one.success.marker,))} - {""}
-    files = [row for row in one.artifacts if row.kind != "log" and row.path in tables | markers]
-    return [*files, *(row for row in one.artifacts if row.kind == "log" and row.path in markers)]
+    files = {row.path: row for row in one.artifacts if row.kind != "log" and row.path in tables | markers}
+    return [*files.values(), *(row for row in one.artifacts if row.kind == "log" and row.path in markers)]
 
 
 @dataclass(slots=True)
@@ -337,16 +338,19 @@ class _Group:
 
     def _copied(self, good: Sequence[tuple[Past, Result]], writer: Writer) -> TableIngest:
         """Copy recorded rows. Raises Damaged if their number differs from the number in their artifacts."""
-        recorded = {(result.execution, row.path): row for one, result in good for row in one.artifacts if row.rows is not None}
+        recorded = [(result.execution, row) for one, result in good for row in one.artifacts if row.rows is not None]
         tables = Counter[str]()
-        for row in recorded.values():
+        for _, row in recorded:
             tables[str(row.output).lower()] += row.rows or 0
         with self.store.snapshot() as snapshot:
             written = write_again(snapshot, writer, tables, {one.last.judgement: result.execution for one, result in good})
         for name, rows in tables.items():
             if rows != written[name]:
                 raise Damaged(f"table {name!r} has {written[name]} rows, but {rows} were recorded; see sierra fsck")
-        known = {key: TableFile(row.output, row.rows, row.counted_rows, row.table_layout) for key, row in recorded.items()}
+        known: dict[tuple[str, str], list[TableFile]] = {}
+        for execution, row in recorded:
+            found = TableFile(row.output, row.rows, row.counted_rows, row.table_layout)
+            known.setdefault((execution, row.path), []).append(found)
         return TableIngest(self.context.outputs, known)
 
     def _results(self, past: Sequence[Past]) -> Iterator[tuple[Past, Result]]:

@@ -425,7 +425,7 @@ FROM (
     SELECT DISTINCT execution, result FROM {executions}
     UNION SELECT j.judgement, e.result FROM judgements j JOIN {executions} e USING (execution)
 ) e
-LEFT JOIN (SELECT execution, sha256, path FROM all_artifacts WHERE kind <> 'log') a USING (execution) GROUP BY ALL
+LEFT JOIN (SELECT DISTINCT execution, sha256, path FROM all_artifacts WHERE kind <> 'log') a USING (execution) GROUP BY ALL
 """
 
 

@@ -308,7 +308,10 @@ def _removal(snapshot: Snapshot, named: Mapping[str, AbstractSet[str]]) -> Remov
     batches = [RemovedBatch(*row) for row in snapshot.run(BATCHES, {"b": sorted(named["batch"])})]
     [(runs, executions)] = snapshot.run("SELECT count(DISTINCT run), count(DISTINCT own) FROM gone")
     [(replays,)] = snapshot.run("SELECT count(DISTINCT replay) FROM gone_replays")
-    [(size,)] = snapshot.run("SELECT coalesce(sum(size), 0)::BIGINT FROM artifacts WHERE execution IN (SELECT own FROM gone)")
+    [(size,)] = snapshot.run(
+        "SELECT coalesce(sum(size), 0)::BIGINT FROM "
+        "(SELECT DISTINCT execution, kind, path, size FROM artifacts WHERE execution IN (SELECT own FROM gone))"
+    )
     losing = _column(
         snapshot,
         "SELECT m.batch FROM (SELECT m.batch FROM batch_runs m JOIN gone USING (run) "

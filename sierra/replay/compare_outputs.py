@@ -27,7 +27,7 @@ BYTES = 64 << 20
 PAIRS = 1000
 
 Artifacts = Mapping[str, ArtifactRow]
-"""Artifacts of one execution by path, without logs."""
+"""Artifacts of one execution by path, without logs; those of a file of several tables by path and table."""
 _Pair = tuple[tuple[str, str], list[tuple[ArtifactRow, ArtifactRow]]]
 """Pair of executions, and the files of both whose bytes differ."""
 
@@ -59,8 +59,11 @@ def _artifacts(snapshot: Snapshot, executions: Iterable[str]) -> dict[str, Artif
     left: dict[str, dict[str, ArtifactRow]] = {execution: {} for execution in executions}
     snapshot.add_table("compared", execution=left)
     statement = "SELECT a.* FROM all_artifacts a SEMI JOIN compared USING (execution) WHERE kind <> 'log'"
-    for row in snapshot.select(ArtifactRow, statement):
-        left[row.execution][row.path] = row
+    rows = snapshot.select(ArtifactRow, statement)
+    tables = Counter((row.execution, row.path) for row in rows)
+    for row in rows:
+        several = tables[row.execution, row.path] > 1
+        left[row.execution][f"{row.path} ({row.output})" if several else row.path] = row
     return dict(left)
 
 

@@ -203,6 +203,7 @@ listed AS (
     SELECT t.place, CASE a.kind WHEN 'log' THEN a.path ELSE '{OUTPUT_FOLDER}' || a.path END, a.kind, a.size, a.sha256,
            a.output, a.table_layout, a.rows
     FROM taken t JOIN all_artifacts a USING (execution) WHERE $all
+    QUALIFY row_number() OVER (PARTITION BY t.place, a.kind = 'log', a.path ORDER BY a.output) = 1
 ),
 kept AS (SELECT sha256, any_value(size) AS kept FROM objects GROUP BY sha256)
 SELECT l.place, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, k.kept,

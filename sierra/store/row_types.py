@@ -252,7 +252,7 @@ class FindingRow(NamedTuple):
 
 
 class ArtifactRow(NamedTuple):
-    """Files that executions left, and their logs, as they were last evaluated."""
+    """Files that executions left, and their logs, as they were last evaluated. A bag has a row for each of its tables."""
 
     execution: Annotated[str, "the execution"]
     run: Annotated[str, "the run"]

@@ -40,7 +40,7 @@ SELECT * FROM (
 COUNT = "SELECT count(DISTINCT run) FROM batch_runs WHERE batch = $b"
 OUTPUTS = """
 SELECT a.execution, a.path, a.sha256, a.output FROM all_artifacts a SEMI JOIN some_runs USING (execution)
-WHERE a.kind <> 'log' ORDER BY ALL
+WHERE a.kind <> 'log' QUALIFY row_number() OVER (PARTITION BY a.execution, a.path ORDER BY a.output) = 1 ORDER BY ALL
 """
 """SQL: the files that some executions left, without logs."""
 
