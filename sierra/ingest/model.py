@@ -85,6 +85,8 @@ class Shape:
     form: Form = PLAIN
     ticks: tuple[str, ...] = ()
     """The names of the columns for the numbers in the files' names."""
+    lengths: tuple[str, ...] = ()
+    """The columns that have only the number of the items of a list, as found in earlier files."""
 
 
 Group = Hashable

@@ -25,10 +25,12 @@ from sierra.store.type_inference import AS_TEXT
 from sierra.store.union_files import TEXT
 from sierra.store.views import tables_of
 from sierra.util.hashing import short as digits
-from sierra.util.text import counted, verb
+from sierra.util.text import counted, few, verb
 
 COMMENT = """the first line is a comment; begin with the column names, without '#' (comment = "#" leaves comments out)"""
 NOTED_DOUBTS = 3
+LENGTHS = 8
+"""The number of columns that the note on lists names."""
 LISTS = """
 SELECT coalesce(bool_and(lists), false), max(rows) FROM (
     SELECT bool_and(starts_with({column}, '[{{')) AS lists, count(*) AS rows FROM {table} GROUP BY execution
@@ -77,7 +79,8 @@ class TableWarnings:
             sizes = snapshot.select(TableSize, SIZES)
         self._paths = {row.output: TableLayout.load(row.table_layout).file or "" for row in rows}
         forms = [_Table(row.output, TableLayout.load(row.table_layout).columns, row.executions) for row in rows]
-        return [*empty, *self._alone(forms), *self._renamed(forms), *self._of_kinds(forms), *self._events(sizes)]
+        columns = [*self._alone(forms), *self._renamed(forms), *self._of_kinds(forms)]
+        return [*empty, *self._lengths(), *columns, *self._events(sizes)]
 
     def _events(self, rows: Sequence[TableSize]) -> Iterator[str]:
         """Yield a proposal for each strict table whose row counts differ so much that it is probably a table of events.
@@ -110,6 +113,13 @@ class TableWarnings:
             path = f", rows = {json.dumps(declared.rows, ensure_ascii=False)}" if declared and declared.rows else ""
             cure = f"min_rows = 1 in [outputs.{name}] makes such runs fail"
             yield f"output {name!r} has no row in any run{path}: is this right? ({cure})"
+
+    def _lengths(self) -> Iterator[str]:
+        """Yield a note for each table that has only the number of the items of lists."""
+        for name, shape in self._shapes.items():
+            if shape.lengths:
+                columns = few(list(map(repr, shape.lengths)), LENGTHS)
+                yield f"output {name!r} has the number of items of lists in {columns}; the items are only in its files"
 
     def _is_strict(self, output: str) -> bool:
         declared = self._context.outputs.get(output)

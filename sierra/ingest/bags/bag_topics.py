@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -62,6 +62,7 @@ class BagTopics(Rewriter):
         with opened(source) as bag:
             index = bag.index()
             table = TopicTable(index, self.shape.form)
+            self.shape = replace(self.shape, lengths=table.lengths)
             self._counted = sum(index[channel] for channel in table.channels)
             return write(table, bag.scan(table.channels.__contains__), target)
 
@@ -159,21 +160,24 @@ class TopicTable:
     @property
     def lengths(self) -> tuple[str, ...]:
         """The columns that have only the number of the items of a list."""
-        return tuple(field.name for field in self.fields if field.kind == "length")
+        return tuple(field.name for field in self.fields if field.kind in ("length", "bytes"))
 
     def decoded(self, channel: Channel, data: bytes) -> tuple[Any, ...]:
         return self._types[channel].decoded(data)
 
     def batch(self, heads: Sequence[tuple[Channel, int]], values: Sequence[tuple[Any, ...]]) -> pa.RecordBatch:
-        """Return some rows: the channels and times of messages, and the values of their attributes."""
+        """Return some rows: the channels and times of messages, and the values of their attributes. Raises UnreadableError."""
         import pyarrow as pa
 
         parts = list(zip(*((channel.topic, *self.channels[channel]) for channel, _ in heads), strict=True))
         own = [*parts, [received for _, received in heads]]
         found = list(zip(*values, strict=True))
         columns = [field.values(found[self._places[field.name]]) for field in self.fields]
-        arrays = [pa.array(values, field.type) for values, field in zip([*own, *columns], self.schema, strict=True)]
-        return pa.record_batch(arrays, schema=self.schema)
+        try:
+            arrays = [pa.array(values, field.type) for values, field in zip([*own, *columns], self.schema, strict=True)]
+            return pa.record_batch(arrays, schema=self.schema)
+        except (pa.ArrowException, OverflowError) as error:
+            raise UnreadableError(f"a table cannot hold its messages ({' '.join(str(error).split())})") from error
 
 
 def _places(kind: MessageType) -> Mapping[str, slice]:
@@ -189,25 +193,20 @@ def _is_covariance(name: str) -> bool:
     return "covariance" in name.rpartition(".")[2].lower()
 
 
-def write(table: TopicTable, messages: Iterator[Message], target: BinaryIO) -> int:
+def write(table: TopicTable, messages: Iterable[Message], target: BinaryIO) -> int:
     """Write the messages as Parquet; return their number. Raises UnreadableError."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     rows = 0
     with pq.ParquetWriter(target, table.schema) as writer:
-        for some in _batches(table, messages):
-            try:
-                writer.write_batch(table.batch(*some))
-            except (pa.ArrowException, OverflowError) as error:
-                raise UnreadableError(f"a table cannot hold its messages ({' '.join(str(error).split())})") from error
-            rows += len(some[0])
+        for batch in batches(table, messages):
+            writer.write_batch(batch)
+            rows += batch.num_rows
     return rows
 
 
-def _batches(
-    table: TopicTable, messages: Iterator[Message]
-) -> Iterator[tuple[Sequence[tuple[Channel, int]], Sequence[tuple[Any, ...]]]]:
+def batches(table: TopicTable, messages: Iterable[Message]) -> Iterator[pa.RecordBatch]:
+    """Yield the messages as rows, some at a time. Raises UnreadableError."""
     heads: list[tuple[Channel, int]] = []
     values: list[tuple[Any, ...]] = []
     size = 0
@@ -216,7 +215,7 @@ def _batches(
         values.append(table.decoded(channel, data))
         size += len(data)
         if len(heads) >= ROWS or size >= BYTES:
-            yield heads, values
+            yield table.batch(heads, values)
             heads, values, size = [], [], 0
     if heads:
-        yield heads, values
+        yield table.batch(heads, values)

@@ -46,7 +46,7 @@ STAMP, SECONDS, NANOSECONDS = "header.stamp", "sec", "nanosec"
 EMPTY = "structure_needs_at_least_one_member"
 BASE, NAMED, ARRAY, SEQUENCE = 1, 2, 3, 4
 """The kinds of fields, as `rosbags` numbers them."""
-Kind = Literal["value", "list", "time", "length"]
+Kind = Literal["value", "list", "time", "length", "bytes"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class Field:
         match self.kind:
             case "time":
                 return [seconds * NS + nanoseconds for seconds, nanoseconds in zip(*found, strict=True)]
-            case "length":
+            case "length" | "bytes":
                 return [len(items) for items in found[0]]
             case _:
                 return found[0]
@@ -144,8 +144,10 @@ class MessageType:
                 yield from self._columns(detail, f"{column}.", f"{attribute}.")
             elif kind == BASE:
                 yield Field(column, "value", PRIMITIVES[detail[0]], (attribute,))
-            elif detail[0][0] == NAMED or (kind == SEQUENCE and detail[0][1][0] in BYTES):
+            elif detail[0][0] == NAMED:
                 yield Field(f"{column}.length", "length", "int64", (attribute,))
+            elif kind == SEQUENCE and detail[0][1][0] in BYTES:
+                yield Field(f"{column}.length", "bytes", "int64", (attribute,))
             else:
                 yield Field(column, "list", PRIMITIVES[detail[0][1][0]], (attribute,))
 

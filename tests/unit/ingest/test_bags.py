@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from sierra.config.output_tables import Output
+from sierra.ingest.bags.recovery import recover
 from sierra.ingest.model import Form
 from sierra.testing import readers as conformance
 from tests import projects
@@ -315,3 +316,21 @@ def test_values_are_those_that_ros_reads(tmp_path: Path, require: Callable[..., 
         for row in rows(tmp_path, path, ROBOTS)
     ]
     assert ours == json.loads(ros(READ_BY_ROS, str(path)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_messages_before_the_cut_are_recovered_and_marked(tmp_path: Path, kind: str) -> None:
+    import pyarrow.parquet as pq
+
+    whole = record(tmp_path, kind, odometry(2, 200))
+    expected = rows(tmp_path, whole, ROBOTS)
+    cut = tmp_path / f"cut.{kind}"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size * 2 // 3])
+    output = Output(file=cut.name, format="bag", topics=tuple(ROBOTS))
+    [found] = recover(cut, cut.name, {"odom": output, "other": Output(file="other.csv")})
+    assert found.path.name == f"cut.{kind}.odom.partial.parquet"
+    table = pq.read_table(found.path).to_pylist()
+    assert 200 < found.rows == len(table) < 400
+    assert table == [row | {"partial": True} for row in expected[: len(table)]]
+    assert found.reason
+    assert list(recover(whole, whole.name, {"odom": output.model_copy(update={"file": whole.name})})) == []
