@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from sierra.execution.summary import Summary
     from sierra.execution.takeover import Cancelled
     from sierra.execution.trial import Trial
+    from sierra.execution.unread_files import Key
     from sierra.execution.write_inputs import WrittenInputs
     from sierra.explain.diff.compare import Comparison
     from sierra.explain.why_executed import Why
@@ -1476,7 +1477,7 @@ class Project:
         """
         return self._taken(self._asked(query, target))
 
-    def declare_outputs(self, *query: str, target: str | None = None) -> dict[str, dict[str, str | bool]]:
+    def declare_outputs(self, *query: str, target: str | None = None) -> dict[str, dict[str, Key]]:
         """Write the undeclared tables of a batch into `sierra.toml`, as `[outputs.NAME]`; return what was written.
 
         If the batch is for a target, the tables are written into the table of this target. Tables that exist stay the same.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.errors import SierraError
-from sierra.execution.unread_files import MAX_SIZE, NUMBER, Alike, UnreadFiles, unread_files
+from sierra.execution.unread_files import NUMBER, Alike, Key, UnreadFiles, most_searched, unread_files
 from sierra.store.samples import names_time
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.store import Snapshot, Store
@@ -153,7 +153,7 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutpu
             row.most,
             row.runs,
             places.get(NUMBER.sub("0", row.path), ()),
-            partial(_content, store, row.sha256 if row.size <= MAX_SIZE else None),
+            partial(_content, store, row.sha256 if row.size <= most_searched(row.path) else None),
         )
         for row in rows
     ]
@@ -225,16 +225,16 @@ def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | 
         yield TakenColumn(original.get(stored, stored), described.get(sql, ""), units.get(original.get(stored, stored)))
 
 
-def proposed(found: TakenOutputs) -> dict[str, dict[str, str | bool]]:
+def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:
     """Return the keys of `[outputs.NAME]` for each table that is not declared, and for files that they make tables of.
 
     The tables that exist stay the same. Tables of declarations that were removed are left out: their keys are not known.
     """
-    tables: dict[str, dict[str, str | bool]] = {
-        table.name: {"file": table.file} | ({} if table.runs == found.runs else {"required": False})
-        for table in found.tables
-        if not table.declared and table.format != FILE_FORMAT
-    }
+    tables: dict[str, dict[str, Key]] = {}
+    for table in found.tables:
+        if not table.declared and table.format != FILE_FORMAT:
+            tables[table.name] = {"file": table.file}
+            tables[table.name] |= {} if table.runs == found.runs else {"required": False}
     return tables | {one.name: dict(one.keys) for one in found.unread if one.keys}
 
 

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
 
-from sierra.config.output_tables import FILE_FORMAT, Output
+from sierra.config.output_tables import BAG_ENDINGS, FILE_FORMAT, Output
 from sierra.config.plugin_registry import READERS
+from sierra.ingest.base import UnreadableError
 from sierra.ingest.json_lists import in_words, keys_of
 from sierra.ingest.match_outputs import AUTOMATIC_AT_MOST, automatic_format, table_name, unnamed_format
+from sierra.util.text import counted
+
+if TYPE_CHECKING:
+    from sierra.ingest.bags.proposals import Proposal
 
 NUMBER = re.compile("[0-9]+")
 NAMED = {
@@ -24,14 +30,18 @@ NAMED = {
     **dict.fromkeys(("sqlite", "sqlite3", "db"), 'format = "sqlite", rows = "TABLE"'),
     **dict.fromkeys(("h5", "hdf5", "hdf"), 'format = "hdf5", rows = "/DATASET"'),
     **dict.fromkeys(("nc", "nc4", "cdf"), 'format = "netcdf", rows = "VARIABLE"'),
+    **dict.fromkeys(BAG_ENDINGS, 'format = "bag", topics = ["/TOPIC"]'),
     **dict.fromkeys(("dat", "txt", "out"), 'format = "csv" and, for columns between blanks, delimiter = "blanks"'),
 }
 """The keys that make tables of files with these endings, which no reader takes by itself."""
 COMPRESSED = ("gz", "zst")
 MAX_SIZE = 1 << 24
 """The largest number of bytes of a document that is searched for its rows."""
+MAX_BAG = 1 << 28
+"""The largest number of bytes of a bag that is searched for its topics."""
 
-Keys = Mapping[str, str | bool]
+Key = str | bool | Sequence[str] | Mapping[str, str]
+Keys = Mapping[str, Key]
 """Keys of `[outputs.NAME]`."""
 
 
@@ -72,9 +82,9 @@ def unread_files(
     taken = {*known, *(name.lower() for name in outputs)}
     found = []
     for one in kinds:
-        made = _unread(one, outputs, known, _free(one.path, taken), runs)
-        taken |= {made.name.lower()} if made.keys else set()
-        found.append(made)
+        for made in _of_bag(one, outputs, taken, runs) or [_unread(one, outputs, known, _free(one.path, taken), runs)]:
+            taken |= {made.name.lower()} if made.keys else set()
+            found.append(made)
     return tuple(found)
 
 
@@ -94,10 +104,17 @@ def of_run(
 
 def _read(path: Path | None) -> bytes | None:
     try:
-        usable = path is not None and not path.is_symlink() and path.is_file() and path.stat().st_size <= MAX_SIZE
+        usable = (
+            path is not None and not path.is_symlink() and path.is_file() and path.stat().st_size <= most_searched(path.name)
+        )
         return path.read_bytes() if path is not None and usable else None
     except OSError:
         return None
+
+
+def most_searched(path: str) -> int:
+    """Return the largest number of bytes of a file of this name that is searched for its tables."""
+    return MAX_BAG if _ending(path) in BAG_ENDINGS else MAX_SIZE
 
 
 def _varying(paths: Iterable[str]) -> set[int]:
@@ -133,6 +150,35 @@ def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], 
     else:
         why = f"no reader takes {'files without an ending' if not ending else f'.{ending} files'}"
     return UnreadFiles(one.path, one.files, why, False)
+
+
+def _of_bag(one: Alike, outputs: Mapping[str, Output], taken: Collection[str], runs: int) -> Sequence[UnreadFiles]:
+    """Return the tables that the topics of a bag make; nothing for other files, and for bags that are declared or not read."""
+    from sierra.ingest.bags.proposals import proposals
+
+    if _ending(one.path) not in BAG_ENDINGS or any(output.matches(one.path) for output in outputs.values()):
+        return ()
+    content = one.content()
+    try:
+        found = proposals(content, one.path) if content is not None else ()
+    except (UnreadableError, ImportError):  # a bag that was cut off, or without the extra
+        return ()
+    made: list[UnreadFiles] = []
+    for proposal in found:
+        made.append(_topics(one, proposal, {*taken, *(table.name.lower() for table in made)}, runs))
+    return made
+
+
+def _topics(one: Alike, proposal: Proposal, taken: Collection[str], runs: int) -> UnreadFiles:
+    what = f"topic {', '.join(proposal.topics)} ({proposal.type}, {counted(proposal.messages, 'message')})"
+    if proposal.lacking:
+        return UnreadFiles(one.path, one.files, f"{what}: {proposal.lacking}", False)
+    name = _free(f"{proposal.name}.bag", taken)
+    keys: dict[str, Key] = {"file": pattern(one), "format": "bag", "topics": list(proposal.topics)}
+    declared = ", ".join(f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in keys.items())
+    keys |= {"mismatch": "ragged", "units": proposal.units}
+    keys |= {} if one.runs == runs else {"required": False}
+    return UnreadFiles(one.path, one.files, f"{what}; declare [outputs.{name}] {declared}", False, name, keys)
 
 
 def _rows_of(one: Alike) -> Mapping[str, str] | None:

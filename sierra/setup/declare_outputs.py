@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from sierra.config import project_file
@@ -14,9 +14,9 @@ from sierra.util.fs import write_whole
 
 if TYPE_CHECKING:
     from tomlkit import TOMLDocument
-    from tomlkit.items import Table
+    from tomlkit.items import Item, Table
 
-Keys = Mapping[str, str | bool]
+Keys = Mapping[str, str | bool | Sequence[str] | Mapping[str, str]]
 
 
 def write(found: ProjectFolder, outputs: Mapping[str, Keys], comments: Mapping[str, str], target: str | None = None) -> None:
@@ -73,7 +73,18 @@ def _table(keys: Keys, comment: str) -> Table:
     table = tomlkit.table()
     table.add(tomlkit.comment(" ".join(comment.split())))
     for key, value in keys.items():
-        table.add(key, value)
+        table.add(key, _item(value))
+    return table
+
+
+def _item(value: object) -> Item:
+    """Return a value as TOML, in one line."""
+    import tomlkit
+
+    if not isinstance(value, Mapping):
+        return tomlkit.item(value)
+    table = tomlkit.inline_table()
+    table.update(value)
     return table
 
 
@@ -103,5 +114,5 @@ def _lines(outputs: Mapping[str, Keys], within: tuple[str, ...]) -> Iterator[str
 
     before = "".join(f"{name}." for name in within)
     for name, keys in outputs.items():
-        values = ", ".join(f"{key} = {tomlkit.item(value).as_string()}" for key, value in keys.items())
+        values = ", ".join(f"{key} = {_item(value).as_string()}" for key, value in keys.items())
         yield f"[{before}outputs.{tomlkit.key(name).as_string()}] {values}"

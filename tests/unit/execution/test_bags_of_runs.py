@@ -1,0 +1,120 @@
+"""Runs that record bags: several tables of one bag, a bag that was cut off, and all that reads recorded files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests import projects
+from tests.projects import quick, sql
+
+pytest.importorskip("rosbags")
+
+from tests import bags
+from tests.bags import Recorded, odometry
+
+SIMULATOR = """\
+import shutil, sys
+
+count = int(open(sys.argv[1]).read().split('<swarm count="')[1].split('"')[0])
+content = open({bag!r}, "rb").read()
+open("run.{kind}", "wb").write(content[:len(content) * 2 // 3] if count == 3 else content)
+"""
+OUTPUTS = """
+[outputs.odom]
+file = "run.{kind}"
+format = "bag"
+topics = ["/{{robot}}/odom"]
+mismatch = "ragged"
+units = {{ received_ns = "ns", header_stamp_ns = "ns" }}
+
+[outputs.goal]
+file = "run.{kind}"
+format = "bag"
+topics = ["/goal"]
+"""
+
+
+def project(folder: Path, kind: str = "mcap", more: str = "") -> Path:
+    messages = [*odometry(2, 3), Recorded("/goal", "std_msgs/msg/Float64", 9, {"data": 0.5})]
+    bag = bags.record(folder.with_name("bags"), kind, messages)
+    config = projects.CONFIG.replace("runs = 2", "runs = 1") + OUTPUTS.format(kind=kind) + more
+    return projects.make(folder, config, simulator=SIMULATOR.format(bag=str(bag), kind=kind))
+
+
+@pytest.mark.integration
+def test_bag_becomes_several_tables_and_a_cut_one_fails_the_run(tmp_path: Path) -> None:
+    here = project(tmp_path / "p")
+    ended = quick(here, "run", "population_size=1,3", "--no-figures")
+    assert ended.returncode == 1
+    [failed] = sql(here, "SELECT status, reason FROM executions WHERE status <> 'ok'")
+    assert failed["status"] == "mismatch"
+    assert str(failed["reason"]).startswith("run.mcap: is truncated: it does not end as an MCAP file")
+    assert sql(here, 'SELECT robot, count(*) AS n, sum("pose.pose.position.x") AS x FROM odom GROUP BY ALL ORDER BY ALL') == [
+        {"robot": "tb0", "n": 3, "x": 3.0},
+        {"robot": "tb1", "n": 3, "x": 3.75},
+    ]
+    assert sql(here, "SELECT topic, data, population_size FROM goal") == [{"topic": "/goal", "data": 0.5, "population_size": 1}]
+    kept = "SELECT output, kind, rows, counted_rows FROM artifacts WHERE path = 'run.mcap' ORDER BY ALL"
+    assert [tuple(row.values()) for row in sql(here, kept)] == [
+        ("goal", "file", None, None),
+        ("goal", "table", 1, 1),
+        ("odom", "file", None, None),
+        ("odom", "table", 6, 6),
+    ]
+    assert quick(here, "fsck").returncode == 0
+    [run] = sql(here, "SELECT run FROM executions WHERE status <> 'ok'")
+    recovered = quick(here, "files", str(run["run"]), "*.mcap", "--to", str(tmp_path / "out"), "--recover")
+    assert recovered.returncode == 0
+    [note] = [line for line in recovered.stderr.splitlines() if "odom.partial.parquet" in line]
+    assert "messages written; is truncated" in note or "nothing was written" in note
+    assert "needs --to" in quick(here, "files", str(run["run"]), "--recover").stderr
+
+
+@pytest.mark.integration
+def test_topics_of_a_bag_are_proposed_and_declared(tmp_path: Path) -> None:
+    config = projects.CONFIG.replace("runs = 2", "runs = 1")
+    image = Recorded("/tb0/camera", "sensor_msgs/msg/Image", 9, {"data": [1, 2]})
+    path = Recorded("/path", "nav_msgs/msg/Path", 9, {"poses": [{}, {}]})
+    bag = bags.record(tmp_path / "bags", "db3", [*odometry(2, 3), image, path])
+    here = projects.make(tmp_path / "p", config, simulator=SIMULATOR.format(bag=str(bag), kind="db3"))
+    assert quick(here, "run", "population_size=1", "--no-figures").returncode == 0
+    shown = quick(here, "outputs").stdout
+    assert 'topic /{robot}/odom (nav_msgs/msg/Odometry, 6 messages); declare [outputs.odom] file = "run.db3"' in shown
+    assert "topic /tb0/camera (sensor_msgs/msg/Image, 1 message): 'data' has bytes, such as those of images" in shown
+    assert quick(here, "outputs", "--write").returncode == 0
+    assert 'units = {received_ns = "ns", header_stamp_ns = "ns"}' in (here / "sierra.toml").read_text()
+    again = quick(here, "run", "population_size=1", "--no-figures")
+    assert (again.returncode, "0 executed" in again.stdout or "reused" in again.stdout) == (0, True)
+    assert sql(here, "SELECT robot, count(*) AS n FROM odom GROUP BY ALL ORDER BY ALL") == [
+        {"robot": "tb0", "n": 3},
+        {"robot": "tb1", "n": 3},
+    ]
+    assert sql(here, 'SELECT "poses.length" AS poses FROM path') == [{"poses": 2}]
+    note = "output 'path' has the number of items of lists in 'poses.length'; the items are only in its files"
+    assert note in again.stdout + again.stderr
+
+
+@pytest.mark.integration
+def test_recorded_bags_are_replayed_exported_and_read_again(tmp_path: Path) -> None:
+    here = project(tmp_path / "p", "bag")
+    assert quick(here, "run", "population_size=1", "--no-figures").returncode == 0
+    [batch] = sql(here, "SELECT left(batch, 10) AS id FROM batches")
+    replayed = quick(here, "replay", str(batch["id"]))
+    assert (replayed.returncode, "identical" in replayed.stdout) == (0, True)
+    assert quick(here, "files", str(batch["id"]), "--to", str(tmp_path / "out")).returncode == 0
+    [exported] = (tmp_path / "out").rglob("run.bag")
+    assert exported.read_bytes() == (tmp_path / "bags" / "run.bag").read_bytes()
+    config = here / "sierra.toml"
+    config.write_text(config.read_text().replace('["/goal"]', '["/goal", "/tb1/*"]'))
+    unlike = quick(here, "run", "population_size=1", "--no-figures")
+    assert (unlike.returncode, "have different fields" in unlike.stdout) == (1, True)
+    config.write_text(config.read_text().replace('["/goal", "/tb1/*"]', '["/tb1/*"]'))
+    again = quick(here, "run", "population_size=1", "--no-figures")
+    assert again.returncode == 0
+    assert sql(here, "SELECT count(*) AS n FROM goal") == [{"n": 3}]
+    assert quick(here, "fsck").returncode == 0
+    shown = json.loads(quick(here, "try", "--json", "population_size=1").stdout)
+    assert [(one["table"], one["rows"]) for one in shown["files"]] == [("odom", 6), ("goal", 3)]
