@@ -184,7 +184,7 @@ class Output(Table):
             what = "the path of a dataset or group" if self.kind == "hdf5" else "one or more variables, separated by commas"
             raise ValueError(f'format = "{self.kind}" needs rows, {what}')
         if self.kind == "bag":
-            _check_topics(self.topics, self.ros)
+            _check_topics(self.topics, self.ros, self.ticks)
         if self.ticks and any(character in self.file for character in "*?["):
             raise ValueError(f"file: {{{self.ticks[0]}}} and the characters * ? [ exclude each other: {self.file!r}")
         if len(set(map(str.lower, self.ticks))) < len(self.ticks):
@@ -226,15 +226,16 @@ class Output(Table):
         return self.format or (FILE_FORMAT if ending in NAMED_FORMATS else SAME_FORMAT.get(ending, ending))
 
 
-def _check_topics(topics: tuple[str, ...], ros: str) -> None:
-    """Check the keys of a bag. Raises ValueError."""
+def _check_topics(topics: tuple[str, ...], ros: str, ticks: tuple[str, ...]) -> None:
+    """Check the keys of a bag; `ticks` are the names in braces in its file. Raises ValueError."""
     if not topics:
         raise ValueError('format = "bag" needs topics, such as ["/{robot}/odom"]')
     names = [tuple(PLACEHOLDER.findall(topic)) for topic in topics]
     if len(set(names)) > 1:
         raise ValueError("topics: all should have the same names in braces, because these become columns")
-    if len({*map(str.lower, names[0]), *BAG_COLUMNS}) < len(names[0]) + len(BAG_COLUMNS):
-        raise ValueError(f"topics: names in braces should be unique, and none of {', '.join(BAG_COLUMNS)}")
+    taken = [*BAG_COLUMNS, *ticks]
+    if len({name.lower() for name in (*names[0], *taken)}) < len(names[0]) + len(taken):
+        raise ValueError(f"topics: names in braces should be unique, and none of {', '.join(taken)}")
     if ros not in ("", *ROS_VERSIONS):
         raise ValueError(f"ros: unknown version {ros!r}; known are {', '.join(ROS_VERSIONS)}")
 

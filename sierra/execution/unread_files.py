@@ -176,7 +176,7 @@ def _topics(one: Alike, proposal: Proposal, taken: Collection[str], runs: int) -
     name = _free(f"{proposal.name}.bag", taken)
     keys: dict[str, Key] = {"file": pattern(one), "format": "bag", "topics": list(proposal.topics)}
     declared = ", ".join(f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in keys.items())
-    keys |= {"mismatch": "ragged", "units": proposal.units}
+    keys |= {"mismatch": "ragged", "volatile": ["received_ns"], "units": proposal.units}
     keys |= {} if one.runs == runs else {"required": False}
     return UnreadFiles(one.path, one.files, f"{what}; declare [outputs.{name}] {declared}", False, name, keys)
 

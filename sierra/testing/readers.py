@@ -73,7 +73,7 @@ class Trial:
         target = place / "read" / "table.parquet"
         target.parent.mkdir(parents=True)
         shape = Shape(self.name, reader=self._described(), form=self.form)
-        reading = read(self.connection, [_written(path, number) for number, path in enumerate(files)], shape, target)
+        reading = read(self.connection, [written(path, number) for number, path in enumerate(files)], shape, target)
         for path, content in zip(files, contents, strict=True):
             holds(path.read_bytes() == content, "the reader changes the file")
         rows: dict[str, list[Row]] = {}
@@ -179,7 +179,7 @@ def _are(rows: Sequence[Row], columns: Columns) -> None:
         holds(row == expected and list(row) == list(expected), f"the row {expected} became {dict(row)}")
 
 
-def _written(path: Path, number: int) -> Written:
+def written(path: Path, number: int) -> Written:
     """Return a file as a worker describes it."""
     seen = OutputFile(**worker.describe(str(path), path.name))
     facts = (seen.path, seen.head, seen.lines, seen.ended, seen.bytes, seen.quotes, seen.blank, seen.alike)

@@ -586,6 +586,12 @@ def containers(folder: Path) -> None:
     subprocess.run([sys.executable, str(HERE / "bench_containers.py")], check=True)
 
 
+def bags(folder: Path) -> None:
+    """Measure bags of ROS, in a separate process."""
+    del folder
+    subprocess.run([sys.executable, str(HERE / "bench_bags.py")], check=True)
+
+
 def clusters(folder: Path, *more: str) -> None:
     """Compare batches on a separate SLURM with jobs written by hand, in a separate process."""
     del folder
@@ -616,6 +622,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "inputs": inputs,
     "recording": recording,
     "tick_files": tick_files,
+    "bags": bags,
     "listing": listing,
     "snapshot": snapshot,
     "fsck": fsck,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -95,6 +96,29 @@ def test_topics_of_a_bag_are_proposed_and_declared(tmp_path: Path) -> None:
     assert sql(here, 'SELECT "poses.length" AS poses FROM path') == [{"poses": 2}]
     note = "output 'path' has the number of items of lists in 'poses.length'; the items are only in its files"
     assert note in again.stdout + again.stderr
+
+
+@pytest.mark.integration
+def test_replay_compares_the_messages_and_not_when_they_were_received(tmp_path: Path) -> None:
+    here = project(tmp_path / "p", more="").resolve()
+    config = (here / "sierra.toml").read_text().replace("units =", 'volatile = ["received_ns"]\nunits =')
+    (here / "sierra.toml").write_text(config.replace('topics = ["/goal"]', 'topics = ["/goal"]\nvolatile = ["received_ns"]'))
+    assert quick(here, "run", "population_size=1", "--no-figures").returncode == 0
+    [batch] = sql(here, "SELECT batch FROM batches")
+    bag = tmp_path / "bags" / "run" / "run.mcap"
+
+    def recorded_again(later: int, data: float) -> None:
+        shutil.rmtree(bag.parent)
+        goal = Recorded("/goal", "std_msgs/msg/Float64", 9, {"data": data})
+        bags.record(tmp_path / "bags", "mcap", [one._replace(received=one.received + later) for one in (*odometry(2, 3), goal)])
+
+    recorded_again(5, 0.5)
+    same = quick(here, "replay", str(batch["batch"]))
+    assert (same.returncode, "equal" in same.stdout) == (0, True)
+    recorded_again(5, 0.75)
+    other = quick(here, "replay", str(batch["batch"]))
+    assert other.returncode == 1
+    assert "run.mcap (goal): row 0" in other.stdout or "'data' was 0.5 and is 0.75" in other.stdout
 
 
 @pytest.mark.integration

@@ -252,12 +252,13 @@ def test_database_is_only_read(tmp_path: Path) -> None:
         ({}, "needs topics"),
         ({"topics": ["/{a}/x", "/{b}/x"]}, "the same names in braces"),
         ({"topics": ["/{topic}/x"]}, "none of topic, received_ns"),
+        ({"topics": ["/{robot}/x"], "file": "{robot}/run.bag"}, "none of topic, received_ns, robot"),
         ({"topics": ["/x"], "ros": "noetic"}, "known are dashing"),
     ],
 )
 def test_keys_of_a_bag_are_checked(keys: dict[str, Any], why: str) -> None:
     with pytest.raises(ValueError, match=why):
-        Output(file="run.bag", format="bag", **keys)
+        Output(**{"file": "run.bag", "format": "bag", **keys})
 
 
 def test_missing_extra_is_named_before_anything_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
