@@ -60,7 +60,7 @@ CREATE TABLE executions (
     "batch" VARCHAR,  -- the batch that it was executed for
     "started" TIMESTAMP WITH TIME ZONE,  -- when its program started
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended
-    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, interrupted, or invalid (see trials)
+    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, stopped (by the operator), interrupted, or invalid (see trials)
     "reason" VARCHAR,  -- why the status is not ok, in one line
     "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
     "signal" BIGINT,  -- the signal that ended it; NULL if none did
@@ -134,7 +134,7 @@ CREATE TABLE robots (
     "signal" BIGINT  -- the signal that ended its program; NULL if none did
 );
 
--- Remarks on supervised executions; the last row of an execution counts, and an earlier one is never changed. An execution whose last row is not valid has the status invalid. It counts nowhere, and its run is executed again.
+-- Supervised executions, each with the last remark on it; the table all_trials has all remarks. An execution whose last remark is that it is not valid has the status invalid. It counts nowhere, and its run is executed again.
 CREATE TABLE trials (
     "execution" VARCHAR,  -- the execution
     "marked" TIMESTAMP WITH TIME ZONE,  -- when the remark was made
@@ -146,6 +146,11 @@ CREATE TABLE trials (
     "position" BIGINT,  -- its position in the order of trials, from 0
     "poses" VARCHAR,  -- the poses at which robots were placed, as JSON
     "arena" VARCHAR,  -- the name or version of the arena
+    "order_rule" VARCHAR,  -- how the order of trials was made: blocked, random or as-designed
+    "order_seed" BIGINT,  -- the number that the order derives from
+    "stopped" BOOLEAN,  -- whether the operator stopped it; NULL if that is not known
+    "facts" VARCHAR,  -- what declared commands printed before the trial, by name, as JSON
+    "files" VARCHAR,  -- SHA-256 of declared files before the trial, by path, as JSON
     "lamport" BIGINT  -- position of the remark in the logical order, as in sessions
 );
 
@@ -605,7 +610,7 @@ CREATE TABLE all_judgements (
     "batch" VARCHAR,  -- the batch that it was executed for
     "started" TIMESTAMP WITH TIME ZONE,  -- when its program started
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended
-    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, interrupted, or invalid (see trials); by this judgement
+    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, stopped (by the operator), interrupted, or invalid (see trials); by this judgement
     "reason" VARCHAR,  -- why the status is not ok, in one line; by this judgement
     "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
     "signal" BIGINT,  -- the signal that ended it; NULL if none did
@@ -639,7 +644,7 @@ CREATE TABLE all_candidates (
     "batch" VARCHAR,  -- the batch that it was executed for
     "started" TIMESTAMP WITH TIME ZONE,  -- when its program started
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended
-    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, interrupted, or invalid (see trials)
+    "status" VARCHAR,  -- ok, failed, timeout, memory, cpu, output, mismatch, stopped (by the operator), interrupted, or invalid (see trials)
     "reason" VARCHAR,  -- why the status is not ok, in one line
     "exit_code" BIGINT,  -- the program's exit status; NULL if a signal ended it
     "signal" BIGINT,  -- the signal that ended it; NULL if none did
@@ -686,6 +691,26 @@ CREATE TABLE all_sessions (
     "lamport" BIGINT,  -- its position in the logical order: a greater number is later, independent of clocks; old records have negative numbers, in the order of their times, and so come first
     "build" VARCHAR,  -- the build whose products its runs used, as in builds; NULL if there is no [build]
     "target" VARCHAR  -- the target that was requested; NULL if it was none
+);
+
+-- All remarks on supervised executions, also those that later ones replace. The table trials has the last ones.
+CREATE TABLE all_trials (
+    "execution" VARCHAR,  -- the execution
+    "marked" TIMESTAMP WITH TIME ZONE,  -- when the remark was made
+    "valid" BOOLEAN,  -- whether the trial counts; NULL if nobody decided, and then it counts
+    "reason" VARCHAR,  -- why it is not valid, in one line
+    "note" VARCHAR,  -- a free note
+    "operator" VARCHAR,  -- who supervised it
+    "block" BIGINT,  -- the block of the randomised order of trials, from 0
+    "position" BIGINT,  -- its position in the order of trials, from 0
+    "poses" VARCHAR,  -- the poses at which robots were placed, as JSON
+    "arena" VARCHAR,  -- the name or version of the arena
+    "order_rule" VARCHAR,  -- how the order of trials was made: blocked, random or as-designed
+    "order_seed" BIGINT,  -- the number that the order derives from
+    "stopped" BOOLEAN,  -- whether the operator stopped it; NULL if that is not known
+    "facts" VARCHAR,  -- what declared commands printed before the trial, by name, as JSON
+    "files" VARCHAR,  -- SHA-256 of declared files before the trial, by path, as JSON
+    "lamport" BIGINT  -- position of the remark in the logical order, as in sessions
 );
 
 -- Batches with imported sessions, and the origin that counts in each: this store, or a package.

@@ -637,7 +637,7 @@ def _execution(snapshot: Snapshot, identity: str) -> ShownExecution:
         observation=_observation(snapshot, row),
         packages=snapshot.values(str, PACKAGES, s=row.session),
         robots=snapshot.select(RobotRow, "SELECT * FROM robots WHERE execution = $e ORDER BY place", e=identity),
-        trials=snapshot.select(TrialRow, "SELECT * FROM trials WHERE execution = $e ORDER BY lamport", e=identity),
+        trials=snapshot.select(TrialRow, "SELECT * FROM all_trials WHERE execution = $e ORDER BY lamport", e=identity),
     )
 
 

@@ -83,7 +83,10 @@ class ExecutionRow(NamedTuple):
     batch: Annotated[str, "the batch that it was executed for"]
     started: Annotated[datetime, "when its program started"]
     ended: Annotated[datetime, "when its program ended"]
-    status: Annotated[str, "ok, failed, timeout, memory, cpu, output, mismatch, interrupted, or invalid (see trials)"]
+    status: Annotated[
+        str,
+        "ok, failed, timeout, memory, cpu, output, mismatch, stopped (by the operator), interrupted, or invalid (see trials)",
+    ]
     reason: Annotated[str | None, "why the status is not ok, in one line"]
     exit_code: Annotated[int | None, "the program's exit status; NULL if a signal ended it"]
     signal: Annotated[int | None, "the signal that ended it; NULL if none did"]
@@ -176,9 +179,10 @@ class RobotRow(NamedTuple):
 
 
 class TrialRow(NamedTuple):
-    """Remarks on supervised executions; the last row of an execution counts, and an earlier one is never changed.
+    """Supervised executions, each with the last remark on it; the table all_trials has all remarks.
 
-    An execution whose last row is not valid has the status invalid. It counts nowhere, and its run is executed again.
+    An execution whose last remark is that it is not valid has the status invalid. It counts nowhere, and its run is executed
+    again.
     """
 
     execution: Annotated[str, "the execution"]
@@ -191,6 +195,11 @@ class TrialRow(NamedTuple):
     position: Annotated[int | None, "its position in the order of trials, from 0"] = None
     poses: Annotated[str | None, "the poses at which robots were placed, as JSON"] = None
     arena: Annotated[str | None, "the name or version of the arena"] = None
+    order_rule: Annotated[str | None, "how the order of trials was made: blocked, random or as-designed"] = None
+    order_seed: Annotated[int | None, "the number that the order derives from"] = None
+    stopped: Annotated[bool | None, "whether the operator stopped it; NULL if that is not known"] = None
+    facts: Annotated[str | None, "what declared commands printed before the trial, by name, as JSON"] = None
+    files: Annotated[str | None, "SHA-256 of declared files before the trial, by path, as JSON"] = None
     lamport: Annotated[int, "position of the remark in the logical order, as in sessions"] = 0
 
 

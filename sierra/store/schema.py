@@ -133,6 +133,11 @@ DERIVED = {
             *((column.name, column.type, column.meaning, column.unit) for column in RECORDED["sessions"].columns),
         ),
         _table(
+            "all_trials",
+            "All remarks on supervised executions, also those that later ones replace. The table trials has the last ones.",
+            *((column.name, column.type, column.meaning, column.unit) for column in RECORDED["trials"].columns),
+        ),
+        _table(
             "origins",
             "Batches with imported sessions, and the origin that counts in each: this store, or a package.",
             ("batch", ID, "the batch"),

@@ -24,6 +24,7 @@ NEEDS = {
     "executions": ("all_judgements",),
     "artifacts": ("all_judgements",),
     "all_artifacts": ("artifacts",),
+    "all_trials": ("trials",),
     "all_candidates": ("all_judgements", "reused_executions"),
     "effective": ("batch_runs", "sessions", "all_judgements", "all_candidates", "stale_sessions", "origins"),
     "nondeterminism": ("executions", "verdicts", "imported_sessions"),
@@ -149,7 +150,7 @@ class Views:
             body = ORIGINS if self._imported else NO_ORIGINS
         elif name in DEFINED:
             body = DEFINED[name]
-        elif name in RECORDED or name in ("all_judgements", "all_artifacts", "all_sessions"):
+        elif name in RECORDED or name in ("all_judgements", "all_artifacts", "all_sessions", "all_trials"):
             self._make_recorded(name)
             return
         elif name in self._outputs:
@@ -168,6 +169,7 @@ class Views:
             "all_judgements": self._all_judgements,
             "all_artifacts": self._all_artifacts,
             "all_sessions": partial(self._recorded, "sessions"),
+            "all_trials": self._all_trials,
         }
         body = bodies.get(name, partial(self._recorded, name))
         try:
@@ -187,6 +189,8 @@ class Views:
             others = [c for c in self._columns(name, source) if c not in keys]
             picked = "".join(f", {_pick(c, FIRST.get(name))} AS {identifier(c)}" for c in others)
             return f"SELECT {', '.join(keys)}{picked} FROM {source} GROUP BY {', '.join(keys)}"
+        if name == "trials":
+            return f"SELECT * FROM {source} QUALIFY row_number() OVER (PARTITION BY execution ORDER BY lamport DESC) = 1"
         if name == "executions":
             return self._executions(source)
         if name == "artifacts" and self._reevaluated:
@@ -272,6 +276,10 @@ class Views:
     def _all_artifacts(self, *, older: bool = False) -> str:
         files = self._files.get("artifacts")
         return "FROM artifacts" if files is None else f"SELECT * FROM {self._records('artifacts', files, older=older)}"
+
+    def _all_trials(self, *, older: bool = False) -> str:
+        files = self._files.get("trials")
+        return "FROM trials" if files is None else f"SELECT * FROM {self._records('trials', files, older=older)}"
 
     def _columns(self, name: str, source: str) -> list[str]:
         if name != "experiments":
@@ -384,8 +392,7 @@ SELECT e.* REPLACE (
     CASE WHEN t.refused AND e.status = 'ok' THEN 'invalid' ELSE e.status END AS status,
     CASE WHEN t.refused AND e.status = 'ok' THEN {beginning} || coalesce(': ' || t.said, '') ELSE e.reason END AS reason
 ) FROM ({judgements}) e LEFT JOIN (
-    SELECT execution, NOT coalesce(last.valid, true) AS refused, last.reason AS said
-    FROM (SELECT execution, arg_max({{'valid': valid, 'reason': reason}}, lamport) AS last FROM trials GROUP BY execution)
+    SELECT execution, NOT coalesce(valid, true) AS refused, reason AS said FROM trials
 ) t ON t.execution = e.execution
 """
 """All judgements; the successful ones of executions whose trial is not valid have the status invalid."""

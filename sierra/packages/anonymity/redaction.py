@@ -97,7 +97,12 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
         started=T,
         ended=T,
     ),
-    "trials": _rules("execution valid reason note block position poses arena lamport", operator=Rule.HIDDEN, marked=T),
+    "trials": _rules(
+        "execution valid reason note block position poses arena order_rule order_seed stopped files lamport",
+        operator=Rule.HIDDEN,
+        facts=Rule.NOTHING,
+        marked=T,
+    ),
     "duplicates": _rules("execution run result same", attempt=Rule.ATTEMPT),
     "isolations": _rules(
         "engine version rootless mode image network devices limits_asked limits_enforced",
