@@ -47,6 +47,7 @@ from sierra.config.model_table import Model
 from sierra.config.output_tables import Equivalence, Output, Success, file_once
 from sierra.config.package_table import Package
 from sierra.config.robots_table import ROBOT, RobotsTable
+from sierra.config.trial_tables import Trials
 from sierra.config.validate import options
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.store.layout import CONFIG, PYPROJECT
@@ -177,6 +178,7 @@ class Project(Table):
     )
     success: Success = Success.model_construct()
     limits: LimitsTable = LimitsTable.model_construct()
+    trials: Trials = Trials.model_construct()
     environment: Environment = Environment.model_construct()
     container: Container | None = Field(None, description="the image in which runs execute; default: no container")
     source: Source = Source.model_construct()
