@@ -1,0 +1,70 @@
+"""Start poses of robots: listed in `sierra.toml`, or drawn from a run's seed."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from sierra.config.trial_tables import DrawnPoses, Trials
+from sierra.errors import ConfigError
+from sierra.model import Value
+
+TRIES = 10_000
+"""Number of positions that are drawn for one robot until it is far enough from the others."""
+
+
+class Pose(NamedTuple):
+    """A place of a robot: x and y in m, and the heading in degrees, counterclockwise from the direction of x."""
+
+    x: float
+    y: float
+    heading: float | None = None
+
+
+def of_run(trials: Trials, seed: int, values: Mapping[str, Value]) -> tuple[Pose, ...]:
+    """Return the start poses of a run, one per robot; none if none are declared. Raises ConfigError.
+
+    The same seed gives the same poses on every machine: Python's generator is seeded with a text, and only `random` is called,
+    whose results never change.
+    """
+    if trials.draw_poses is None:
+        return tuple(Pose(*pose) for pose in trials.poses)
+    drawn, count = trials.draw_poses, _count(trials.draw_poses, values)
+    generator = random.Random(f"poses {seed}")
+    poses: list[Pose] = []
+    for _ in range(count):
+        poses.append(_free(drawn, poses, generator, count))
+    return tuple(poses)
+
+
+def as_json(poses: Sequence[Pose]) -> str | None:
+    """Return poses as they are recorded: by robot (1, 2, …), x, y and the heading; None if there are none."""
+    if not poses:
+        return None
+    return json.dumps({str(robot): [one for one in pose if one is not None] for robot, pose in enumerate(poses, 1)})
+
+
+def _count(drawn: DrawnPoses, values: Mapping[str, Value]) -> int:
+    if isinstance(drawn.count, int):
+        return drawn.count
+    count = values.get(drawn.count)
+    if isinstance(count, int) and count > 0:
+        return count
+    if count is None:
+        raise ConfigError(f"[trials.draw_poses] count: the query does not vary {drawn.count!r}; give a number, or vary it")
+    raise ConfigError(f"[trials.draw_poses] count: {drawn.count} = {count!r} is not a number of robots")
+
+
+def _free(drawn: DrawnPoses, others: Sequence[Pose], generator: random.Random, count: int) -> Pose:
+    for _ in range(TRIES):
+        x, y = (low + (high - low) * generator.random() for low, high in (drawn.x, drawn.y))
+        pose = Pose(round(x, 3), round(y, 3), round(360 * generator.random(), 1))
+        if all(math.dist(pose[:2], other[:2]) >= drawn.apart for other in others):
+            return pose
+    raise ConfigError(
+        f"[trials.draw_poses] found no place for robot {len(others) + 1} of {count} that is {drawn.apart:g} m from the others; "
+        "enlarge x and y, or make apart smaller"
+    )
