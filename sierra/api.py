@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from sierra.execution.run_options import RunOptions
     from sierra.execution.show_record import Shown, ShownSession
     from sierra.execution.summary import Summary
+    from sierra.execution.supervised.supervisor import Supervisor
     from sierra.execution.takeover import Cancelled
     from sierra.execution.trial import Trial
     from sierra.execution.unread_files import Key
@@ -269,6 +270,7 @@ class Project:
         detach: bool = False,
         progress: bool | None = None,
         only: str | None = None,
+        supervisor: Supervisor | None = None,
     ) -> Summary:
         """Run a query: execute its missing runs, record them, and draw the figures.
 
@@ -276,8 +278,9 @@ class Project:
         `observer` receives the progress and notices instead: see `Observer`. `runner` is where runs execute: `local`, or the
         name of a cluster (default: the `runner` in `sierra.toml`); with `detach`, this function returns once the jobs are
         submitted. `only` is a condition that selects the experiments to execute, as in `population_size<=4`: see
-        `sierra.query.condition`. The summary counts failed runs; they raise no error. Raises the errors of `plan`, and Missing
-        if the disk is full.
+        `sierra.query.condition`. `supervisor` starts, watches and judges trials if `[trials] supervised` is set: see
+        `sierra.execution.supervised.supervisor`. The summary counts failed runs; they raise no error. Raises the errors of
+        `plan`, and Missing if the disk is full, or if trials need a supervisor.
 
         >>> summary = project.run("population_size=1,2", runs=2, figures=False)
         >>> summary.runs, summary.failed, summary.missing
@@ -294,6 +297,7 @@ class Project:
             detach=detach,
             progress=progress,
             only=only,
+            supervisor=supervisor,
         )
 
     def execute(
@@ -308,6 +312,7 @@ class Project:
         detach: bool = False,
         progress: bool | None = None,
         only: str | None = None,
+        supervisor: Supervisor | None = None,
     ) -> Summary:
         """Execute a plan as `run` does. `observer` receives progress and notices, and decides about jobs on a cluster.
 
@@ -321,15 +326,18 @@ class Project:
         selected = None if only is None else condition.select(only, plan.batch).runs
         options = RunOptions(
             _slots(jobs),
-            self.runner_of(plan, runner, detach=detach),
+            self.runner_of(plan, runner, detach=detach, jobs=jobs),
             fail_fast,
             selected,
             observer=observer or _observer(progress),
             detach=detach,
+            supervisor=supervisor,
         )
+        if supervisor is None:
+            self.check_attended(plan, only)
         store = Store.create(self.paths.store)
         plan = self.build(plan, observer=options.observer)
-        probed = self._probe(plan, store, options) if self.config.determinism.probe else ()
+        probed = self._probe(plan, store, options) if self._is_probed(plan) else ()
         summary = execute.run(plan, store, options)
         summary = self._described(replace(summary, notes=(*probed, *summary.notes)))
         return self._drawn(summary) if figures else summary
@@ -347,6 +355,7 @@ class Project:
         runner: str | None = None,
         progress: bool | None = None,
         planning: Observer | None = None,
+        supervisor: Supervisor | None = None,
     ) -> StudyOutcome:
         """Execute a query with more and more runs until its intervals are narrow enough: see `sierra.studies.study`.
 
@@ -370,7 +379,9 @@ class Project:
             return self.resolve(request, engine=plan.engine.name, observer=planning or told)
 
         def execute(look: Plan) -> Summary:
-            return self.execute(look, jobs=jobs, fail_fast=fail_fast, figures=False, observer=told, runner=runner)
+            return self.execute(
+                look, jobs=jobs, fail_fast=fail_fast, figures=False, observer=told, runner=runner, supervisor=supervisor
+            )
 
         self.runner_of(plan, runner)
         store = Store.create(self.paths.store)
@@ -392,8 +403,32 @@ class Project:
         store = self.stored()
         return (study.find(store, planned.row.study) if store else None) or study.Outcome(planned, (), {})
 
-    def runner_of(self, plan: Plan, runner: str | None = None, *, detach: bool = False) -> str:
+    def check_attended(self, plan: Plan, only: str | None = None) -> None:
+        """Check that no run of a plan needs a person who supervises its execution. Raises Missing.
+
+        `only`: the condition of the runs that are to be executed, as in `run`.
+
+        >>> project.check_attended(project.plan("population_size=8"))
+        """
+        if not plan.project.config.trials.supervised:
+            return
+        from sierra.execution.reuse import states
+        from sierra.execution.supervised.conduct import UNATTENDED
+        from sierra.query import condition
+
+        runs = {run.id for run in plan.batch.runs} if only is None else condition.select(only, plan.batch).runs
+        if any(run in runs and not one.succeeded for run, one in states(plan, self.stored()).items()):
+            raise Missing(UNATTENDED)
+
+    @staticmethod
+    def _is_probed(plan: Plan) -> bool:
+        """Return whether a run is executed twice before the batch; supervised trials are never executed without a person."""
+        return plan.project.config.determinism.probe and not plan.project.config.trials.supervised
+
+    def runner_of(self, plan: Plan, runner: str | None = None, *, detach: bool = False, jobs: int | None = None) -> str:
         """Return the name of the runner of a plan: `runner`, or the one in `sierra.toml`. Raises ConfigError, UsageError.
+
+        `jobs`: the requested number of runs at a time; supervised trials are executed one after the other.
 
         >>> project.runner_of(project.plan("population_size=8"))
         'local'
@@ -401,10 +436,15 @@ class Project:
         from sierra import runners
 
         name, tables = runner or plan.project.config.runner, plan.project.config.runners
-        if not runners.find(name, tables)(1).stays and detach:
+        stays = runners.find(name, tables)(1).stays
+        if not stays and detach:
             raise UsageError(
                 f"cannot detach from runner {name!r}: its runs end with this process; only cluster jobs can be detached"
             )
+        if plan.project.config.trials.supervised:
+            from sierra.execution.supervised import conduct
+
+            conduct.check(name, stays=stays, jobs=jobs)
         return name
 
     def try_run(

@@ -563,6 +563,8 @@ class Status(StrEnum):
     """More bytes written than the limit allows."""
     MISMATCH = "mismatch"
     """A program that ended successfully, but wrote a table that is cut short or has another shape than its siblings."""
+    STOPPED = "stopped"
+    """An end by the operator of a supervised trial."""
     INTERRUPTED = "interrupted"
     INVALID = "invalid"
     """A success that does not count, because somebody marked the trial as invalid."""

@@ -275,9 +275,10 @@ def limits(project: Project) -> Limits:
     return Limits(table.wall, table.cpu, table.memory, table.output, table.grace)
 
 
-def execution_id(session: str, run: str) -> str:
-    """Return the id of the execution of a run by a session."""
-    return digest_plain("execution", {"session": session, "run": run})
+def execution_id(session: str, run: str, attempt: int = 0) -> str:
+    """Return the id of the execution of a run by a session, which may execute it several times: `attempt` counts from 0."""
+    again = {"attempt": str(attempt)} if attempt else {}
+    return digest_plain("execution", {"session": session, "run": run, **again})
 
 
 class CommandBuilder:
@@ -342,9 +343,9 @@ class CommandBuilder:
         self._shared = self._container() if box and box.shared else None
         self._same: dict[str, tuple[str, ...]] = {}
 
-    def job(self, run: Run, files: tuple[tuple[str, bytes], ...]) -> Job:
-        """Return the job that executes a run in this session."""
-        execution = execution_id(self._environment["SIERRA_SESSION"], run.id)
+    def job(self, run: Run, files: tuple[tuple[str, bytes], ...], attempt: int = 0) -> Job:
+        """Return the job that executes a run in this session. `attempt`: how often the session has executed it before."""
+        execution = execution_id(self._environment["SIERRA_SESSION"], run.id, attempt)
         seed = str(run.seed)
         own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": seed, "SIERRA_EXECUTION": execution}
         if self._on_robots:

@@ -51,6 +51,8 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
 
     check_packages(plan)
     plan = versioned(plan)
+    if plan.project.config.trials.supervised:
+        options = replace(options, slots=1)
     make = partial(runners.find(options.runner, plan.project.config.runners), options.slots)
     on_robots.check_fleet(make(), options.runner, plan)
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())

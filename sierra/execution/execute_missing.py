@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
+from dataclasses import replace
 from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.execution import expected_durations, recover, sessions
 from sierra.execution.attach import attach
+from sierra.execution.follow import Followed
 from sierra.execution.observer import Relay, Tally
 from sierra.execution.plan import Plan, context
 from sierra.execution.reuse import FileCheck, rules_changed, states
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
+from sierra.execution.supervised.conduct import UNATTENDED, Conduct
 from sierra.ingest.consistency import find_odd
 from sierra.ingest.rejudge import reevaluate
 from sierra.ingest.success import Doubt
@@ -26,6 +29,7 @@ from sierra.runners.base import Runner
 from sierra.store.layout import SessionPaths
 from sierra.store.store import Store
 from sierra.templates.base import Files
+from sierra.util.json_types import JsonView
 from sierra.util.signals import noted
 from sierra.util.text import counted, few
 
@@ -73,6 +77,8 @@ class Executor:
         self._claimed: AbstractSet[str] = frozenset()
         self._doubted: Doubt | None = None
         self._looked_at: set[str] = set()
+        self._skipped: set[str] = set()
+        """Supervised runs that the person has skipped."""
 
     @property
     def only(self) -> AbstractSet[str] | None:
@@ -92,7 +98,7 @@ class Executor:
     @property
     def _open(self) -> AbstractSet[str]:
         """The runs that this session has begun to execute, and that have not ended."""
-        return self._claimed - self.attempted
+        return self._claimed - self.attempted - self._skipped
 
     def answer(self) -> None:
         """Execute missing runs, wait for runs that other sessions execute, and take over runs that these leave."""
@@ -133,6 +139,7 @@ class Executor:
             wanted &= self._options.only
         wanted -= self.failed
         wanted -= self.attempted
+        wanted -= self._skipped
         return wanted
 
     def _judge(self, wanted: set[str]) -> set[str]:
@@ -163,6 +170,8 @@ class Executor:
         root, programs = self._snapshot() if runner.stays else (self._code(), plan.programs)
         service = self._prepared(root, stays=runner.stays)
         self._claimed = self._claimed | wanted if self._claimed else wanted  # a set of 100,000 runs takes 4 MB
+        if plan.project.config.trials.supervised:
+            return self._supervised(wanted, service, programs)
         followed = service.execute(
             runner,
             self._context,
@@ -182,6 +191,26 @@ class Executor:
         cancelled = self.session.paths.cancelled.exists() and not self._is_enough()
         self.interrupted = cancelled or followed.interrupted
         return followed.inconsistent
+
+    def _supervised(self, wanted: AbstractSet[str], service: Service, programs: Programs) -> set[str]:
+        """Execute these runs as supervised trials; return those with an inconsistent execution."""
+        supervisor = self._options.supervisor
+        if supervisor is None:
+            raise Missing(UNATTENDED)
+
+        def execute(run: Run, attempt: int, runner: Runner, trial: Mapping[str, JsonView]) -> Followed:
+            now, runs = replace(self._context, trial=trial), self._inputs({run.id})
+            doubt, enough = self._doubt, self._is_enough
+            return service.execute(runner, now, runs, 1, programs, self._tally, doubt=doubt, enough=enough, attempt=attempt)
+
+        trials = Conduct(
+            self.plan, self.store, self.session, supervisor, self._tally, self._runner, execute, self._is_enough
+        ).conduct(wanted)
+        self.failed |= self._tally.failed
+        self.notes += tuple(trials.notes)
+        self._skipped |= trials.skipped
+        self.interrupted = trials.interrupted
+        return trials.inconsistent
 
     def _prepared(self, root: Path, *, stays: bool) -> Service:
         """Return the service that executes the runs; its isolation is prepared at the first call."""

@@ -62,6 +62,8 @@ class Service:
         self._session = session
         self._stays = stays
         self._beside = self._shared_files()
+        self._begun: set[int] = set()
+        """The experiments of which runs were executed."""
         self.isolation = contain(
             setup.engine,
             setup.image,
@@ -104,11 +106,12 @@ class Service:
         doubt: Callable[[], Doubt | None] = lambda: None,
         enough: Callable[[], bool] = lambda: False,
         kept: Path | None = None,
+        attempt: int = 0,
     ) -> Followed:
         """Execute `count` runs with these inputs and record them. Raises the runner's errors.
 
         `times` are the expected durations for a cluster. `doubt` and `kept`: see `Recorder`. `detach` and `enough`: see
-        `sierra.execution.follow.follow`.
+        `sierra.execution.follow.follow`. `attempt`: how often the session has executed these runs before.
         """
         check_members(runner, runner.name, on_robots=self._setup.spec.robots is not None)
         context = replace(context, **self.isolation.context)
@@ -116,7 +119,7 @@ class Service:
         record = self._setup.project.config.environment.record
         builder = self._builder(context.success.exit_status)
         work = Work(
-            self._observed(((run, builder.job(run, files)) for run, files in inputs), context.batch, programs),
+            self._observed(((run, builder.job(run, files, attempt)) for run, files in inputs), context.batch, programs),
             count,
             context.batch,
             (*needed(programs, self._search()), *self.isolation.needed),
@@ -170,7 +173,7 @@ class Service:
             named["project:given"] = root  # links in a checkout may lead there
         named |= {f"unlisted:{number}": f"{root}/{name}" for number, name in enumerate(not_in_checkouts(project))}
         helps = None if self._stays else Helps(tracer.usable(), str(user_digests()))
-        return choose_runs.choose(jobs, batch, project.config, named, helps)
+        return choose_runs.choose(jobs, batch, project.config, named, helps, self._begun)
 
     def _is_observed(self) -> bool:
         """Return whether runs may be observed."""

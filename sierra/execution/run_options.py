@@ -6,6 +6,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 
 from sierra.execution.observer import Observer
+from sierra.execution.supervised.supervisor import Supervisor
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,3 +21,5 @@ class RunOptions:
     observer: Observer = field(default_factory=Observer)
     detach: bool = False
     """True to leave jobs on a cluster without waiting for them."""
+    supervisor: Supervisor | None = None
+    """The person who supervises trials; needed if `[trials] supervised` is set and runs are to be executed."""

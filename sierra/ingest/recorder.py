@@ -122,6 +122,9 @@ class Recorder:
             self._parts.pop(result.execution, None)
             self._put_away(result)
         else:
+            trial = self.context.trial
+            if trial is not None and trial["execution"] == result.execution:
+                self.add_rows([("trials", {**trial, "marked": datetime.now(UTC)})], ())
             self._left_out.update(dict.fromkeys(result.left_out[: max(NOTED_AT_MOST - len(self._left_out), 0)]))
             self._pending.append(Judgement(result, status, reason))
             self._astray.update(result.elsewhere)

@@ -27,7 +27,20 @@ UNREAD = {"units", "rates", "time", "ticks_per_second", "tolerance", "ordered", 
 SAME_PROGRAMS = """(CASE WHEN e.reusing IS NULL THEN e.packages IS NULL AND e.programs = $programs
     AND e.session NOT IN (SELECT s.stale FROM stale_sessions s WHERE s.session = $session) ELSE e.reusing = $session END)"""
 """The SQL condition that a candidate e used programs and files that are unchanged; see `Context.same_programs`."""
-SAVED = ("session", "batch", "purpose", "environment", "programs", "engine", "shared", "enforced", "number", "raw", "engines")
+SAVED = (
+    "session",
+    "batch",
+    "purpose",
+    "environment",
+    "programs",
+    "engine",
+    "shared",
+    "enforced",
+    "number",
+    "raw",
+    "engines",
+    "trial",
+)
 """The fields that are saved as they are."""
 
 
@@ -69,6 +82,8 @@ class Context:
     """The readers of other packages that the outputs need."""
     engines: Tables = field(default_factory=dict)
     """The options of engines in `sierra.toml`."""
+    trial: Mapping[str, JsonView] | None = None
+    """The columns of the row in `trials` of the one execution that is a supervised trial now; None if there is none."""
 
     @property
     def same_programs(self) -> dict[str, str]:

@@ -19,6 +19,7 @@ STOPPED = {
     Status.MEMORY: "took more memory than its limit ([limits] memory)",
     Status.CPU: "took more CPU time than its limit ([limits] cpu)",
     Status.OUTPUT: "wrote more bytes than its limit ([limits] output; standard output and error: 256 MiB each)",
+    Status.STOPPED: "was stopped by the operator",
     Status.INTERRUPTED: "was interrupted",
 }
 

@@ -51,6 +51,16 @@ class Work:
 
 
 @dataclass(frozen=True, slots=True)
+class Beat:
+    """The last sign of life of a robot that takes part in a run."""
+
+    name: str
+    age_s: float
+    battery: float | None = None
+    """The charge of its battery in percent; None if it is unknown."""
+
+
+@dataclass(frozen=True, slots=True)
 class Look:
     """Everything that has happened since the previous look."""
 
@@ -75,6 +85,8 @@ class Look:
     """Results of runs that were executed once more than requested, without a directory."""
     wrong: SierraError | None = None
     """The error that ended the session while runs are missing. The caller raises it. Submitting again would not help."""
+    beats: tuple[Beat, ...] = ()
+    """The last signs of life of the robots that execute runs now."""
 
 
 class Runner(Protocol):

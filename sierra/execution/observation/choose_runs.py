@@ -19,13 +19,20 @@ SAMPLED = 0.1
 
 
 def choose(
-    jobs: Iterable[tuple[Run, Job]], batch: str, config: Project, folders: Mapping[str, str], helps: Helps | None
+    jobs: Iterable[tuple[Run, Job]],
+    batch: str,
+    config: Project,
+    folders: Mapping[str, str],
+    helps: Helps | None,
+    begun: set[int],
 ) -> Iterator[Job]:
-    """Yield the jobs; those of runs that are to be observed have the folders that names of files refer to."""
+    """Yield the jobs; those of runs that are to be observed have the folders that names of files refer to.
+
+    `begun`: the experiments of which the session has executed runs before; those of the jobs are added.
+    """
     if config.observe == "all":
         yield from (replace(job, observe=folders, helps=helps) for _, job in jobs)
         return
-    begun: set[int] = set()
     for run, job in jobs:
         if not begun:
             yield replace(job, observe=folders, helps=helps)

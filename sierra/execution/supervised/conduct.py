@@ -1,0 +1,223 @@
+"""Conduct of supervised trials: one after the other, block by block, each with a decision before and a verdict after it.
+
+A trial that is not valid is asked for again at the end of its block. An execution is recorded with the remark that nobody has
+judged it, and the verdict is added to the store afterwards. So nothing counts that nobody has judged, whatever happens between.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from itertools import groupby
+from typing import NamedTuple
+
+from sierra.errors import UsageError
+from sierra.execution import commands
+from sierra.execution.follow import Followed
+from sierra.execution.observer import Tally
+from sierra.execution.plan import Plan, context
+from sierra.execution.sessions import Session
+from sierra.execution.supervised import facts, poses
+from sierra.execution.supervised.order import Turn, order_seed, ordered
+from sierra.execution.supervised.supervisor import Ended, Start, Supervisor, Trial, Verdict
+from sierra.execution.supervised.watched_runner import WatchedRunner
+from sierra.model import Run, Status
+from sierra.runners.base import Runner
+from sierra.store.row_types import TrialRow
+from sierra.store.store import Store
+from sierra.util.json_types import JsonView
+
+UNJUDGED = "nobody has judged it"
+"""The reason why a trial without a verdict is not valid."""
+UNATTENDED = "trials are supervised here ([trials]): run in a terminal, or answer all prompts with --yes"
+NEXT = """
+SELECT coalesce(max(position) + 1, 0)::BIGINT FROM trials JOIN executions USING (execution) WHERE batch = $batch
+"""
+STATE = "SELECT status, reason FROM executions WHERE execution = $execution"
+Execute = Callable[[Run, int, Runner, Mapping[str, JsonView]], Followed]
+"""It executes a run by a runner, and records it with a row of `trials`. The number is that of earlier tries in the session."""
+
+
+@dataclass(slots=True)
+class Conducted:
+    """The outcome of a session's trials."""
+
+    interrupted: bool = False
+    """True if the user ended the session, at a prompt or by a signal."""
+    skipped: set[str] = field(default_factory=set)
+    """Runs that were skipped."""
+    inconsistent: set[str] = field(default_factory=set)
+    """Runs with an execution that is inconsistent with other executions."""
+    notes: dict[str, None] = field(default_factory=dict)
+    """Notes for the user, each once."""
+
+
+class _State(NamedTuple):
+    """The recorded state of an execution."""
+
+    status: str
+    reason: str | None
+
+
+class Conduct:
+    """The trials of one session."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        store: Store,
+        session: Session,
+        supervisor: Supervisor,
+        tally: Tally,
+        runner: Callable[[], Runner],
+        execute: Execute,
+        enough: Callable[[], bool],
+    ) -> None:
+        """`runner` makes a runner, which executes one trial. `enough`: see `sierra.execution.follow.follow`."""
+        self._plan = plan
+        self._store = store
+        self._session = session
+        self._supervisor = supervisor
+        self._tally = tally
+        self._runner = runner
+        self._execute = execute
+        self._enough = enough
+        self._trials = plan.project.config.trials
+        self._order = ordered(plan.batch, self._trials)
+        self._operator: str | None = None
+        self._position = 0
+        self._tries: dict[str, int] = {}
+        self._ended = float("-inf")
+        """When the last trial ended, by the monotonic clock."""
+        self._outcome = Conducted()
+
+    def conduct(self, wanted: AbstractSet[str]) -> Conducted:
+        """Execute these runs one after the other. Raises the errors of the runner, ConfigError and Missing."""
+        turns = [turn for turn in self._order if turn.run.id in wanted]
+        self._left = len(turns)
+        self._done = 0
+        try:
+            self._position = _next_position(self._store, self._plan.batch.id)
+            self._operator = self._supervisor.begin(self._left)
+            for _, block in groupby(turns, key=lambda turn: turn.block):
+                self._conduct_block(deque(block))
+        except KeyboardInterrupt:
+            self._outcome.interrupted = True
+        return self._outcome
+
+    def _conduct_block(self, pending: deque[Turn]) -> None:
+        """Execute a block; trials that are not valid are repeated at its end."""
+        while pending and not self._outcome.interrupted and not self._enough():
+            turn = pending.popleft()
+            match self._prepared(turn):
+                case Start.ABORT, _, _:
+                    self._outcome.interrupted = True
+                case Start.SKIP, _, _:
+                    self._outcome.skipped.add(turn.run.id)
+                    self._left -= 1
+                case _, trial, row:
+                    if not self._try(turn.run, trial, row):
+                        pending.append(turn)
+
+    def _prepared(self, turn: Turn) -> tuple[Start, Trial, TrialRow]:
+        """Return the decision on a trial, what was presented, and the row that is recorded with its execution."""
+        run, trials, root = turn.run, self._trials, self._plan.project.root
+        values = self._plan.batch.experiments[run.experiment].values
+        placed = poses.of_run(trials, run.seed, values)
+        files, printed = facts.of_files(trials, root), facts.of_commands(trials, root)
+        trial = Trial(
+            run.id,
+            run.number,
+            values,
+            position=self._done + 1,
+            total=self._done + self._left,
+            block=turn.block,
+            blocks=self._order[-1].block + 1,
+            attempt=self._tries.get(run.id, 0),
+            poses=placed,
+            facts=printed,
+            wait_s=max(0.0, self._ended + trials.pause - time.monotonic()),
+        )
+        row = TrialRow(
+            execution=commands.execution_id(self._session.id, run.id, trial.attempt),
+            marked=datetime.now(UTC),
+            valid=False,
+            reason=UNJUDGED,
+            operator=self._operator,
+            block=turn.block,
+            position=self._position,
+            poses=poses.as_json(placed),
+            arena=trials.arena,
+            order_rule=trials.order,
+            order_seed=order_seed(self._plan.batch),
+            facts=json.dumps(printed) if printed else None,
+            files=json.dumps(files) if files else None,
+        )
+        return self._supervisor.start(trial), trial, row
+
+    def _try(self, run: Run, trial: Trial, row: TrialRow) -> bool:
+        """Execute a trial and record the verdict; return False if it is to be repeated."""
+        with self._supervisor.watching(trial) as watch:
+            runner = WatchedRunner(self._runner(), watch, ends=self._trials.stop == "ends")
+            followed = self._execute(run, trial.attempt, runner, _as_json(row))
+        self._ended = time.monotonic()
+        self._tries[run.id] = trial.attempt + 1
+        self._outcome.notes.update(dict.fromkeys(followed.notes))
+        if followed.interrupted or run.id not in self._tally.statuses:
+            self._outcome.interrupted = followed.interrupted
+            self._left -= 1
+            return True
+        self._position += 1
+        self._done += 1
+        verdict = self._verdict(run, trial, runner, row._replace(stopped=runner.stopped))
+        self._left -= verdict.valid
+        if verdict.valid:
+            self._outcome.inconsistent |= followed.inconsistent
+        return verdict.valid
+
+    def _verdict(self, run: Run, trial: Trial, runner: WatchedRunner, row: TrialRow) -> Verdict:
+        """Ask for the verdict on a trial, and record it; return it."""
+        [recorded] = self._store.select(_State, STATE, execution=row.execution)
+        good = recorded.status == Status.INVALID
+        ended = Ended(
+            Status.OK if good else Status(recorded.status), None if good else recorded.reason, runner.seconds, runner.stopped
+        )
+        verdict = self._supervisor.verdict(trial, ended)
+        self._record(row._replace(valid=verdict.valid, reason=verdict.reason, note=verdict.note))
+        self._tally.ended(run.id, ended.status if verdict.valid else Status.INVALID)
+        if not verdict.valid:
+            self._tally.failed.discard(run.id)  # it is repeated
+        return verdict
+
+    def _record(self, row: TrialRow) -> None:
+        """Add a verdict to the store. It is later than the row that was recorded with the execution."""
+        now = context(self._plan, self._session.id, self._session.number)
+        writer = self._store.writer(self._session.paths.segment, self._plan.batch.id)
+        writer.records([row._replace(marked=datetime.now(UTC), lamport=now.lamport(1))])
+        self._store.publish(writer)
+
+
+def check(runner: str, *, stays: bool, jobs: int | None) -> None:
+    """Check that trials can be supervised on a runner. Raises UsageError.
+
+    `stays`: the runner's work survives this process. `jobs`: the requested number of runs at a time; None if none is.
+    """
+    if stays:
+        raise UsageError(f"[trials] supervised: runs on {runner!r} begin when the cluster has room; use a runner such as local")
+    if jobs is not None and jobs > 1:
+        raise UsageError(f"[trials] supervised: trials are executed one after the other; leave out --jobs {jobs}")
+
+
+def _next_position(store: Store, batch: str) -> int:
+    """Return the position of the next trial in the order in which the trials of a batch are executed, from 0."""
+    return store.values(int, NEXT, batch=batch)[0]
+
+
+def _as_json(row: TrialRow) -> dict[str, JsonView]:
+    """Return the columns of a row that is recorded with its execution; the recorder adds the others."""
+    return {name: value for name, value in row._asdict().items() if name not in ("marked", "lamport")}

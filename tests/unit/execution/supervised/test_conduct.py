@@ -1,0 +1,199 @@
+"""Supervised trials: decisions before and verdicts after each, repetitions, and what counts of what was measured."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+import sierra
+from sierra.errors import Missing, UsageError
+from sierra.execution.supervised.supervisor import Agreeing, Ended, Start, Trial, Verdict, Watch
+from tests import projects
+
+TRIALS = """
+[trials]
+supervised = true
+countdown = 0
+arena = "hall 2"
+files = ["arena.xml"]
+poses = [[0, 1, 90]]
+[trials.commands]
+firmware = "echo 1.2.3"
+"""
+CONFIG = f'observe = "none"\n{projects.CONFIG}{TRIALS}'
+VALID, FELL = Verdict(valid=True), Verdict(valid=False, reason="a robot fell", note="twice")
+ROWS = "SELECT position, block, valid, t.reason, status FROM trials t JOIN executions e USING (execution) ORDER BY position"
+
+
+class Gone:
+    """The person presses Ctrl-C."""
+
+
+class Script:
+    """A supervisor that follows a list: the verdict on a trial that is started, or the decision not to start it."""
+
+    def __init__(self, *steps: Start | Verdict | Gone, stops: Callable[[], bool] = lambda: False) -> None:
+        self._steps = list(steps)
+        self._stops = stops
+        self.trials: list[Trial] = []
+        self.ended: list[Ended] = []
+
+    def begin(self, trials: int) -> str | None:
+        return "Ann"
+
+    def start(self, trial: Trial) -> Start:
+        self.trials.append(trial)
+        return self._steps.pop(0) if isinstance(self._steps[0], Start) else Start.GO
+
+    def watching(self, trial: Trial) -> AbstractContextManager[Watch]:
+        return contextlib.nullcontext(lambda seconds, beats: self._stops() or seconds > 60)
+
+    def verdict(self, trial: Trial, ended: Ended) -> Verdict:
+        self.ended.append(ended)
+        step = self._steps.pop(0)
+        if not isinstance(step, Verdict):
+            raise KeyboardInterrupt
+        return step
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    return projects.make(tmp_path / "project", CONFIG)
+
+
+def has_written(root: Path) -> bool:
+    """Check whether the running trial has written all its lines."""
+    return any(file.read_text().count("\n") == 6 for file in root.glob(".sierra/work/*/*/output/swarm.csv"))
+
+
+def execute(root: Path, script: Script | Agreeing, runs: int = 1) -> sierra.Summary:
+    return sierra.open(root).run("population_size=1,2", runs=runs, figures=False, supervisor=script)
+
+
+def test_an_invalid_trial_is_kept_and_repeated_at_the_end_of_its_block(root: Path) -> None:
+    script = Script(FELL, VALID, VALID, VALID, VALID)
+    summary = execute(root, script, runs=2)
+    assert (summary.executed, summary.failed, summary.missing, summary.interrupted) == (4, 0, 0, False)
+    first, second, again, *_ = script.trials
+    assert (again.run, again.block, again.attempt) == (first.run, first.block, 1) != (second.run, second.block, 0)
+    assert [(trial.position, trial.total) for trial in script.trials] == [(1, 4), (2, 5), (3, 5), (4, 5), (5, 5)]
+    rows = projects.sql(root, ROWS)
+    assert [list(row.values()) for row in rows[:3]] == [
+        [0, 0, False, "a robot fell", "invalid"],
+        [1, 0, True, None, "ok"],
+        [2, 0, True, None, "ok"],
+    ]
+    assert projects.sql(root, "SELECT count(DISTINCT run) AS runs, count(*) AS counting FROM effective") == [
+        {"runs": 4, "counting": 4}
+    ]
+    assert not sierra.open(root).fsck().findings
+
+
+def test_a_trial_is_recorded_with_the_operator_and_what_is_declared(root: Path) -> None:
+    execute(root, Script(VALID, Verdict(valid=True, note="fine")))
+    row = projects.sql(root, "SELECT * FROM trials ORDER BY position")[1]
+    digest = hashlib.sha256((root / "arena.xml").read_bytes()).hexdigest()
+    assert {name: row[name] for name in ("operator", "note", "arena", "order_rule", "stopped")} == {
+        "operator": "Ann",
+        "note": "fine",
+        "arena": "hall 2",
+        "order_rule": "blocked",
+        "stopped": False,
+    }
+    assert [json.loads(row[name]) for name in ("poses", "facts", "files")] == [
+        {"1": [0.0, 1.0, 90.0]},
+        {"firmware": "1.2.3"},
+        {"arena.xml": digest},
+    ]
+
+
+@pytest.mark.integration
+def test_what_was_measured_is_kept_when_the_person_leaves(root: Path) -> None:
+    summary = execute(root, Script(VALID, Gone()))
+    assert (summary.executed, summary.interrupted) == (2, True)
+    assert [(row["valid"], row["reason"], row["status"]) for row in projects.sql(root, ROWS)] == [
+        (True, None, "ok"),
+        (False, "nobody has judged it", "invalid"),
+    ]
+    script = Script(VALID)
+    assert execute(root, script).reused == 1
+    assert [(row["position"], row["status"]) for row in projects.sql(root, ROWS)] == [(0, "ok"), (1, "invalid"), (2, "ok")]
+
+
+def test_skipped_runs_are_asked_for_the_next_time(root: Path) -> None:
+    summary = execute(root, Script(Start.SKIP, VALID))
+    assert (summary.executed, summary.missing, summary.interrupted) == (1, 1, False)
+    assert execute(root, Script(Start.ABORT)).interrupted
+    assert execute(root, Script(VALID)).missing == 0
+
+
+@pytest.mark.integration
+def test_a_trial_that_the_person_stops_has_failed_unless_that_is_its_planned_end(tmp_path: Path) -> None:
+    endless = "import signal, sys, time\nsignal.signal(15, lambda *_: sys.exit(0))\n"
+    simulator = f"{endless}{projects.SIMULATOR}time.sleep(600)\n"
+    for stop, status in (("fails", "stopped"), ("ends", "ok")):
+        config = CONFIG.replace("countdown = 0", f'countdown = 0\nstop = "{stop}"')
+        root = projects.make(tmp_path / stop, config, simulator=simulator)
+        script = Script(VALID, Start.ABORT, stops=partial(has_written, root))
+        execute(root, script)
+        assert [(one.stopped, one.status) for one in script.ended] == [(True, status)]
+        assert projects.sql(root, "SELECT e.status, stopped FROM trials JOIN executions e USING (execution)") == [
+            {"status": status, "stopped": True}
+        ]
+        assert projects.sql(root, "SELECT size > 0 AS kept FROM artifacts WHERE path = 'swarm.csv'") == [{"kept": True}]
+
+
+@pytest.mark.integration
+def test_a_failed_trial_stays_failed_or_is_repeated(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", CONFIG, simulator="import sys\nsys.exit('motor is hot')\n")
+    script = Script(FELL, VALID, VALID)
+    summary = execute(root, script)
+    assert [one.reason for one in script.ended] == ["exit status 1"] * 3
+    assert (summary.failed, len(script.trials)) == (2, 3)
+    assert {row["status"] for row in projects.sql(root, ROWS)} == {"failed"}
+
+
+@pytest.mark.integration
+def test_fail_fast_does_not_count_a_trial_that_is_repeated(root: Path) -> None:
+    summary = sierra.open(root).run(
+        "population_size=1,2", runs=1, figures=False, fail_fast=True, supervisor=Script(FELL, VALID, VALID)
+    )
+    assert (summary.executed, summary.failed) == (2, 0)
+
+
+@pytest.mark.integration
+def test_without_a_supervisor_nothing_is_executed_but_finished_runs_are_reused(root: Path) -> None:
+    project = sierra.open(root)
+    with pytest.raises(Missing, match="trials are supervised here"):
+        project.run("population_size=1,2", runs=1, figures=False)
+    assert not (root / ".sierra").exists()
+    with pytest.raises(UsageError, match="one after the other; leave out --jobs 2"):
+        project.run("population_size=1,2", runs=1, figures=False, jobs=2, supervisor=Agreeing())
+    with pytest.raises(UsageError, match="runs on 'slurm' begin when the cluster has room"):
+        project.run("population_size=1,2", runs=1, figures=False, runner="slurm", supervisor=Agreeing())
+    assert execute(root, Agreeing("Bob")).executed == 2
+    assert project.run("population_size=1,2", runs=1, figures=False).reused == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ('"echo 1.2.3"', r"\[trials.commands\] firmware: .*false ended with status 1"),
+        ("arena.xml", r"\[trials\] files: absent.yaml cannot be read: No such file"),
+    ],
+)
+def test_facts_that_cannot_be_recorded_are_an_error_before_a_trial(root: Path, change: str, message: str) -> None:
+    config = CONFIG.replace(f'files = ["{change}"]', 'files = ["absent.yaml"]').replace(
+        change, '"false"' if "echo" in change else change
+    )
+    (root / "sierra.toml").write_text(config)
+    with pytest.raises(Missing, match=message):
+        execute(root, Agreeing())
+    assert projects.sql(root, "SELECT count(*) AS n FROM executions") == [{"n": 0}]
