@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from sierra.execution.plan import Plan
     from sierra.execution.plan_json import PlanPreview
     from sierra.execution.summary import Summary
+    from sierra.execution.supervised.supervisor import Supervisor
     from sierra.query.condition import Selection
 
 STDERR = 2
@@ -57,7 +58,15 @@ def run(
     fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failed run.")] = False,
     figures: DrawFigures = None,
     as_json: AsJson = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation of many runs.")] = False,
+    yes: Annotated[
+        bool,
+        typer.Option(
+            "--yes", help="Do not ask for confirmation of many runs. Start supervised trials without a person, and accept all."
+        ),
+    ] = False,
+    operator: Annotated[
+        str | None, typer.Option("--operator", metavar="NAME", help="Who supervises the trials (default: it is asked).")
+    ] = None,
     until: Annotated[
         str | None,
         typer.Option(
@@ -120,6 +129,8 @@ def run(
         fail_fast=fail_fast,
         figures=user.load().figures if figures is None else figures,
         as_json=as_json,
+        agreed=yes,
+        operator=operator,
     )
     if until is not None or max_runs is not None:
         _until(project, query, settings, target, engine, observer, options, until, max_runs)
@@ -157,6 +168,16 @@ class Options:
     fail_fast: bool
     figures: bool
     as_json: bool
+    agreed: bool
+    operator: str | None
+
+    def supervisor(self, plan: Plan) -> Supervisor | None:
+        """Return who supervises the trials of a plan; None if they are not supervised, or if nobody is there."""
+        if not plan.project.config.trials.supervised:
+            return None
+        from sierra.cli import supervise
+
+        return supervise.supervisor(plan, operator=self.operator, agreed=self.agreed)
 
 
 def _until(
@@ -192,7 +213,8 @@ def _until(
                 print_json(run_until.answer_plan(planned, preview))
             return
     _check(project, plan, options)
-    with watching(quiet=options.as_json) as display:
+    supervisor = options.supervisor(plan)
+    with watching(quiet=options.as_json or supervisor is not None) as display:
         outcome = project.study(
             plan,
             until=until,
@@ -203,6 +225,7 @@ def _until(
             observer=display,
             runner=options.runner,
             planning=observer,
+            supervisor=supervisor,
         )
     run_until.finish(project, outcome, json=options.as_json)
 
@@ -227,7 +250,8 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
         more |= {"build": preview.build} if preview.build else {}
     elif why := _again(project, plan):
         more = {"new_because": why}
-    with watching(quiet=options.as_json) as display:
+    supervisor = options.supervisor(plan)
+    with watching(quiet=options.as_json or supervisor is not None) as display:
         summary = project.execute(
             plan,
             jobs=options.jobs,
@@ -237,6 +261,7 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
             runner=options.runner,
             detach=options.detach,
             only=options.only,
+            supervisor=supervisor,
         )
     if options.as_json:
         render_summary.print_notes(summary)
@@ -347,7 +372,9 @@ def _print(
 def _check(project: Project, plan: Plan, options: Options) -> None:
     """Check what can be known before the first of several batches executes. Raises SierraError."""
     _check_log(plan)
-    project.runner_of(plan, options.runner, detach=options.detach)
+    project.runner_of(plan, options.runner, detach=options.detach, jobs=options.jobs)
+    if options.supervisor(plan) is None:
+        project.check_attended(plan, options.only)
 
 
 def _check_log(plan: Plan) -> None:

@@ -1,0 +1,245 @@
+"""The supervisor at a terminal: prompts before and after each trial, and any key stops it.
+
+Prompts are lines that end with Enter, so that they work in every terminal. Keys that were pressed before a prompt appeared do
+not answer it. Only while a trial runs or is about to begin, single keys are read; then Ctrl-C works as always.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import os
+import select
+import sys
+import termios
+import time
+import tty
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from sierra.cli import pose_map
+from sierra.cli.output import raw, safe
+from sierra.config.trial_tables import Trials
+from sierra.execution.supervised.supervisor import Agreeing, Start, Supervisor, Verdict, Watch
+from sierra.model import Status
+
+if TYPE_CHECKING:
+    from sierra.execution.plan import Plan
+    from sierra.execution.supervised.supervisor import Ended, Trial
+    from sierra.runners.base import Beat
+
+Pressed = Callable[[float], bool]
+POLL_S = 0.05
+DRAWN_S, PRINTED_S = 0.2, 10.0
+"""Seconds between two states of the line that shows a trial, and between two such lines in a terminal that cannot redraw."""
+PLACE, GO = "place the robots; ", "Enter: go, s: skip, a: abort > "
+
+
+def supervisor(plan: Plan, *, operator: str | None, agreed: bool) -> Supervisor | None:
+    """Return the supervisor of a plan's trials; None if there is neither a terminal nor an agreement to all of them."""
+    if agreed:
+        return Agreeing(operator)
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return None
+    return Person(plan.project.config.trials, operator)
+
+
+class Person:
+    """A person at a terminal who supervises trials."""
+
+    def __init__(self, trials: Trials, operator: str | None) -> None:
+        self._trials = trials
+        self._operator = operator
+        self._terminal = _Terminal()
+
+    def begin(self, trials: int) -> str | None:
+        if self._operator is None:
+            login = _login()
+            self._operator = self._terminal.ask(f"operator ({f'Enter: {login}' if login else 'Enter: none'}) > ") or login
+        return self._operator
+
+    def start(self, trial: Trial) -> Start:
+        allowed = time.monotonic() + trial.wait_s
+        self._terminal.show("", *_heading(trial, plain=self._terminal.plain))
+        while True:
+            match self._terminal.ask((PLACE if trial.poses else "") + GO).lower():
+                case "s" | "skip":
+                    return Start.SKIP
+                case "a" | "abort":
+                    return Start.ABORT
+                case "" | "g" | "go":
+                    if self._counted_down(max(self._trials.countdown, allowed - time.monotonic())):
+                        return Start.GO
+
+    def _counted_down(self, seconds: float) -> bool:
+        """Count down; return False if a key was pressed."""
+        end = time.monotonic() + seconds
+        with self._terminal.keys() as pressed:
+            while (left := end - time.monotonic()) > 0:
+                self._terminal.redraw(f"starts in {left:.0f} s; any key: back")
+                if pressed(min(POLL_S, left)):
+                    self._terminal.end_line("not started")
+                    return False
+        self._terminal.end_line("go")
+        return True
+
+    @contextlib.contextmanager
+    def watching(self, trial: Trial) -> Iterator[Watch]:
+        with self._terminal.keys() as pressed:
+
+            def watch(seconds: float, beats: Sequence[Beat]) -> bool:
+                self._terminal.redraw(_live(seconds, beats))
+                if not pressed(0):
+                    return False
+                self._terminal.end_line("stopping")
+                return True
+
+            yield watch
+            self._terminal.end_line()
+
+    def verdict(self, trial: Trial, ended: Ended) -> Verdict:
+        self._terminal.show(_ending(ended))
+        if not self._is_valid(good=ended.status is Status.OK):
+            return Verdict(valid=False, reason=self._reason(), note=self._note())
+        return Verdict(valid=True, note=self._note())
+
+    def _is_valid(self, *, good: bool) -> bool:
+        prompt = "valid? Enter or v: yes, i: no > " if good else "v: it stays as it is, Enter or i: not valid, repeat it > "
+        while True:
+            match self._terminal.ask(prompt).lower():
+                case "v" | "valid" | "y" | "yes":
+                    return True
+                case "i" | "invalid" | "n" | "no":
+                    return False
+                case "":
+                    return good
+
+    def _reason(self) -> str:
+        listed = [f"{number}: {reason}" for number, reason in enumerate(self._trials.reasons, 1)]
+        while True:
+            given = self._terminal.ask(f"reason ({', '.join(listed)}, or text) > ")
+            if given.isdecimal() and 1 <= int(given) <= len(listed):
+                return self._trials.reasons[int(given) - 1]
+            if given and not given.isdecimal():
+                return given
+
+    def _note(self) -> str | None:
+        return self._terminal.ask("note (Enter: none) > ") or None
+
+
+def _heading(trial: Trial, *, plain: bool) -> Iterator[str]:
+    """Yield the lines that present a trial."""
+    values = ", ".join(f"{name}={value}" for name, value in trial.values.items())
+    again = f", try {trial.attempt + 1}" if trial.attempt else ""
+    block = f" (block {trial.block + 1} of {trial.blocks})" if trial.blocks > 1 else ""
+    yield f"trial {trial.position} of {trial.total}{block}: {values}{', ' if values else ''}run {trial.number}{again}"
+    if trial.poses:
+        yield from pose_map.draw(trial.poses, plain=plain)
+    for name, text in trial.facts.items():
+        yield f"{name}: {text}"
+
+
+def _live(seconds: float, beats: Sequence[Beat]) -> str:
+    """Return the line that shows a running trial."""
+    robots = (
+        f"{one.name} {one.age_s:.1f} s{'' if one.battery is None else f' {one.battery:.0f} %'}"
+        for one in sorted(beats, key=lambda one: one.name)
+    )
+    return "  ".join([f"{seconds:.0f} s; any key: stop", *robots])
+
+
+def _ending(ended: Ended) -> str:
+    how = "stopped" if ended.stopped else "ended"
+    state = "" if ended.status is Status.OK else f"; {ended.status}: {ended.reason}"
+    return f"{how} after {ended.seconds:.1f} s{state}"
+
+
+def _login() -> str | None:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError, ImportError):
+        return None
+
+
+class _Terminal:
+    """Standard input and standard error, if both are a terminal."""
+
+    def __init__(self) -> None:
+        self._keyboard = sys.stdin.fileno()
+        self._screen = raw(sys.stderr)
+        self._redraws = os.environ.get("TERM", "dumb") != "dumb"
+        self._drawn, self._width = 0.0, 0
+        self.plain = "utf" not in (self._screen.encoding or "").lower()
+        """True if only ASCII characters can be shown."""
+
+    def show(self, *lines: str) -> None:
+        for line in lines:
+            self._write(f"{line}\n")
+
+    def ask(self, prompt: str) -> str:
+        """Return the line that the person types, without blanks around it. Raises KeyboardInterrupt if the terminal is gone."""
+        with _if_lost():
+            termios.tcflush(self._keyboard, termios.TCIFLUSH)
+            self._write(prompt)
+            typed = b""
+            while not typed.endswith(b"\n"):
+                more = os.read(self._keyboard, 1024)
+                if not more:
+                    raise KeyboardInterrupt
+                typed += more
+        return typed.decode("utf-8", "replace").strip()
+
+    @contextlib.contextmanager
+    def keys(self) -> Iterator[Pressed]:
+        """Yield a function that waits for a key for some seconds and returns whether there was one.
+
+        Lines are typed as before when the block ends, whatever happens. If the process was stopped and goes on, the shell may
+        have changed the terminal; so each call of the function sets it again.
+        """
+        with _if_lost():
+            before = termios.tcgetattr(self._keyboard)
+
+        def pressed(seconds: float) -> bool:
+            with _if_lost():
+                if termios.tcgetattr(self._keyboard)[3] & (termios.ICANON | termios.ECHO):
+                    tty.setcbreak(self._keyboard, termios.TCSANOW)
+                return bool(select.select([self._keyboard], [], [], seconds)[0] and os.read(self._keyboard, 1024))
+
+        try:
+            with _if_lost():
+                termios.tcflush(self._keyboard, termios.TCIFLUSH)
+            yield pressed
+        finally:
+            with contextlib.suppress(termios.error, OSError):
+                termios.tcsetattr(self._keyboard, termios.TCSADRAIN, before)
+
+    def redraw(self, line: str) -> None:
+        """Show a line in the place of the last one, now and then."""
+        now = time.monotonic()
+        if now - self._drawn < (DRAWN_S if self._redraws else PRINTED_S):
+            return
+        self._drawn = now
+        self._write(f"\r{safe(line).ljust(self._width)}" if self._redraws else f"{line}\n", steering=True)
+        self._width = len(line)
+
+    def end_line(self, text: str = "") -> None:
+        """End the line that is redrawn; a text takes its place."""
+        if self._redraws:
+            self._write(f"\r{text.ljust(self._width)}\n" if text else "\n", steering=True)
+        elif text:
+            self._write(f"{text}\n")
+        self._drawn, self._width = 0.0, 0
+
+    def _write(self, text: str, *, steering: bool = False) -> None:
+        with _if_lost():
+            self._screen.write(text if steering else safe(text))
+            self._screen.flush()
+
+
+@contextlib.contextmanager
+def _if_lost() -> Iterator[None]:
+    """Turn the error of a terminal that is gone into the interruption that it means."""
+    try:
+        yield
+    except (OSError, termios.error, ValueError) as error:
+        raise KeyboardInterrupt from error
