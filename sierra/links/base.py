@@ -133,4 +133,4 @@ class Link(Protocol):
         """
 
     def close(self) -> None:
-        """End the connection. It may be called again; the next call of another method connects again."""
+        """End the connection and all channels. It may be called again; the next call of another method connects again."""

@@ -6,7 +6,7 @@ import contextlib
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -44,8 +44,9 @@ class Stream(Protocol):
 class Exchange:
     """A command that executes: its stream without frames, and its place among the sessions of the link."""
 
-    def __init__(self, name: str, stream: Stream, mark: str, place: threading.Semaphore) -> None:
-        self.name, self._stream, self._place = name, stream, place
+    def __init__(self, name: str, stream: Stream, mark: str, forget: Callable[[Exchange], None]) -> None:
+        """`forget` is called once, when the exchange is closed."""
+        self.name, self._stream, self._forget = name, stream, forget
         self._outputs = {1: framing.Unframed(mark), 2: framing.Unframed(mark)}
         self._open = threading.Lock()
 
@@ -77,7 +78,7 @@ class Exchange:
     def close(self) -> None:
         if self._open.acquire(blocking=False):  # only once
             self._stream.close(ended=self.ended)
-            self._place.release()
+            self._forget(self)
 
 
 class Lines:
@@ -124,20 +125,26 @@ class Lines:
 
 
 class Commands(ABC):
-    """All methods of a Link but its connection. A back end implements `_start`, `_check` and `close`."""
+    """All methods of a Link but its connection. A back end implements `_start` and `_disconnect`."""
 
     def __init__(self, host: str, options: LinkOptions) -> None:
         self.name = host
         self._options = options
         self._places = threading.Semaphore(options.sessions)
+        self._open: set[Exchange] = set()
 
     @abstractmethod
     def _start(self, line: str) -> Stream:
         """Start a command line on the host; connect if there is no connection. Raises Unreachable and UntrustedHost."""
 
     @abstractmethod
+    def _disconnect(self) -> None:
+        """End the connection, if there is one."""
+
     def close(self) -> None:
-        """End the connection."""
+        for exchange in tuple(self._open):
+            exchange.close()
+        self._disconnect()
 
     def run(self, argv: Sequence[str], *, stdin: bytes = b"", timeout: float = 30.0) -> Ended:
         end = time.monotonic() + timeout
@@ -186,10 +193,16 @@ class Commands(ABC):
             )
         mark = framing.new_mark()
         try:
-            return Exchange(self.name, self._start(framing.line(argv, mark, limit)), mark, self._places)
+            exchange = Exchange(self.name, self._start(framing.line(argv, mark, limit)), mark, self._forget_exchange)
         except BaseException:
             self._places.release()
             raise
+        self._open.add(exchange)
+        return exchange
+
+    def _forget_exchange(self, exchange: Exchange) -> None:
+        self._open.discard(exchange)
+        self._places.release()
 
 
 def too_many_sessions(name: str) -> str:

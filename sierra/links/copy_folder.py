@@ -43,7 +43,7 @@ def push(exchange: Exchange, folder: Path, entries: list[Entry], target: str, ti
     """Send a folder, unless the host has it already."""
     host = _Host(exchange, timeout, f"{exchange.name}: {_shown(target)} cannot be written")
     host.request(target, entries)
-    if host.answer()["state"] == "send":
+    if host.answer().get("state") == "send":
         for data in _contents(folder, entries):
             host.send(data)
         host.answer()
@@ -55,8 +55,8 @@ def pull(exchange: Exchange, folder: str, target: Path, timeout: float) -> Folde
     host = _Host(exchange, timeout, f"{exchange.name}: {_shown(folder)} cannot be copied")
     host.request(folder)
     answer = host.answer()
-    entries = _checked(exchange.name, answer["entries"])
-    left_out = tuple(_shown(str(name)) for name in answer["left_out"])
+    entries = _checked(exchange.name, answer.get("entries"))
+    left_out = tuple(_shown(str(name)) for name in answer.get("left_out", ()))
     try:
         if not _is_there(target, entries):
             with remote_folder.unfinished(os.fsencode(target.absolute())) as made:
@@ -107,9 +107,14 @@ class _Host:
                 if len(self._held) > LONGEST:
                     raise Missing(f"{self._failure}: the host sends a list of more than {LONGEST >> 20} MiB")
             line, _, self._held = self._held.partition(b"\n")
-        found: dict[str, Any] = json.loads(line)
-        if "error" in found:
+        try:
+            found = json.loads(line)
+        except (ValueError, RecursionError):
+            found = None
+        if isinstance(found, dict) and "error" in found:
             raise Missing(f"{self._failure}: {_shown(str(found['error']))}")
+        if not isinstance(found, dict) or not found.keys() & {"state", "entries"}:
+            raise Missing(f"{self._failure}: it sends no answer of the protocol")
         return found
 
     def read(self, size: int) -> bytes:
@@ -148,6 +153,8 @@ def _contents(folder: Path, entries: list[Entry]) -> Iterator[bytes]:
 
 def _checked(host: str, entries: Any) -> list[Entry]:
     """Return entries that a host sent, if none leads out of a folder. Raises Missing."""
+    if not isinstance(entries, list):
+        raise Missing(f"{host}: sends no list of a folder")
     folders, seen = {""}, set()
     for entry in entries:
         match entry:
@@ -159,9 +166,9 @@ def _checked(host: str, entries: Any) -> list[Entry]:
                 pass
             case _:
                 raise Missing(f"{host}: sends {_shown(repr(entry))}, which is no entry of a folder")
-        parent, _, name = path.rpartition("/")
-        if name in ("", ".", "..") or "\0" in name or path in seen or parent not in folders:
-            raise Missing(f"{host}: sends the name {_shown(path)}, which does not stay within the folder")
+        parts = path.split("/")
+        if {"", ".", ".."} & set(parts) or "\0" in path or path in seen or "/".join(parts[:-1]) not in folders:
+            raise Missing(f"{host}: sends the name {_shown(path)!r}, which does not stay within the folder")
         seen.add(path)
     return list(entries)
 

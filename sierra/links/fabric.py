@@ -44,7 +44,7 @@ class Fabric(Commands):
         self._connecting = threading.Lock()
         self._failed: tuple[float, SierraError] | None = None
 
-    def close(self) -> None:
+    def _disconnect(self) -> None:
         with self._connecting:
             self._forget()
 

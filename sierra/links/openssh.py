@@ -55,7 +55,7 @@ class OpenSsh(Commands):
         self._connecting = threading.Lock()
         self._failed: tuple[float, SierraError] | None = None
 
-    def close(self) -> None:
+    def _disconnect(self) -> None:
         with self._connecting:
             if self._folder is not None:
                 with contextlib.suppress(OSError, subprocess.TimeoutExpired):

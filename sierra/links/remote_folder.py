@@ -233,6 +233,7 @@ def main() -> None:
 
     def read(size: int) -> bytes:
         signal.alarm(SILENCE_S)
+        alive()  # what was sent may take long to arrive
         data: bytes = source.read1(size)
         return data
 
