@@ -167,7 +167,7 @@ class Executor:
     def _execute(self, wanted: AbstractSet[str]) -> set[str]:
         """Execute these runs; return those with an execution, new or old, that is inconsistent with other executions."""
         runner, plan = self._runner(), self.plan
-        root, programs = self._snapshot() if runner.stays else (self._code(), plan.programs)
+        root, programs = self._snapshot() if runner.remote else (self._code(), plan.programs)
         service = self._prepared(root, stays=runner.stays)
         self._claimed = self._claimed | wanted if self._claimed else wanted  # a set of 100,000 runs takes 4 MB
         if plan.project.config.trials.supervised:
@@ -181,8 +181,8 @@ class Executor:
             self._tally,
             times=expected_durations.expected(plan, self.store, wanted) if runner.stays else None,
             detach=self._options.detach,
-            # a cluster executes a copy of the code, and its nodes check the programs
-            doubt=self._doubt if not runner.stays else lambda: None,
+            # other hosts execute a copy of the code, and a cluster's nodes check the programs
+            doubt=self._doubt if not runner.remote else lambda: None,
             enough=self._is_enough,
         )
         self.failed |= self._tally.failed
@@ -265,7 +265,7 @@ class Executor:
         if made:
             checkout.make(root)
         programs = checkout.programs_in(root)
-        meanwhile = "while they were being copied for the cluster"
+        meanwhile = "while they were being copied for other hosts"
         if plan.checkout is None and (doubt := plan.seen.doubt(meanwhile)):
             raise Missing(f"{doubt}; run the command again")
         if programs.id != plan.programs.id:

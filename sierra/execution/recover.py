@@ -11,7 +11,7 @@ from sierra.errors import Damaged, SierraError
 from sierra.execution import sessions
 from sierra.ingest.recording_context import Context
 from sierra.model import Result, Status
-from sierra.runners.journal_reader import Journal
+from sierra.runners.journal_reader import Journal, Row
 from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.store import Store
 from sierra.util.fs import inside
@@ -53,14 +53,18 @@ def recover(store: Store, paths: SessionPaths) -> int:
     from sierra.ingest.consistency import find_odd
     from sierra.ingest.recorder import Recorder
 
-    events = [event for event in Journal(paths.journal).read() if isinstance(event, Result)]
-    results = [result for result in (_own(paths, event) for event in events) if result is not None]
+    events = list(Journal(paths.journal).read())
+    ended = (_own(paths, event) for event in events if isinstance(event, Result))
+    results = [result for result in ended if result is not None]
     if not results:
         return 0
     context = Context.load(paths.context)
     recorded = set(store.values(str, "SELECT execution FROM executions WHERE session = $s", s=context.session))
     recorder = Recorder(store, paths, context)
     missing = [result for result in results if result.execution not in recorded]
+    new = {result.execution for result in missing}
+    rows = [(event.table, event.row) for event in events if isinstance(event, Row)]
+    recorder.add_rows([(table, row) for table, row in rows if row.get("execution", "") in (*new, "")], ())
     added = [recorder.add(result) for result in missing]
     recorder.flush()
     find_odd(store, paths, context)

@@ -95,6 +95,8 @@ class Runner(Protocol):
     name: str
     stays: bool
     """True if the work that it starts survives this process. Otherwise, the work ends with the process."""
+    remote: bool
+    """True if runs execute on other hosts, from a copy of the code."""
     Options: ClassVar[type[Table]]
     """The model of `[runners.NAME]`. Options must not change the results of runs, because they are not part of identities."""
 

@@ -7,11 +7,13 @@ import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from sierra.model import OutputFile, Result
 from sierra.util.hashing import short
+from sierra.util.json_types import JsonView, RecordValue
 
 if TYPE_CHECKING:
     from sierra.worker import worker
@@ -45,7 +47,15 @@ class Stalled:
         return f"run {short(self.run)} makes no progress: a signal stopped its processes{where} at {when}; {cure}"
 
 
-Event = Started | Stalled | Result
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row to record with a result that follows: a table's name and the row. A runner on robots writes it."""
+
+    table: str
+    row: Mapping[str, RecordValue]
+
+
+Event = Started | Stalled | Row | Result
 Made = TypeVar("Made")
 
 
@@ -88,16 +98,23 @@ class Journal:
 
 def _event(line: bytes) -> Event | None:
     try:
-        event: worker.Event = json.loads(line)
+        event = json.loads(line)
         match event["event"]:
             case "start":
                 return made(Started, event)
             case "stalled":
                 return made(Stalled, event)
+            case "row":
+                return Row(event["table"], {name: _moment(name, value) for name, value in event["row"].items()})
             case _:
                 return result_of(event)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
+
+
+def _moment(name: str, value: JsonView) -> RecordValue:
+    """Return a value of a row; the times of `robots` are texts in a journal."""
+    return datetime.fromisoformat(value) if name in ("started", "ended") and isinstance(value, str) else value
 
 
 def made(kind: Callable[..., Made], record: Mapping[str, object], **more: object) -> Made:
@@ -112,4 +129,6 @@ def result_of(record: worker.Outcome, **more: object) -> Result:
     """Return the result that a record of the event `end` contains. Raises TypeError and KeyError for another record."""
     outputs = tuple(OutputFile(**file) for file in record["outputs"])
     elsewhere = tuple(f"{{run}}/{name}" for name in record.get("elsewhere", ()))
-    return made(Result, record, outputs=outputs, left_out=tuple(record.get("left_out", ())), elsewhere=elsewhere, **more)
+    robots = {int(place): name for place, name in cast("Mapping[str, Any]", record).get("robots", {}).items()}
+    left_out = tuple(record.get("left_out", ()))
+    return made(Result, record, outputs=outputs, left_out=left_out, elsewhere=elsewhere, robots=robots, **more)

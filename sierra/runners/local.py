@@ -36,6 +36,7 @@ class Local:
 
     name = "local"
     stays = False
+    remote = False
     Options: ClassVar[type[Table]] = NoOptions
 
     def __init__(self, slots: int, options: Table | None = None) -> None:

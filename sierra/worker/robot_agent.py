@@ -1,6 +1,6 @@
 """The agent: executes runs on one robot for a driver, and ends them if it hears no more of that driver.
 
-It is one file that needs only the standard library (Python 3.8 or newer), and `worker.py` beside it. A driver starts it by SSH:
+It needs only the standard library (Python 3.8 or newer), and beside it `worker.py` and `machine.py`. A driver starts it by SSH:
 
     robot_agent.py FOLDER LOCK
 
@@ -62,6 +62,7 @@ SETUP_S, CHECK_S = 60.0, 10.0
 SETTLE_S = 3.0  # after the grace time, for a worker to end what it has killed, and to hash the outputs of others
 LOOK_S = 0.1  # between two looks at a run, and at the clocks
 BEGIN_S = 0.002  # between two looks whether a run has begun
+SILENT_S = 1.0  # for a holder of the lock that says nothing, because it is ending
 SOON_S = 60.0  # a start that is farther away is a mistake
 STEP_S = 0.05  # of the wall clock, from which on it is reported
 TAIL_BYTES = 400
@@ -381,18 +382,16 @@ class Agent:
             "event": "hello",
             "folder": os.path.abspath(self.folder),
             "boot": boot_id(),
-            "host": os.uname().nodename,
             "python": "%d.%d.%d" % sys.version_info[:3],
             "executable": sys.executable,
-            "kernel": os.uname().release,
-            "machine": os.uname().machine,
-            "os": operating_system(),
+            "facts": load("machine").facts(),
             "variables": variables,
             "leftovers": leftovers,
         }
 
     def acquire(self, give_up: float) -> None:
-        """Lock the robot. An agent of the same driver that is ending is waited for. Raises Refused."""
+        """Lock the robot. An agent that is ending, or that of the same driver, is waited for. Raises Refused."""
+        began = time.monotonic()
         while self.lock is None:
             lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
             try:
@@ -403,7 +402,10 @@ class Agent:
             except OSError:
                 lock.close()
                 holder = self.holder()
-                if holder.get("session") != self.who.get("session") or time.monotonic() > give_up:
+                now = time.monotonic()
+                own = holder.get("session") == self.who.get("session")
+                waits = now < give_up if holder.get("leaving") or own else not holder and now < began + SILENT_S
+                if not waits:
                     raise Refused("in use by %s" % (holder.get("text") or "another process that holds its lock")) from None
                 time.sleep(LOOK_S)
 
@@ -424,7 +426,7 @@ class Agent:
                 other, _ = self.lock.accept()
                 with other:
                     other.setblocking(False)
-                    other.send(json.dumps(self.who).encode() + b"\n")
+                    other.send(json.dumps({**self.who, "leaving": bool(self.leaving)}).encode() + b"\n")
 
     def end_leftovers(self, keep: Sequence[str]) -> list[Record]:
         """End what earlier agents left running, and remove the folders of their runs, except those to keep. Return them all."""
@@ -448,9 +450,9 @@ class Agent:
                 time.sleep(LOOK_S / 10)
 
     def check(self, request: Record) -> Record:
-        """Measure battery (percent) and disk (bytes), and execute the checks."""
+        """Measure battery (percent) and disk (bytes), and execute the checks, unless the request says otherwise."""
         failed = []
-        for argv in self.checks:
+        for argv in self.checks if request.get("checks", True) else ():
             status, words = self.output_of(argv)
             if status != 0:
                 failed.append("%s: %s" % (" ".join(argv), words or "status %s" % status))
@@ -683,27 +685,23 @@ def boot_id() -> str:
     return the_worker().read_proc("sys/kernel/random/boot_id").decode().strip()  # type: ignore[no-any-return]
 
 
-def operating_system() -> str:
-    """Return the name of the distribution; empty if it is unknown."""
-    with contextlib.suppress(OSError), open("/etc/os-release", encoding="utf-8", errors="replace") as file:
-        for line in file:
-            if line.startswith("PRETTY_NAME="):
-                return line.partition("=")[2].strip().strip('"')
-    return ""
-
-
 def beside(name: str) -> str:
     """Return the path of a file in the folder of this one."""
     return os.path.join(os.path.dirname(os.path.abspath(__file__)), name)
 
 
-@functools.lru_cache(maxsize=None)
 def the_worker() -> ModuleType:
-    """Load the worker, which lies beside this file."""
+    """Return the module of the worker."""
+    return load("worker")
+
+
+@functools.lru_cache(maxsize=None)
+def load(name: str) -> ModuleType:
+    """Load a module that lies beside this file."""
     import importlib.util
 
-    path = beside("worker.py")
-    spec = importlib.util.spec_from_file_location("worker", path)
+    path = beside(name + ".py")
+    spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise FileNotFoundError(path)
     module = importlib.util.module_from_spec(spec)

@@ -86,6 +86,7 @@ class Cluster:
     """The runner of one named cluster, with its scheduler."""
 
     stays = True
+    remote = True
     Options: ClassVar[type[Table]] = ClusterTable
 
     def __init__(self, slots: int, table: ClusterTable, *, name: str, scheduler: str) -> None:

@@ -557,7 +557,7 @@ def test_files_that_change_before_they_are_copied_for_nodes_are_named(clustered:
     projects.commit(made.simulated.folder)
     plan = made.project.plan(*QUERY, runs=1)
     log.write_text("note: …\n")
-    words = r"changed while they were being copied for the cluster: asked\.log \(if these are not code, write paths = "
+    words = r"changed while they were being copied for other hosts: asked\.log \(if these are not code, write paths = "
     with pytest.raises(Missing, match=words):
         made.project.execute(plan, runner="here", figures=False)
     assert made.project.run(*QUERY, runs=1, runner="here", figures=False).executed == 3

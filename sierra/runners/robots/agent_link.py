@@ -1,0 +1,178 @@
+"""The driver's end of one agent (`sierra.worker.robot_agent`): requests, answers, events, and the beats of the lease."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import queue
+import threading
+import time
+from collections.abc import Mapping
+from concurrent.futures import Future, InvalidStateError
+from dataclasses import dataclass
+from typing import Any
+
+from sierra.errors import Missing, SierraError
+from sierra.links.base import Channel, Link, Overdue, Unreachable
+from sierra.util.lazy_logger import Log
+
+log = Log(__name__)
+Record = dict[str, Any]
+
+LOCK = "sierra-robot"
+"""The name of the lock that a robot has once, for all of its users."""
+ANSWER_S = 10.0
+BEATS = 5
+"""The number of beats in the time of a lease."""
+PROBES = 15
+
+
+class Refused(Missing):
+    """A request that the agent refuses, for a reason that it gives."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """A measurement of a robot's clock."""
+
+    offset_ns: int
+    """Its clock minus this host's; wrong by half of the round-trip time at most."""
+    rtt_ns: int
+    at_ns: int
+    """Its clock at the measurement, since the epoch."""
+
+
+class AgentLink:
+    """One robot's agent. Its events that answer no request are put into `events`, with the robot's name."""
+
+    def __init__(self, name: str, link: Link, lease: float, events: queue.SimpleQueue[tuple[str, Record]]) -> None:
+        self.name = name
+        self.link = link
+        self.lost: str | None = None
+        """Why the agent is not there any more; None while it is."""
+        self.heard = time.monotonic()
+        self._lease = lease
+        self._events = events
+        self._outgoing: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._pending: dict[int, Future[Record]] = {}
+        self._numbers = itertools.count(1)
+        self._channel: Channel | None = None
+
+    def start(self, argv: tuple[str, ...]) -> None:
+        """Start the agent, and begin to send beats. Raises Unreachable, UntrustedHost."""
+        self.lost = None
+        self._outgoing = queue.SimpleQueue()
+        self._channel = self.link.channel(argv)
+        self.heard = time.monotonic()
+        for work in (self._send, self._receive):
+            threading.Thread(target=work, args=(self._channel, self._outgoing), daemon=True).start()
+
+    @property
+    def silence(self) -> float:
+        """Return the seconds since the agent was heard of."""
+        return time.monotonic() - self.heard
+
+    def ask(self, do: str, timeout: float = ANSWER_S, **fields: Any) -> Record:
+        """Send a request, and return its answer. Raises Refused, and Unreachable if there is none."""
+        number, answer = next(self._numbers), Future[Record]()
+        self._pending[number] = answer
+        self._put({"do": do, "id": number, **fields})
+        if self.lost is not None:
+            raise Unreachable(f"{self.name}: {self.lost}")
+        try:
+            record = answer.result(timeout)
+        except TimeoutError:
+            raise Unreachable(f"{self.name}: no answer for {timeout:g} s") from None
+        finally:
+            self._pending.pop(number, None)
+        if record["event"] == "refused":
+            raise Refused(f"{self.name}: {record['reason']}")
+        return record
+
+    def tell(self, do: str, **fields: Any) -> None:
+        """Send a request without an answer."""
+        self._put({"do": do, **fields})
+
+    def clock(self) -> Clock:
+        """Measure the robot's clock by the fastest of several round trips. Raises Unreachable."""
+        return min((self._probe() for _ in range(PROBES)), key=lambda one: one.rtt_ns)
+
+    def _probe(self) -> Clock:
+        before, began = time.time_ns(), time.monotonic_ns()
+        wall = self.ask("clock")["wall"]
+        rtt = time.monotonic_ns() - began
+        return Clock(wall - before - rtt // 2, rtt, wall)
+
+    def close(self) -> None:
+        """Give the robot back."""
+        self.tell("bye")
+        self._outgoing.put(None)
+
+    def abandon(self, reason: str) -> None:
+        """Count the agent as lost, and close the connection."""
+        self._lose(reason)
+        self._outgoing.put(None)
+
+    def _put(self, record: Mapping[str, Any]) -> None:
+        self._outgoing.put(json.dumps(record, separators=(",", ":")))
+
+    def _send(self, channel: Channel, outgoing: queue.SimpleQueue[str | None]) -> None:
+        """Send the requests, and a beat whenever there is none for some time."""
+        beat = '{"do":"beat"}'
+        try:
+            while True:
+                try:
+                    line = outgoing.get(timeout=self._lease / BEATS)
+                except queue.Empty:
+                    line = beat
+                if line is None:
+                    return
+                channel.send(line)
+        except SierraError as error:
+            self._lose(str(error), channel)
+        finally:
+            channel.close()
+
+    def _receive(self, channel: Channel, outgoing: queue.SimpleQueue[str | None]) -> None:
+        reason = "its agent has ended"
+        try:
+            while (line := self._line(channel)) is not None:
+                self.heard = time.monotonic()
+                self._take(json.loads(line))
+            reason += f": {words[-1]}" if (words := channel.errors().strip().splitlines()) else ""
+        except SierraError as error:
+            reason = str(error)
+        except (ValueError, LookupError, TypeError, AttributeError):
+            reason = "its agent sends what is not in the protocol"
+        self._lose(reason, channel)
+        outgoing.put(None)
+
+    def _line(self, channel: Channel) -> str | None:
+        while True:
+            try:
+                return channel.receive(self._lease)
+            except Overdue:
+                if channel is not self._channel or self.lost is not None:
+                    return None
+
+    def _take(self, record: Record) -> None:
+        if record["event"] == "beat":
+            return
+        answer = self._pending.pop(record.get("id") or 0, None)
+        if answer is None:
+            self._events.put((self.name, record))
+        else:
+            answer.set_result(record)
+
+    def _lose(self, reason: str, channel: Channel | None = None) -> None:
+        """Note why the agent is lost; the first reason counts. The threads of an earlier channel are ignored."""
+        if self.lost is not None or (channel is not None and channel is not self._channel):
+            return
+        log.debug("%s: lost: %s", self.name, reason)
+        self.lost = reason.removeprefix(f"{self.name}: ")
+        for answer in list(self._pending.values()):
+            try:
+                answer.set_exception(Unreachable(f"{self.name}: {self.lost}"))
+            except InvalidStateError:
+                continue
+        self._events.put((self.name, {"event": "lost", "reason": self.lost}))

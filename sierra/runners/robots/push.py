@@ -1,0 +1,53 @@
+"""Folders on robots that are named by their content: the programs that execute runs, the code, and files beside inputs."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+from sierra.links.base import Link
+from sierra.provenance import machine
+from sierra.worker import robot_agent, worker
+
+PROGRAMS = (
+    *(Path(str(one.__file__)) for one in (robot_agent, worker, machine)),
+    *(Path(worker.__file__).with_name(name) for name in (worker.TRACER, worker.CONDUCTOR)),
+)
+LENGTH = 24
+"""The number of characters of a hash in a folder's name."""
+
+
+def content_name(folder: Path) -> str:
+    """Return a name for the content of a folder: paths, bytes, and which files may be executed."""
+    found = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        name = os.fsencode(path.relative_to(folder))
+        if path.is_symlink():
+            found.update(b"link %s\0%s\0" % (name, os.fsencode(path.readlink())))
+        elif path.is_file():
+            executable = b"x" if os.access(path, os.X_OK) else b"-"
+            found.update(b"file %s\0%s %s\0" % (name, executable, hashlib.sha256(path.read_bytes()).digest()))
+        else:
+            found.update(b"folder %s\0" % name)
+    return found.hexdigest()[:LENGTH]
+
+
+def push_content(link: Link, folder: Path, root: str, kind: str, name: str | None = None) -> str:
+    """Copy a folder to `root`/`kind`/NAME on a robot, unless it is there; return that path.
+
+    `name` is that of its content, if it is known. Raises Missing, Unreachable.
+    """
+    target = f"{root}/{kind}/{name or content_name(folder)}"
+    link.push(folder, target)
+    return target
+
+
+def push_programs(link: Link, root: str) -> str:
+    """Copy the programs that execute runs to a robot; return their folder there."""
+    with tempfile.TemporaryDirectory(prefix="sierra-") as made:
+        for path in PROGRAMS:
+            shutil.copyfile(path, Path(made, path.name))
+        return push_content(link, Path(made), root, "programs")

@@ -1,0 +1,222 @@
+"""The result of a run on robots, from what the robots have reported and left: one folder, and rows of `robots`."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from sierra.runners.robots.agent_link import Clock
+from sierra.runners.robots.trial import OVER, Part, Trial
+from sierra.store.layout import RUN_OUTPUT
+from sierra.util.json_types import RecordValue
+from sierra.worker import worker
+
+INTERRUPTED = "interrupted"
+CHUNK = 1 << 20
+LATE_S = 1.0
+"""The seconds that a start may be off the common one before it is noted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """When a part began and ended, by this host's clock, in seconds since the epoch."""
+
+    began: float
+    ended: float
+
+
+def result(trial: Trial, job: worker.Job, folder: Path, *, interrupted: bool) -> worker.End:
+    """Return the result of a trial whose files are in `folder`/PLACE, and are moved to one folder of a run there.
+
+    The outputs of each robot are in `output`/PLACE. `stdout` and `stderr` have those of all robots, one after the other.
+    """
+    started = [part for part in trial.parts if part.started]
+    ends = [part.end for part in started if part.end is not None]
+    error = failure(trial) if not interrupted else None
+    outputs, left_out = _moved(trial.parts, folder)
+    known = [times for part in started if (times := times_of(part))]
+    at = trial.at_ns / 1e9
+    limits = (end["stopped"] for end in ends if end["stopped"] not in (None, INTERRUPTED))
+    stopped = INTERRUPTED if interrupted else next(limits, None)
+    bad = _first_failed(started) if trial.stopped != OVER else None
+    whole = bool(ends) and len(ends) == len(trial.parts)
+    record: worker.End = {
+        "event": "end",
+        "run": job["run"],
+        "execution": job["execution"],
+        "directory": str(folder),
+        "started": min((times.began for times in known), default=at),
+        "ended": max((times.ended for times in known), default=at),
+        "exit_code": bad["exit_code"] if bad else 0 if whole else None,
+        "signal": bad["signal"] if bad else None,
+        "user_s": _sum(end["user_s"] for end in ends) if whole else None,
+        "system_s": _sum(end["system_s"] for end in ends) if whole else None,
+        "max_rss_bytes": max((end["max_rss_bytes"] or 0 for end in ends), default=None) if whole else None,
+        "host": ",".join(part.name for part in trial.parts),
+        "slot": 0,
+        "stopped": stopped,
+        "outputs": outputs,
+        "error": error if stopped is None else None,
+    }
+    if left_out:
+        record["left_out"] = left_out[: worker.MOST_NAMED]
+    return record
+
+
+def _first_failed(parts: Iterable[Part]) -> worker.End | None:
+    """Return the end of the program that has failed; that of one that was only stopped if none has."""
+    ends = [(part.failure is None, part.place, end) for part in parts if (end := part.end) is not None]
+    bad = [one for one in ends if one[2]["exit_code"] or one[2]["signal"] is not None]
+    return min(bad, key=lambda one: one[:2])[2] if bad else None
+
+
+def failure(trial: Trial) -> str | None:
+    """Return what happened to which robot, in one line; None if the run has ended well on all of them."""
+    found = [f"{part.name} {text}" for part in trial.parts if (text := _trouble(part))]
+    if not found and trial.stopped not in (None, OVER):
+        found = [str(trial.stopped)]
+    elif found and trial.stopped is not None and trial.stopped != OVER and len(trial.parts) > 1:
+        found.append("the others were stopped")
+    return "; ".join(found) or None
+
+
+def _trouble(part: Part) -> str | None:
+    """Return what went wrong with one robot; None if nothing did, or if it was only told to stop."""
+    if part.lost is not None:
+        return f"was lost: {part.lost}" + ("" if part.files else "; its outputs are missing")
+    if not part.started:
+        return "did not start"
+    if part.ended and part.end is None:
+        return f"has not begun its program: {(*part.ended['problems'], part.ended['why'])[0]}"
+    if part.failure:
+        return f"has failed: {part.failure}"
+    if part.ended and part.ended["why"] and part.ended["why"].startswith("lost the driver"):
+        return f"{part.ended['why']}"
+    if part.problem:
+        return f"has kept its outputs: {part.problem}"
+    return _changed(part)
+
+
+def _changed(part: Part) -> str | None:
+    """Return that files differ from those that the robot's worker has hashed; None if they do not."""
+    end = part.end
+    if end is None or part.files is None:
+        return None
+    for file in end["outputs"]:
+        path = part.files / RUN_OUTPUT / file["path"]
+        if not path.is_file() or worker.describe(str(path), file["path"])["sha256"] != file["sha256"]:
+            return f"has changed {file['path']} after its end"
+    return None
+
+
+def _moved(parts: Iterable[Part], folder: Path) -> tuple[list[worker.OutputFile], list[str]]:
+    """Move the outputs and logs of all parts to one folder; return the outputs, and the entries that are no files."""
+    output = folder / RUN_OUTPUT
+    output.mkdir(parents=True)
+    several = [part for part in parts if part.files is not None]
+    for name in worker.LOGS:
+        with (folder / name).open("wb") as log:
+            for part in several:
+                source = Path(str(part.files), name)
+                if source.is_file() and source.stat().st_size:
+                    log.write(f"==> {part.name} <==\n".encode())
+                    with source.open("rb") as file:
+                        shutil.copyfileobj(file, log, CHUNK)
+    for part in several:
+        source = Path(str(part.files), RUN_OUTPUT)
+        if source.is_dir():
+            source.rename(output / str(part.place))
+        shutil.rmtree(str(part.files), ignore_errors=True)
+    files, others = worker.list_files(str(output))
+    reported = itertools.chain.from_iterable(
+        (f"{part.place}/{name}" for name in part.end.get("left_out", ())) for part in several if part.end
+    )
+    return list(worker.described(files, lambda: None)), [*others, *reported]
+
+
+def times_of(part: Part) -> Times | None:
+    """Return when a part began and ended; None if it is unknown."""
+    end = part.end
+    if end is None or part.clock is None:
+        return None
+    offset = part.clock.offset_ns / 1e9
+    return Times(end["started"] - offset, end["ended"] - offset)
+
+
+def rows(trial: Trial, job: worker.Job, table: Iterable[str] = ()) -> Iterator[tuple[str, Mapping[str, RecordValue]]]:
+    """Yield the rows of `robots` of a trial."""
+    for part in trial.parts:
+        facts = part.hello.get("facts", {})
+        end, times = part.end, times_of(part)
+        yield (
+            "robots",
+            {
+                "execution": job["execution"],
+                "place": part.place,
+                "robot_group": part.group,
+                "robot": part.name,
+                "status": _status(part),
+                "reason": _remarks(part),
+                "host": facts.get("host"),
+                "machine": facts.get("machine"),
+                "processor": facts.get("cpu"),
+                "kernel": facts.get("kernel"),
+                "boot_id": part.hello.get("boot"),
+                "environment": part.hello.get("environment"),
+                "firmware": None,
+                "calibration_sha256": None,
+                "battery_start": part.before.get("battery"),
+                "battery_end": part.after.get("battery"),
+                "offset_start_ns": part.clock.offset_ns if part.clock else None,
+                "offset_end_ns": part.clock_after.offset_ns if part.clock_after else None,
+                "clock_start_ns": part.clock.at_ns if part.clock else None,
+                "clock_end_ns": part.clock_after.at_ns if part.clock_after else None,
+                "rtt_ns": _slower(part.clock, part.clock_after),
+                "start_skew_ns": round((times.began - trial.at_ns / 1e9) * 1e9) if times else None,
+                "started": datetime.fromtimestamp(times.began, UTC) if times else None,
+                "ended": datetime.fromtimestamp(times.ended, UTC) if times else None,
+                "exit_code": end["exit_code"] if end else None,
+                "signal": end["signal"] if end else None,
+            },
+        )
+
+
+def _status(part: Part) -> str:
+    if part.lost is not None:
+        return "lost"
+    if part.failure or not part.started or (part.ended and part.ended["why"] and part.ended["why"].startswith("lost")):
+        return "failed"
+    return "stopped" if part.ended and part.ended["why"] else "ok"
+
+
+def _remarks(part: Part) -> str | None:
+    """Return everything that is worth knowing about how a part ended."""
+    ended = part.ended or {}
+    steps = [f"its wall clock has moved by {step:+g} s while the run was executed" for step in ended.get("steps", ())]
+    why = [ended["why"]] if ended.get("why") else []
+    failed = [text for text in (part.lost, part.failure, part.problem) if text]
+    found = dict.fromkeys((*failed, *why, *ended.get("problems", ()), *steps))
+    return "; ".join(found) or None
+
+
+def notes(trial: Trial) -> Iterator[str]:
+    """Yield what the user must know, whether the run has succeeded or not."""
+    for part in trial.parts:
+        ended = part.ended or {}
+        for problem in ended.get("problems", ()):
+            yield f"{part.name}: {problem}"
+        for step in ended.get("steps", ()):
+            yield f"{part.name}: its wall clock has moved by {step:+g} s while the run was executed"
+
+
+def _slower(*clocks: Clock | None) -> int | None:
+    return max((one.rtt_ns for one in clocks if one), default=None)
+
+
+def _sum(values: Iterable[float | None]) -> float | None:
+    known = list(values)
+    return None if None in known else sum(value or 0.0 for value in known)

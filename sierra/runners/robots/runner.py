@@ -1,0 +1,336 @@
+"""The runner `robots`: executes each run on several robots at once, over SSH. Nothing of SIERRA is installed there.
+
+One run executes at a time. A thread connects to the robots, executes one run after the other (see `trial`), and appends each
+result to the session's journal, after its rows of `robots`. Therefore, the results of a killed process are recorded by the next
+one. A robot that is missing before a run starts ends the session: the runs that are left were not executed.
+"""
+
+from __future__ import annotations
+
+import getpass
+import os
+import queue
+import secrets
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import ClassVar, cast
+
+from sierra.config import plugin_registry
+from sierra.config.field_types import Table
+from sierra.errors import ConfigError, Missing, SierraError
+from sierra.links.base import Link, Unreachable
+from sierra.model import Job, Member, Result
+from sierra.provenance import environment
+from sierra.runners.base import Look, Work
+from sierra.runners.journal_reader import Journal, Row
+from sierra.runners.local import record
+from sierra.runners.robots import results
+from sierra.runners.robots.agent_link import LOCK, AgentLink, Record
+from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate
+from sierra.runners.robots.push import content_name, push_content, push_programs
+from sierra.runners.robots.trial import SETTLE_S, Part, Trial, each
+from sierra.store.layout import SessionPaths
+from sierra.util.json_types import RecordValue
+from sierra.util.lazy_logger import Log
+from sierra.worker import worker
+
+log = Log(__name__)
+HELLO_S = 90.0
+"""The seconds in which an agent must have executed its setup line and removed leftovers."""
+REJOIN_S = 0.3
+OLD_PYTHON = "import sys; sys.exit(sys.version_info < (3, 8))"
+STOPPED = "the runs were ended by the user"
+MakeLink = Callable[[str, RobotTable], Link]
+
+
+class Robots:
+    """The runner `robots`. Runs end with this process, because the robots' leases expire."""
+
+    name = "robots"
+    stays = False
+    remote = True
+    Options: ClassVar[type[Table]] = FleetTable
+
+    def __init__(self, slots: int, options: Table, make_link: MakeLink | None = None) -> None:
+        """Make a runner; `slots` has no effect. `make_link` makes the link to a robot, by default the one in the options."""
+        self._table = cast(FleetTable, options)
+        self._make_link = make_link or self._link
+        self._events: queue.SimpleQueue[tuple[str, Record]] = queue.SimpleQueue()
+        self._notes: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._robots: dict[str, Robot] = {}
+        self._stopped: str | None = None
+        self._trouble: BaseException | None = None
+        self._running = 0
+        self._thread: threading.Thread | None = None
+
+    def submit(self, work: Work, session: SessionPaths) -> None:
+        self._work, self._session = work, session
+        jobs = list(work.jobs)
+        for job in jobs:
+            self._check(job)
+        self._journal = Journal(session.journal)
+        self._journal.skip()
+        session.runs.mkdir(parents=True, exist_ok=True)
+        self._writer = worker.Journal(str(session.journal))
+        self._code = content_name(work.root) if work.root else None
+        self._thread = threading.Thread(target=self._execute, args=(jobs,), daemon=True)
+        self._thread.start()
+
+    def _check(self, job: Job) -> None:
+        """Raise ConfigError if the fleet cannot execute a job."""
+        if not self._table.fleet:
+            raise ConfigError('the runner "robots" needs robots; add [runners.robots.fleet.NAME] with host = … to sierra.toml')
+        if not job.members:
+            raise ConfigError('the runner "robots" needs [robots] in sierra.toml, which says how many robots a run takes')
+        if job.client is not None:
+            raise ConfigError('the runner "robots" executes runs without containers; use --engine none')
+        allocate(self._table, [(one.place, one.group) for one in job.members])
+
+    def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
+        raise NotImplementedError("runs on robots end with the process that started them")
+
+    def leave(self) -> None:
+        raise NotImplementedError("runs on robots end with this process")
+
+    def look(self) -> Look:
+        alive = self._thread is not None and self._thread.is_alive()
+        events, more = self._journal.some()
+        notes = tuple(self._notes.get() for _ in range(self._notes.qsize()))
+        wrong = None
+        if not alive and not more and self._trouble is not None:
+            if not isinstance(self._trouble, SierraError):
+                raise self._trouble
+            wrong = self._trouble
+        return Look(
+            tuple(event for event in events if isinstance(event, Result)),
+            self._running,
+            alive=alive or more,
+            rows=tuple((event.table, event.row) for event in events if isinstance(event, Row)),
+            notes=notes,
+            wrong=wrong,
+        )
+
+    def stop(self) -> None:
+        self._stopped = self._stopped or STOPPED
+
+    def close(self) -> None:
+        self.stop()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _execute(self, jobs: Sequence[Job]) -> None:
+        """Execute the jobs, one after the other."""
+        try:
+            for job in jobs:
+                if self._stopped is not None:
+                    break
+                self._run(job)
+        except BaseException as error:
+            self._trouble = error
+        finally:
+            self._running = 0
+            for robot in self._robots.values():
+                robot.close()
+
+    def _run(self, job: Job) -> None:
+        """Execute one run, and append its result to the journal. Raises SierraError if it was not started."""
+        taken = allocate(self._table, [(one.place, one.group) for one in job.members])
+        robots = {place: self._robot(name) for place, name in taken.items()}
+        each(Robot.connect, robots.values())
+        parts = [self._part(job, one, robots[one.place]) for one in job.members]
+        attempt = f"{job.execution[:16]}-{secrets.token_hex(4)}"
+        trial = Trial(
+            attempt, parts, self._table, self._events, stopping=lambda: self._stopped, notice=lambda text: self._notes.put(text)
+        )
+        self._running = 1
+        try:
+            trial.execute()
+            self._keep(trial, job)
+        finally:
+            self._running = 0
+
+    def _keep(self, trial: Trial, job: Job) -> None:
+        """Pull what the run has left, and append its result to the journal."""
+        folder = self._next_folder()
+        folder.mkdir()
+        trial.finish(folder, lambda part: self._rejoin(part, trial.attempt))
+        own = record(replace(job, members=()))
+        end = results.result(trial, own, folder, interrupted=trial.stopped == STOPPED)
+        for part in trial.parts:
+            self._robots[part.name].forget_if_lost(part)
+        for text in results.notes(trial):
+            self._notes.put(text)
+        for table, row in self._rows(trial, own):
+            self._writer.write(cast(worker.Event, {"event": "row", "table": table, "row": as_json(row)}))
+        more = {"environment": trial.parts[0].hello.get("environment"), "robots": {str(p.place): p.name for p in trial.parts}}
+        self._writer.write(cast(worker.Event, {**end, **more}))
+
+    def _rejoin(self, part: Part, attempt: str) -> Record:
+        """Connect to a lost robot again, if it comes back within the time of a lease. Raises Unreachable."""
+        robot = self._robots[part.name]
+        robot.forget_if_lost(part)
+        give_up = time.monotonic() + self._table.lease
+        while True:
+            try:
+                return robot.connect(keep=attempt)
+            except Unreachable:
+                if time.monotonic() > give_up or self._stopped:
+                    raise
+                time.sleep(REJOIN_S)
+
+    def _rows(self, trial: Trial, job: worker.Job) -> list[tuple[str, Mapping[str, RecordValue]]]:
+        found = [self._robots[part.name].environment for part in trial.parts]
+        return [*(("environments", row) for row in found if row), *results.rows(trial, job)]
+
+    def _next_folder(self) -> Path:
+        used = [int(path.name) for path in self._session.runs.iterdir() if path.name.isdigit()]
+        return self._session.runs / str(max(used, default=0) + 1)
+
+    def _part(self, job: Job, member: Member, robot: Robot) -> Part:
+        """Return the part of a run that a robot executes."""
+        placed = member.at("\0", robot.code)
+        variables = {**robot.hello["variables"], **placed.environment, "SIERRA_EXECUTION": job.execution}
+        own = replace(
+            job,
+            argv=placed.argv,
+            environment=variables,
+            files=placed.files,
+            folders=placed.folders,
+            limits=replace(job.limits, grace_s=self._table.grace),
+            beside=robot.beside(Path(job.beside)) if job.beside else None,
+            observe=None,
+            members=(),
+        )
+        return Part(member.place, member.group, robot.agent, robot.hello, record(own))
+
+    def _robot(self, name: str) -> Robot:
+        if name not in self._robots:
+            options = self._table.fleet[name]
+            link = self._make_link(name, options)
+            agent = AgentLink(name, link, self._table.lease, self._events)
+            self._robots[name] = Robot(name, options, self._table, agent, self._work, self._code, self._session, self._notes)
+        return self._robots[name]
+
+    def _link(self, name: str, options: RobotTable) -> Link:
+        chosen = {**self._table.link_options, **options.link_options}
+        link: Link = plugin_registry.LINKS.make(self._table.link, {self._table.link: chosen}, options.host)
+        return link
+
+
+class Robot:
+    """One robot of the fleet, and its agent once it is connected."""
+
+    def __init__(
+        self,
+        name: str,
+        options: RobotTable,
+        table: FleetTable,
+        agent: AgentLink,
+        work: Work,
+        code: str | None,
+        session: SessionPaths,
+        notes: queue.SimpleQueue[str],
+    ) -> None:
+        self.name = name
+        self.agent = agent
+        self.hello: Record = {}
+        self.environment: dict[str, RecordValue] = {}
+        self.code = ""
+        """The folder of the code there."""
+        self._options = options
+        self._table = table
+        self._work = work
+        self._code = code
+        self._session = session
+        self._notes = notes
+        self._root = table.folder.removeprefix("~/")
+        self._connected = False
+
+    def connect(self, keep: str | None = None) -> Record:
+        """Start the agent unless it is there, and return what it says about its robot. `keep`: an attempt to leave as it is.
+
+        Raises Missing, Unreachable, UntrustedHost.
+        """
+        if self._connected and self.agent.lost is None:
+            return self.hello
+        link = self.agent.link
+        try:
+            if link.run((self._table.python, "-c", OLD_PYTHON)).status != 0:
+                raise Missing(f"needs Python 3.8 or newer as {self._table.python!r}; set python in [runners.robots]")
+            programs = push_programs(link, self._root)
+            code = push_content(link, self._work.root, self._root, "sources", self._code) if self._work.root else ""
+            self.agent.start((self._table.python, "-I", "-S", f"{programs}/robot_agent.py", self._root, LOCK))
+            self.hello = self.agent.ask("hello", HELLO_S, **self._greeting(keep))
+        except SierraError as error:
+            self.agent.abandon("the connection was given up")
+            raise type(error)(_named(self.name, error)) from error
+        self._connected = True
+        self.code = f"{self.hello['folder']}/{code.removeprefix(self._root + '/')}"
+        self._describe()
+        for left in self.hello["leftovers"]:
+            if left["attempt"] != keep:
+                ended = f", and ended {left['ended']} of its processes" if left["ended"] else ""
+                self._notes.put(f"{self.name}: removed what an earlier run had left{ended}")
+        return self.hello
+
+    def _greeting(self, keep: str | None) -> Record:
+        table, own = self._table, self._options
+        session = self._session.root.name
+        who = f"{getpass.getuser()} on {os.uname().nodename} (session {session})"
+        return {
+            "who": {"session": session, "text": who},
+            "lease": table.lease,
+            "grace": table.grace,
+            "setup": own.setup or table.setup,
+            "stop": table.stop if own.stop is None else own.stop,
+            "stop_limit": table.stop_limit,
+            "battery": own.battery or table.battery,
+            "checks": table.checks,
+            "variables": dict(own.variables),
+            "keep": [keep] if keep else [],
+            "patience": table.lease + table.grace + 2 * table.stop_limit + SETTLE_S,
+        }
+
+    def _describe(self) -> None:
+        """Take the row of `environments` from what the agent reported."""
+        variables = {
+            name: value
+            for name, value in self.hello["variables"].items()
+            if any(fnmatchcase(name, pattern) for pattern in self._work.record)
+        }
+        around = {**self._work.around, "variables": ""}
+        row = environment.elsewhere(around, self.hello["facts"], variables)
+        self.environment = dict(row)
+        self.hello["environment"] = row["environment"]
+
+    def beside(self, folder: Path) -> str:
+        """Copy the files beside the inputs of all runs to the robot; return their folder there."""
+        target = push_content(self.agent.link, folder, self._root, "beside")
+        return f"{self.hello['folder']}/{target.removeprefix(self._root + '/')}"
+
+    def forget_if_lost(self, part: Part) -> None:
+        """Connect again before the next run if the robot was lost."""
+        if part.lost is not None or self.agent.lost is not None:
+            self.agent.abandon("the robot was lost")
+            self._connected = False
+
+    def close(self) -> None:
+        """Give the robot back, and end the connection."""
+        if self._connected and self.agent.lost is None:
+            self.agent.close()
+        self.agent.link.close()
+
+
+def _named(name: str, error: SierraError) -> str:
+    text = str(error)
+    return text if text.startswith(f"{name}:") else f"{name}: {text}"
+
+
+def as_json(row: Mapping[str, RecordValue]) -> dict[str, object]:
+    """Return a row whose times are texts."""
+    return {name: value.isoformat() if isinstance(value, datetime) else value for name, value in row.items()}

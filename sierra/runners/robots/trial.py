@@ -1,0 +1,306 @@
+"""One run on several robots: check, arm, common start, supervision, stop of all together, and pull.
+
+Nothing starts unless all robots are ready. If one is lost while the run executes, or if its program fails, all others are told
+to stop. What was measured is pulled from every robot that can be reached.
+
+The start is common: each robot gets the time by its own clock, from the offset that was measured just before. A robot that gets
+this time too late refuses, and all others are told to stop before their time has come.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+from sierra.errors import Missing, SierraError
+from sierra.runners.robots.agent_link import AgentLink, Clock, Record, Refused
+from sierra.runners.robots.fleet_table import FleetTable
+from sierra.worker import worker
+
+ARM_S = 60.0
+"""The seconds in which a robot must have its input files."""
+CHECK_S = 30.0
+LEAD_S = 0.12
+"""The seconds from the last measurement of the clocks to the start, and in addition `ROUND_TRIPS` round trips."""
+ROUND_TRIPS = 6
+POLL_S = 0.02
+MARGIN_S = 1.0
+"""The seconds that a robot may be silent after its lease, before it counts as lost."""
+SETTLE_S = 6.0
+"""The seconds that an agent may take to report an end, after the grace time and the time of the stop command."""
+OVER = "the run is over"
+"""Why the robots are told to stop when the base station's program has ended successfully."""
+Item = TypeVar("Item")
+Made = TypeVar("Made")
+
+
+@dataclass
+class Part:
+    """The part of one robot in a run, and what became of it."""
+
+    place: int
+    group: str
+    agent: AgentLink
+    hello: Record
+    """What the agent has said about its robot."""
+    job: worker.Job
+    before: Record = field(default_factory=dict)
+    """What the agent measured before the run, and after it."""
+    after: Record = field(default_factory=dict)
+    clock: Clock | None = None
+    clock_after: Clock | None = None
+    armed: bool = False
+    """Whether its agent may have the run."""
+    started: bool = False
+    ended: Record | None = None
+    """The agent's report on the end."""
+    lost: str | None = None
+    """What happened to the robot, if it was lost."""
+    files: Path | None = None
+    """The folder of the run that was pulled from it."""
+    problem: str | None = None
+    """Why nothing was pulled."""
+
+    @property
+    def name(self) -> str:
+        return self.agent.name
+
+    @property
+    def is_open(self) -> bool:
+        """Return whether its end is still to come."""
+        return self.ended is None and self.lost is None
+
+    @property
+    def end(self) -> worker.End | None:
+        """Return the worker's report; None if there is none."""
+        return (self.ended or {}).get("end")
+
+    @property
+    def failure(self) -> str | None:
+        """Return how its program failed by itself; None if it did not, or if it was told to stop."""
+        if self.ended is None or self.ended["why"] is not None or not self.ended["started"]:
+            return None
+        end = self.end
+        if end is None:
+            return str(self.ended["problems"][-1])
+        if end["error"] or end["stopped"]:
+            return end["error"] or f"{end['stopped']} limit exceeded"
+        if end["signal"] is not None:
+            return f"a signal ({end['signal']}) ended its program"
+        return f"its program ended with status {end['exit_code']}" if end["exit_code"] else None
+
+
+class Trial:
+    """One run while it executes."""
+
+    def __init__(
+        self,
+        attempt: str,
+        parts: list[Part],
+        table: FleetTable,
+        events: queue.SimpleQueue[tuple[str, Record]],
+        *,
+        stopping: Callable[[], str | None],
+        notice: Callable[[str], None],
+    ) -> None:
+        """`stopping` returns why the run must end; None while it may go on."""
+        self.attempt = attempt
+        self.parts = parts
+        self.stopped: str | None = None
+        """Why the robots were told to stop; the first reason counts."""
+        self.at_ns = 0
+        """The common start by this host's clock."""
+        self._table = table
+        self._events = events
+        self._stopping = stopping
+        self._notice = notice
+        self._by_name = {part.name: part for part in parts}
+        self._stopped_at = 0.0
+        self._silent: set[str] = set()
+
+    def execute(self) -> None:
+        """Execute the run until it has ended on all robots. Raises Missing if it did not start on any."""
+        try:
+            self._check()
+            self._arm()
+            self._measure()
+            self._start()
+        except SierraError as error:
+            if not self._cancel(f"not all robots were ready: {error}"):
+                raise
+        self._supervise()
+
+    def _check(self) -> None:
+        """Check battery, disk and the declared conditions. Raises Missing."""
+        for part, found in zip(self.parts, self._each(lambda part: part.agent.ask("check", CHECK_S)), strict=True):
+            part.before = found
+            if reason := self._unfit(found):
+                raise Missing(f"{part.name}: {reason}")
+
+    def _unfit(self, found: Record) -> str | None:
+        table = self._table
+        if found["battery"] is not None and found["battery"] < table.battery_min:
+            return f"its battery has {found['battery']:g} %, less than battery_min = {table.battery_min:g}"
+        if found["disk"] < table.disk_min:
+            return f"its disk has {found['disk']} bytes free, less than disk_min = {table.disk_min}"
+        return f"not ready: {found['failed'][0]}" if found["failed"] else None
+
+    def _arm(self) -> None:
+        def arm(part: Part) -> None:
+            part.armed = True
+            try:
+                part.agent.ask("arm", ARM_S, attempt=self.attempt, job=part.job)
+            except Refused:
+                part.armed = False
+                raise
+
+        self._each(arm)
+
+    def _measure(self) -> None:
+        """Measure all clocks. Raises Missing if one cannot be measured well enough."""
+        for part, clock in zip(self.parts, self._each(lambda part: part.agent.clock()), strict=True):
+            part.clock = clock
+            if clock.rtt_ns / 2e9 > self._table.clock_error:
+                raise Missing(
+                    f"{part.name}: its clock is only known to {clock.rtt_ns / 2e6:.0f} ms, because its answers take long; "
+                    f"raise clock_error = {self._table.clock_error:g} in [runners.robots], or improve the link"
+                )
+
+    def _start(self) -> None:
+        """Tell all robots when to start. Raises Missing if one does not confirm this in time."""
+        slowest = max(part.clock.rtt_ns for part in self.parts if part.clock)
+        self.at_ns = time.time_ns() + int(LEAD_S * 1e9) + ROUND_TRIPS * slowest
+
+        def tell(part: Part) -> None:
+            offset = part.clock.offset_ns if part.clock else 0
+            wait = (self.at_ns - time.time_ns()) / 1e9
+            answer = part.agent.ask("at", max(wait, 0.01), attempt=self.attempt, at=self.at_ns + offset)
+            if answer["event"] != "gated":
+                raise Missing(f"{part.name}: the start reached it {answer['by']:.3f} s too late")
+
+        self._each(tell)
+
+    def _cancel(self, reason: str) -> bool:
+        """Tell all robots to stop before the start; return whether one has started nevertheless."""
+        self.stop(reason)
+        give_up = time.monotonic() + self._patience()
+        while any(part.armed and part.is_open for part in self.parts) and time.monotonic() < give_up:
+            self._take(POLL_S)
+        return any(part.started for part in self.parts)
+
+    def stop(self, reason: str) -> None:
+        """Tell all robots whose part has not ended to stop. The reason of the first call counts."""
+        if self.stopped is None:
+            self.stopped, self._stopped_at = reason, time.monotonic()
+            for part in self.parts:
+                if part.ended is None:
+                    part.agent.tell("stop", attempt=self.attempt, why=reason)
+
+    def _supervise(self) -> None:
+        """Follow the run until it has ended on all robots, or until these are lost."""
+        looked = time.monotonic()
+        while any(part.is_open for part in self.parts):
+            self._take(POLL_S)
+            if time.monotonic() - looked > MARGIN_S:  # this process was stopped, and may have much to read
+                for part in self.parts:
+                    part.agent.heard = time.monotonic()
+            looked = time.monotonic()
+            if reason := self._stopping():
+                self.stop(reason)
+            for part in self.parts:
+                if part.is_open:
+                    self._listen(part)
+            if self.stopped is not None and time.monotonic() - self._stopped_at > self._patience():
+                for part in self.parts:
+                    if part.is_open:
+                        part.agent.abandon(f"it did not report its end within {self._patience():g} s")
+
+    def _patience(self) -> float:
+        return self._table.grace + 2 * self._table.stop_limit + SETTLE_S
+
+    def _listen(self, part: Part) -> None:
+        """Count a robot as lost if its lease has expired, and note a shorter silence once."""
+        silence, lease = part.agent.silence, self._table.lease
+        if silence > lease + MARGIN_S:
+            part.agent.abandon(f"no answer for {silence:.1f} s")
+        elif silence > lease / 2 and part.name not in self._silent:
+            self._silent.add(part.name)
+            self._notice(f"{part.name} does not answer; its run goes on for {lease:g} s at most, its lease")
+
+    def _take(self, seconds: float) -> None:
+        """Take the next event, if there is one in this time."""
+        try:
+            name, event = self._events.get(timeout=seconds)
+        except queue.Empty:
+            return
+        part = self._by_name.get(name)
+        if part is None or event.get("attempt", self.attempt) != self.attempt:
+            return
+        match event["event"]:
+            case "started":
+                part.started = True
+            case "ended":
+                part.ended = event
+                part.started = part.started or event["started"]
+                self._react(part)
+            case "lost" if part.is_open and part.agent.lost is not None:
+                part.lost = str(event["reason"])
+                self.stop(f"{part.name} was lost")
+
+    def _react(self, part: Part) -> None:
+        """Stop the others if a program has failed, or if that of the base station has ended."""
+        if part.failure:
+            self.stop(f"{part.name}: {part.failure}")
+        elif part.ended and part.ended["why"] and self.stopped is None:
+            self.stop(f"{part.name}: {part.ended['why']}")
+        elif part.place == 0:
+            self.stop(OVER)
+
+    def finish(self, folder: Path, rejoin: Callable[[Part], Record]) -> None:
+        """Measure the clocks again, and pull what the run has left on each robot into `folder`/PLACE.
+
+        `rejoin` connects to a lost robot again. Raises nothing: `Part.problem` says why nothing was pulled.
+        """
+
+        def finished(part: Part) -> None:
+            try:
+                if part.lost is not None:
+                    self._find(part, rejoin(part))
+                part.clock_after = part.agent.clock()
+                if part.started:
+                    target = folder / str(part.place)
+                    part.agent.link.pull(f"{part.hello['folder']}/runs/{self.attempt}/1", target)
+                    part.files = target
+                with contextlib.suppress(Refused):
+                    part.after = part.agent.ask("check", CHECK_S, checks=False)
+                part.agent.ask("done", attempt=self.attempt)
+            except SierraError as error:
+                part.problem = str(error).removeprefix(f"{part.name}: ")
+
+        each(finished, self.parts)
+
+    def _find(self, part: Part, hello: Record) -> None:
+        """Take the report of a lost robot that has come back."""
+        part.hello = hello
+        for left in hello["leftovers"]:
+            if left["attempt"] == self.attempt:
+                part.ended = left["report"]
+                part.started = True
+
+    def _each(self, work: Callable[[Part], Made]) -> list[Made]:
+        """Do something with all robots at once; return the results. Raises the first error, after all have ended."""
+        return each(work, self.parts)
+
+
+def each(work: Callable[[Item], Made], items: Iterable[Item]) -> list[Made]:
+    """Do something with several items at once; return the results. Raises the first error, after all have ended."""
+    several = list(items)
+    with ThreadPoolExecutor(max(1, len(several))) as pool:
+        futures = [pool.submit(work, one) for one in several]
+    return [future.result() for future in futures]

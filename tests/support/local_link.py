@@ -1,0 +1,142 @@
+"""A link to robots that are folders of this machine: a double for tests without SSH."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import select
+import shutil
+import subprocess
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from sierra.config.field_types import Table
+from sierra.errors import Missing
+from sierra.links.base import Ended, Overdue, Unreachable
+from sierra.runners.robots.agent_link import LOCK
+
+
+class LocalChannel:
+    """A program on this machine."""
+
+    def __init__(self, argv: Sequence[str], home: Path) -> None:
+        self.process = subprocess.Popen(
+            argv,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            cwd=home,
+            env={"PATH": os.environ["PATH"], "HOME": str(home), "USER": "robot"},
+            bufsize=0,
+            start_new_session=True,
+        )
+        self.stalled = False
+        self._unread = b""
+
+    def send(self, line: str) -> None:
+        while self.stalled:
+            time.sleep(0.01)
+        assert self.process.stdin
+        try:
+            self.process.stdin.write(line.encode() + b"\n")
+        except (OSError, ValueError) as error:
+            raise Unreachable("the program has ended") from error
+
+    def receive(self, timeout: float) -> str | None:
+        assert self.process.stdout
+        give_up = time.monotonic() + timeout
+        while b"\n" not in self._unread:
+            if self.process.stdout.closed:
+                return None
+            left = give_up - time.monotonic()
+            if left <= 0:
+                raise Overdue("no line")
+            if self.stalled or not select.select([self.process.stdout], [], [], min(left, 0.05))[0]:
+                time.sleep(0.005 if self.stalled else 0)
+                continue
+            data = os.read(self.process.stdout.fileno(), 1 << 16)
+            if not data:
+                self.process.stdout.close()
+                self.process.wait()
+                return None
+            self._unread += data
+        line, _, self._unread = self._unread.partition(b"\n")
+        return line.decode()
+
+    def status(self) -> int | None:
+        return self.process.poll()
+
+    def errors(self) -> str:
+        return ""
+
+    def close(self) -> None:
+        assert self.process.stdin
+        with contextlib.suppress(OSError):
+            self.process.stdin.close()
+        if self.process.poll() is not None and self.process.stdout:
+            self.process.stdout.close()
+
+
+class LocalLink:
+    """One robot: `home` is its home folder. Its lock is its own."""
+
+    Options = Table
+
+    def __init__(self, name: str, home: Path) -> None:
+        self.name = name
+        self.home = home
+        self.off = False
+        """True: it does not answer."""
+        self.channels: list[LocalChannel] = []
+        self.pushed: list[str] = []
+        self._lock = f"{LOCK}-{secrets.token_hex(6)}"
+        home.mkdir(parents=True, exist_ok=True)
+
+    def run(self, argv: Sequence[str], *, stdin: bytes = b"", timeout: float = 30.0) -> Ended:
+        self._answers()
+        done = subprocess.run(argv, input=stdin, capture_output=True, cwd=self.home, timeout=timeout, check=False)
+        return Ended(done.returncode, done.stdout, done.stderr)
+
+    def channel(self, argv: Sequence[str]) -> LocalChannel:
+        self._answers()
+        self.channels.append(LocalChannel([self._lock if word == LOCK else word for word in argv], self.home))
+        return self.channels[-1]
+
+    def push(self, folder: Path, target: str, *, timeout: float = 60.0) -> object:
+        self._answers()
+        path = self.home / target
+        if not path.exists():
+            self.pushed.append(target)
+            shutil.copytree(folder, path, symlinks=True)
+        return None
+
+    def pull(self, folder: str, target: Path, *, timeout: float = 60.0) -> object:
+        self._answers()
+        if not (self.home / folder).is_dir():
+            raise Missing(f"{self.name}: {folder} does not exist")
+        shutil.copytree(self.home / folder, target, symlinks=True)
+        return None
+
+    def close(self) -> None:
+        for channel in self.channels:
+            channel.close()
+
+    def kill(self) -> None:
+        """Kill all agents, as a robot without power."""
+        self.off = True
+        for channel in self.channels:
+            channel.process.kill()
+            channel.process.wait()
+            channel.close()
+
+    def stall(self, *, stalled: bool = True) -> None:
+        """Let nothing pass, as a radio that is out of reach."""
+        self.off = stalled
+        for channel in self.channels:
+            channel.stalled = stalled
+
+    def _answers(self) -> None:
+        if self.off:
+            raise Unreachable(f"{self.name}: no answer")

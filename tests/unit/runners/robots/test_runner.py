@@ -1,0 +1,233 @@
+"""Tests of the runner on robots, which are folders of this machine here. `tests/integration/robots` has real ones."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sierra.errors import ConfigError, Missing
+from sierra.model import ON_ROBOT, Job, Limits, Member, Result
+from sierra.provenance import environment
+from sierra.runners.base import Look, Work
+from sierra.runners.robots.fleet_table import FleetTable, RobotTable
+from sierra.runners.robots.runner import Robots
+from sierra.store.layout import SessionPaths
+from sierra.worker import worker
+from tests.support.local_link import LocalLink
+from tests.waiting import until
+
+CODE = f"{ON_ROBOT}/go.py"
+RECORD = environment.capture("1.0")
+GO = """
+import os, sys, time
+place = os.environ["SIERRA_ROBOT"]
+print("robot", place, flush=True)
+open("here.csv", "w").write(f"time,robot\\n0,{place}\\n")
+mine = sys.argv[1:]
+if place in mine:
+    action = mine[mine.index(place) + 1]
+    time.sleep(60 if action == "sleep" else 0.4)
+    sys.exit(int(action))
+"""
+
+
+class Fleet:
+    """A runner with three robots on this machine."""
+
+    def __init__(self, folder: Path, **options: Any) -> None:
+        self.links = {name: LocalLink(name, folder / name) for name in ("ada", "bob", "cy")}
+        fleet = {name: {"host": name} for name in self.links}
+        own = {"fleet": fleet, "stop": ["touch", "stopped"], "grace": 0.3, "disk_min": 1}
+        self.table = FleetTable(**{**own, **options})
+        self.session = SessionPaths(folder / "session")
+        self.code = folder / "code"
+        self.code.mkdir(exist_ok=True)
+        (self.code / "go.py").write_text(GO)
+        self.rows: list[tuple[str, Mapping[str, Any]]] = []
+        self.notes: list[str] = []
+        self.session.root.mkdir(exist_ok=True)
+
+    def submit(self, *jobs: Job) -> Robots:
+        runner = Robots(1, self.table, lambda name, _: self.links[name])
+        runner.submit(Work(jobs, len(jobs), "b" * 64, around=RECORD, record=("GREETING",), root=self.code), self.session)
+        return runner
+
+    def run(self, *jobs: Job) -> list[Result]:
+        return self.follow(self.submit(*jobs))
+
+    def follow(self, runner: Robots) -> list[Result]:
+        results: list[Result] = []
+        give_up = time.monotonic() + 30
+        while True:
+            look = self.take(runner)
+            results += look.results
+            if look.wrong:
+                raise look.wrong
+            if not look.alive:
+                return results
+            assert time.monotonic() < give_up
+            time.sleep(0.01)
+
+    def take(self, runner: Robots) -> Look:
+        look = runner.look()
+        self.rows += look.rows
+        self.notes += look.notes
+        return look
+
+    def begun(self) -> list[str]:
+        """Return the robots on which the program has begun."""
+        return [name for name, link in self.links.items() if list(link.home.rglob("here.csv"))]
+
+    @property
+    def robots(self) -> dict[int, Mapping[str, Any]]:
+        return {row["place"]: row for table, row in self.rows if table == "robots"}
+
+
+def job(number: int, *words: str, robots: int = 3, base: bool = False) -> Job:
+    execution = f"{number:064d}"
+    places = range(0 if base else 1, robots + 1)
+    own = {"SIERRA_EXECUTION": execution, "SIERRA_ROBOTS": str(robots), "HOME": "\0/home"}
+    members = tuple(
+        Member(
+            place,
+            "robot" if place else "base",
+            (sys.executable, CODE, *words),
+            {**own, "SIERRA_ROBOT": str(place)},
+            (("input.txt", b"1"),),
+        )
+        for place in places
+    )
+    return Job(f"{number:064d}", execution, (), {}, (), Limits(wall_s=20), members=members)
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> Iterator[Fleet]:
+    made = Fleet(tmp_path, setup="export GREETING=hello", lease=1.0)
+    yield made
+    for link in made.links.values():
+        link.stall(stalled=False)
+        link.kill()
+
+
+def is_alone(number: int) -> bool:
+    return not worker.marked([b"SIERRA_EXECUTION=" + f"{number:064d}".encode()])
+
+
+def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
+    first, second = fleet.run(job(1), job(2))
+    assert (first.exit_code, first.error, first.stopped) == (0, None, None)
+    assert [file.path for file in first.outputs] == ["1/here.csv", "2/here.csv", "3/here.csv"]
+    assert Path(first.directory, "output/2/here.csv").read_text() == "time,robot\n0,2\n"
+    assert Path(first.directory, "stdout").read_text() == "==> ada <==\nrobot 1\n==> bob <==\nrobot 2\n==> cy <==\nrobot 3\n"
+    assert first.robots == {1: "ada", 2: "bob", 3: "cy"}
+    assert first.host == "ada,bob,cy"
+    assert second.exit_code == 0
+    row = fleet.robots[2]
+    assert (row["robot"], row["status"], row["reason"], row["exit_code"]) == ("bob", "ok", None, 0)
+    assert abs(row["offset_start_ns"]) < 50_000_000
+    assert 0 <= row["start_skew_ns"] < 500_000_000
+    environments = {row["environment"]: row for table, row in fleet.rows if table == "environments"}
+    assert '"GREETING": "hello"' in environments[row["environment"]]["variables"]
+    assert all(list((link.home / ".cache/sierra-robot/runs").iterdir()) == [] for link in fleet.links.values())
+    assert [name.split("/")[2] for name in fleet.links["ada"].pushed] == ["programs", "sources"]
+
+
+def test_nothing_starts_if_a_robot_is_missing(fleet: Fleet):
+    fleet.links["bob"].off = True
+    with pytest.raises(Missing, match=r"^bob: no answer$"):
+        fleet.run(job(1))
+    assert not fleet.begun()
+
+
+def test_a_robot_that_is_not_ready_stops_all(fleet: Fleet, tmp_path: Path):
+    fleet.table = fleet.table.model_copy(update={"battery": str(tmp_path / "battery"), "battery_min": 30})
+    (tmp_path / "battery").write_text("12")
+    with pytest.raises(Missing, match=r"^ada: its battery has 12 %, less than battery_min = 30$"):
+        fleet.run(job(1))
+
+
+def test_a_failed_program_stops_the_others(fleet: Fleet):
+    [result] = fleet.run(job(1, "1", "sleep", "2", "7", "3", "sleep"))
+    assert result.exit_code == 7
+    assert result.error == "bob has failed: its program ended with status 7; the others were stopped"
+    assert [file.path for file in result.outputs] == ["1/here.csv", "2/here.csv", "3/here.csv"]
+    assert {row["status"] for row in fleet.robots.values()} == {"failed", "stopped"}
+    assert is_alone(1)
+
+
+def test_the_end_of_the_base_station_ends_the_run(fleet: Fleet):
+    fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, "ada": RobotTable(host="ada", group="base")}})
+    [result] = fleet.run(job(1, "0", "0", "1", "sleep", "2", "sleep", robots=2, base=True))
+    assert (result.exit_code, result.error) == (0, None)
+    assert result.robots == {0: "ada", 1: "bob", 2: "cy"}
+    assert fleet.robots[1]["reason"] == "the run is over"
+
+
+def test_a_robot_without_power_stops_the_others_and_what_was_measured_is_kept(fleet: Fleet):
+    runner = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
+    until(lambda: len(fleet.begun()) == 3, "all have started", 20)
+    fleet.links["bob"].kill()
+    [result] = fleet.follow(runner)
+    assert result.error == "bob was lost: its agent has ended; its outputs are missing; the others were stopped"
+    assert [file.path for file in result.outputs] == ["1/here.csv", "3/here.csv"]
+    assert fleet.robots[2]["status"] == "lost"
+    until(lambda: is_alone(1), "all processes are gone", 5)
+
+    fleet.links["bob"].off = False
+    [again] = fleet.run(job(2))
+    assert again.error is None
+
+
+def test_a_robot_out_of_reach_stops_by_its_lease(fleet: Fleet):
+    runner = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
+    until(lambda: len(fleet.begun()) == 3, "all have started", 20)
+    fleet.links["cy"].stall()
+    until(lambda: list(fleet.links["cy"].home.rglob("ended.json")), "it has stopped by itself", 5)
+    assert list(fleet.links["cy"].home.rglob("stopped"))
+    time.sleep(1.2)
+    fleet.links["cy"].stall(stalled=False)
+    [result] = fleet.follow(runner)
+    assert result.error
+    assert "cy was lost: no answer for 2." in result.error
+    assert "3/here.csv" in [file.path for file in result.outputs]
+    assert "cy does not answer; its run goes on for 1 s at most, its lease" in fleet.notes
+    assert is_alone(1)
+
+
+def test_stopping_ends_all_robots(fleet: Fleet):
+    runner = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"), job(2))
+    until(lambda: len(fleet.begun()) == 3, "all have started", 20)
+    runner.stop()
+    [result] = fleet.follow(runner)
+    assert result.stopped == "interrupted"
+    assert is_alone(1)
+
+
+def test_two_drivers_cannot_use_one_robot(fleet: Fleet, tmp_path: Path):
+    first = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
+    until(lambda: len(fleet.begun()) == 3, "all have started", 20)
+    other = Fleet(tmp_path)
+    other.links, other.session = fleet.links, SessionPaths(tmp_path / "other")
+    other.session.root.mkdir()
+    with pytest.raises(Missing, match=r"^\w+: in use by \w+ on .* \(session session\)$"):
+        other.run(job(2))
+    first.stop()
+    assert [one.stopped for one in fleet.follow(first)] == ["interrupted"]
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (job(1, robots=5), "a run needs 5 robots of the group 'robot', but the fleet has 3; 1 to 3 are possible"),
+        (job(1, base=True), 'a run needs a base station, but the fleet has none; give a host group = "base"'),
+        (job(1, robots=0), r'the runner "robots" needs \[robots\] in sierra.toml'),
+    ],
+)
+def test_a_run_that_the_fleet_cannot_execute_is_refused(fleet: Fleet, made: Job, said: str):
+    with pytest.raises(ConfigError, match=said):
+        fleet.submit(made)
