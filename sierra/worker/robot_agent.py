@@ -61,7 +61,6 @@ LEASE_S, GRACE_S, STOP_S = 5.0, 2.0, 5.0
 SETUP_S, CHECK_S = 60.0, 10.0
 SETTLE_S = 3.0  # after the grace time, for a worker to end what it has killed, and to hash the outputs of others
 LOOK_S = 0.1  # between two looks at a run, and at the clocks
-BEGIN_S = 0.002  # between two looks whether a run has begun
 SILENT_S = 1.0  # for a holder of the lock that says nothing, because it is ending
 SOON_S = 60.0  # a start that is farther away is a mistake
 STEP_S = 0.05  # of the wall clock, from which on it is reported
@@ -125,8 +124,9 @@ class Run:
         self.stop_argv = stop
         self.grace = grace
         self.stop_limit = stop_limit
-        self.gate: float | None = None
-        self.started = self.reported = self.over = False
+        self.gated = self.begun = self.reported = self.over = self.stop_executed = False
+        self.armed: Record | None = {"event": "armed", "attempt": self.attempt, "id": order.get("id")}
+        """The answer to the order, until the worker is ready for the job."""
         self.why: str | None = None
         self.kill_at: float | None = None
         self.killed = False
@@ -152,13 +152,12 @@ class Run:
             {"pid": self.worker.pid, "born": born, "boot": boot_id(), "executions": executions, "who": order.get("who")},
         )
 
-    def begin(self) -> None:
-        """Give the worker its job: it starts the program at once."""
-        self.started = True
-        self.gate = None
+    def begin(self, moment: float) -> None:
+        """Give the worker its job: it prepares the run, and starts the program at this moment of the monotonic clock."""
+        self.gated = True
         try:
             pipe = the_worker().stdin_of(self.worker)
-            pipe.write(json.dumps(self.job, separators=(",", ":")).encode() + b'\n{"end": true}\n')
+            pipe.write(json.dumps({**self.job, "begin": moment}, separators=(",", ":")).encode() + b'\n{"end": true}\n')
             pipe.flush()
         except OSError as error:
             self.problems.append("its worker is gone: " + the_worker().explain(error))
@@ -168,15 +167,16 @@ class Run:
         if self.why is not None or self.over:
             return
         self.why = why
-        self.gate = None
         self.kill_at = time.monotonic() + self.grace + SETTLE_S
-        if self.started:
+        if self.gated:
             self.worker.terminate()
-            self.execute_stop_command()
         else:
             self.close_pipe()
+        if self.has_begun():
+            self.execute_stop_command()
 
     def execute_stop_command(self) -> None:
+        self.stop_executed = True
         if self.stop_argv:
             log = os.path.join(self.folder, STOP_LOG)
             self.stopping = Stopping(self.stop_argv, self.environment, log, self.stop_limit)
@@ -193,7 +193,7 @@ class Run:
             self.over = True
             self.close_pipe()
             self.killed = end_orphans(self.worker_of_stop()) or self.killed or self.was_killed()
-            if self.started and self.why is None:
+            if self.has_begun() and not self.stop_executed:
                 self.execute_stop_command()
         if self.stopping is not None:
             if not self.stopping.has_ended():
@@ -230,7 +230,13 @@ class Run:
         return [json.loads(line) for line in lines]
 
     def has_begun(self) -> bool:
-        return any(event["event"] == "start" for event in self.events())
+        """Return whether its program was started."""
+        self.begun = self.begun or any(event["event"] in ("start", "end") for event in self.events())
+        return self.begun
+
+    def is_ready(self) -> bool:
+        """Return whether the worker waits for the job, or has ended."""
+        return os.path.exists(os.path.join(self.folder, "journal.jsonl")) or self.worker.poll() is not None
 
     def record(self) -> Record | None:
         """Return the worker's report on the run's end; None without one."""
@@ -241,12 +247,12 @@ class Run:
         """Return the report on the run's end."""
         record = self.record()
         status = self.worker.returncode
-        if record is None and self.started:
+        if record is None and (self.has_begun() or self.why is None):
             words = last_line(os.path.join(self.folder, WORKER_LOG))
             self.problems.append("its worker ended with %s%s" % (ending(status), words))
         return {
             "attempt": self.attempt,
-            "started": self.started,
+            "started": self.has_begun(),
             "why": self.why,
             "end": record,
             "problems": self.problems,
@@ -303,10 +309,8 @@ class Agent:
         run = self.run
         if run is None:
             return max(0.0, min(1.0, self.heard + self.lease - now + 0.001))
-        if run.gate is not None:
-            return max(0.0, min(run.gate - now, LOOK_S))
-        begins = run.started and not run.reported and run.why is None
-        return BEGIN_S if begins else LOOK_S / 10 if run.why or run.over else LOOK_S
+        changes = run.armed or run.why or run.over or (run.gated and not run.reported)
+        return LOOK_S / 20 if changes else LOOK_S
 
     def wait(self, seconds: float) -> None:
         """Wait so long, or until there is a request, and execute all requests."""
@@ -493,7 +497,7 @@ class Agent:
             return None, the_worker().explain(error)
         return ended.returncode, " ".join(ended.stdout.decode("utf-8", "replace").split())[-TAIL_BYTES:]
 
-    def arm(self, order: Record) -> Record:
+    def arm(self, order: Record) -> Record | None:
         """Prepare a run. Raises Refused if another one is not over, or if this one was armed before."""
         if self.lock is None:
             raise Refused("arming needs a hello first")
@@ -507,18 +511,18 @@ class Agent:
         except OSError:
             the_worker().remove(folder)
             raise
-        return {"event": "armed", "attempt": self.run.attempt}
+        return None  # `attend` answers
 
     def at(self, request: Record) -> Record:
         """Start the armed run at a time of this robot's wall clock (ns)."""
         run = self.run
-        if run is None or run.started or run.gate is not None or run.why is not None or run.attempt != request["attempt"]:
+        if run is None or run.armed or run.gated or run.why is not None or run.attempt != request["attempt"]:
             raise Refused("attempt %s is not armed" % request["attempt"])
         wait = request["at"] / 1e9 - time.time()
         if not 0 <= wait <= SOON_S:
             run.end("late")
             return {"event": "late", "by": -wait}
-        run.gate = time.monotonic() + wait
+        run.begin(time.monotonic() + wait)
         return {"event": "gated"}
 
     def stop(self, request: Record) -> Record | None:
@@ -540,13 +544,14 @@ class Agent:
             self.run.end(why)
 
     def attend(self, now: float) -> None:
-        """Start the run when its time has come, and report its beginning and its end."""
+        """Report when the run is ready, when it has begun, and its end."""
         run = self.run
         if run is None:
             return
-        if run.gate is not None and now >= run.gate:
-            run.begin()
-        if run.started and not run.reported and run.has_begun():
+        if run.armed and run.is_ready():
+            self.tell(run.armed)
+            run.armed = None
+        if run.gated and not run.reported and run.has_begun():
             run.reported = True
             self.tell({"event": "started", "attempt": run.attempt})
         if run.look(now):

@@ -186,6 +186,8 @@ class Job(Program):
     budget: NotRequired[float]
     """The part of the runs' time that observations may take; the run is not observed if this would take more."""
     helps: NotRequired[Helps]
+    begin: NotRequired[float]
+    """When the program is to start, in seconds of this host's monotonic clock; at once without it."""
     unobserved: NotRequired[str]
     """Why this run was executed before and could not be observed: it is executed once more without observation."""
 
@@ -830,6 +832,9 @@ class Worker:
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
         services = self.shared_services(job)
         observation = self.observe(job, folder)
+        if "begin" in job and not self.has_time_come(job["begin"]):
+            remove(folder)
+            return
         began, started = time.time(), time.monotonic()
         try:
             process = start(job, folder, observation, services)
@@ -888,6 +893,15 @@ class Worker:
         if observed:
             remains["observed"] = True
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
+
+    def has_time_come(self, moment: float) -> bool:
+        """Wait until a moment of the monotonic clock. Return False if the worker was told to stop before."""
+        while not self.stopping:
+            left = moment - time.monotonic()
+            if left <= 0:
+                return True
+            time.sleep(min(left, SAMPLE_S))
+        return False
 
     def shared_services(self, job: Job) -> SharedServices | None:
         """Return the services that the run shares with others, if there are any. The first of these runs starts them."""

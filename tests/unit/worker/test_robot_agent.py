@@ -7,6 +7,7 @@ import json
 import os
 import secrets
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from typing import Any
 
 import pytest
 
+from sierra.runners.robots.push import PROGRAMS
 from sierra.worker import robot_agent, worker
 from tests.waiting import until
 
@@ -37,8 +39,8 @@ time.sleep(60)
 class Driver:
     """The driver of one agent."""
 
-    def __init__(self, folder: Path, lock: str) -> None:
-        argv = [sys.executable, "-I", "-S", robot_agent.__file__, str(folder), lock]
+    def __init__(self, program: Path, folder: Path, lock: str) -> None:
+        argv = [sys.executable, "-I", "-S", str(program), str(folder), lock]
         self.process = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
         self.folder = folder
         self.attempt = secrets.token_hex(6)
@@ -106,14 +108,23 @@ def job(code: str, execution: str, grace: float = 0.3, **limits: float) -> dict[
 Start = Callable[..., Driver]
 
 
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the agent beside the programs that it needs, as on a robot."""
+    folder = tmp_path_factory.mktemp("programs")
+    for path in PROGRAMS:
+        shutil.copy(path, folder)
+    return folder / "robot_agent.py"
+
+
 @pytest.fixture
-def agent(tmp_path: Path) -> Iterator[Start]:
+def agent(program: Path, tmp_path: Path) -> Iterator[Start]:
     """Return a function that starts an agent; all of one test are on the same robot."""
     lock = f"sierra-test-{secrets.token_hex(6)}"
     drivers: list[Driver] = []
 
     def start() -> Driver:
-        drivers.append(Driver(tmp_path / "robot", lock))
+        drivers.append(Driver(program, tmp_path / "robot", lock))
         return drivers[-1]
 
     yield start

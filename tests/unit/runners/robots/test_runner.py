@@ -2,107 +2,33 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from sierra.errors import ConfigError, Missing
-from sierra.model import ON_ROBOT, Job, Limits, Member, Result
-from sierra.provenance import environment
-from sierra.runners.base import Look, Work
-from sierra.runners.robots.fleet_table import FleetTable, RobotTable
-from sierra.runners.robots.runner import Robots
-from sierra.store.layout import SessionPaths
+from sierra.model import Job
+from sierra.runners.robots.fleet_table import RobotTable
 from sierra.worker import worker
 from tests.support.local_link import LocalLink
+from tests.support.robot_runs import Runs, job
 from tests.waiting import until
 
-CODE = f"{ON_ROBOT}/go.py"
-RECORD = environment.capture("1.0")
-GO = """
-import os, sys, time
-place = os.environ["SIERRA_ROBOT"]
-print("robot", place, flush=True)
-open("here.csv", "w").write(f"time,robot\\n0,{place}\\n")
-mine = sys.argv[1:]
-if place in mine:
-    action = mine[mine.index(place) + 1]
-    time.sleep(60 if action == "sleep" else 0.4)
-    sys.exit(int(action))
-"""
+NAMES = ("ada", "bob", "cy")
 
 
-class Fleet:
-    """A runner with three robots on this machine."""
+class Fleet(Runs):
+    """Runs on three robots on this machine."""
 
-    def __init__(self, folder: Path, **options: Any) -> None:
-        self.links = {name: LocalLink(name, folder / name) for name in ("ada", "bob", "cy")}
-        fleet = {name: {"host": name} for name in self.links}
-        own = {"fleet": fleet, "stop": ["touch", "stopped"], "grace": 0.3, "disk_min": 1}
-        self.table = FleetTable(**{**own, **options})
-        self.session = SessionPaths(folder / "session")
-        self.code = folder / "code"
-        self.code.mkdir(exist_ok=True)
-        (self.code / "go.py").write_text(GO)
-        self.rows: list[tuple[str, Mapping[str, Any]]] = []
-        self.notes: list[str] = []
-        self.session.root.mkdir(exist_ok=True)
+    def __init__(self, folder: Path, links: dict[str, LocalLink] | None = None, **options: Any) -> None:
+        self.links = links or {name: LocalLink(name, folder / name) for name in NAMES}
+        super().__init__(folder, {name: one.home for name, one in self.links.items()}, self._link, **options)
 
-    def submit(self, *jobs: Job) -> Robots:
-        runner = Robots(1, self.table, lambda name, _: self.links[name])
-        runner.submit(Work(jobs, len(jobs), "b" * 64, around=RECORD, record=("GREETING",), root=self.code), self.session)
-        return runner
-
-    def run(self, *jobs: Job) -> list[Result]:
-        return self.follow(self.submit(*jobs))
-
-    def follow(self, runner: Robots) -> list[Result]:
-        results: list[Result] = []
-        give_up = time.monotonic() + 30
-        while True:
-            look = self.take(runner)
-            results += look.results
-            if look.wrong:
-                raise look.wrong
-            if not look.alive:
-                return results
-            assert time.monotonic() < give_up
-            time.sleep(0.01)
-
-    def take(self, runner: Robots) -> Look:
-        look = runner.look()
-        self.rows += look.rows
-        self.notes += look.notes
-        return look
-
-    def begun(self) -> list[str]:
-        """Return the robots on which the program has begun."""
-        return [name for name, link in self.links.items() if list(link.home.rglob("here.csv"))]
-
-    @property
-    def robots(self) -> dict[int, Mapping[str, Any]]:
-        return {row["place"]: row for table, row in self.rows if table == "robots"}
-
-
-def job(number: int, *words: str, robots: int = 3, base: bool = False) -> Job:
-    execution = f"{number:064d}"
-    places = range(0 if base else 1, robots + 1)
-    own = {"SIERRA_EXECUTION": execution, "SIERRA_ROBOTS": str(robots), "HOME": "\0/home"}
-    members = tuple(
-        Member(
-            place,
-            "robot" if place else "base",
-            (sys.executable, CODE, *words),
-            {**own, "SIERRA_ROBOT": str(place)},
-            (("input.txt", b"1"),),
-        )
-        for place in places
-    )
-    return Job(f"{number:064d}", execution, (), {}, (), Limits(wall_s=20), members=members)
+    def _link(self, name: str, _: object) -> LocalLink:
+        return self.links[name]
 
 
 @pytest.fixture
@@ -127,7 +53,7 @@ def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
     assert first.robots == {1: "ada", 2: "bob", 3: "cy"}
     assert first.host == "ada,bob,cy"
     assert second.exit_code == 0
-    row = fleet.robots[2]
+    row = fleet.rows_by_place[2]
     assert (row["robot"], row["status"], row["reason"], row["exit_code"]) == ("bob", "ok", None, 0)
     assert abs(row["offset_start_ns"]) < 50_000_000
     assert 0 <= row["start_skew_ns"] < 500_000_000
@@ -156,7 +82,7 @@ def test_a_failed_program_stops_the_others(fleet: Fleet):
     assert result.exit_code == 7
     assert result.error == "bob has failed: its program ended with status 7; the others were stopped"
     assert [file.path for file in result.outputs] == ["1/here.csv", "2/here.csv", "3/here.csv"]
-    assert {row["status"] for row in fleet.robots.values()} == {"failed", "stopped"}
+    assert {row["status"] for row in fleet.rows_by_place.values()} == {"failed", "stopped"}
     assert is_alone(1)
 
 
@@ -165,17 +91,18 @@ def test_the_end_of_the_base_station_ends_the_run(fleet: Fleet):
     [result] = fleet.run(job(1, "0", "0", "1", "sleep", "2", "sleep", robots=2, base=True))
     assert (result.exit_code, result.error) == (0, None)
     assert result.robots == {0: "ada", 1: "bob", 2: "cy"}
-    assert fleet.robots[1]["reason"] == "the run is over"
+    assert fleet.rows_by_place[1]["reason"] == "the run is over"
 
 
+@pytest.mark.integration
 def test_a_robot_without_power_stops_the_others_and_what_was_measured_is_kept(fleet: Fleet):
     runner = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
-    until(lambda: len(fleet.begun()) == 3, "all have started", 20)
+    fleet.all_begun()
     fleet.links["bob"].kill()
     [result] = fleet.follow(runner)
     assert result.error == "bob was lost: its agent has ended; its outputs are missing; the others were stopped"
     assert [file.path for file in result.outputs] == ["1/here.csv", "3/here.csv"]
-    assert fleet.robots[2]["status"] == "lost"
+    assert fleet.rows_by_place[2]["status"] == "lost"
     until(lambda: is_alone(1), "all processes are gone", 5)
 
     fleet.links["bob"].off = False
@@ -183,9 +110,10 @@ def test_a_robot_without_power_stops_the_others_and_what_was_measured_is_kept(fl
     assert again.error is None
 
 
+@pytest.mark.integration
 def test_a_robot_out_of_reach_stops_by_its_lease(fleet: Fleet):
     runner = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
-    until(lambda: len(fleet.begun()) == 3, "all have started", 20)
+    fleet.all_begun()
     fleet.links["cy"].stall()
     until(lambda: list(fleet.links["cy"].home.rglob("ended.json")), "it has stopped by itself", 5)
     assert list(fleet.links["cy"].home.rglob("stopped"))
@@ -199,21 +127,22 @@ def test_a_robot_out_of_reach_stops_by_its_lease(fleet: Fleet):
     assert is_alone(1)
 
 
+@pytest.mark.integration
 def test_stopping_ends_all_robots(fleet: Fleet):
     runner = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"), job(2))
-    until(lambda: len(fleet.begun()) == 3, "all have started", 20)
+    fleet.all_begun()
     runner.stop()
     [result] = fleet.follow(runner)
     assert result.stopped == "interrupted"
     assert is_alone(1)
 
 
+@pytest.mark.integration
 def test_two_drivers_cannot_use_one_robot(fleet: Fleet, tmp_path: Path):
     first = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
-    until(lambda: len(fleet.begun()) == 3, "all have started", 20)
-    other = Fleet(tmp_path)
-    other.links, other.session = fleet.links, SessionPaths(tmp_path / "other")
-    other.session.root.mkdir()
+    fleet.all_begun()
+    (tmp_path / "other").mkdir()
+    other = Fleet(tmp_path / "other", fleet.links)
     with pytest.raises(Missing, match=r"^\w+: in use by \w+ on .* \(session session\)$"):
         other.run(job(2))
     first.stop()

@@ -1,0 +1,108 @@
+"""Runs of a small program on robots, through the runner `robots`, without the rest of SIERRA."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sierra.model import ON_ROBOT, Job, Limits, Member, Result
+from sierra.provenance import environment
+from sierra.runners.base import Look, Work
+from sierra.runners.robots.fleet_table import FleetTable
+from sierra.runners.robots.runner import MakeLink, Robots
+from sierra.store.layout import SessionPaths
+from tests.waiting import until
+
+CODE = f"{ON_ROBOT}/go.py"
+RECORD = environment.capture("1.0")
+GO = """
+import os, sys, time
+place = os.environ["SIERRA_ROBOT"]
+print("robot", place, flush=True)
+open("here.csv", "w").write(f"time,robot\\n0,{place}\\n")
+mine = sys.argv[1:]
+if place in mine:
+    action = mine[mine.index(place) + 1]
+    time.sleep(60 if action == "sleep" else 0.4)
+    sys.exit(int(action))
+"""
+
+
+class Runs:
+    """Runs on robots, and what their runner reports. `homes` are the robots' home folders, as seen from here."""
+
+    def __init__(self, folder: Path, homes: Mapping[str, Path], make_link: MakeLink, **options: Any) -> None:
+        self.homes = homes
+        self.make_link = make_link
+        fleet = {name: {"host": name} for name in homes}
+        own = {"fleet": fleet, "stop": ["touch", "stopped"], "grace": 0.3, "disk_min": 1}
+        self.table = FleetTable(**{**own, **options})
+        self.session = SessionPaths(folder / "session")
+        self.code = folder / "code"
+        self.code.mkdir(exist_ok=True)
+        (self.code / "go.py").write_text(GO)
+        self.rows: list[tuple[str, Mapping[str, Any]]] = []
+        self.notes: list[str] = []
+        self.session.root.mkdir(exist_ok=True)
+
+    def submit(self, *jobs: Job) -> Robots:
+        runner = Robots(1, self.table, self.make_link)
+        runner.submit(Work(jobs, len(jobs), "b" * 64, around=RECORD, record=("GREETING",), root=self.code), self.session)
+        return runner
+
+    def run(self, *jobs: Job) -> list[Result]:
+        return self.follow(self.submit(*jobs))
+
+    def follow(self, runner: Robots, seconds: float = 60.0) -> list[Result]:
+        """Return the results of a runner that was started. Raises its error."""
+        results: list[Result] = []
+        give_up = time.monotonic() + seconds
+        while True:
+            look = self.take(runner)
+            results += look.results
+            if look.wrong:
+                runner.close()
+                raise look.wrong
+            if not look.alive:
+                runner.close()
+                return results
+            assert time.monotonic() < give_up
+            time.sleep(0.01)
+
+    def take(self, runner: Robots) -> Look:
+        look = runner.look()
+        self.rows += look.rows
+        self.notes += look.notes
+        return look
+
+    def begun(self) -> list[str]:
+        """Return the robots on which the program has begun."""
+        return [name for name, home in self.homes.items() if list(home.rglob("here.csv"))]
+
+    def all_begun(self) -> None:
+        """Wait until the program has begun on all robots."""
+        until(lambda: len(self.begun()) == len(self.homes), "all have begun", 30)
+
+    @property
+    def rows_by_place(self) -> dict[int, Mapping[str, Any]]:
+        return {row["place"]: row for table, row in self.rows if table == "robots"}
+
+
+def job(number: int, *words: str, robots: int = 3, base: bool = False, python: str = "python3") -> Job:
+    """Return a run of GO. `words` are pairs of a place and what its program does: `sleep`, or its exit status."""
+    execution = f"{number:064d}"
+    places = range(0 if base else 1, robots + 1)
+    own = {"SIERRA_EXECUTION": execution, "SIERRA_ROBOTS": str(robots), "HOME": "\0/home"}
+    members = tuple(
+        Member(
+            place,
+            "robot" if place else "base",
+            (python, CODE, *words),
+            {**own, "SIERRA_ROBOT": str(place)},
+            (("input.txt", b"1"),),
+        )
+        for place in places
+    )
+    return Job(f"{number:064d}", execution, (), {}, (), Limits(wall_s=20), members=members)
