@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -30,6 +31,9 @@ if place in mine:
 """
 
 
+_numbers = itertools.count()
+
+
 class Runs:
     """Runs on robots, and what their runner reports. `homes` are the robots' home folders, as seen from here."""
 
@@ -39,7 +43,7 @@ class Runs:
         fleet = {name: {"host": name} for name in homes}
         own = {"fleet": fleet, "stop": ["touch", "stopped"], "grace": 0.3, "disk_min": 1}
         self.table = FleetTable(**{**own, **options})
-        self.session = SessionPaths(folder / "session")
+        self.session = SessionPaths(folder / f"session{next(_numbers) % 10}")
         self.code = folder / "code"
         self.code.mkdir(exist_ok=True)
         (self.code / "go.py").write_text(GO)
