@@ -177,7 +177,11 @@ TEMPLATES = Kind(
     },
     tables="template_formats",
 )
-RUNNERS = Kind("runner", "sierra.runners.base:Runner", {"local": "sierra.runners.local:Local"})
+RUNNERS = Kind(
+    "runner",
+    "sierra.runners.base:Runner",
+    {"local": "sierra.runners.local:Local", "robots": "sierra.runners.robots.runner:Robots"},
+)
 SCHEDULERS = Kind(
     "scheduler",
     "sierra.runners.schedulers.base:Scheduler",

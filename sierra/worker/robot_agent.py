@@ -138,7 +138,7 @@ class Run:
         os.mkdir(folder)
         with open(os.path.join(folder, WORKER_LOG), "wb") as log:
             self.worker = subprocess.Popen(
-                [sys.executable, "-I", "-S", beside("worker.py"), folder, "1"],
+                [sys.executable, "-I", "-S", "-B", beside("worker.py"), folder, "1"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=log,

@@ -16,6 +16,7 @@ from sierra.config.field_types import Table
 from sierra.errors import Missing
 from sierra.links.base import Ended, Overdue, Unreachable
 from sierra.runners.robots.agent_link import LOCK
+from sierra.runners.robots.push import content_name
 
 
 class LocalChannel:
@@ -107,6 +108,8 @@ class LocalLink:
     def push(self, folder: Path, target: str, *, timeout: float = 60.0) -> object:
         self._answers()
         path = self.home / target
+        if path.exists() and content_name(path) != content_name(folder):
+            raise Missing(f"{self.name}: {target} is there already, with other contents")
         if not path.exists():
             self.pushed.append(target)
             shutil.copytree(folder, path, symlinks=True)

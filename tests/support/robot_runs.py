@@ -53,7 +53,7 @@ class Runs:
 
     def submit(self, *jobs: Job) -> Robots:
         runner = Robots(1, self.table, self.make_link)
-        runner.submit(Work(jobs, len(jobs), "b" * 64, around=RECORD, record=("GREETING",), root=self.code), self.session)
+        runner.submit(Work(jobs, len(jobs), "b" * 64, around=RECORD, record=("GREETING",), code=self.code), self.session)
         return runner
 
     def run(self, *jobs: Job) -> list[Result]:

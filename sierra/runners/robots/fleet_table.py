@@ -9,10 +9,9 @@ from typing import Annotated, Any, Self
 from pydantic import Field, StringConstraints, model_validator
 
 from sierra.config.field_types import NAME, Argv, Command, Line, Positive, Size, Table
+from sierra.config.robots_table import BASE, ROBOT
 from sierra.errors import ConfigError
 
-ROBOT, BASE = "robot", "base"
-"""The groups of robots that name none, and of base stations."""
 RobotName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
 

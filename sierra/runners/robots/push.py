@@ -8,7 +8,8 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from sierra.links.base import Link
+from sierra.errors import Missing
+from sierra.links.base import Link, Unreachable
 from sierra.provenance import machine
 from sierra.worker import robot_agent, worker
 
@@ -38,10 +39,20 @@ def content_name(folder: Path) -> str:
 def push_content(link: Link, folder: Path, root: str, kind: str, name: str | None = None) -> str:
     """Copy a folder to `root`/`kind`/NAME on a robot, unless it is there; return that path.
 
-    `name` is that of its content, if it is known. Raises Missing, Unreachable.
+    `name` is that of its content, if it is known. No program can change the copy, as far as permissions stop it. A copy that
+    was changed nevertheless is replaced. Raises Missing, Unreachable.
     """
     target = f"{root}/{kind}/{name or content_name(folder)}"
-    link.push(folder, target)
+    try:
+        link.push(folder, target)
+    except Unreachable:
+        raise
+    except Missing:
+        if link.run(("test", "-d", target)).status != 0:
+            raise
+        link.run(("sh", "-c", 'chmod -R u+w "$1" && rm -rf "$1"', "sh", target))
+        link.push(folder, target)
+    link.run(("chmod", "-R", "a-w", target))
     return target
 
 

@@ -13,15 +13,16 @@ import queue
 import secrets
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import ClassVar, cast
 
-from sierra.config import plugin_registry
 from sierra.config.field_types import Table
+from sierra.config.plugin_registry import LINKS
+from sierra.config.robots_table import BASE
 from sierra.errors import ConfigError, Missing, SierraError
 from sierra.links.base import Link, Unreachable
 from sierra.model import Job, Member, Result
@@ -44,6 +45,7 @@ HELLO_S = 90.0
 """The seconds in which an agent must have executed its setup line and removed leftovers."""
 REJOIN_S = 0.3
 OLD_PYTHON = "import sys; sys.exit(sys.version_info < (3, 8))"
+NO_FLEET = 'the runner "robots" needs robots; add [runners.robots.fleet.NAME] with host = … to sierra.toml'
 STOPPED = "the runs were ended by the user"
 MakeLink = Callable[[str, RobotTable], Link]
 
@@ -70,26 +72,32 @@ class Robots:
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         self._work, self._session = work, session
+        if not self._table.fleet:
+            raise ConfigError(NO_FLEET)
         jobs = list(work.jobs)
         for job in jobs:
-            self._check(job)
+            if job.client is not None:
+                raise ConfigError('the runner "robots" executes runs without containers; use --engine none')
+            allocate(self._table, [(one.place, one.group) for one in job.members])
         self._journal = Journal(session.journal)
         self._journal.skip()
         session.runs.mkdir(parents=True, exist_ok=True)
         self._writer = worker.Journal(str(session.journal))
-        self._code = content_name(work.root) if work.root else None
+        self._code = content_name(work.code) if work.code else None
         self._thread = threading.Thread(target=self._execute, args=(jobs,), daemon=True)
         self._thread.start()
 
-    def _check(self, job: Job) -> None:
-        """Raise ConfigError if the fleet cannot execute a job."""
+    def check_robots(self, counts: Collection[int], *, base: bool) -> None:
         if not self._table.fleet:
-            raise ConfigError('the runner "robots" needs robots; add [runners.robots.fleet.NAME] with host = … to sierra.toml')
-        if not job.members:
-            raise ConfigError('the runner "robots" needs [robots] in sierra.toml, which says how many robots a run takes')
-        if job.client is not None:
-            raise ConfigError('the runner "robots" executes runs without containers; use --engine none')
-        allocate(self._table, [(one.place, one.group) for one in job.members])
+            raise ConfigError(NO_FLEET)
+        robots = [one for one in self._table.used().values() if one.group != BASE]
+        if too_many := [count for count in counts if count > len(robots)]:
+            raise ConfigError(
+                f"a run takes {max(too_many)} robots, but the fleet in [runners.robots] has {len(robots)}; "
+                f"1 to {len(robots)} are possible"
+            )
+        if base:
+            allocate(self._table, [(0, BASE)])
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         raise NotImplementedError("runs on robots end with the process that started them")
@@ -218,7 +226,7 @@ class Robots:
 
     def _link(self, name: str, options: RobotTable) -> Link:
         chosen = {**self._table.link_options, **options.link_options}
-        link: Link = plugin_registry.LINKS.make(self._table.link, {self._table.link: chosen}, options.host)
+        link: Link = LINKS.make(self._table.link, {self._table.link: chosen}, options.host)
         return link
 
 
@@ -263,8 +271,8 @@ class Robot:
             if link.run((self._table.python, "-c", OLD_PYTHON)).status != 0:
                 raise Missing(f"needs Python 3.8 or newer as {self._table.python!r}; set python in [runners.robots]")
             programs = push_programs(link, self._root)
-            code = push_content(link, self._work.root, self._root, "sources", self._code) if self._work.root else ""
-            self.agent.start((self._table.python, "-I", "-S", f"{programs}/robot_agent.py", self._root, LOCK))
+            code = push_content(link, self._work.code, self._root, "sources", self._code) if self._work.code else ""
+            self.agent.start((self._table.python, "-I", "-S", "-B", f"{programs}/robot_agent.py", self._root, LOCK))
             self.hello = self.agent.ask("hello", HELLO_S, **self._greeting(keep))
         except SierraError as error:
             self.agent.abandon("the connection was given up")

@@ -155,7 +155,6 @@ def test_two_drivers_cannot_use_one_robot(fleet: Fleet, tmp_path: Path):
     [
         (job(1, robots=5), "a run needs 5 robots of the group 'robot', but the fleet has 3; 1 to 3 are possible"),
         (job(1, base=True), 'a run needs a base station, but the fleet has none; give a host group = "base"'),
-        (job(1, robots=0), r'the runner "robots" needs \[robots\] in sierra.toml'),
     ],
 )
 def test_a_run_that_the_fleet_cannot_execute_is_refused(fleet: Fleet, made: Job, said: str):
