@@ -83,12 +83,17 @@ def keys() -> Iterator[str]:
     for name, headed in models.items():
         if headed is not None:
             yield from _section(schema, name, found[name], *headed)
-    for name, table in found["platforms"]["properties"].items():
-        model = _resolve(schema, table)
+    for kind, name in ((one, name) for one in ("platforms", "runners") for name in found[one]["properties"]):
+        model = _resolve(schema, found[kind]["properties"][name])
         if model.get("properties"):
-            yield f"## platforms.{name}"
-            yield f"Header: `[platforms.{name}]`"
+            yield f"## {kind}.{name}"
+            yield f"Header: `[{kind}.{name}]`"
             yield _keys(schema, model, model["properties"])
+    robot = schema["$defs"]["RobotTable"]
+    yield "## runners.robots.fleet"
+    yield "Header: `[runners.robots.fleet.NAME]`"
+    yield _sentence(robot)
+    yield _keys(schema, robot, robot["properties"])
     yield "## Keys of a change"
     change = schema["$defs"]["ChangeTable"]
     yield _sentence(change)
@@ -125,7 +130,7 @@ def _keys_of_kinds(schema: Mapping[str, Any]) -> Iterator[str]:
 def _model(schema: Mapping[str, Any], key: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]] | None:
     """Return the header of a key that is a table, with `{}` for the key, and the table's schema; None for a plain value."""
     free: Any = next(iter(key.get("patternProperties", {}).values()), key.get("additionalProperties"))
-    forms: tuple[tuple[str, Any], ...] = (("[{}]", key), ("[{}.NAME]", free), ("[[{}]]", key.get("items")))
+    forms: tuple[tuple[str, Any], ...] = (("[{}.NAME]", free), ("[{}]", key), ("[[{}]]", key.get("items")))
     for header, inner in forms:
         if isinstance(inner, dict):
             model = _resolve(schema, inner)

@@ -435,7 +435,7 @@ class Project:
         """
         from sierra import runners
 
-        name, tables = runner or plan.project.config.runner, plan.project.config.runners
+        name, tables = runner or plan.project.config.runner, plan.project.config.runner_tables
         stays = runners.find(name, tables)(1).stays
         if not stays and detach:
             raise UsageError(

@@ -129,7 +129,7 @@ def comparisons(incomplete: str) -> list[str]:
 
 def runners(incomplete: str) -> list[str]:
     """Return the names of runners."""
-    return sorted({*_named("runners", incomplete), *_beginning(("local", "slurm", "pbs"), incomplete)})
+    return sorted({*_named("runners", incomplete), *_beginning(("local", "robots", "slurm", "pbs"), incomplete)})
 
 
 def columns(context: typer.Context, incomplete: str) -> list[str]:

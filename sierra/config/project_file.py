@@ -229,7 +229,8 @@ class Project(Table):
     package: Package = Package()
     platforms: Mapping[str, RawTable] = Field(default_factory=dict, description="options of platforms, by name")
     runners: Mapping[str, RawTable] = Field(
-        default_factory=dict, description="clusters for `--on`, by name: `slurm`, `pbs`, or your own name with a `scheduler`"
+        default_factory=dict,
+        description="clusters for `--on`, by name: `slurm`, `pbs`, or your own name with a `scheduler`; and `robots`",
     )
     links: Mapping[str, RawTable] = Field(default_factory=dict, description="options of links to hosts over SSH, by name")
     template_formats: Mapping[str, RawTable] = Field(default_factory=dict, description="options of template formats, by name")
@@ -244,6 +245,16 @@ class Project(Table):
     comparison_methods: Mapping[str, RawTable] = Field(
         default_factory=dict, description="options of comparison methods, by name"
     )
+
+    @property
+    def runner_tables(self) -> Mapping[str, RawTable]:
+        """Return the tables of all runners, that of `robots` with the options of its link, as `[links.NAME]` has them."""
+        robots = self.runners.get("robots")
+        own = robots.get("link_options", {}) if robots is not None else None
+        if robots is None or not isinstance(own, Mapping) or "scheduler" in robots:
+            return self.runners
+        options = {**self.links.get(str(robots.get("link", "fabric")), {}), **own}
+        return {**self.runners, "robots": {**robots, "link_options": options}}
 
     @property
     def template_paths(self) -> tuple[str, ...]:

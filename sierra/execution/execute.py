@@ -53,7 +53,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
     plan = versioned(plan)
     if plan.project.config.trials.supervised:
         options = replace(options, slots=1)
-    make = partial(runners.find(options.runner, plan.project.config.runners), options.slots)
+    make = partial(runners.find(options.runner, plan.project.config.runner_tables), options.slots)
     on_robots.check_fleet(make(), options.runner, plan)
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())
     try:

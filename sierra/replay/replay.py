@@ -128,7 +128,7 @@ def replay(
         store, record.of.batch, record.of.spec, options.engine, project.config.engines, hosted=True
     )
     image = options.image or plan_from_record.image(project, store, record.of.spec)
-    runner = runners.find(options.runner, project.config.runners)(options.slots)
+    runner = runners.find(options.runner, project.config.runner_tables)(options.slots)
     began = datetime.now(UTC)
     session = Session(store.paths, project.config.store.place())
     kept = store.paths.kept(session.id) if options.keep else None
@@ -242,7 +242,7 @@ def unrecorded(
     """
     if options.keep:
         raise UsageError("--keep keeps folders in the store; remove --no-record")
-    if runners.find(options.runner, project.config.runners)(options.slots).stays:
+    if runners.find(options.runner, project.config.runner_tables)(options.slots).stays:
         raise UsageError(f"runner {options.runner!r} needs the record to find its runs again; remove --no-record")
     found = store.resolve(prefix)
     project = targets.of_batch(project, store, found.batch or found.id)

@@ -200,7 +200,7 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
 
     def check_options() -> str:
         plugin_registry.check(config)
-        runners.check(config.runners)
+        runners.check(config.runner_tables)
         used(config.outputs, config.readers)
         return "the options of all plug-ins are valid"
 
@@ -217,7 +217,7 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
         absent = required_packages.missing(config, contained=config.container is not None)
         found = f"not installed: {', '.join(absent)}" if absent else ", ".join(config.requires)
         yield _check(f"requires{of}", not absent, found, required_packages.remedy(absent))
-    clusters = [name for name in config.runners if name != "local"]
+    clusters = [name for name in config.runners if name not in ("local", "robots")]
     if clusters and config.observe != "none":
         found = f"{', '.join(clusters)}: checked on the node when a run is observed"
         yield Check(f"observation on clusters{of}", "ok", found)

@@ -12,61 +12,79 @@ from sierra.config.field_types import NAME, Argv, Command, Line, Positive, Size,
 from sierra.config.robots_table import BASE, ROBOT
 from sierra.errors import ConfigError
 
+Battery = Line | Annotated[tuple[str, ...], Field(min_length=1)]
 RobotName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
 
 class RobotTable(Table):
     """One robot of the fleet."""
 
-    host: Line
-    """Its name in the user's OpenSSH configuration, or `user@host:port`."""
-    group: Annotated[str, StringConstraints(pattern=NAME)] = ROBOT
-    """The group of places that it can take: `robot`, `base`, or a name in `[robots.groups]`."""
-    variables: Mapping[str, str] = {}
-    """Variables that its setup line, its stop command and its part of a run get."""
-    setup: Line | None = None
-    """As `setup` of the fleet, which it replaces; so do the next three."""
-    stop: Argv | None = None
-    battery: Line | Command | None = None
-    link_options: Mapping[str, Any] = {}
-    """Options of the link that differ from those of the fleet."""
+    host: Line = Field(description="its name in your configuration of OpenSSH, or `user@host:port`")
+    group: Annotated[str, StringConstraints(pattern=NAME)] = Field(
+        ROBOT, description="the group of places that it can take: `robot`, `base`, or a name in `[robots.groups]`"
+    )
+    variables: Mapping[str, str] = Field(
+        default_factory=dict, description="variables that its setup line, its stop command and its program get"
+    )
+    setup: Line | None = Field(None, description="replaces `setup` of the fleet; so do `stop` and `battery`")
+    stop: Argv | None = Field(None, description="replaces `stop` of the fleet")
+    battery: Battery | None = Field(None, description="replaces `battery` of the fleet")
+    link_options: Mapping[str, Any] = Field(
+        default_factory=dict, description="options of the link that differ from those of the fleet"
+    )
 
 
 class FleetTable(Table):
-    """The table `[runners.robots]`."""
+    """A fleet of robots, each of which is reached over SSH, and the limits within which they execute runs."""
 
-    fleet: Mapping[RobotName, RobotTable] = {}
-    """The robots by name. Runs take them in this order."""
-    use: tuple[str, ...] = ()
-    """The robots and groups to use now; empty: all."""
-    link: Line = "fabric"
-    """The link to the robots: `fabric` or `openssh`."""
-    link_options: Mapping[str, Any] = {}
-    """Options of this link, as in `[links.NAME]`."""
-    folder: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9/._+@~-]+$")] = ".cache/sierra-robot"
-    """The folder on each robot: absolute, or relative to the home folder there."""
-    python: Line = "python3"
-    """The Python there, 3.8 or newer."""
-    setup: Line | None = None
-    """A line that bash executes before a run. Programs get the variables that it sets."""
-    stop: Argv | None = None
-    """The command that brings a robot to a standstill, executed there whenever a run ends. Empty: it needs none."""
-    stop_limit: Positive = 5.0
-    """The seconds that the stop command may take."""
-    lease: Annotated[float, Field(ge=0.5, le=600)] = 5.0
-    """The seconds after which a robot that hears nothing of this process ends its run."""
-    grace: Positive = 2.0
-    """The seconds between SIGTERM and SIGKILL."""
-    battery: Line | Command | None = None
-    """How to read the battery's charge in percent: a file, or a command that prints it."""
-    battery_min: Annotated[float, Field(ge=0, le=100)] = 20.0
-    """The charge in percent below which no run starts."""
-    disk_min: Size = 100_000_000
-    """The free space below which no run starts."""
-    clock_error: Positive = 0.05
-    """The seconds by which the measurement of a robot's clock may be wrong."""
-    checks: tuple[Command, ...] = ()
-    """Commands that must succeed on each robot before a run."""
+    fleet: Mapping[RobotName, RobotTable] = Field(
+        default_factory=dict,
+        description="the robots by name; runs take them in this order",
+        examples=[{"tb1": {"host": "pi@192.168.1.21"}, "tb2": {"host": "pi@192.168.1.22"}}],
+    )
+    use: tuple[str, ...] = Field(
+        (), description="names of the robots and groups that are used; default: all", examples=[["tb1"]]
+    )
+    link: Line = Field("fabric", description="the link to all robots: `fabric` or `openssh`")
+    link_options: Mapping[str, Any] = Field(
+        default_factory=dict,
+        description="options of the link that differ from those in `[links]`",
+        examples=[{"connect": 10.0}],
+    )
+    folder: Annotated[str, StringConstraints(pattern=r"^(~/)?[A-Za-z0-9/._+@-]+$")] = Field(
+        ".cache/sierra-robot", description="folder for runs on each robot: absolute, or within the home folder there"
+    )
+    python: Line = Field("python3", description="the command for Python 3.8 or newer on the robots")
+    setup: Line | None = Field(
+        None,
+        description="a line that bash executes on each robot; programs get the variables that it sets",
+        examples=["source /opt/ros/noetic/setup.bash"],
+    )
+    stop: Argv | None = Field(
+        None,
+        description="the command that brings a robot to a standstill, executed there whenever a run ends; []: it needs none",
+        examples=["rostopic pub -1 /cmd_vel geometry_msgs/Twist '{}'"],
+    )
+    stop_limit: Positive = Field(5.0, description="time limit of the stop command, in seconds")
+    lease: Annotated[float, Field(ge=0.5, le=600)] = Field(
+        5.0, description="time after which a robot that hears nothing from this machine ends its run, in seconds"
+    )
+    grace: Positive = Field(2.0, description="time between SIGTERM and SIGKILL, in seconds")
+    battery: Battery | None = Field(
+        None,
+        description="how to read the charge of the battery in percent: a file, or a list with a command that prints it",
+        examples=["/sys/class/power_supply/BAT0/capacity"],
+    )
+    battery_min: Annotated[float, Field(ge=0, le=100)] = Field(20.0, description="charge in percent below which no run starts")
+    disk_min: Size = Field(100_000_000, description="free space below which no run starts, in bytes or as in `1 GB`")
+    clock_error: Positive = Field(
+        0.05, description="largest error of the measurement of a robot's clock with which a run starts, in seconds"
+    )
+    checks: tuple[Command, ...] = Field(
+        (),
+        description="commands that must succeed on each robot before a run",
+        examples=[[["rosnode", "ping", "-c1", "/base"]]],
+    )
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
