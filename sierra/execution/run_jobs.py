@@ -20,6 +20,7 @@ from sierra.execution.observation.plan_files import folders
 from sierra.execution.observer import Tally
 from sierra.execution.project_source import not_in_checkouts
 from sierra.execution.sessions import Session
+from sierra.execution.supervised.watched_runner import WatchedRunner
 from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Doubt
@@ -113,7 +114,8 @@ class Service:
         `times` are the expected durations for a cluster. `doubt` and `kept`: see `Recorder`. `detach` and `enough`: see
         `sierra.execution.follow.follow`. `attempt`: how often the session has executed these runs before.
         """
-        check_members(runner, runner.name, on_robots=self._setup.spec.robots is not None)
+        executing = runner.runner if isinstance(runner, WatchedRunner) else runner
+        check_members(executing, executing.name, on_robots=self._setup.spec.robots is not None)
         context = replace(context, **self.isolation.context)
         context.save(self._session.paths.context)
         record = self._setup.project.config.environment.record

@@ -21,11 +21,13 @@ class WatchedRunner:
 
     name = "watched"
     stays = False
+    remote = False
     Options: ClassVar[type[Table]] = NoOptions
 
     def __init__(self, runner: Runner, watch: Watch, *, ends: bool) -> None:
         """`ends`: a trial that is stopped ends as planned; otherwise it has failed."""
-        self._runner = runner
+        self.runner = runner
+        self.remote = runner.remote
         self._watch = watch
         self._ends = ends
         self._began = time.monotonic()
@@ -36,17 +38,17 @@ class WatchedRunner:
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         self._began = time.monotonic()
-        self._runner.submit(work, session)
+        self.runner.submit(work, session)
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         raise NotImplementedError("a trial ends with the process that started it")
 
     def look(self) -> Look:
-        look = self._runner.look()
+        look = self.runner.look()
         self.seconds = time.monotonic() - self._began
         if look.alive and not self.stopped and self._watch(self.seconds, look.beats):
             self.stopped = True
-            self._runner.stop()
+            self.runner.stop()
         return replace(look, results=tuple(map(self._own, look.results)))
 
     def _own(self, result: Result) -> Result:
@@ -63,10 +65,10 @@ class WatchedRunner:
         raise NotImplementedError("a trial ends with this process")
 
     def stop(self) -> None:
-        self._runner.stop()
+        self.runner.stop()
 
     def close(self) -> None:
-        self._runner.close()
+        self.runner.close()
 
 
 def _with_outputs(result: Result) -> Result:

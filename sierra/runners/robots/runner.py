@@ -27,7 +27,7 @@ from sierra.errors import ConfigError, Missing, SierraError
 from sierra.links.base import Link, Unreachable
 from sierra.model import Job, Member, Result
 from sierra.provenance import environment
-from sierra.runners.base import Look, Work
+from sierra.runners.base import Beat, Look, Work
 from sierra.runners.journal_reader import Journal, Row
 from sierra.runners.local import record
 from sierra.runners.robots import results
@@ -67,7 +67,8 @@ class Robots:
         self._robots: dict[str, Robot] = {}
         self._stopped: str | None = None
         self._trouble: BaseException | None = None
-        self._running = 0
+        self._trial: Trial | None = None
+        """The run that executes now."""
         self._thread: threading.Thread | None = None
 
     def submit(self, work: Work, session: SessionPaths) -> None:
@@ -107,6 +108,7 @@ class Robots:
 
     def look(self) -> Look:
         alive = self._thread is not None and self._thread.is_alive()
+        trial = self._trial
         events, more = self._journal.some()
         notes = tuple(self._notes.get() for _ in range(self._notes.qsize()))
         wrong = None
@@ -116,11 +118,12 @@ class Robots:
             wrong = self._trouble
         return Look(
             tuple(event for event in events if isinstance(event, Result)),
-            self._running,
+            1 if trial else 0,
             alive=alive or more,
             rows=tuple((event.table, event.row) for event in events if isinstance(event, Row)),
             notes=notes,
             wrong=wrong,
+            beats=tuple(Beat(one.name, one.agent.silence, one.before.get("battery")) for one in trial.parts) if trial else (),
         )
 
     def stop(self) -> None:
@@ -141,7 +144,6 @@ class Robots:
         except BaseException as error:
             self._trouble = error
         finally:
-            self._running = 0
             for robot in self._robots.values():
                 robot.close()
 
@@ -155,12 +157,12 @@ class Robots:
         trial = Trial(
             attempt, parts, self._table, self._events, stopping=lambda: self._stopped, notice=lambda text: self._notes.put(text)
         )
-        self._running = 1
+        self._trial = trial
         try:
             trial.execute()
             self._keep(trial, job)
         finally:
-            self._running = 0
+            self._trial = None
 
     def _keep(self, trial: Trial, job: Job) -> None:
         """Pull what the run has left, and append its result to the journal."""
