@@ -153,7 +153,7 @@ def _execute(job: Job, folder: Path, code: str) -> tuple[Result, list[tuple[str,
     names = {one.place: NAMES[one.place] for one in job.members}
     rows = [("robots", _row(job, one, code)._asdict()) for one, code in zip(job.members, codes, strict=True)]
     result = Result(
-        job.run, job.execution, str(folder), started, time.time(), max(codes), None, None, 0.0, 0.0, 0, "here", 0,
+        job.run, job.execution, str(folder), started, time.time(), max(codes), None, None, 0.0, 0.0, 0, "lab-host-7", 0,
         tuple(_outputs(folder / RUN_OUTPUT)), robots=names,
     )  # fmt: skip
     return result, rows

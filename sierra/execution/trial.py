@@ -117,6 +117,8 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
 
     Raises the errors of a batch's session, and SierraError if another process tries a run of this project.
     """
+    if plan.batch.spec.robots is not None:
+        raise UsageError("sierra try executes a run on this machine, and this one takes robots; use sierra run --runs 1")
     check_packages(plan)
     plan = versioned(_alone(plan, run))
     with _place(project) as place:

@@ -4,6 +4,8 @@ DIR/manifest.csv                a row for each run: run, experiment, number, see
 DIR/batch.json                  the request and the batch's id, as `sierra run FILE.json` accepts them
 DIR/runs/<experiment>/<number>/ a run: its input files, `command.json`, and the empty folder `output`
 
+A run on robots has a folder for each place (`robot2`), which has that robot's input files, `command.json` and `output`.
+
 A command is to be started in the folder `output`, as SIERRA does, and its paths of the run are relative to that folder:
 `{input}` is `../input.xml`, `{output}` is `.`, and `{run}` is `..`. All is written beside DIR first and then renamed, so that
 an incomplete folder never has this name.
@@ -18,7 +20,7 @@ import re
 import shlex
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +28,7 @@ from sierra.containers.engines.base import PROJECT
 from sierra.errors import Missing, UsageError
 from sierra.execution.commands import HERE, CommandBuilder
 from sierra.execution.plan import Plan
-from sierra.model import Job
+from sierra.model import Job, Member
 from sierra.query.condition import Selection
 from sierra.query.query_request import KEY
 from sierra.store.layout import RUN_OUTPUT
@@ -38,7 +40,7 @@ from sierra.worker import worker
 
 MANIFEST, REQUEST, RUNS, COMMAND = "manifest.csv", "batch.json", "runs", "command.json"
 COLUMNS = ("run", "experiment", "number", "seed", "folder")
-OWN = ("SIERRA_RUN_ID", "SIERRA_SEED")
+OWN = ("SIERRA_RUN_ID", "SIERRA_SEED", "SIERRA_ROBOT", "SIERRA_ROBOTS")
 """The variables of a run that are not declared but mean the same everywhere."""
 _OF_RUN = re.compile(rf"{HERE}(/{RUN_OUTPUT}(?![\w.-]))?")
 
@@ -110,9 +112,28 @@ def _write_run(folder: Path, job: Job, plan: Plan) -> None:
         path.write_bytes(content)
     for row in plan.shared_files:
         _copy(plan.project.root / row.name, inside(folder, row.name), row)
-    argv = [_relative(word) for word in job.argv]
+    if not job.members:
+        _write_command(folder, job.argv, job.environment, plan)
+    for one in job.members:
+        _write_member(folder / f"robot{one.place}", one, plan)
+
+
+def _write_member(folder: Path, one: Member, plan: Plan) -> None:
+    """Write the inputs and the command of one robot; `{project}` stands for the folder of the code on it."""
+    (folder / RUN_OUTPUT).mkdir(parents=True)
+    for name, content in one.files:
+        path = inside(folder, name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    placed = one.at(HERE, "{project}")
+    _write_command(folder, placed.argv, placed.environment, plan)
+
+
+def _write_command(folder: Path, words: Sequence[str], variables: Mapping[str, str], plan: Plan) -> None:
+    argv = [_relative(word) for word in words]
     image = {"image": plan.image.name, "image_id": plan.image.id} if plan.image else {}
-    command = {"argv": argv, "line": shlex.join(argv), "folder": RUN_OUTPUT, "environment": _environment(plan, job), **image}
+    environment = _environment(plan, variables)
+    command = {"argv": argv, "line": shlex.join(argv), "folder": RUN_OUTPUT, "environment": environment, **image}
     (folder / COMMAND).write_text(json.dumps(command, indent=2) + "\n", "utf-8")
 
 
@@ -131,10 +152,10 @@ def _builder(plan: Plan) -> CommandBuilder:
     return CommandBuilder(plan.batch.spec, code, plan.engine, plan.limits, "", root, image=plan.image)
 
 
-def _environment(plan: Plan, job: Job) -> dict[str, str]:
+def _environment(plan: Plan, variables: Mapping[str, str]) -> dict[str, str]:
     """Return the declared variables of a run, with those of its image."""
     names = {*plan.batch.spec.environment, *(plan.image.variables if plan.image else ()), *OWN}
-    return {name: _relative(value) for name, value in sorted(job.environment.items()) if name in names}
+    return {name: _relative(value) for name, value in sorted(variables.items()) if name in names}
 
 
 def _relative(text: str) -> str:

@@ -27,6 +27,7 @@ from sierra.execution.build.recorded import rebuild
 from sierra.execution.observation import plan_files
 from sierra.execution.observation.current_files import Current
 from sierra.execution.observer import Observer, Relay, Tally
+from sierra.execution.on_robots import configured
 from sierra.execution.plan_from_record import Recalled
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session
@@ -35,7 +36,7 @@ from sierra.model import Purpose, Run, Status, Value
 from sierra.provenance import environment, fingerprint_programs, reported_versions
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Kind, Programs, mentioned
-from sierra.replay import compare_host_with_image, equivalence, same_files
+from sierra.replay import compare_host_with_image, equivalence, on_robots, same_files
 from sierra.replay.compare_outputs import compare_all
 from sierra.replay.compare_values import Agreement, Verdict
 from sierra.replay.equivalence import Metric
@@ -122,6 +123,8 @@ def replay(
     recover.finish_dead(store)
     record = _look_up(store, store.resolve(prefix), options)
     project = targets.of_batch(project, store, record.of.batch)
+    if record.of.spec.robots is not None:
+        project = replace(project, config=configured(project.config))
     declared = _declared(record, project, options.tolerances)
     was = _metrics(project, store, record, declared)
     engine = plan_from_record.engine(
@@ -129,6 +132,9 @@ def replay(
     )
     image = options.image or plan_from_record.image(project, store, record.of.spec)
     runner = runners.find(options.runner, project.config.runner_tables)(options.slots)
+    if record.of.spec.robots is not None:
+        on_robots.check(runner, options.runner, record.found.id)
+        record.notes.append(on_robots.note(store, [one.run for one in record.runs], judged=bool(project.config.equivalence)))
     began = datetime.now(UTC)
     session = Session(store.paths, project.config.store.place())
     kept = store.paths.kept(session.id) if options.keep else None

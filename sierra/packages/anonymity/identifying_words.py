@@ -18,6 +18,7 @@ from typing import NamedTuple
 from sierra.config.package_table import Package
 from sierra.config.project_file import LoadedProject
 from sierra.errors import Missing
+from sierra.packages.anonymity.redact_rows import HIDDEN
 from sierra.provenance.source.git import Git
 from sierra.store.store import Store
 
@@ -46,8 +47,9 @@ DEPTH = 2
 ADDRESS = re.compile(r"(?:[\w.+-]+://)?(?:[^@/\s]*@)?(?P<host>\w[\w.-]*)(?::\d+)?[:/]+(?P<path>[^\s?#]*)")
 HOSTS = """
 SELECT host FROM executions UNION SELECT host FROM environments UNION SELECT host FROM builds UNION SELECT node FROM attempts
-ORDER BY ALL
+UNION SELECT host FROM robots WHERE host IS NOT NULL ORDER BY ALL
 """
+OPERATORS = "SELECT DISTINCT operator FROM trials WHERE operator IS NOT NULL AND operator <> $hidden ORDER BY ALL"
 REMOTES = "SELECT DISTINCT remote FROM sources WHERE remote IS NOT NULL ORDER BY ALL"
 
 
@@ -86,6 +88,8 @@ def _all(project: LoadedProject, store: Store) -> Iterator[Word]:
             yield Word(str(folder), "folder of the project")
     for host in dict.fromkeys((socket.gethostname(), os.uname().nodename, *store.values(str, HOSTS))):
         yield from _of_host(host)
+    for operator in store.values(str, OPERATORS, hidden=HIDDEN):
+        yield from _of_name(operator, "operator")
 
 
 def _of_package(package: Package) -> Iterator[Word]:

@@ -143,6 +143,8 @@ class _Batch:
 def _check(recalled: Recalled) -> None:
     """Raise Missing if the runs need more than a folder with the project."""
     spec = recalled.spec
+    if spec.robots is not None:
+        raise Missing("its runs take robots")
     if any(commands.ABOVE.search(word) for word in (*spec.words, *spec.environment.values())):
         raise Missing("its command uses files outside the project")
     if spec.host_access:

@@ -140,6 +140,8 @@ def _with_engine(
     spec = recalled.spec
     if spec.image is None and requested not in (None, NONE):
         return _lacking(planned, f"it was executed without an image: leave out --engine {requested}")
+    if spec.robots is not None:
+        return _lacking(planned, "its runs take robots, and a package must not move these: unpack it, and use sierra replay")
     engine, trouble = _engine(project, store, planned.batch, recalled, requested)
     if engine is None:
         return _lacking(planned, trouble)

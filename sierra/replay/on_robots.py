@@ -1,0 +1,42 @@
+"""Replays of runs on robots: what is executed again, and what cannot be."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from sierra.errors import UsageError
+from sierra.runners.base import Runner, RunsMembers
+from sierra.store.store import Store
+from sierra.util.hashing import short
+from sierra.util.text import few
+
+NAMES = """
+SELECT DISTINCT robot FROM robots r JOIN executions e USING (execution)
+WHERE list_contains($runs, e.run) AND e.purpose = 'run' ORDER BY robot
+"""
+OPERATORS = """
+SELECT DISTINCT operator FROM trials t JOIN executions e USING (execution)
+WHERE list_contains($runs, e.run) AND operator IS NOT NULL ORDER BY operator
+"""
+SHOWN = 5
+
+
+def check(runner: Runner, name: str, of: str) -> None:
+    """Raise UsageError if a runner cannot execute runs on robots again. `of` is the id of what is replayed."""
+    if not isinstance(runner, RunsMembers):
+        raise UsageError(
+            f"{short(of)} was executed on robots, and runner {name!r} cannot execute it again; use --on robots (a replay "
+            "needs robots, but not the same ones)"
+        )
+
+
+def note(store: Store, runs: Collection[str], *, judged: bool) -> str:
+    """Return a note on what a replay of runs on robots shows. `judged`: metrics are compared statistically."""
+    names, operators = (store.values(str, text, runs=list(runs)) for text in (NAMES, OPERATORS))
+    robots = f"the robots ({few(names, SHOWN)})" if names else "the robots"
+    people = f" and their operator ({few(operators, SHOWN)})" if operators else " and their operator"
+    how = "" if judged else "; [equivalence] in sierra.toml says which metrics must be equivalent, and by which margin"
+    return (
+        f"{robots}{people}, their batteries, poses and surroundings cannot be replayed: the same code, commands and inputs are "
+        f"executed again, so other numbers are to be expected{how}"
+    )

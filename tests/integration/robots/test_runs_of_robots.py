@@ -1,0 +1,105 @@
+"""A query in a simulator and on pretended robots, side by side: comparison, replay, packages, changed rules, removal."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import sierra
+from tests import projects, robots
+
+pytestmark = pytest.mark.integration
+PACKAGE = """
+[package]
+title = "Robots"
+license = "MIT"
+authors = [{ name = "Ada Lovelace" }]
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str, str]]:
+    """Yield a project with a batch for each target, and the ids of the batches."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        robots.register(monkeypatch)
+        root = robots.project(tmp_path_factory.mktemp("robots") / "p", PACKAGE)
+        done = projects.quick(root, "run", "population_size=1,3", "--runs", "6", "--target", "sim,robots", "--json")
+        assert done.returncode == 0, done.stderr
+        sim, fleet = (str(one.batch) for one in sierra.open(root).batches)
+        yield root, sim, fleet
+
+
+@pytest.fixture
+def copied(made: tuple[Path, str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, str]:
+    """Return a copy of the project, and the batch on robots."""
+    robots.register(monkeypatch)
+    return shutil.copytree(made[0], tmp_path / "p", symlinks=True), made[2]
+
+
+def test_the_gap_between_simulator_and_robots_is_that_of_their_means(made: tuple[Path, str, str]) -> None:
+    root, sim, fleet = made
+    ended = projects.quick(root, "compare", f"sim={sim}", f"robots={fleet}", "--column", "coverage", "--no-figure", "--json")
+    assert ended.returncode == 0, ended.stderr
+    assert "the value of a run is the mean of its robots at each time" in ended.stderr
+    pairs = json.loads(ended.stdout)["pairs"]
+    # the simulator writes tick * (n + 1) / 2 + seed % 10, and robot p writes tick * p + seed % 10: their means are the same
+    assert [(pair["difference"], pair["n_first"], pair["n_second"]) for pair in pairs] == [(0, 6, 6), (0, 6, 6)]
+
+
+def test_a_replay_says_what_cannot_be_replayed(made: tuple[Path, str, str]) -> None:
+    root, _, fleet = made
+    refused = projects.quick(root, "replay", fleet, "--runs", "1")
+    assert refused.returncode == 2
+    assert "was executed on robots, and runner 'local' cannot execute it again; use --on robots" in refused.stderr
+    again = projects.quick(root, "replay", fleet, "--runs", "1", "--on", "pretend")
+    assert again.returncode == 0, again.stderr
+    assert "the robots (tb3-01, tb3-02, tb3-03) and their operator" in again.stderr
+    assert "[equivalence] in sierra.toml says which metrics" in again.stderr
+
+
+def test_packages_keep_robots_and_anonymous_ones_hide_them(copied: tuple[Path, str], tmp_path: Path) -> None:
+    root, fleet = copied
+    project = sierra.open(root)
+    run = projects.sql(root, f"SELECT run FROM effective WHERE batch = '{fleet}' ORDER BY ordinal LIMIT 1")[0]["run"]
+    project.mark_trial(run, note="fine", operator="Grace Hopper")
+    for name, more in (("plain", {}), ("anonymous", {"anonymous": True})):
+        project.package(fleet, path=tmp_path / f"{name}.zip", **more)
+        other = robots.project(tmp_path / name)
+        sierra.open(other).import_package(tmp_path / f"{name}.zip")
+        assert projects.quick(other, "fsck").returncode == 0
+        assert projects.sql(other, "SELECT count(DISTINCT run) AS runs FROM swarm") == [{"runs": 12}]
+        [trial] = projects.sql(other, "SELECT operator, note FROM trials")
+        names = {row["robot"] for row in projects.sql(other, "SELECT DISTINCT robot FROM robots")}
+        clocks = projects.sql(other, "SELECT count(*) AS n FROM robot_clocks")[0]["n"]
+        if name == "plain":
+            assert (trial["operator"], names, clocks) == ("Grace Hopper", {"tb3-01", "tb3-02", "tb3-03"}, 24)
+        else:
+            assert (trial["operator"], names, clocks) == ("redacted", {"robot-1", "robot-2", "robot-3"}, 0)
+        assert trial["note"] == "fine"
+
+
+def test_changed_rules_are_applied_to_recorded_files_of_each_robot(copied: tuple[Path, str]) -> None:
+    root, _ = copied
+    config = (root / "sierra.toml").read_text()
+    for rows, counts in ((3, (0, 0)), (5, (0, 12))):
+        (root / "sierra.toml").write_text(config.replace('time = "tick"', f'time = "tick"\nmin_rows = {rows}'))
+        summary = sierra.open(root).run("population_size=1,3", runs=6, target="robots", figures=False)
+        assert (summary.executed, summary.failed) == counts, rows
+    assert projects.sql(root, "SELECT DISTINCT reason FROM executions WHERE status = 'failed'") == [
+        {"reason": "1/swarm.csv: 4 rows; [outputs.swarm] min_rows asks for 5"}
+    ]
+
+
+def test_removing_a_batch_removes_its_robots_and_marks(copied: tuple[Path, str]) -> None:
+    root, fleet = copied
+    run = projects.sql(root, f"SELECT run FROM effective WHERE batch = '{fleet}' LIMIT 1")[0]["run"]
+    sierra.open(root).mark_trial(run, valid=False, reason="fell over")
+    assert projects.quick(root, "rm", fleet, "--yes").returncode == 0
+    assert projects.sql(root, "SELECT (SELECT count(*) FROM robots) AS robots, (SELECT count(*) FROM trials) AS trials") == [
+        {"robots": 0, "trials": 0}
+    ]
+    assert projects.quick(root, "fsck").returncode == 0
