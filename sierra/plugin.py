@@ -89,7 +89,7 @@ from sierra.platforms.base import Following, Platform
 from sierra.platforms.base import Reader as TemplateView
 from sierra.query.base import Range
 from sierra.query.ranges import values
-from sierra.runners.base import Look, Runner, Work
+from sierra.runners.base import Beat, Look, Runner, Work
 from sierra.runners.local import Local
 from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, Request, Scheduler, State, Task
 from sierra.stats.base import Estimate, Formula, Function, Parameter, Statistic
@@ -110,6 +110,7 @@ __all__ = [
     "VERSION",
     "Add",
     "Axis",
+    "Beat",
     "BootstrapOptions",
     "Bounds",
     "Capabilities",

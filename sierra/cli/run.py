@@ -373,6 +373,8 @@ def _check(project: Project, plan: Plan, options: Options) -> None:
     """Check what can be known before the first of several batches executes. Raises SierraError."""
     _check_log(plan)
     project.runner_of(plan, options.runner, detach=options.detach, jobs=options.jobs)
+    if options.operator is not None and not plan.project.config.trials.supervised:
+        raise UsageError(f"--operator {options.operator}: nobody supervises these runs; set supervised = true in [trials]")
     if options.supervisor(plan) is None:
         project.check_attended(plan, options.only)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import getpass
+import math
 import os
 import select
 import sys
@@ -76,7 +77,7 @@ class Person:
         end = time.monotonic() + seconds
         with self._terminal.keys() as pressed:
             while (left := end - time.monotonic()) > 0:
-                self._terminal.redraw(f"starts in {left:.0f} s; any key: back")
+                self._terminal.redraw(f"starts in {math.ceil(left)} s; any key: back")
                 if pressed(min(POLL_S, left)):
                     self._terminal.end_line("not started")
                     return False

@@ -43,6 +43,7 @@ class Local:
         self._slots = slots
         self._process: subprocess.Popen[bytes] | None = None
         self._trouble: BaseException | None = None
+        self._stopped = False
         self._running: set[str] = set()
 
     def submit(self, work: Work, session: SessionPaths) -> None:
@@ -101,6 +102,7 @@ class Local:
         return Look(tuple(results), len(self._running), alive=not ended or more, notes=tuple(notes))
 
     def stop(self) -> None:
+        self._stopped = True
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
 
@@ -116,7 +118,8 @@ class Local:
         log.debug("worker: %s", ending)
         if self._trouble is not None:
             raise self._trouble
-        if process.returncode not in (0, 1):
+        unprepared = self._stopped and process.returncode == -signal.SIGTERM  # it was told to stop before it could listen
+        if process.returncode not in (0, 1) and not unprepared:
             end_orphans([self._session])
             raise Missing(f"the worker ended with {ending}; the finished runs are kept")
 

@@ -26,6 +26,7 @@ from sierra.execution.supervised import facts, poses
 from sierra.execution.supervised.order import Turn, order_seed, ordered
 from sierra.execution.supervised.supervisor import Ended, Start, Supervisor, Trial, Verdict
 from sierra.execution.supervised.watched_runner import WatchedRunner
+from sierra.ingest.consistency import find_odd
 from sierra.model import Run, Status
 from sierra.runners.base import Runner
 from sierra.store.row_types import TrialRow
@@ -168,25 +169,22 @@ class Conduct:
         self._ended = time.monotonic()
         self._tries[run.id] = trial.attempt + 1
         self._outcome.notes.update(dict.fromkeys(followed.notes))
-        if followed.interrupted or run.id not in self._tally.statuses:
+        recorded = self._store.select(_State, STATE, execution=row.execution)
+        if recorded:
+            self._position += 1
+            self._done += 1
+        if followed.interrupted or not recorded:
             self._outcome.interrupted = followed.interrupted
-            self._left -= 1
-            return True
-        self._position += 1
-        self._done += 1
-        verdict = self._verdict(run, trial, runner, row._replace(stopped=runner.stopped))
+            return not runner.stopped  # the person stopped it before it began
+        verdict = self._verdict(run, trial, _ended(recorded[0], runner), row._replace(stopped=runner.stopped))
         self._left -= verdict.valid
-        if verdict.valid:
-            self._outcome.inconsistent |= followed.inconsistent
+        if verdict.valid:  # only now it is compared with its siblings, because it did not count before
+            now = context(self._plan, self._session.id, self._session.number)
+            self._outcome.inconsistent |= find_odd(self._store, self._session.paths, now)
         return verdict.valid
 
-    def _verdict(self, run: Run, trial: Trial, runner: WatchedRunner, row: TrialRow) -> Verdict:
+    def _verdict(self, run: Run, trial: Trial, ended: Ended, row: TrialRow) -> Verdict:
         """Ask for the verdict on a trial, and record it; return it."""
-        [recorded] = self._store.select(_State, STATE, execution=row.execution)
-        good = recorded.status == Status.INVALID
-        ended = Ended(
-            Status.OK if good else Status(recorded.status), None if good else recorded.reason, runner.seconds, runner.stopped
-        )
         verdict = self._supervisor.verdict(trial, ended)
         self._record(row._replace(valid=verdict.valid, reason=verdict.reason, note=verdict.note))
         self._tally.ended(run.id, ended.status if verdict.valid else Status.INVALID)
@@ -200,6 +198,13 @@ class Conduct:
         writer = self._store.writer(self._session.paths.segment, self._plan.batch.id)
         writer.records([row._replace(marked=datetime.now(UTC), lamport=now.lamport(1))])
         self._store.publish(writer)
+
+
+def _ended(recorded: _State, runner: WatchedRunner) -> Ended:
+    """Return how a trial has ended, from its record; there, a success is invalid as long as nobody has judged it."""
+    if recorded.status == Status.INVALID:
+        return Ended(Status.OK, None, runner.seconds, runner.stopped)
+    return Ended(Status(recorded.status), recorded.reason, runner.seconds, runner.stopped)
 
 
 def check(runner: str, *, stays: bool, jobs: int | None) -> None:

@@ -150,6 +150,25 @@ def test_a_trial_that_the_person_stops_has_failed_unless_that_is_its_planned_end
         assert projects.sql(root, "SELECT size > 0 AS kept FROM artifacts WHERE path = 'swarm.csv'") == [{"kept": True}]
 
 
+def test_a_trial_that_is_stopped_before_it_begins_is_asked_for_again(root: Path) -> None:
+    stops = iter([True])
+    script = Script(VALID, Start.ABORT, stops=lambda: next(stops, False))
+    execute(root, script)
+    first, _, again = script.trials
+    assert (again.run, again.attempt, again.position) == (first.run, 1, 2)
+    assert len(projects.sql(root, ROWS)) == 1
+
+
+@pytest.mark.integration
+def test_a_table_that_differs_from_others_is_noticed_in_the_last_trial_too(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", CONFIG.replace("countdown = 0", 'countdown = 0\norder = "as-designed"'))
+    last = sierra.open(root).plan("population_size=1", runs=3).batch.runs[-1]
+    (root / "sim.py").write_text(projects.SIMULATOR.replace("range(5)", f"range(4 if seed == {last.seed} else 5)"))
+    summary = sierra.open(root).run("population_size=1", runs=3, figures=False, supervisor=Agreeing())
+    assert (summary.executed, summary.failed) == (3, 1)
+    assert [row["status"] for row in projects.sql(root, ROWS)] == ["ok", "ok", "mismatch"]
+
+
 @pytest.mark.integration
 def test_a_failed_trial_stays_failed_or_is_repeated(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", CONFIG, simulator="import sys\nsys.exit('motor is hot')\n")
@@ -197,3 +216,18 @@ def test_facts_that_cannot_be_recorded_are_an_error_before_a_trial(root: Path, c
     with pytest.raises(Missing, match=message):
         execute(root, Agreeing())
     assert projects.sql(root, "SELECT count(*) AS n FROM executions") == [{"n": 0}]
+
+
+@pytest.mark.integration
+def test_a_trial_that_is_recovered_after_a_failure_does_not_count(root: Path) -> None:
+    def fail() -> bool:
+        """Fail once the run has ended, before it is recorded."""
+        if any('"end"' in file.read_text() for file in root.glob(".sierra/work/*/journal.jsonl")):
+            raise RuntimeError("the screen broke")
+        return False
+
+    with pytest.raises(RuntimeError):
+        execute(root, Script(VALID, stops=fail))
+    assert [(row["valid"], row["reason"], row["status"]) for row in projects.sql(root, ROWS)] == [
+        (False, "nobody has judged it", "invalid")
+    ]
