@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.group_names import resolve
-from sierra.config.output_tables import Output
+from sierra.config.output_tables import SEVERAL_TABLES, Output
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import chosen_groups, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
@@ -194,7 +194,7 @@ class Gallery:
             try:
                 self._coverage(output)
             except SierraError as error:
-                doubled = type(error) is UsageError and output.files < 2
+                doubled = type(error) is UsageError and output.files < 2 and self._topics(output) < 2
                 hint = suggest_tables.of_means(self.frame, output, self.time(output)) if doubled else ""
                 notes.append(f"no figure of output {output.name!r}: {error}{hint}")
                 continue
@@ -361,7 +361,13 @@ class Gallery:
             if note := self.frame.robots_note(output.name, time):
                 self.robot_notes[output.name] = note
             seen = stats.coverage(Column(self.frame, output.name, column, time), several=True)
-            self._seen[output.name] = replace(seen, selected=output.name not in self.frame.written)
+            doubled = sum(seen.runs.values()) if self._topics(output) > 1 else seen.doubled
+            self._seen[output.name] = replace(seen, selected=output.name not in self.frame.written, doubled=doubled)
+        if not several and (topics := self._topics(output)) > 1:
+            raise UsageError(
+                f"a run has messages of {topics} topics, each at times of its own: "
+                "choose one topic by `where`, or make one row for each time by a derived table"
+            )
         if not several:
             try:
                 stats.check_times(self._seen[output.name])
@@ -372,6 +378,15 @@ class Gallery:
                     f"{error}. A run has {output.files} files of this output: {ONE_FILE.format(output.name)}"
                 ) from error
         return self._seen[output.name]
+
+    def _topics(self, output: OutputTable) -> int:
+        """Return the largest number of topics of a run in a table that is made from bags; 1 for other tables."""
+        declared = self._config.declared(output.name)
+        if not isinstance(declared, Output) or declared.kind not in SEVERAL_TABLES:
+            return 1
+        source = _Output(self.frame, output, self.time(output))
+        rows = source.rows("SELECT count(DISTINCT topic) AS topics FROM data GROUP BY run").to_pylist()
+        return max((int(row["topics"]) for row in rows), default=1)
 
     def takes_mean(self, output: OutputTable) -> bool:
         """Return whether runs count by the mean of an output's rows, and note it: it has no time, but a row for each event."""

@@ -65,6 +65,8 @@ def test_bag_becomes_several_tables_and_a_cut_one_fails_the_run(tmp_path: Path) 
         ("odom", "file", None, None),
         ("odom", "table", 6, 6),
     ]
+    refused = quick(here, "stats", "odom", "pose.pose.position.x").stderr
+    assert "a run has messages of 2 topics, each at times of its own: choose one topic by `where`" in refused
     assert quick(here, "fsck").returncode == 0
     [run] = sql(here, "SELECT run FROM executions WHERE status <> 'ok'")
     recovered = quick(here, "files", str(run["run"]), "*.mcap", "--to", str(tmp_path / "out"), "--recover")
