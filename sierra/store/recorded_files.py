@@ -179,13 +179,17 @@ FROM t LEFT JOIN all_judgements e ON e.judgement = t.judgement ORDER BY t.ordina
 
 
 def recorded(snapshot: Snapshot, runs: Sequence[ChosenExecution], *, inputs: bool = False) -> list[Recorded]:
-    """Return the recorded files of these runs, in order: input files, outputs, logs; with `inputs`, only the input files."""
+    """Return the recorded files of these runs, in order: input files, outputs, logs; with `inputs`, only the input files.
+
+    Input files are in the order of the run, which says which one `{input}` is.
+    """
     snapshot.add_table(
         "taken", place=range(len(runs)), run=(one.run for one in runs), execution=(one.judgement for one in runs)
     )
     snapshot.views.make(("batch_runs", "specs", "all_artifacts", "objects"))
-    rows = [(place, Recorded(runs[place], *rest)) for place, *rest in snapshot.each(FILES, {"all": not inputs})]
-    return [file for _, file in sorted(rows, key=lambda row: (row[0], PARTS.get(row[1].kind, 1), natural(row[1].path)))]
+    rows = [(place, nth, Recorded(runs[place], *rest)) for place, nth, *rest in snapshot.each(FILES, {"all": not inputs})]
+    rows.sort(key=lambda row: (row[0], PARTS.get(row[2].kind, 1), row[1], natural(row[2].path)))
+    return [file for _, _, file in rows]
 
 
 PARTS = {"input": 0, "log": 2}
@@ -197,16 +201,16 @@ WITH inputs AS (
                        WHERE run IN (SELECT run FROM taken) GROUP BY run) m USING (run) JOIN specs r USING (spec)
 ),
 listed AS (
-    SELECT place, '{INPUT_FOLDER}' || files[nth + 1] AS path, 'input' AS kind, NULL::BIGINT AS size,
+    SELECT place, nth, '{INPUT_FOLDER}' || files[nth + 1] AS path, 'input' AS kind, NULL::BIGINT AS size,
            inputs[nth + 1] AS sha256, NULL AS output, NULL AS table_layout, NULL::BIGINT AS rows FROM inputs
     UNION ALL
-    SELECT t.place, CASE a.kind WHEN 'log' THEN a.path ELSE '{OUTPUT_FOLDER}' || a.path END, a.kind, a.size, a.sha256,
+    SELECT t.place, 0 AS nth, CASE a.kind WHEN 'log' THEN a.path ELSE '{OUTPUT_FOLDER}' || a.path END, a.kind, a.size, a.sha256,
            a.output, a.table_layout, a.rows
     FROM taken t JOIN all_artifacts a USING (execution) WHERE $all
     QUALIFY row_number() OVER (PARTITION BY t.place, a.kind = 'log', a.path ORDER BY a.output) = 1
 ),
 kept AS (SELECT sha256, any_value(size) AS kept FROM objects GROUP BY sha256)
-SELECT l.place, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, k.kept,
+SELECT l.place, l.nth, l.path, l.kind, coalesce(l.size, k.kept), l.sha256, k.kept,
        l.output, l.table_layout, l.rows
 FROM listed l LEFT JOIN kept k ON k.sha256 = l.sha256
 """
