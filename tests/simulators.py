@@ -14,6 +14,8 @@ from pathlib import Path
 from tests import projects
 
 LOCKS = Path(__file__).parent / "data" / "simulators"
+STAND_IN = LOCKS / "gzserver"
+"""A program with the messages of gzserver, and without physics."""
 PIP = ("-m", "pip", "--disable-pip-version-check", "--quiet")
 LOCKED = ("--no-deps", "--only-binary", ":all:", "--require-hashes", "--requirement")
 
