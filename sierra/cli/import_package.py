@@ -48,8 +48,9 @@ def import_(
 def _print(done: Imported) -> None:
     known = f", {done.known:,} in the store before" if done.known else ""
     replays = f", {done.replays:,} of replays left out" if done.replays else ""
+    studies = f", {done.studies:,} of studies left out" if done.studies else ""
     print(one_line(f"package {done.package[:10]}: {done.title}"))
-    print(f"{counted(done.executions, 'execution')} added{known}{replays}")
+    print(f"{counted(done.executions, 'execution')} added{known}{replays}{studies}")
     for batch in done.batches:
         state = STATES[batch.counts]
         print(one_line(f"batch {batch.batch[:10]}: {batch.query} ({counted(batch.runs, 'run')}): {state}"))

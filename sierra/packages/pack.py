@@ -21,6 +21,7 @@ from sierra.packages.crates import crate
 from sierra.packages.layout import INSTRUCTIONS, PACKAGE
 from sierra.packages.parts import (
     checks,
+    completeness,
     declared_files,
     execution,
     figures,
@@ -45,6 +46,7 @@ PARTS: tuple[Part, ...] = (
     anonymous.members,  # rewrites the records, which all parts below show
     history.members,
     stored.members,
+    completeness.members,
     declared_files.members,
     used_files.members,
     execution.members,

@@ -524,7 +524,8 @@ def executed(checked: Checked, folder: Path, options: argparse.Namespace) -> int
     if not program and not wheels_fit(names):
         lines = "; ".join(installation(names))
         raise Stop(f"level 3 needs SIERRA with the command reproduce, or wheels of it for this Python: {lines}", 3)
-    confirm(folder, installs=not program, yes=options.yes)
+    made = "" if program else "installs SIERRA from the package's wheels without network, and "
+    confirm(f"Level 3 {made}executes the programs of the package on this machine.", yes=options.yes)
     command = [program or installed(names, folder, work), "reproduce", str(folder), "--yes", "--into", str(work / "level-3")]
     command += ["--engine", options.engine.replace(HOST, "none")] if options.engine else []
     command += ["--budget", options.budget] if options.budget else []
@@ -538,6 +539,8 @@ def level_2(names: set[str], folder: Path, work: Path, options: argparse.Namespa
     """Start the program of the package that executes its runs; return its exit status."""
     if EXECUTOR not in names:
         raise Stop(f"the package has no {EXECUTOR}, which level 2 needs", 3)
+    if Path(__file__).resolve().parent != folder.resolve():  # else this program came in the package too
+        confirm(f"Level 2 starts {EXECUTOR} of the package, which asks again before it executes the runs.", yes=options.yes)
     command = [sys.executable, "-I", str(folder / EXECUTOR), str(folder), str(work)]
     command += [f"--runs={options.runs}"] if options.runs is not None else []
     command += [f"--seconds={seconds(options.budget)}"] if options.budget else []
@@ -565,10 +568,9 @@ def has_home() -> bool:
         return False
 
 
-def confirm(folder: Path, *, installs: bool, yes: bool) -> None:
-    """Ask before SIERRA executes the package. Raises Stop unless the answer is yes."""
-    made = "installs SIERRA from the package's wheels without network, and " if installs else ""
-    print(f"Level 3 {made}executes the programs of the package on this machine.")
+def confirm(text: str, *, yes: bool) -> None:
+    """Print what would be executed, and ask. Raises Stop unless the answer is yes."""
+    print(text)
     if yes:
         return
     if not sys.stdin.isatty():

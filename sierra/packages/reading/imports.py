@@ -83,6 +83,8 @@ class Imported:
     """Number of its executions that the store had already."""
     replays: int
     """Number of executions that were left out, because replays made them."""
+    studies: int
+    """Number of studies that were left out: another store has decided when they end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,4 +286,7 @@ FROM batches b LEFT JOIN origins o USING (batch) WHERE list_contains($batches, b
 
 def _result(store: Store, received: _Received, change: _Change) -> Imported:
     rows = store.select(ImportedBatch, BATCHES, package=received.id, batches=received.batches)
-    return Imported(received.id, received.described.title, tuple(rows), change.executions, change.known, change.replays)
+    studies = len(received.store.values(str, "SELECT study FROM studies"))
+    return Imported(
+        received.id, received.described.title, tuple(rows), change.executions, change.known, change.replays, studies
+    )

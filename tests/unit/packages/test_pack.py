@@ -205,6 +205,29 @@ def test_files_that_runs_used_outside_the_source_are_packed_or_named(tmp_path: P
     assert "kept.dat" not in listed
 
 
+@pytest.mark.integration
+def test_incomplete_batches_and_studies_are_named(tmp_path: Path) -> None:
+    failing = projects.SIMULATOR + "if seed % 2:\n    sys.exit(1)\n"
+    root = projects.make(tmp_path / "project", projects.CONFIG + TOML, simulator=failing)
+    project = sierra.open(root)
+    summary = project.run("population_size=1,2", runs=4, figures=False)
+    failed = sum(run.status != "ok" for run in project.sql("SELECT status FROM executions").frame().itertuples())
+    packed = project.package(summary.batch, path=tmp_path / "failing.zip")
+    assert packed is not None
+    assert f"batch {summary.batch[:10]}: {failed} of 8 runs without a successful execution" in packed.preview.facts
+    (root / "sim.py").write_text(projects.SIMULATOR)
+    project = sierra.open(root)
+    study = project.study(project.plan("population_size=1", runs=2), until="ci(coverage) < 0.001", max_runs=4, figures=False)
+    packed = project.package(study.looks[-1].row.batch, path=tmp_path / "study.zip")
+    assert packed is not None
+    count = len(study.looks)
+    study_id = study.design.row.study
+    assert packed.preview.notes == (f"study {study_id[:10]}: {count - 1} of {count} looks not packed; name their batches too",)
+    other = projects.quick(projects.make(tmp_path / "other"), "run", "population_size=1", "--no-figures")
+    assert other.returncode == 0
+    assert "1 of studies left out" in projects.quick(tmp_path / "other", "import", str(tmp_path / "study.zip")).stdout
+
+
 @pytest.mark.parametrize("name", ["project/.sierra/work/1/elsewhere", "project/.sierra/id", "project/.sierra/segments/x"])
 def test_a_package_whose_store_has_more_than_records_is_not_opened(
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str

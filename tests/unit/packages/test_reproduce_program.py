@@ -393,3 +393,12 @@ def test_output_that_nobody_reads_is_no_traceback(tmp_path: Path) -> None:
     with os.fdopen(writing, "wb") as closed:
         done = subprocess.run([sys.executable, str(PROGRAM)], cwd=tmp_path, stdout=closed, stderr=subprocess.PIPE, check=False)
     assert (done.returncode, done.stderr) == (1, b"")
+
+
+def test_a_trusted_copy_starts_no_program_of_a_package_without_consent(tmp_path: Path) -> None:
+    folder = extracted(tmp_path / "x", **{reproduce.EXECUTOR: b"open('executed', 'w')\n"})
+    status, printed = ran(folder, "--execute", "--level", "2", cwd=tmp_path)
+    assert (status, "nothing was executed" in printed) == (3, True)
+    assert not (tmp_path / "executed").exists()
+    assert ran(folder, "--execute", "--level", "2", "--yes", cwd=tmp_path)[0] == 0
+    assert (tmp_path / "executed").exists()
