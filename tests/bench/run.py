@@ -563,6 +563,33 @@ def fsck(folder: Path) -> None:
         say(f"sierra fsck, {what} / sha256sum", *in_turn(3, check, hash_all), promise)
 
 
+def packages(folder: Path) -> None:
+    """Measure writing and verifying a package of 1,000 runs, beside writing a zip of the store and hashing its files."""
+    package = '[package]\ntitle = "Runs"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'
+    here = project(folder / "project", package, command="sh {project}/write.sh {input}")
+    rows = 'print "tick,value"; srand(s); for (i = 0; i < 300; i++) print i "," rand()'
+    (here / "write.sh").write_text(f"awk -v s=$SIERRA_SEED 'BEGIN {{{rows}}}' > rows.csv\n")
+    quietly(SIERRA, "run", "population_size=1,2,3,4", "--runs", "250", "-j2", "--no-figures", cwd=here)
+    listed = subprocess.run([SIERRA, "ls", "--json"], cwd=here, check=True, capture_output=True).stdout
+    packed, zipped, extracted = folder / "package.zip", folder / "store.zip", folder / "extracted"
+    store = str(here / ".sierra" / "segments")
+
+    def write() -> None:
+        packed.unlink(missing_ok=True)
+        quietly(SIERRA, "package", json.loads(listed)[-1]["batch"], "-o", str(packed), "--yes", cwd=here)
+
+    write_zip = partial(quietly, sys.executable, "-m", "zipfile", "-c", str(zipped), store)
+    say("sierra package, 1,000 runs / python -m zipfile of its store", *in_turn(3, write, write_zip), "under 5 s")
+    quietly(sys.executable, "-m", "zipfile", "-e", str(packed), str(extracted))
+    verify = partial(quietly, sys.executable, str(extracted / "reproduce.py"), str(packed))
+    hash_all = partial(quietly, "sha256sum", "-c", "manifest-sha256.txt", cwd=extracted)
+    say("reproduce.py, 1,000 runs / sha256sum", *in_turn(3, verify, hash_all), "under 2 s")
+    stored = sum(path.stat().st_size for path in Path(store).rglob("*") if path.is_file())
+    print(
+        f"size of the package / size of the store's segments: {packed.stat().st_size / stored:.2f}  (at most 1.3)", flush=True
+    )
+
+
 def figures(folder: Path) -> None:
     """Measure figures in three formats, by SIERRA and by a script written by hand."""
     del folder
@@ -626,6 +653,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "listing": listing,
     "snapshot": snapshot,
     "fsck": fsck,
+    "packages": packages,
     "figures": figures,
     "drawing": drawing,
     "large_drawing": large_drawing,
