@@ -52,22 +52,29 @@ class Fabric(Commands):
         import_fabric()
         import paramiko
 
-        transport, end = self._transport(), time.monotonic() + self._options.connect
+        transport = self._transport()
         try:
-            while True:
-                try:
-                    channel = transport.open_session(timeout=self._options.connect)
-                    break
-                except paramiko.ChannelException as error:  # too many sessions; those of overdue commands last a little longer
-                    if time.monotonic() > end:
-                        raise Unreachable(too_many_sessions(self.name)) from error
-                    time.sleep(PAUSE_S)
+            channel = self._session(transport)
             channel.exec_command(line)
         except (OSError, EOFError, paramiko.SSHException) as error:
-            if transport.is_active() and "Timeout" in str(error):
-                transport.close()  # the host accepted no session in time: a new connection finds out why
-            raise Unreachable(f"{self.name}: the connection is lost") from error
+            reason = "it does not answer in time" if transport.is_active() else "the connection is lost"
+            raise Unreachable(f"{self.name}: {reason}") from error
         return ChannelStream(self.name, channel, transport)
+
+    def _session(self, transport: paramiko.Transport) -> paramiko.Channel:
+        """Return a new channel. If sshd has no more sessions, try again: those of overdue commands last a little longer."""
+        import paramiko
+
+        end = time.monotonic() + self._options.connect
+        while True:
+            try:
+                return transport.open_session(timeout=self._options.connect)
+            except paramiko.SSHException as error:  # of refusals at once, some are no ChannelException
+                if not transport.is_active() or "Timeout" in str(error):
+                    raise
+                if time.monotonic() > end:
+                    raise Unreachable(too_many_sessions(self.name)) from error
+                time.sleep(PAUSE_S)
 
     def _transport(self) -> paramiko.Transport:
         """Return the transport of the connection; connect if there is none. Callers that wait for it share its failure."""
