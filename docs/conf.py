@@ -36,6 +36,7 @@ CONTENTS = {
         "how-to/replay",
         "how-to/containers",
         "how-to/clusters",
+        "how-to/hosts",
         "how-to/share",
         "how-to/packages",
         "how-to/maintain",

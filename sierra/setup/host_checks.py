@@ -1,0 +1,203 @@
+"""Checks of hosts that are reached over SSH: connection, key, Python, disk, clock, battery, and what is installed there."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sierra.config import find_project, project_file
+from sierra.config.field_types import RawTable
+from sierra.config.plugin_registry import LINKS, RUNNERS
+from sierra.config.project_file import Project
+from sierra.errors import Missing, NotFound, UsageError
+from sierra.links.base import Link, UntrustedHost
+from sierra.runners.robots.fleet_table import FleetTable
+from sierra.setup.doctor import Check, State
+
+PROGRAMS = ("bash", "git", "podman", "apptainer", "singularity", "roslaunch", "ros2", "gzserver", "sbatch", "qsub", "chronyc")
+INSTALL = "install Python 3.8 or newer there"
+OLDEST = (3, 8)
+ROUND_TRIPS = 15
+CLOCK_S = 1.0
+"""The offset of a clock from which on a check names a remedy."""
+LOOK = r"""
+import glob, json, os, platform, shutil, subprocess, sys
+asked = json.loads(sys.argv[1])
+found = {"python": list(sys.version_info[:3]), "system": platform.platform(), "machine": platform.machine()}
+folder = os.path.expanduser(asked["folder"] if asked["folder"].startswith(("~", "/")) else "~/" + asked["folder"])
+while not os.path.isdir(folder):
+    folder = os.path.dirname(folder)
+found["folder"], found["free"] = folder, shutil.disk_usage(folder).free
+found["writable"] = os.access(folder, os.W_OK)
+found["programs"] = [name for name in asked["programs"] if shutil.which(name)]
+battery, found["battery"], found["battery_error"] = asked["battery"], None, None
+guessed = sorted(glob.glob("/sys/class/power_supply/BAT*/capacity"))[:1]
+try:
+    if isinstance(battery, list):
+        text = subprocess.check_output(battery, stdin=subprocess.DEVNULL, stderr=subprocess.STDOUT, timeout=10).decode()
+    elif battery or guessed:
+        with open(os.path.expanduser(battery or guessed[0])) as file:
+            text = file.read()
+    else:
+        text = ""
+    if text or battery:
+        found["battery"] = float(text.split()[0].rstrip("%"))
+except (OSError, ValueError, IndexError, subprocess.SubprocessError) as error:
+    found["battery_error"] = " ".join(str(error).split()) or "it is empty"
+print(json.dumps(found))
+"""
+"""The look at a host, as a program for its Python: older ones than 3.8 can execute it, too."""
+CLOCK = "import sys, time\nfor line in sys.stdin:\n    print(time.time_ns(), flush=True)"
+
+
+@dataclass(frozen=True, slots=True)
+class HostToCheck:
+    """A host, and what runs need there."""
+
+    name: str
+    host: str
+    link: str = "fabric"
+    link_options: Mapping[str, Any] = field(default_factory=dict)
+    python: str = "python3"
+    setup: str | None = None
+    folder: str = "~"
+    battery: str | tuple[str, ...] | None = None
+    battery_min: float = 0.0
+    disk_min: int = 1
+
+
+def all_checks(names: Sequence[str], link: str | None = None) -> list[Check]:
+    """Return the checks of some hosts, or of all hosts of the project's fleet, in this order. Hosts are checked at once.
+
+    Names are those of robots of the fleet, or of hosts as in `ssh NAME`. Raises UsageError if there are no hosts.
+    """
+    hosts = _hosts(_project(), [part for name in names for part in name.split(",") if part], link)
+    with ThreadPoolExecutor(min(32, len(hosts))) as pool:
+        return [check for found in pool.map(lambda host: list(_checks(host)), hosts) for check in found]
+
+
+def _project() -> Project | None:
+    """Return the configuration of the project here; None outside of a project."""
+    try:
+        return project_file.read(find_project.find_store(Path())).config
+    except (Missing, NotFound):
+        return None
+
+
+def _hosts(project: Project | None, names: Sequence[str], link: str | None) -> list[HostToCheck]:
+    links = project.links if project else {}
+    fleet = _fleet(links, project.runners if project else {}, link)
+    if not names and not fleet:
+        raise UsageError("there is no fleet in [runners.robots]; name hosts, for example: sierra doctor --hosts robot1 robot2")
+    chosen = link or "fabric"
+    return [fleet.get(name) or HostToCheck(name, name, chosen, links.get(chosen, {})) for name in names or fleet]
+
+
+def _fleet(links: Mapping[str, RawTable], runners: Mapping[str, RawTable], link: str | None) -> dict[str, HostToCheck]:
+    """Return the robots that runs use, by name."""
+    table = RUNNERS.options("robots", runners["robots"]) if "robots" in runners else None
+    if not isinstance(table, FleetTable):  # there is none, or a plug-in has this name
+        return {}
+    chosen = link or table.link
+    of_fleet = table.link_options if chosen == table.link else {}
+    return {
+        name: HostToCheck(
+            name,
+            robot.host,
+            chosen,
+            {**links.get(chosen, {}), **of_fleet, **(robot.link_options if chosen == table.link else {})},
+            python=table.python,
+            setup=robot.setup or table.setup,
+            folder=table.folder,
+            battery=robot.battery or table.battery,
+            battery_min=table.battery_min,
+            disk_min=table.disk_min,
+        )
+        for name, robot in table.used().items()
+    }
+
+
+def _checks(host: HostToCheck) -> Iterator[Check]:
+    """Yield the checks of one host. The first problem of the connection ends them."""
+    link: Link = LINKS.make(host.link, {host.link: dict(host.link_options)}, host.host)
+    try:
+        began = time.monotonic()
+        link.run(["true"])
+        yield Check(f"{host.name}: connection", "ok", f"{host.link}, in {time.monotonic() - began:.2f} s; its key is known")
+        yield from _look(host, link)
+    except UntrustedHost as error:
+        yield Check(f"{host.name}: key", "missing", *_split(str(error)))
+    except Missing as error:
+        yield Check(f"{host.name}: connection", "missing", *_split(str(error)))
+    finally:
+        link.close()
+
+
+def _look(host: HostToCheck, link: Link) -> Iterator[Check]:
+    asked = {"folder": host.folder, "programs": PROGRAMS, "battery": host.battery}
+    argv = [host.python, "-c", LOOK, json.dumps(asked)]
+    if host.setup:
+        argv = ["bash", "-c", f'{host.setup} > /dev/null\nexec "$@"', "bash", *argv]
+    ended = link.run(argv)
+    if ended.status != 0:
+        said = ended.stderr.decode(errors="replace").strip().splitlines()[-1:] or [f"exit status {ended.status}"]
+        yield Check(f"{host.name}: python", "missing", said[0], INSTALL)
+        return
+    found = json.loads(ended.stdout.splitlines()[-1])
+    version = ".".join(map(str, found["python"]))
+    fits = tuple(found["python"]) >= OLDEST
+    yield _check(host, "python", fits, f"{version}, {found['system']}", INSTALL)
+    yield _disk(host, found)
+    yield _clock(host, link)
+    yield from _battery(host, found)
+    yield Check(f"{host.name}: installed", "ok", ", ".join(found["programs"]) or "none of the programs that runs may need")
+
+
+def _disk(host: HostToCheck, found: Mapping[str, Any]) -> Check:
+    free = f"{found['free'] / 1e6:.0f} MB free in {found['folder']}"
+    if not found["writable"]:
+        return _check(host, "disk", False, f"{found['folder']} is not writable", "check the disk, and who owns the folder")
+    fits = found["free"] >= host.disk_min
+    return _check(host, "disk", fits, free, f"free some space: {host.disk_min / 1e6:.0f} MB are needed")
+
+
+def _clock(host: HostToCheck, link: Link) -> Check:
+    """Measure the offset of a host's clock by the fastest of several round trips."""
+    channel = link.channel([host.python, "-c", CLOCK])
+    try:
+        trips = []
+        for _ in range(ROUND_TRIPS):
+            before, began = time.time_ns(), time.monotonic_ns()
+            channel.send("")
+            there = int(channel.receive(10) or 0)
+            took = time.monotonic_ns() - began
+            trips.append((took, there - before - took // 2))
+    finally:
+        channel.close()
+    took, offset = min(trips)
+    found = f"{offset / 1e9:+.3f} s from this machine's, ± {took / 2e9:.3f} s"
+    remedy = "let the time service of the host (chrony, timesyncd) set it"
+    return _check(host, "clock", abs(offset) < CLOCK_S * 1e9, found, remedy, "absent")
+
+
+def _battery(host: HostToCheck, found: Mapping[str, Any]) -> Iterator[Check]:
+    if found["battery_error"]:
+        yield _check(host, "battery", False, f"not readable: {found['battery_error']}", "correct battery in sierra.toml")
+    elif found["battery"] is not None:
+        fits = found["battery"] >= host.battery_min
+        yield _check(host, "battery", fits, f"{found['battery']:g} %", f"charge it: {host.battery_min:g} % are needed")
+
+
+def _check(host: HostToCheck, name: str, fits: bool, found: str, remedy: str, otherwise: State = "missing") -> Check:
+    return Check(f"{host.name}: {name}", "ok" if fits else otherwise, found, "" if fits else remedy)
+
+
+def _split(message: str) -> tuple[str, str]:
+    """Return the problem and the remedy of an error."""
+    problem, _, remedy = message.partition("; ")
+    return problem, remedy

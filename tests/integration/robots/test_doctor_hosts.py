@@ -1,0 +1,72 @@
+"""`sierra doctor --hosts` reports the state of each host, with a remedy for what is missing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests import projects
+from tests.support.robot_fleet import Fleet
+
+
+@pytest.fixture
+def project(tmp_path: Path, fleet: Fleet) -> Path:
+    folder = projects.make(tmp_path / "project")
+    with (folder / "sierra.toml").open("a") as file:
+        file.write(f'\n[links.fabric]\nssh_config = "{fleet.ssh_config}"\n[links.openssh]\nssh_config = "{fleet.ssh_config}"\n')
+    return folder
+
+
+def checks(folder: Path, *words: str, code: int = 0) -> dict[str, dict[str, str]]:
+    done = projects.quick(folder, "doctor", "--hosts", *words, "--json")
+    assert done.returncode == code, done.stdout + done.stderr
+    return {check["name"]: check for check in json.loads(done.stdout)}
+
+
+def test_hosts_are_reported_with_what_they_have_and_lack(project: Path, fleet: Fleet) -> None:
+    one, other, third = fleet.names
+    for link in ("fabric", "openssh"):
+        found = checks(project, f"{one},{other}", "--link", link)
+        assert {check["state"] for check in found.values()} == {"ok"}
+        assert found[f"{one}: connection"]["found"].startswith(f"{link}, in ")
+        assert found[f"{other}: python"]["found"].startswith("3.")
+        assert "MB free in /home/robot" in found[f"{one}: disk"]["found"]
+        assert "git" in found[f"{one}: installed"]["found"]
+    fleet.set_clock(one, 137)
+    fleet.read_only(other)
+    fleet.new_host_key(third)
+    found = checks(project, *fleet.names, "nowhere.invalid", code=3)
+    assert found[f"{one}: clock"]["found"].startswith("+137.0")
+    assert found[f"{one}: clock"]["state"] == "absent"
+    assert "not writable" in found[f"{other}: disk"]["found"]
+    assert found[f"{third}: key"]["state"] == "missing"
+    assert "differs" in found[f"{third}: key"]["found"]
+    assert found["nowhere.invalid: connection"]["state"] == "missing"
+    assert len({name.partition(":")[0] for name in found}) == 4
+
+
+def test_a_fleet_is_checked_for_what_its_runs_need(project: Path, fleet: Fleet) -> None:
+    one, other, _ = fleet.names
+    (fleet.robots[one].home / "charge").write_text("12\n")
+    with (project / "sierra.toml").open("a") as file:
+        file.write(
+            f'[runners.robots]\nstop = []\nsetup = "export LANG=C"\nbattery = "~/charge"\ndisk_min = "1 GB"\n'
+            f'[runners.robots.fleet]\nfirst = {{ host = "{one}" }}\n'
+            f'second = {{ host = "{other}", battery = ["echo", "85 %"] }}\n'
+        )
+    found = checks(project, code=3)
+    assert (found["first: battery"]["state"], found["first: battery"]["found"]) == ("missing", "12 %")
+    assert found["first: battery"]["remedy"] == "charge it: 20 % are needed"
+    assert (found["second: battery"]["state"], found["second: battery"]["found"]) == ("ok", "85 %")
+    assert found["second: disk"]["remedy"] == "free some space: 1000 MB are needed"
+    assert {name.partition(":")[0] for name in checks(project, "second", code=3)} == {"second"}
+
+
+def test_hosts_need_names_or_a_fleet(project: Path) -> None:
+    for words, said in (((), "there is no fleet"), (("rb1", "--link", "carrier-pigeon"), "unknown link")):
+        done = projects.quick(project, "doctor", "--hosts", *words)
+        assert (done.returncode, said in done.stderr) == (2, True), done.stderr
+    done = projects.quick(project, "doctor", "rb1")
+    assert (done.returncode, "--hosts" in done.stderr) == (2, True)
