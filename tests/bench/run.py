@@ -625,6 +625,11 @@ def clusters(folder: Path, *more: str) -> None:
     subprocess.run([sys.executable, str(HERE / "bench_clusters.py"), *more], check=True)
 
 
+def links(folder: Path) -> None:
+    """Measure commands on robots, and copies from them, over SSH."""
+    subprocess.run([sys.executable, str(HERE / "bench_links.py")], check=True)
+
+
 def large_clusters(folder: Path) -> None:
     """Run the slow benchmarks of clusters: an array without packing, and 100,000 runs."""
     clusters(folder, "--slow")
@@ -659,6 +664,7 @@ BENCHES: dict[str, Callable[[Path], None]] = {
     "large_drawing": large_drawing,
     "containers": containers,
     "clusters": clusters,
+    "links": links,
     "many": many,
     "large_clusters": large_clusters,
 }
