@@ -113,7 +113,7 @@ class Run:
     def __init__(
         self, folder: str, order: Record, environment: Mapping[str, str], stop: Sequence[str], grace: float, stop_limit: float
     ) -> None:
-        """Make its folder, and start a worker that waits for the job. Raises OSError.
+        """Make its folder, and start a worker that prepares the job and waits for its moment. Raises OSError.
 
         `stop` is the stop command, `stop_limit` the seconds that it may take.
         """
@@ -151,13 +151,18 @@ class Run:
             os.path.join(folder, PROCESS),
             {"pid": self.worker.pid, "born": born, "boot": boot_id(), "executions": executions, "who": order.get("who")},
         )
+        self.tell_worker({**self.job, "waits": True})
 
     def begin(self, moment: float) -> None:
-        """Give the worker its job: it prepares the run, and starts the program at this moment of the monotonic clock."""
+        """Let the worker start the program at this moment of the monotonic clock."""
         self.gated = True
+        self.tell_worker({"begin": moment}, {"end": True})
+
+    def tell_worker(self, *records: Record) -> None:
         try:
             pipe = the_worker().stdin_of(self.worker)
-            pipe.write(json.dumps({**self.job, "begin": moment}, separators=(",", ":")).encode() + b'\n{"end": true}\n')
+            for record in records:
+                pipe.write(json.dumps(record, separators=(",", ":")).encode() + b"\n")
             pipe.flush()
         except OSError as error:
             self.problems.append("its worker is gone: " + the_worker().explain(error))
@@ -168,10 +173,7 @@ class Run:
             return
         self.why = why
         self.kill_at = time.monotonic() + self.grace + SETTLE_S
-        if self.gated:
-            self.worker.terminate()
-        else:
-            self.close_pipe()
+        self.worker.terminate()
         if self.has_begun():
             self.execute_stop_command()
 
@@ -235,8 +237,8 @@ class Run:
         return self.begun
 
     def is_ready(self) -> bool:
-        """Return whether the worker waits for the job, or has ended."""
-        return os.path.exists(os.path.join(self.folder, "journal.jsonl")) or self.worker.poll() is not None
+        """Return whether the run is prepared, or its worker has ended."""
+        return any(event["event"] == "ready" for event in self.events()) or self.worker.poll() is not None
 
     def record(self) -> Record | None:
         """Return the worker's report on the run's end; None without one."""

@@ -186,8 +186,8 @@ class Job(Program):
     budget: NotRequired[float]
     """The part of the runs' time that observations may take; the run is not observed if this would take more."""
     helps: NotRequired[Helps]
-    begin: NotRequired[float]
-    """When the program is to start, in seconds of this host's monotonic clock; at once without it."""
+    waits: NotRequired[bool]
+    """True: the run is prepared (event `ready`), and starts at the moment that the input gives later: see `Worker.read`."""
     unobserved: NotRequired[str]
     """Why this run was executed before and could not be observed: it is executed once more without observation."""
 
@@ -238,6 +238,13 @@ class Start(TypedDict):
     born: int | None
 
 
+class Ready(TypedDict):
+    """The event that a run is prepared, and waits for its moment."""
+
+    event: Literal["ready"]
+    execution: str
+
+
 class Stalled(TypedDict):
     """The event that all processes of a run are stopped."""
 
@@ -268,7 +275,7 @@ class End(Outcome):
     directory: str
 
 
-Event = Union[Start, Stalled, End]
+Event = Union[Start, Ready, Stalled, End]
 
 
 class GivenUp(Exception):
@@ -702,6 +709,7 @@ class Worker:
         self.account = Account()
         self.services: SharedServices | None = None
         self.starting_services = threading.Lock()
+        self.begin: float | None = None
         self.trusts = True  # that a tracer works which has worked before
 
     def work(self, stream: TextIO) -> bool:
@@ -724,10 +732,16 @@ class Worker:
         return not self.stopping
 
     def read(self, stream: TextIO) -> None:
-        """Put the jobs into the queue, until the line that ends them."""
+        """Put the jobs into the queue, until the line that ends them.
+
+        The line `{"begin": SECONDS}` gives the moment, by the monotonic clock, for a job that waits for it.
+        """
         try:
             for line in stream:
                 job = json.loads(line)
+                if "begin" in job:
+                    self.begin = job["begin"]
+                    continue
                 if job.get("end"):
                     for _ in range(self.slots):
                         self.jobs.put(None)
@@ -799,7 +813,8 @@ class Worker:
                     check_room(self.folder)
                 self.journal.write(self.take_out(job, container, event, slot))
                 return
-            event["pid"] = container.pid
+            if event["event"] != "ready":
+                event["pid"] = container.pid
             if event["event"] == "start":
                 event["born"] = birth(container.pid)
             self.journal.write(event)
@@ -832,9 +847,11 @@ class Worker:
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
         services = self.shared_services(job)
         observation = self.observe(job, folder)
-        if "begin" in job and not self.has_time_come(job["begin"]):
-            remove(folder)
-            return
+        if job.get("waits"):
+            self.journal.write({"event": "ready", "execution": job["execution"]})
+            if not self.has_time_come():
+                remove(folder)
+                return
         began, started = time.time(), time.monotonic()
         try:
             process = start(job, folder, observation, services)
@@ -894,13 +911,13 @@ class Worker:
             remains["observed"] = True
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
 
-    def has_time_come(self, moment: float) -> bool:
-        """Wait until a moment of the monotonic clock. Return False if the worker was told to stop before."""
+    def has_time_come(self) -> bool:
+        """Wait until the moment that the input gives. Return False if the worker was told to stop before."""
         while not self.stopping:
-            left = moment - time.monotonic()
+            left = SAMPLE_S if self.begin is None else self.begin - time.monotonic()
             if left <= 0:
                 return True
-            time.sleep(min(left, SAMPLE_S))
+            select.select((), (), (), min(left, SAMPLE_S))  # a clock that tests replace makes time.sleep fail
         return False
 
     def shared_services(self, job: Job) -> SharedServices | None:

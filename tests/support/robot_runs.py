@@ -19,15 +19,18 @@ from tests.waiting import until
 CODE = f"{ON_ROBOT}/go.py"
 RECORD = environment.capture("1.0")
 GO = """
-import os, sys, time
+import os, signal, sys, time
 place = os.environ["SIERRA_ROBOT"]
 print("robot", place, flush=True)
 open("here.csv", "w").write(f"time,robot\\n0,{place}\\n")
 mine = sys.argv[1:]
 if place in mine:
     action = mine[mine.index(place) + 1]
-    time.sleep(60 if action == "sleep" else 0.4)
-    sys.exit(int(action))
+    if action == "deaf":
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        print("x" * (10 << 20), flush=True)
+    time.sleep({"sleep": 60, "deaf": 60, "nap": 5}.get(action, 0.4))
+    sys.exit(int(action) if action.isdigit() else 0)
 """
 
 
@@ -95,7 +98,7 @@ class Runs:
 
 
 def job(number: int, *words: str, robots: int = 3, base: bool = False, python: str = "python3") -> Job:
-    """Return a run of GO. `words` are pairs of a place and what its program does: `sleep`, or its exit status."""
+    """Return a run of GO. `words` are pairs of a place and its action: an exit status, `sleep`, `nap` or `deaf`."""
     execution = f"{number:064d}"
     places = range(0 if base else 1, robots + 1)
     own = {"SIERRA_EXECUTION": execution, "SIERRA_ROBOTS": str(robots), "HOME": "\0/home"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import queue
@@ -131,7 +132,8 @@ class AgentLink:
         except SierraError as error:
             self._lose(str(error), channel)
         finally:
-            channel.close()
+            with contextlib.suppress(OSError, EOFError):  # of a connection that is lost
+                channel.close()
 
     def _receive(self, channel: Channel, outgoing: queue.SimpleQueue[str | None]) -> None:
         reason = "its agent has ended"

@@ -88,12 +88,11 @@ def _trouble(part: Part) -> str | None:
     """Return what went wrong with one robot; None if nothing did, or if it was only told to stop."""
     if part.lost is not None:
         return f"was lost: {part.lost}" + ("" if part.files else "; its outputs are missing")
-    if not part.started:
-        return "did not start"
-    if part.ended and part.end is None:
-        return f"has not begun its program: {(*part.ended['problems'], part.ended['why'])[0]}"
     if part.failure:
         return f"has failed: {part.failure}"
+    if not part.started or part.end is None:
+        found = part.ended or {}
+        return f"has not begun its program: {(*found.get('problems', ()), found.get('why') or part.problem)[0]}"
     if part.ended and part.ended["why"] and part.ended["why"].startswith("lost the driver"):
         return f"{part.ended['why']}"
     if part.problem:

@@ -26,8 +26,10 @@ from sierra.worker import worker
 ARM_S = 60.0
 """The seconds in which a robot must have its input files."""
 CHECK_S = 30.0
-LEAD_S = 0.12
+LEAD_S = 0.25
 """The seconds from the last measurement of the clocks to the start, and in addition `ROUND_TRIPS` round trips."""
+CANCEL_S = 0.1
+"""The seconds before the start in which the others can still be told that a robot did not confirm it."""
 ROUND_TRIPS = 6
 POLL_S = 0.02
 MARGIN_S = 1.0
@@ -84,7 +86,7 @@ class Part:
     @property
     def failure(self) -> str | None:
         """Return how its program failed by itself; None if it did not, or if it was told to stop."""
-        if self.ended is None or self.ended["why"] is not None or not self.ended["started"]:
+        if self.ended is None or self.ended["why"] is not None:
             return None
         end = self.end
         if end is None:
@@ -179,7 +181,7 @@ class Trial:
 
         def tell(part: Part) -> None:
             offset = part.clock.offset_ns if part.clock else 0
-            wait = (self.at_ns - time.time_ns()) / 1e9
+            wait = (self.at_ns - time.time_ns()) / 1e9 - CANCEL_S
             answer = part.agent.ask("at", max(wait, 0.01), attempt=self.attempt, at=self.at_ns + offset)
             if answer["event"] != "gated":
                 raise Missing(f"{part.name}: the start reached it {answer['by']:.3f} s too late")
@@ -207,7 +209,7 @@ class Trial:
         looked = time.monotonic()
         while any(part.is_open for part in self.parts):
             self._take(POLL_S)
-            if time.monotonic() - looked > MARGIN_S:  # this process was stopped, and may have much to read
+            if time.monotonic() - looked > self._table.lease / 2:  # this process was stopped, and may have much to read
                 for part in self.parts:
                     part.agent.heard = time.monotonic()
             looked = time.monotonic()
