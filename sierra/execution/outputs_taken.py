@@ -10,7 +10,8 @@ from typing import NamedTuple
 from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.errors import SierraError
 from sierra.execution.unread_files import NUMBER, Alike, Key, UnreadFiles, most_searched, unread_files
-from sierra.store.samples import names_time
+from sierra.ingest import robot_files
+from sierra.store.samples import ON_ROBOTS, names_time
 from sierra.store.sql_names import column_names, identifier
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import TableLayout
@@ -91,8 +92,21 @@ class _Rows(NamedTuple):
 
 MINE = "CREATE OR REPLACE TEMP TABLE mine AS SELECT DISTINCT judgement FROM effective WHERE batch = $batch"
 OWN_FILES = "CREATE OR REPLACE TEMP TABLE own AS SELECT a.* FROM all_artifacts a JOIN mine m ON a.execution = m.judgement"
+OWN_FILES_OF_ROBOTS = """
+CREATE OR REPLACE TEMP TABLE own AS
+SELECT * FROM (
+    SELECT a.* REPLACE (regexp_replace(a.path, '^[1-9][0-9]*/', '') AS path)
+    FROM all_artifacts a JOIN mine m ON a.execution = m.judgement
+) QUALIFY kind = 'table' OR row_number() OVER (PARTITION BY execution, path) = 1
+"""
+"""The files with the names that they have in the folder of each robot, as `[outputs]` declares them; a file that several robots
+wrote is there once, unless it is a part of a table. Those of the base station keep their folder.
+"""
 COUNT = "SELECT count(*) FROM mine"
-LAYOUTS = "SELECT output, table_layout, min(path) AS path FROM own WHERE kind = 'table' GROUP BY ALL ORDER BY ALL"
+LAYOUTS = """
+SELECT output, table_layout, arg_min(path, (starts_with(path, '0/'), path)) AS path
+FROM own WHERE kind = 'table' GROUP BY ALL ORDER BY ALL
+"""
 ROWS = """
 SELECT output, count(*) AS runs, min(rows)::BIGINT AS least, max(rows)::BIGINT AS most FROM (
     SELECT output, execution, sum(rows) AS rows FROM own WHERE kind = 'table' GROUP BY ALL
@@ -130,9 +144,10 @@ WHERE a.kind = 'file' AND (e.session = $session) = $own
 def taken(store: Store, batch: str, outputs: Mapping[str, Output]) -> TakenOutputs:
     """Return how the outputs of a batch's effective executions were read; `outputs` are the declared ones."""
     with store.snapshot(batch) as snapshot:
-        snapshot.views.make(("effective", "all_artifacts"))
+        snapshot.views.make(("effective", "all_artifacts", "batches", "specs"))
         snapshot.run(MINE, {"batch": batch})
-        snapshot.run(OWN_FILES)
+        on_robots = bool(snapshot.run(ON_ROBOTS, {"b": batch}))
+        snapshot.run(OWN_FILES_OF_ROBOTS if on_robots else OWN_FILES)
         [runs] = snapshot.values(int, COUNT)
         layouts: dict[str, list[_Layout]] = {}
         for row in snapshot.select(_Layout, LAYOUTS):
@@ -193,7 +208,7 @@ def _undeclared(layouts: Iterable[_Layout]) -> Output:
 
 def _table(snapshot: Snapshot, layouts: list[_Layout], size: _Rows, declared: Output | None, kind: str) -> TakenTable:
     columns = tuple(_columns(snapshot, layouts, declared))
-    first = columns[0] if columns else None
+    first = next((column for column in columns if column.name != robot_files.COLUMN), None)
     named = first.name if first and names_time(first.name) and first.type != "VARCHAR" else ""
     return TakenTable(
         name=size.output,

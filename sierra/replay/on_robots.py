@@ -15,7 +15,7 @@ SELECT DISTINCT robot FROM robots r JOIN executions e USING (execution)
 WHERE list_contains($runs, e.run) AND e.purpose = 'run' ORDER BY robot
 """
 OPERATORS = """
-SELECT DISTINCT operator FROM trials t JOIN executions e USING (execution)
+SELECT DISTINCT operator FROM all_trials t JOIN executions e USING (execution)
 WHERE list_contains($runs, e.run) AND operator IS NOT NULL ORDER BY operator
 """
 SHOWN = 5

@@ -49,7 +49,7 @@ HOSTS = """
 SELECT host FROM executions UNION SELECT host FROM environments UNION SELECT host FROM builds UNION SELECT node FROM attempts
 UNION SELECT host FROM robots WHERE host IS NOT NULL ORDER BY ALL
 """
-OPERATORS = "SELECT DISTINCT operator FROM trials WHERE operator IS NOT NULL AND operator <> $hidden ORDER BY ALL"
+OPERATORS = "SELECT DISTINCT operator FROM all_trials WHERE operator IS NOT NULL AND operator <> $hidden ORDER BY ALL"
 REMOTES = "SELECT DISTINCT remote FROM sources WHERE remote IS NOT NULL ORDER BY ALL"
 
 

@@ -64,6 +64,8 @@ def test_all_robots_of_a_run_write_one_table_and_are_recorded(tmp_path: Path) ->
     ) == [{"common": 3 * robots.SECOND - 10_000, "uncertainty_ns": 1_000_000.0}]
     shown = projects.quick(root, "show", execution[:12]).stdout
     assert "tb3-02" in shown
+    taken = projects.quick(root, "outputs").stdout
+    assert "table tracking from 0/tracking.csv" in taken
     assert project.fsck().findings == ()
     again = project.run("population_size=1,2,3", target="robots", figures=False)
     assert (again.executed, again.reused) == (2, 4), "the size of the largest run is no part of smaller ones"
