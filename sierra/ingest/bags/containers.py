@@ -36,8 +36,8 @@ class Channel:
     topic: str
     type: str
     """The name of the type, as the bag has it; empty if the messages have another serialization than those of ROS."""
-    definition: str
-    """The definition of the type and of those that it needs; empty if the bag does not have it."""
+    definition: str | None
+    """The definition of the type and of those that it needs; None if the bag does not have it."""
     language: Literal["msg", "idl"]
     """The language of the definition."""
     digest: str

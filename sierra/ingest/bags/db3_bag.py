@@ -68,7 +68,7 @@ class Db3Bag(Bag):
                 number,
                 topic,
                 kind,
-                definition if known else "",
+                definition if known else None,
                 "idl" if language == "ros2idl" else "msg",
                 hashed,
                 ros1=False,

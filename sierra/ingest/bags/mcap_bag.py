@@ -137,5 +137,5 @@ def _channel(channel: records.Channel, schemas: Mapping[int, records.Schema]) ->
         # such a channel is an error only if its topic is asked for: see `sierra.ingest.bags.message_types`
         return Channel(channel.id, channel.topic, "", channel.message_encoding, "msg", "", ros1=False)
     language = LANGUAGES.get(schema.encoding)
-    definition = text(schema.data) if language else ""
+    definition = text(schema.data) if language else None
     return Channel(channel.id, channel.topic, schema.name, definition, "idl" if language == "idl" else "msg", "", ros1=False)

@@ -28,8 +28,13 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-FIELDS, COLUMNS, ITEMS, TEXT = 10_000, 2_000, 100_000, 1 << 20
+FIELDS, COLUMNS, ITEMS, TEXT = 10_000, 2_000, 100_000, 1 << 18
 """The limits on a type: its fields, its columns, the items of an array of fixed size, and the bytes of its definition."""
+NESTED = re.compile(r"\]\s*\[")
+EXPRESSION = re.compile(r"\([^()]*\(|<<")
+"""Arrays of arrays and expressions, which no generated definition has: a few of them occupy the parser for hours."""
+UNPARSED = re.compile(r'"(?:[^"\\]|\\.)*"|//[^\n]*|/\*.*?\*/', re.DOTALL)
+"""Texts and comments in IDL."""
 PRIMITIVES = {
     "bool": "bool_",
     "byte": "uint8",
@@ -158,7 +163,7 @@ class MessageTypes:
     def __init__(self, ros: str) -> None:
         """`ros`: the version of ROS 2 whose types count if the bag does not have their definitions; empty for none."""
         self._ros = ros
-        self._known: dict[tuple[str, str, str], MessageType] = {}
+        self._known: dict[tuple[str, str | None, str], MessageType] = {}
 
     def of(self, channel: Channel) -> MessageType:
         """Return the type of a channel. Raises UnreadableError if it is not known, or not read."""
@@ -177,9 +182,9 @@ class MessageTypes:
     def _store(self, channel: Channel, name: str) -> Typestore:
         from rosbags.typesys import Stores, get_typestore
 
-        if channel.definition:
+        if channel.definition is not None:
             store = get_typestore(Stores.EMPTY)
-            store.register(_parsed(channel, name))
+            store.register(_parsed(channel.definition, channel.language, name))
             return store
         if not self._ros:
             raise UnreadableError(
@@ -200,17 +205,19 @@ def _full_name(name: str) -> str:
     return "/".join(parts if len(parts) == 3 else (parts[0], "msg", parts[1]))
 
 
-def _parsed(channel: Channel, name: str) -> Any:
+def _parsed(definition: str, language: str, name: str) -> Any:
     """Return the types in a definition. Raises UnreadableError for one that could become other code than a type."""
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
-    if len(channel.definition) > TEXT:
-        raise UnreadableError(f"the definition of the type {name!r} is larger than {TEXT} bytes")
+    if len(definition) > TEXT:
+        raise UnreadableError(f"the definition of the type {name!r} has more than {TEXT} bytes")
+    if NESTED.search(definition) or (language == "idl" and EXPRESSION.search(UNPARSED.sub("", definition))):
+        raise UnreadableError(f"the definition of the type {name!r} has arrays of arrays, or expressions within expressions")
     found: dict[str, Any] = {}
-    if channel.language == "msg":
-        found |= get_types_from_msg(channel.definition, name)
+    if language == "msg":
+        found |= get_types_from_msg(definition, name)
     else:
-        for part in channel.definition.split("=" * 80 + "\n"):
+        for part in definition.split("=" * 80 + "\n"):
             head, _, rest = part.partition("\n")
             found |= get_types_from_idl(rest if head.startswith("IDL: ") else part) if part.strip() else {}
     for one, (constants, fields) in found.items():

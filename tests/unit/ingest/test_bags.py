@@ -16,6 +16,7 @@ import pytest
 
 from sierra.config.output_tables import Output
 from sierra.ingest.bags.recovery import recover
+from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import Form
 from sierra.testing import readers as conformance
 from tests import projects
@@ -78,6 +79,7 @@ def test_arrays_are_lists_and_of_images_and_lists_of_messages_there_is_the_lengt
             Recorded("/path", "nav_msgs/msg/Path", 7, {"poses": [{"pose.position.x": 0.5}, {}]}),
             Recorded("/names", "sensor_msgs/msg/JointState", 8, {"name": ["ä", "b"], "header.stamp.nanosec": 9}),
             Recorded("/on", "std_msgs/msg/Bool", 9, {"data": True}),
+            Recorded("/tick", "std_msgs/msg/Empty", 9),
             Recorded("/late", "sensor_msgs/msg/Imu", 9, {"header.stamp.sec": 1}),
         ],
     )
@@ -88,6 +90,7 @@ def test_arrays_are_lists_and_of_images_and_lists_of_messages_there_is_the_lengt
     assert "data" not in image
     assert values(rows(tmp_path, path, ["/path"])[0], "topic", "received_ns", "poses.length") == ("/path", 7, 2)
     assert values(rows(tmp_path, path, ["/n*"])[0], "name", "header_stamp_ns") == (["ä", "b"], 9)
+    assert rows(tmp_path, path, ["/tick"]) == [{"topic": "/tick", "received_ns": 9}]
     assert rows(tmp_path, path, ["/on"]) == [{"topic": "/on", "received_ns": 9, "data": True}]
 
 
@@ -197,10 +200,27 @@ NEST = "\n".join(f"{'=' * 80}\nMSG: t/T{n}\n" + "\n".join(f"T{n + 1} f{m}" for m
         ("T1 deep\n" + NEST + "\n" + "=" * 80 + "\nMSG: t/T9\nint8 x", "more than 10000 fields"),
         ("float64 x\nfloat64 x", "two fields of the same name"),
         ("float64 x; import os", "is damaged"),
+        ("int8" + "[9] " * 20_000 + "x", "arrays of arrays"),
     ],
 )
 def test_definition_that_would_occupy_the_machine_is_refused(tmp_path: Path, definition: str, why: str) -> None:
     assert why in fault(tmp_path, described(tmp_path, "t/msg/A", definition, b"\xff" * 8), ["/x"])
+
+
+def test_expressions_in_a_definition_do_not_occupy_the_parser() -> None:
+    from sierra.ingest.bags.containers import Channel
+    from sierra.ingest.bags.message_types import MessageTypes
+
+    def fields(constant: str) -> list[str]:
+        struct = '@verbatim (language="comment", text="a ((b" "c")\nstruct A { double x; }; // ((1))\n'
+        definition = f"module t {{ module msg {{ module A_Constants {{ {constant} }}; {struct} }}; }};"
+        channel = Channel(1, "/x", "t/msg/A", definition, "idl", "", ros1=False)
+        return [field.name for field in MessageTypes("").of(channel).fields]
+
+    assert fields("const uint8 C = 1;") == ["x"]
+    for endless in ("(" * 30 + "1" + ")" * 30, "(1 + (1))", "1 << 99999999999"):
+        with pytest.raises(UnreadableError, match="expressions within expressions"):
+            fields(f"const uint8 C = {endless};")
 
 
 def test_name_of_a_type_cannot_become_code(tmp_path: Path) -> None:
