@@ -65,6 +65,7 @@ from sierra.errors import ConfigError, Full, Missing, PluginError, QueryError, S
 from sierra.ingest.base import Columns, OutputReader, UnreadableError
 from sierra.links.base import LIMIT, Channel, Ended, Folder, Link, LinkOptions, Overdue, Unreachable, UntrustedHost
 from sierra.links.commands import Commands, Stream
+from sierra.links.process_stream import ProcessStream
 from sierra.model import (
     Add,
     Axis,
@@ -165,6 +166,7 @@ __all__ = [
     "PluginError",
     "Point",
     "Process",
+    "ProcessStream",
     "Project",
     "QueryError",
     "Question",

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import selectors
 import shutil
 import socket
 import subprocess
@@ -26,7 +25,8 @@ from pydantic import Field
 from sierra.config.field_types import Table
 from sierra.errors import Missing, SierraError
 from sierra.links.base import LinkOptions, Unreachable, UntrustedHost
-from sierra.links.commands import LEAVE_S, PAUSE_S, Commands, Stream, too_many_sessions
+from sierra.links.commands import PAUSE_S, Commands, Stream, too_many_sessions
+from sierra.links.process_stream import ProcessStream
 
 PATIENCE = 3
 """The time for a connection without questions to the user, as a multiple of the option `connect`."""
@@ -70,7 +70,7 @@ class OpenSsh(Commands):
         argv = self._argv("-T", "-o", "ControlMaster=no", "-o", "BatchMode=yes", "-o", "ProxyCommand=false")
         end = time.monotonic() + self._options.connect
         while True:
-            stream = ClientStream(self.name, [*argv, line])
+            stream = ProcessStream([*argv, line], _quiet())
             if stream.has_begun(self._options.connect + self._options.lost):
                 return stream
             said = stream.problem()
@@ -170,78 +170,6 @@ class OpenSsh(Commands):
         if not user_host or not port.isdecimal() or user_host.count(":"):
             user_host, port = self.name, ""
         return ["ssh", *file, "-S", str(self._socket), *words, *(["-p", port] if port else []), "--", user_host]
-
-
-class ClientStream:
-    """The Stream of a client that uses the connection of a ControlMaster."""
-
-    def __init__(self, name: str, argv: list[str]) -> None:
-        self._name = name
-        self._process = subprocess.Popen(
-            argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, env=_quiet()
-        )
-        assert self._process.stdin and self._process.stdout and self._process.stderr  # noqa: PT018, S101 - all are pipes
-        self._input, self._outputs = self._process.stdin, {1: self._process.stdout, 2: self._process.stderr}
-        os.set_blocking(self._input.fileno(), False)
-        self._open = selectors.DefaultSelector()
-        for number, pipe in self._outputs.items():
-            self._open.register(pipe, selectors.EVENT_READ, number)
-        self._first: list[tuple[int, bytes]] = []
-        self._lock = threading.Lock()
-
-    def has_begun(self, timeout: float) -> bool:
-        """Wait for standard output; return whether there is some. What comes is kept for `read`."""
-        end = time.monotonic() + timeout
-        with contextlib.suppress(TimeoutError):
-            while found := self._read(max(0.0, end - time.monotonic())):
-                self._first.append(found)
-                if found[0] == 1:
-                    return True
-        return False
-
-    def send(self, data: bytes, timeout: float) -> None:
-        view = memoryview(data)
-        with selectors.DefaultSelector() as writable:
-            writable.register(self._input, selectors.EVENT_WRITE)
-            while view:
-                if not writable.select(timeout):
-                    raise TimeoutError
-                view = view[os.write(self._input.fileno(), view[: 1 << 16]) :]
-
-    def end_input(self) -> None:
-        with self._lock:
-            self._input.close()
-
-    def read(self, timeout: float) -> tuple[int, bytes] | None:
-        return self._first.pop(0) if self._first else self._read(timeout)
-
-    def _read(self, timeout: float) -> tuple[int, bytes] | None:
-        while self._open.get_map():
-            ready = self._open.select(timeout)
-            if not ready:
-                raise TimeoutError
-            for key, _ in ready:
-                data = os.read(key.fd, 1 << 18)
-                if data:
-                    return key.data, data
-                self._open.unregister(key.fileobj)
-        return None
-
-    def close(self, *, ended: bool = False) -> None:
-        try:
-            self._process.wait(LEAVE_S if ended else 0)  # then sshd has room for another session
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        with contextlib.suppress(OSError):
-            self.end_input()
-        self._open.close()
-        for pipe in self._outputs.values():
-            pipe.close()
-
-    def problem(self) -> str:
-        said = b"".join(data for number, data in self._first if number == 2).decode(errors="replace")
-        return next((" ".join(line.split()).rstrip(".") for line in said.splitlines() if line.strip()), "")
 
 
 def _quiet() -> dict[str, str]:

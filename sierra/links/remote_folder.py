@@ -12,6 +12,7 @@ surrogate escapes, so that each sequence of bytes has a text. The same functions
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
 import fcntl
 import hashlib
@@ -163,7 +164,7 @@ def write_file(path: bytes, entry: list[Any], read: Callable[[int], bytes]) -> N
 
 def finish(made: bytes, target: bytes) -> None:
     """Give a complete folder its name."""
-    os.sync()
+    sync(made)
     os.chmod(made, 0o777 & ~umask())
     try:
         os.rename(made, target)
@@ -171,6 +172,17 @@ def finish(made: bytes, target: bytes) -> None:
         if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
             raise Problem("it is there already, with other contents; remove it or choose another name") from None
         raise
+
+
+def sync(folder: bytes) -> None:
+    """Write everything to the disk of a folder: one call for all files, and for no other disk if the C library has it."""
+    opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        ctypes.CDLL(None).syncfs(opened)
+    except (OSError, AttributeError):
+        os.sync()
+    finally:
+        os.close(opened)
 
 
 def umask() -> int:

@@ -423,16 +423,20 @@ def lives_with_proxies(trial: Trial) -> None:
         holds(link.pull("one", trial.folder / "back").files == files, "the connection was not made again")
 
 
-CLAIMS: tuple[Callable[[Trial], None], ...] = (
+COMMAND_CLAIMS: tuple[Callable[[Trial], None], ...] = (
     passes_words_and_bytes_as_they_are,
     tells_how_commands_end,
-    bounds_output,
-    ends_overdue_commands,
-    executes_many_at_once,
     exchanges_lines,
     copies_folders,
     refuses_what_is_not_the_same,
     connects_again,
+)
+"""Claims that need no faults of the host."""
+CLAIMS: tuple[Callable[[Trial], None], ...] = (
+    *COMMAND_CLAIMS,
+    bounds_output,
+    ends_overdue_commands,
+    executes_many_at_once,
     outlives_a_short_loss,
     notices_a_lost_host,
     notices_a_power_cut,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from sierra.ingest.model import PLAIN, Form
 from sierra.query import grammar
 from sierra.runners import schedulers
 from sierra.templates.xml import XmlTemplate
-from sierra.testing import comparisons, criteria, platforms, readers, runners, statistics, templates
+from sierra.testing import comparisons, criteria, links, platforms, readers, runners, statistics, templates
 from sierra.testing import engines as engine_conformance
 from tests import images, plugins, projects, stores
 
@@ -290,6 +291,7 @@ def test_doctor_lists_plugins_and_their_options(project: Path) -> None:
         ("comparison welch", "fewest"),
         ("criterion Primes", "above"),
         ("runner niced", "niceness"),
+        ("link burrow", "burrows"),
         ("scheduler spool", "niceness"),
         ("engine direct", "niceness"),
     ):
@@ -379,6 +381,20 @@ def test_plugin_statistic_conforms(installed: Path) -> None:
 def test_plugin_range_conforms(installed: Path) -> None:
     criteria.check("Primes", {"5": (2, 3, 5, 7, 11), "1": (2,)}, ["", "0", "-1", "x", "5.C2", "1000"])
     criteria.check("Primes", {"2": (11, 13)}, options={"above": 10})
+
+
+@pytest.mark.parametrize("claim", links.COMMAND_CLAIMS, ids=lambda claim: claim.__name__)
+def test_plugin_link_conforms(installed: Path, tmp_path: Path, claim: Callable[[links.Trial], None]) -> None:
+    from tortoise.link import Burrow, BurrowOptions  # type: ignore[import-not-found]
+
+    @dataclass
+    class Home:
+        name: str = "home"
+
+    (tmp_path / "home").mkdir()
+    (tmp_path / "local").mkdir()
+    options = BurrowOptions(burrows=str(tmp_path))
+    links.call(claim, links.Trial(lambda host: Burrow(host, options), Home(), tmp_path / "local"))  # type: ignore[arg-type]
 
 
 def test_plugin_comparison_method_conforms(installed: Path) -> None:
