@@ -68,13 +68,13 @@ class ProcessStream:
         return None
 
     def close(self, *, ended: bool = False) -> None:
+        with contextlib.suppress(OSError):
+            self.end_input()
         try:
-            self._process.wait(LEAVE_S if ended else 0)  # then sshd has room for another session
+            self._process.wait(LEAVE_S)  # until it has noticed the end of its input, or of its command
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        with contextlib.suppress(OSError):
-            self.end_input()
         self._open.close()
         for pipe in self._outputs.values():
             pipe.close()
