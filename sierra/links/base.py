@@ -86,7 +86,7 @@ class Channel(Protocol):
         """Return the beginning of what the command wrote to standard error, as far as it has arrived with `receive`."""
 
     def close(self) -> None:
-        """Close the command's input and forget the command. It may be called again."""
+        """Close the command's input and forget the command: what it writes from then on is lost. It may be called again."""
 
 
 class Link(Protocol):
