@@ -148,7 +148,20 @@ class Robots:
                 robot.close()
 
     def _run(self, job: Job) -> None:
-        """Execute one run, and append its result to the journal. Raises SierraError if it was not started."""
+        """Execute one run, and append its result to the journal. Raises SierraError if it was not started.
+
+        If the connection to a robot was lost since the last run, the run is tried once more with a new one.
+        """
+        try:
+            self._try(job)
+        except Unreachable as error:
+            if self._stopped or not any(robot.forget_if_lost() for robot in self._robots.values()):
+                raise
+            log.warning("connecting again: %s", error)
+            self._try(job)
+
+    def _try(self, job: Job) -> None:
+        """Execute one run as `_run` does, once."""
         taken = allocate(self._table, [(one.place, one.group) for one in job.members])
         robots = {place: self._robot(name) for place, name in taken.items()}
         each(Robot.connect, robots.values())
@@ -323,11 +336,13 @@ class Robot:
         target = push_content(self.agent.link, folder, self._root, "beside")
         return f"{self.hello['folder']}/{target.removeprefix(self._root + '/')}"
 
-    def forget_if_lost(self, part: Part) -> None:
-        """Connect again before the next run if the robot was lost."""
-        if part.lost is not None or self.agent.lost is not None:
+    def forget_if_lost(self, part: Part | None = None) -> bool:
+        """Connect again before the next run if the robot was lost; return whether it was."""
+        lost = self._connected and ((part is not None and part.lost is not None) or self.agent.lost is not None)
+        if lost:
             self.agent.abandon("the robot was lost")
             self._connected = False
+        return lost
 
     def close(self) -> None:
         """Give the robot back, and end the connection."""
