@@ -99,6 +99,7 @@ class Pretend:
 
     name = "pretend"
     stays = False
+    remote = False
     Options: ClassVar[type[Table]] = PretendOptions
 
     def __init__(self, slots: int, options: PretendOptions) -> None:

@@ -2,7 +2,7 @@
 
 Each robot writes into a folder of its own, named by its place. An output with `file = "swarm.csv"` is therefore read from
 `{robot}/swarm.csv`: the files of all robots become one table with the column `robot`. A `file` that begins with a place
-(`0/tracking.csv`) or with `{robot}/` stays as it is.
+(`0/tracking.csv`), or with `{robot}/` or `{place}/`, stays as it is.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from sierra.design.run_values import Declared
 from sierra.errors import ConfigError
 from sierra.execution import commands
 from sierra.execution.plan import Plan
-from sierra.ingest.robot_files import OF_ROBOT
+from sierra.ingest.robot_files import FOLDERS, OF_ROBOT
 from sierra.model import BASE
 from sierra.runners.base import Runner, RunsMembers, check_members
 
-OF_PLACE = re.compile(rf"(\./)?([0-9]+|{re.escape(OF_ROBOT)})/")
+OF_PLACE = re.compile(rf"(\./)?([0-9]+/|{'|'.join(map(re.escape, FOLDERS))})")
 
 
 def configured(config: Project) -> Project:

@@ -208,7 +208,8 @@ def _undeclared(layouts: Iterable[_Layout]) -> Output:
 
 def _table(snapshot: Snapshot, layouts: list[_Layout], size: _Rows, declared: Output | None, kind: str) -> TakenTable:
     columns = tuple(_columns(snapshot, layouts, declared))
-    first = next((column for column in columns if column.name != robot_files.COLUMN), None)
+    several = TableLayout.load(layouts[0].table_layout).file is None  # its first column may be the place of a robot
+    first = next((column for column in columns if not (several and column.name == robot_files.COLUMN)), None)
     named = first.name if first and names_time(first.name) and first.type != "VARCHAR" else ""
     return TakenTable(
         name=size.output,

@@ -1,6 +1,7 @@
 """Files of runs on robots: each robot's outputs are in a folder that is named by its place.
 
-`{robot}` at the beginning of an output's `file` stands for that folder, and becomes the column `robot`.
+`{robot}` at the beginning of an output's `file` stands for that folder, and becomes the column `robot`. If the files have a
+column of that name, `{place}` may be there instead.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from sierra.model import BASE, OutputFile, Result
 
 OF_ROBOT = "{robot}"
 COLUMN = "robot"
+FOLDERS = (OF_ROBOT + "/", "{place}/")
+"""The beginnings of an output's `file` that stand for the folder of each robot."""
 _DIRECT = re.compile(r"([0-9]{1,9})/[^/]+")
 
 
@@ -24,7 +27,16 @@ def place_of(path: str) -> int | None:
 
 def own(output: Output) -> str:
     """Return the path of an output in the folder of a robot."""
-    return output.file.removeprefix("./").removeprefix(OF_ROBOT + "/")
+    path = output.file.removeprefix("./")
+    return path.partition("/")[2] if path.startswith(FOLDERS) else path
+
+
+def of_name(column: str, file: str) -> str:
+    """Return what a column from the name of a file is, and how to give it another name, for messages."""
+    if column != COLUMN or "/" not in file:
+        return "that is a number in its name; use another name in braces"
+    own = file.partition("/")[2]
+    return f'that is the place of the robot that wrote it; declare it with file = "{{place}}/{own}"'
 
 
 def lacking(output: Output, files: Iterable[OutputFile], robots: Mapping[int, str]) -> int | None:
@@ -32,7 +44,7 @@ def lacking(output: Output, files: Iterable[OutputFile], robots: Mapping[int, st
 
     The base station need not write it.
     """
-    if not output.file.removeprefix("./").startswith(OF_ROBOT + "/"):
+    if not output.file.removeprefix("./").startswith(FOLDERS):
         return None
     wrote = {numbers[0] for file in files if (numbers := output.ticks_of(file.path)) is not None}
     return next((place for place in sorted(robots) if place != BASE and place not in wrote), None)

@@ -10,6 +10,7 @@ from typing import ClassVar
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
 from sierra.errors import Missing
+from sierra.ingest import robot_files
 from sierra.ingest.messages import shown
 from sierra.ingest.model import AtFaultError, Part, Reading, Shape, Siblings, Written
 from sierra.store.connections import Database
@@ -133,7 +134,7 @@ class TableReader:
         for file in self.sound(files):
             part = found[file.path]
             if part is not None and (own := self._ticks & set(map(str.lower, part.names))):
-                self.fault(file, f"has a column {min(own)!r}, but that is a number in its name; use another name in braces")
+                self.fault(file, f"has a column {min(own)!r}, but {robot_files.of_name(min(own), file.name)}")
                 continue
             place = None if part is None else places.setdefault(self.key(part), len(places))
             if place is not None and place >= PARTS:

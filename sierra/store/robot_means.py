@@ -11,8 +11,10 @@ is, and statistics refuse it.
 
 from __future__ import annotations
 
-COLUMN = "robot"
-"""The column with the place of the robot that wrote a row."""
+COLUMNS = ("robot", "place")
+"""The columns that may have the place of the robot that wrote a row; `place` is for files with an own column `robot`."""
+IS_PLACE = "SELECT coalesce(bool_and(starts_with(file, {column}::VARCHAR || '/')), false) FROM {data}"
+"""Whether a column has the folder of each file: other columns may have the same name."""
 
 ROWS = """
 SELECT "# experiment" AS experiment, run, "# number" AS number, {column} AS robot, {t} AS t, {value}::DOUBLE AS value
@@ -51,9 +53,9 @@ UNION ALL SELECT experiment, run, number, t, value FROM ({{rows}}) WHERE NOT coa
 """
 
 
-def rows(data: str, value: str, t: str) -> str:
-    """Return the query for the rows that count. `data` is a relation; `value` and `t` are SQL expressions."""
-    return ROWS.format(column=COLUMN, data=data, value=value, t=t)
+def rows(data: str, column: str, value: str, t: str) -> str:
+    """Return the query for the rows that count. `data` is a relation; `column`, `value` and `t` are SQL expressions."""
+    return ROWS.format(column=column, data=data, value=value, t=t)
 
 
 def note(table: str, *, same_times: bool) -> str:

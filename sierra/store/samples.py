@@ -82,6 +82,8 @@ class Frame:
         self._checked: set[tuple[str, str]] = set()
         """The tables and conditions of valid pairs."""
         self._relations: dict[str, Relation] = {}
+        self._robots: dict[str, str] = {}
+        """The columns with the places of robots, by table; "" if there is none."""
         self._aligned: dict[tuple[str, str, str], bool | None] = {}
         """Whether the robots of each run have the same times, by table, time and condition; None: some have two rows at one."""
         self.problems: dict[str, SierraError] = {}
@@ -237,11 +239,11 @@ class Frame:
                 found += self._derived_output(name)
                 continue
             source = self._relation(name, files)
-            by_robot = self.is_of_robots(name)
-            hidden = ("run", "execution", "file", *([robot_means.COLUMN] if by_robot else []))
+            robot = self.column_of_robots(name)
+            hidden = ("run", "execution", "file", robot)
             columns = [(name, kind) for name, kind in source.types.items() if name not in hidden]
             many = "count(DISTINCT file)" if "file" in source.types else "1"
-            each = f"execution, {robot_means.COLUMN}" if by_robot else "execution"
+            each = f"execution, {robot}" if robot else "execution"
             sizes = f"SELECT count(*) AS rows, {many} AS files FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY {each}"
             [(rows, most, fewest)] = self._snapshot.run(
                 f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0), coalesce(min(rows), 0) FROM ({sizes})"
@@ -316,8 +318,8 @@ class Frame:
         are needed, because in a single run any increasing column would qualify.
         """
         data = self._data(table)
-        if self.is_of_robots(table):  # each robot has a time of its own; the first one's rows follow each other
-            data = f"(SELECT * FROM {data} WHERE {robot_means.COLUMN} = (SELECT min({robot_means.COLUMN}) FROM {data}))"
+        if robot := self.column_of_robots(table):  # each robot has a time of its own; the first one's rows follow each other
+            data = f"(SELECT * FROM {data} WHERE {robot} = (SELECT min({robot}) FROM {data}))"
         grows = [column for column in columns if column in self._growing(data, columns)]
         return next(
             (column for column in grows if self._snapshot.run(ALIKE.format(column=identifier(column), data=data))), None
@@ -381,32 +383,40 @@ class Frame:
     def _values(self, table: str, column: str, time: str, t: str, where: str) -> str:
         """Return the query for the values of a column: those of each row, or the means of the robots of a run."""
         value, data = identifier(column), self._rows(table, where)
-        aligned = self._same_times(table, time, t, where) if self.is_of_robots(table) else None
+        robot = self.column_of_robots(table)
+        aligned = self._same_times(table, robot, time, t, where) if robot else None
         if aligned is None:
             own = '"# experiment" AS experiment, run, "# number" AS number'
             return f"SELECT {own}, {t} AS t, {value}::DOUBLE AS value FROM {data}"
         template = robot_means.SAME_TIMES if aligned else robot_means.OTHER_TIMES
-        return template.format(rows=robot_means.rows(data, value, t))
+        return template.format(rows=robot_means.rows(data, robot, value, t))
 
-    def is_of_robots(self, table: str) -> bool:
-        """Check that the robots of each run write a table together, each a part of its rows."""
-        if not self._on_robots or not self._files.get(table):
-            return False
-        return {robot_means.COLUMN, "file"} <= self._relation(table, self._files[table]).types.keys()
+    def column_of_robots(self, table: str) -> str:
+        """Return the column with the robot's place, if the robots of each run write a table together; "" if not."""
+        files = self._files.get(table)
+        if not self._on_robots or not files:
+            return ""
+        if table not in self._robots:
+            source = self._relation(table, files)
+            named = [one for one in robot_means.COLUMNS if {one, "file"} <= source.types.keys()]
+            those = f"(SELECT * FROM {source.sql} WHERE execution IN ({MEMBERS}))"
+            tests = {one: robot_means.IS_PLACE.format(column=one, data=those) for one in named}
+            self._robots[table] = next((one for one, test in tests.items() if self._snapshot.run(test)[0][0]), "")
+        return self._robots[table]
 
     def robots_note(self, table: str, time: str = "") -> str:
         """Return a note about the statistics of a table; "" if robots did not write it together."""
-        if not self.is_of_robots(table):
+        if not (robot := self.column_of_robots(table)):
             return ""
         t = f"{identifier(time)}::DOUBLE" if time else '"# place"::DOUBLE'
-        aligned = self._same_times(table, time, t, "")
+        aligned = self._same_times(table, robot, time, t, "")
         return "" if aligned is None else robot_means.note(table, same_times=aligned)
 
-    def _same_times(self, table: str, time: str, t: str, where: str) -> bool | None:
+    def _same_times(self, table: str, robot: str, time: str, t: str, where: str) -> bool | None:
         """Return whether the robots of each run have the same times; None if a robot has two rows at one time."""
         key = (table, time, where)
         if key not in self._aligned:
-            rows = robot_means.rows(self._rows(table, where), "NULL", t)
+            rows = robot_means.rows(self._rows(table, where), robot, "NULL", t)
             [(doubled, same)] = self._snapshot.run(robot_means.TIMES.format(rows=rows))
             self._aligned[key] = None if doubled else same
         return self._aligned[key]

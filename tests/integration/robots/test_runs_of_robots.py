@@ -103,3 +103,24 @@ def test_removing_a_batch_removes_its_robots_and_marks(copied: tuple[Path, str])
         {"robots": 0, "trials": 0}
     ]
     assert projects.quick(root, "fsck").returncode == 0
+
+
+def test_files_with_a_column_robot_get_the_place_under_another_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    robots.register(monkeypatch)
+    root = robots.project(tmp_path / "p")
+    text = robots.ROBOT.replace("tick,coverage", "robot,tick,coverage").replace("print(tick, ", 'print(f"tb{place}", tick, ')
+    (root / "robot.py").write_text(text)
+    project = sierra.open(root)
+    assert project.run("population_size=2", runs=1, target="robots", figures=False).failed == 1
+    [row] = projects.sql(root, "SELECT reason FROM executions")
+    assert row["reason"].endswith('the robot that wrote it; declare it with file = "{place}/swarm.csv"')
+    config = (root / "sierra.toml").read_text()
+    (root / "sierra.toml").write_text(config.replace('file = "swarm.csv"', 'file = "{place}/swarm.csv"'))
+    summary = sierra.open(root).run("population_size=2", runs=1, target="robots", figures=False)
+    assert (summary.executed, summary.failed) == (0, 0), "the recorded files are read by the new rules"
+    assert projects.sql(root, "SELECT DISTINCT place, robot FROM swarm ORDER BY place") == [
+        {"place": 1, "robot": "tb1"},
+        {"place": 2, "robot": "tb2"},
+    ]
+    [mean] = json.loads(projects.quick(root, "stats", "swarm", "coverage", "--target", "robots", "--json").stdout)
+    assert mean["n"] == 1

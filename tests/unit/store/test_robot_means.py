@@ -15,7 +15,7 @@ def mean(rows: list[Row], template: str) -> list[tuple[float, float | None]]:
     connection = duckdb.connect()
     connection.execute('CREATE TABLE data ("# experiment" INT, run TEXT, "# number" INT, robot INT, t DOUBLE, value DOUBLE)')
     connection.executemany("INSERT INTO data VALUES (0, 'r', 0, ?, ?, ?)", rows)
-    text = template.format(rows=robot_means.rows("data", "value", "t"))
+    text = template.format(rows=robot_means.rows("data", "robot", "value", "t"))
     return connection.execute(f"SELECT t, value FROM ({text}) ORDER BY t").fetchall()
 
 
@@ -45,4 +45,6 @@ def test_shared_times_and_doubled_rows_are_found(rows: list[Row], facts: tuple[b
     connection = duckdb.connect()
     connection.execute('CREATE TABLE data ("# experiment" INT, run TEXT, "# number" INT, robot INT, t DOUBLE, value DOUBLE)')
     connection.executemany("INSERT INTO data VALUES (0, 'r', 0, ?, ?, ?)", rows)
-    assert connection.execute(robot_means.TIMES.format(rows=robot_means.rows("data", "value", "t"))).fetchall() == [facts]
+    assert connection.execute(robot_means.TIMES.format(rows=robot_means.rows("data", "robot", "value", "t"))).fetchall() == [
+        facts
+    ]
