@@ -11,6 +11,7 @@ import pytest
 
 import sierra
 from tests import projects, robots
+from tests.support.robot_fleet import Fleet
 
 pytestmark = pytest.mark.integration
 PACKAGE = """
@@ -124,3 +125,24 @@ def test_files_with_a_column_robot_get_the_place_under_another_name(tmp_path: Pa
     ]
     [mean] = json.loads(projects.quick(root, "stats", "swarm", "coverage", "--target", "robots", "--json").stdout)
     assert mean["n"] == 1
+
+
+def test_a_query_in_a_simulator_and_on_robots_with_sshd(fleet: Fleet, tmp_path: Path) -> None:
+    robot_tables = "".join(f'{name} = {{ host = "{name}" }}\n' for name in fleet.names)
+    options = f'stop = []\ndisk_min = 1000000\nlink_options = {{ ssh_config = "{fleet.ssh_config}" }}\n'
+    more = f"[runners.robots]\n{options}[runners.robots.fleet]\n{robot_tables}"
+    root = robots.project(tmp_path / "p", more, robots.CONFIG.replace('"pretend"', '"robots"'))
+    done = projects.quick(root, "run", "population_size=3", "--runs", "2", "--target", "sim,robots", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    assert projects.sql(
+        root, "SELECT robot, count(*) AS rows FROM swarm WHERE robot IS NOT NULL GROUP BY ALL ORDER BY ALL"
+    ) == [{"robot": robot, "rows": 8} for robot in (1, 2, 3)]
+    found = projects.sql(root, "SELECT robot, host, status FROM robots JOIN robot_clocks USING (execution, place) ORDER BY ALL")
+    assert found == [{"robot": name, "host": name, "status": "ok"} for name in fleet.names for _ in range(2)]
+    refused = projects.quick(root, "run", "population_size=4", "--target", "robots", "--no-figures")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "but the fleet in [runners.robots] has 3; 1 to 3 are possible" in refused.stderr
+    [batch] = projects.sql(root, "SELECT batch FROM sessions WHERE target = 'robots'")
+    again = projects.quick(root, "replay", batch["batch"], "--runs", "1", "--on", "robots")
+    assert again.returncode == 0, again.stderr
+    assert projects.quick(root, "fsck").returncode == 0
