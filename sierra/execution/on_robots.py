@@ -15,6 +15,7 @@ from sierra.config.output_tables import PLACEHOLDER, Output
 from sierra.config.project_file import Project
 from sierra.config.robots_table import ROBOT
 from sierra.design import robots
+from sierra.design.factorial_design import changes, mentions
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError
 from sierra.execution import commands
@@ -40,8 +41,22 @@ def _check(config: Project) -> None:
     around = {"before": config.before, "after": config.after, "[services]": config.services, "files": config.files}
     for name in (name for name, used in around.items() if used):
         raise ConfigError(f"{name} has no effect on robots; remove it there, or let the robots' own commands do it")
+    _check_changes(config)
     if config.container is not None:
         raise ConfigError("[container]: runs on robots execute without a container; remove it for this target")
+
+
+def _check_changes(config: Project) -> None:
+    """Raise ConfigError for `{robot}` in a change that is made once for all runs of an experiment."""
+    tables = {"changes": config.changes} | {f"variables.{name}": one.changes for name, one in config.variables.items()}
+    for kind, groups in (("controllers", config.controllers), ("scenarios", config.scenarios)):
+        tables |= {f"{kind}.{name}": group.changes for name, group in groups.items()}
+    for place, of_place in tables.items():
+        if any(mentions(change, robots.VALUE) for change in changes(of_place, place, "")):
+            raise ConfigError(
+                f"{place}: {{{robots.VALUE}}} differs between the robots of a run; use it in run_changes, or in the changes of "
+                "[robots.groups.NAME]"
+            )
 
 
 def _of_robots(name: str, output: Output) -> Output:
