@@ -73,10 +73,16 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "build": "BuildTable",
         "sql": "SqlLimits",
         "package": "Package",
+        "robots": "RobotsTable",
+        "trials": "Trials",
     }.items():
         found[model] = set(table[name])
     for name, model in {"authors": "Author", "related": "Related", "data": "ExternalData"}.items():
         found[model] = set().union(*table["package"][name])
+    found["DrawnPoses"] = set(table["trials"]["draw_poses"])
+    found["BaseStation"] = set(table["robots"]["base"])
+    found["GroupOfPlaces"] = set().union(*table["robots"]["groups"].values())
+    found["ClusterTable"] = set().union(*(one for name, one in table["runners"].items() if name != "robots"))
     found["Source"] = set(table["source"])
     found["Determinism"] = set(table["determinism"])
     found["ChangeTable"] = set().union(*table["changes"])
@@ -92,7 +98,6 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "comparisons": "Comparison",
         "claims": "Claim",
         "models": "Model",
-        "runners": "ClusterTable",
         "services": "ServiceTable",
     }
     for name, model in groups.items():
