@@ -23,6 +23,7 @@ CONTENTS = {
         "how-to/around-a-run",
         "how-to/queries",
         "how-to/targets",
+        "how-to/runs-on-robots",
         "how-to/supervised-trials",
         "how-to/outputs",
         "how-to/sql",
