@@ -82,6 +82,9 @@ class GazeboOptions(Table):
     models: tuple[Folder, ...] = Field((), description="folders of the project that contain models, which `model://` names")
     plugins: tuple[Folder, ...] = Field((), description="folders of the project that contain libraries of plug-ins")
     resources: tuple[Folder, ...] = Field((), description="folders of the project that contain other files, such as meshes")
+    ignore: tuple[Annotated[str, StringConstraints(pattern=r"^[^-{}][^{}]*$")], ...] = Field(
+        (), description="parts of errors that Gazebo reports ([Err]) and that do not make a run fail", examples=[["Camera.cc"]]
+    )
     server: Annotated[str, StringConstraints(pattern=r"^[^-{}\s][^{}\s]*$")] = Field(
         "gzserver", description="the program gzserver, if it is not in PATH", examples=["/opt/gazebo/bin/gzserver"]
     )
@@ -158,6 +161,8 @@ class Gazebo:
         for name in ("models", "plugins", "resources"):
             if folders := getattr(options, name):
                 words += [f"--{name}", *(f"{{project}}/{folder}" for folder in folders)]
+        if options.ignore:
+            words += ["--ignore", *options.ignore]
         return (*self._python, self._driver, "{input}", "{output}", *words)
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:

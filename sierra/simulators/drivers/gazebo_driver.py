@@ -10,8 +10,8 @@ The same seed gives the same poses, because the world is paused whenever somethi
 - Each interval is an exact number of steps. The world is paused again while its poses are read.
 - Gazebo's own log of states is not used: another thread writes it, so that its lines differ between executions.
 
-A run is complete if all steps were made, all poses are numbers, and what plug-ins wrote is complete. The exit status of
-`gzserver` alone says neither: it ends by itself only if it fails, and may abort although everything was simulated.
+A run is complete if all steps were made, Gazebo reports no error, all poses are numbers, and what plug-ins wrote is complete.
+The exit status of `gzserver` says little: it ends by itself only if it fails, and may abort although everything was simulated.
 """
 
 from __future__ import annotations
@@ -45,6 +45,8 @@ PORTS = 5
 VARIABLES = {"models": "GAZEBO_MODEL_PATH", "plugins": "GAZEBO_PLUGIN_PATH", "resources": "GAZEBO_RESOURCE_PATH"}
 MODELS, LIGHTS = 8, 9
 """Fields of the message Scene."""
+HARMLESS = ("[RenderEngine.cc:", "[OpenAL.cc:")
+"""Sources of messages about a display or a sound device, which runs do not need; a camera without a display has other messages."""
 SETUP = "/usr/share/gazebo/setup.sh"
 
 Pose = tuple[float, ...]
@@ -82,7 +84,7 @@ class Server:
         """Start gzserver, and wait until its master listens. Raises Fault if it ends, or takes too long."""
         for _ in range(PORTS):
             self.port = _free_port()
-            self.process = subprocess.Popen(self._words(), env=self._variables())
+            self.process = self._process()
             limit = time.monotonic() + PATIENCE_S
             while self.process.poll() is None and time.monotonic() < limit:
                 if self._listens():
@@ -100,6 +102,18 @@ class Server:
             status = self._started().wait(seconds)
             raise Fault(f"gzserver ended too early: {_status(status)}; see its messages above")
 
+    def check_messages(self) -> None:
+        """Raise Fault if Gazebo has reported an error, after which it simulates another world: a missing plug-in or mesh."""
+        log = Path("~/.gazebo").expanduser() / f"server-{self.port}" / "default.log"
+        try:
+            lines = log.read_text(errors="replace").splitlines()
+        except OSError as error:
+            raise Fault(f"gzserver has written no messages into {log}: {error.strerror}") from error
+        for line in lines:
+            _, found, text = line.partition("[Err] ")
+            if found and not any(part in text for part in (*HARMLESS, *self._given.ignore)):
+                raise Fault(f"Gazebo reports an error: {text}")
+
     def kill(self) -> None:
         """End gzserver at once, if it was started."""
         if self.process is not None:
@@ -116,6 +130,12 @@ class Server:
             except subprocess.TimeoutExpired:
                 print(f"gazebo_driver: gzserver ignores {number.name} for {GRACE_S:g} s", file=sys.stderr)
         return process.wait()
+
+    def _process(self) -> subprocess.Popen[bytes]:
+        try:
+            return subprocess.Popen(self._words(), env=self._variables())
+        except FileNotFoundError:
+            raise Fault(f"{self._given.server} is not installed, or not in PATH") from None
 
     def _started(self) -> subprocess.Popen[bytes]:
         if self.process is None:
@@ -261,7 +281,9 @@ def simulate(given: argparse.Namespace) -> None:
         server.start()
         simulation = Simulation(server, world)
         simulation.wait_for_models()
+        server.check_messages()
         rows = list(_rows(simulation, steps, intervals, given.interval))
+        server.check_messages()
     except BaseException as error:
         if isinstance(error, TransportError):
             server.check(GRACE_S)
@@ -360,14 +382,12 @@ def main() -> None:
     for name in ("length", "interval"):
         parser.add_argument(f"--{name}", type=float, required=True)
     parser.add_argument("--server", default="gzserver")
-    for name in VARIABLES:
+    for name in (*VARIABLES, "ignore"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     given = parser.parse_args()
     try:
         with _ended_by_signals():
             simulate(given)
-    except FileNotFoundError as error:
-        sys.exit(f"{given.world}: {error.filename} is not installed, or not in PATH")
     except (Fault, TransportError, OSError, ValueError, ElementTree.ParseError) as error:
         sys.exit(f"{given.world}: {' '.join(str(error).split())}")
 

@@ -44,7 +44,7 @@ def start(folder: Path, faults: str = "", seed: int = 3, **variables: str) -> su
     return subprocess.Popen(
         [*words, *times],
         cwd=folder / "output",
-        env={**os.environ, "STAND_IN": faults, "GAZEBO_DRIVER_PATIENCE": "3", **variables},
+        env={**os.environ, "STAND_IN": faults, "GAZEBO_DRIVER_PATIENCE": "3", "HOME": str(folder), **variables},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -85,6 +85,7 @@ def test_bad_habits_of_gazebo_change_no_result(tmp_path: Path, fault: str) -> No
     ("fault", "message"),
     [
         ("loses", "Gazebo has loaded 5 of 6 models and lights; missing: ant_clone_2"),
+        ("lacks", "Gazebo reports an error: [Plugin.hh:178] Failed to load plugin libNoSuch.so"),
         ("dies", "gzserver ended too early: exit status 1; see its messages above"),
         pytest.param("runs", "Gazebo made step 6, but should have stopped after step 5", marks=LATER),
         pytest.param("unstable", "the physics became unstable: 'ant_clone_0' is nowhere at 0.5 s", marks=LATER),
