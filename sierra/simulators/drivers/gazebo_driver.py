@@ -46,7 +46,7 @@ VARIABLES = {"models": "GAZEBO_MODEL_PATH", "plugins": "GAZEBO_PLUGIN_PATH", "re
 MODELS, LIGHTS = 8, 9
 """Fields of the message Scene."""
 HARMLESS = ("[RenderEngine.cc:", "[OpenAL.cc:")
-"""Sources of messages about a display or a sound device, which runs do not need; a camera without a display has other messages."""
+"""Sources of messages about a display or a sound device, which runs do not need; a camera without a display has another."""
 SETUP = "/usr/share/gazebo/setup.sh"
 
 Pose = tuple[float, ...]
