@@ -80,7 +80,7 @@ def test_a_robot_that_is_lost_before_the_start_prevents_it(
     runs: Runs, fleet: Fleet, monkeypatch: pytest.MonkeyPatch, step: str, fault: Fault
 ):
     monkeypatch.setattr(Trial, step, after(getattr(Trial, step), lambda: fault(fleet)))
-    with pytest.raises(Missing, match="^rb2: "):
+    with pytest.raises(Missing, match=r"^rb2: "):
         runs.run(job(1))
     assert runs.begun() == []
     monkeypatch.undo()
