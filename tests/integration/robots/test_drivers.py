@@ -125,6 +125,7 @@ def test_two_drivers_take_turns(project: Path, fleet: Fleet, tmp_path_factory: p
     other = tmp_path_factory.mktemp("other")
     for name in ("swarm.py", "experiment.xml", "sierra.toml"):
         (other / name).write_text((project / name).read_text())
+    (project / "swarm.py").write_text(SWARM.replace("range(30)", "range(600)"))
     with drive(project) as first:
         all_busy(fleet, first)
         second = drive(other)
@@ -132,5 +133,6 @@ def test_two_drivers_take_turns(project: Path, fleet: Fleet, tmp_path_factory: p
         assert second.returncode == 3
         [line] = [line for line in errors.splitlines() if "in use by" in line]
         assert " (session " in line
-        assert first.wait(60) == 0
+        first.send_signal(signal.SIGINT)
+        assert first.wait(60) == 130
     answered(other)
