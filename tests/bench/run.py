@@ -628,6 +628,7 @@ def clusters(folder: Path, *more: str) -> None:
 def links(folder: Path) -> None:
     """Measure commands on robots, and copies from them, over SSH."""
     subprocess.run([sys.executable, str(HERE / "bench_links.py")], check=True)
+    subprocess.run([sys.executable, str(HERE / "bench_robots.py")], check=True)
 
 
 def large_clusters(folder: Path) -> None:

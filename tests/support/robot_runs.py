@@ -29,7 +29,7 @@ if place in mine:
     if action == "deaf":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         print("x" * (10 << 20), flush=True)
-    time.sleep({"sleep": 60, "deaf": 60, "nap": 5}.get(action, 0.4))
+    time.sleep({"sleep": 60, "deaf": 60, "nap": 5, "1s": 1}.get(action, 0.4))
     sys.exit(int(action) if action.isdigit() else 0)
 """
 
@@ -89,7 +89,7 @@ class Runs:
         return [name for name, home in self.homes.items() if list(home.rglob("here.csv"))]
 
     def all_begun(self) -> None:
-        """Wait until the program has begun on all robots."""
+        """Wait until the program has begun on all robots, in the only run of which files are there."""
         until(lambda: len(self.begun()) == len(self.homes), "all have begun", 30)
 
     @property
@@ -98,7 +98,7 @@ class Runs:
 
 
 def job(number: int, *words: str, robots: int = 3, base: bool = False, python: str = "python3") -> Job:
-    """Return a run of GO. `words` are pairs of a place and its action: an exit status, `sleep`, `nap` or `deaf`."""
+    """Return a run of GO. `words` are pairs of a place and its action: an exit status, `sleep`, `nap`, `1s` or `deaf`."""
     execution = f"{number:064d}"
     places = range(0 if base else 1, robots + 1)
     own = {"SIERRA_EXECUTION": execution, "SIERRA_ROBOTS": str(robots), "HOME": "\0/home"}
