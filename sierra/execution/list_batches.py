@@ -101,6 +101,7 @@ SELECT b.batch, b.created, coalesce(l.query, b.query) AS query, b.controller, b.
        s.robots,
        l.submitted, l.failed, l.missing, b.batch IN (
            SELECT m.batch FROM findings f JOIN all_judgements e ON e.judgement = f.execution JOIN batch_runs m ON m.run = e.run
+           UNION ALL SELECT m.batch FROM trials t JOIN executions e USING (execution) JOIN batch_runs m ON m.run = e.run
        ) AS doubted, coalesce(l.reexecuted, 0) > 0 OR b.batch IN (SELECT batch FROM replays) AS repeated,
        o.packages[1] AS package
 FROM batches b LEFT JOIN last l USING (batch) LEFT JOIN origins o USING (batch) LEFT JOIN specs s USING (spec)

@@ -29,6 +29,9 @@ def test_an_invalid_trial_does_not_count_and_its_run_is_executed_again(root: Pat
         {"execution": first[0]["execution"], "status": "invalid", "reason": "invalid trial: robot 2 fell"}
     ]
     assert projects.sql(root, "SELECT DISTINCT run FROM swarm") == [{"run": first[1]["run"]}]
+    listed = projects.quick(root, "ls").stdout
+    assert "complete" not in listed
+    assert "failed" in listed
     summary = project.run("population_size=2", figures=False)
     assert (summary.executed, summary.reused) == (1, 1)
     assert projects.sql(root, "SELECT count(*) AS executions FROM executions") == [{"executions": 3}]
