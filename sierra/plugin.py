@@ -75,6 +75,7 @@ from sierra.model import (
     Criterion,
     Job,
     Limits,
+    Member,
     OutputFile,
     Point,
     Remove,
@@ -90,7 +91,7 @@ from sierra.platforms.base import Following, Platform
 from sierra.platforms.base import Reader as TemplateView
 from sierra.query.base import Range
 from sierra.query.ranges import values
-from sierra.runners.base import Beat, Look, Runner, Work
+from sierra.runners.base import Beat, Look, Runner, RunsMembers, Work
 from sierra.runners.local import Local
 from sierra.runners.schedulers.base import NAME_LENGTH, Bounds, Limit, Request, Scheduler, State, Task
 from sierra.stats.base import Estimate, Formula, Function, Parameter, Statistic
@@ -152,6 +153,7 @@ __all__ = [
     "LinkOptions",
     "Local",
     "Look",
+    "Member",
     "Missing",
     "Mount",
     "Needs",
@@ -180,6 +182,7 @@ __all__ = [
     "Result",
     "RunValue",
     "Runner",
+    "RunsMembers",
     "Sample",
     "Scale",
     "Scheduler",

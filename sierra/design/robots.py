@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from sierra.config.robots_table import BASE, RobotsTable
-from sierra.errors import Damaged, QueryError
+from sierra.errors import ConfigError, Damaged, QueryError
 from sierra.model import BASE as BASE_PLACE
 from sierra.model import Value
 from sierra.templates.base import Files
@@ -71,7 +71,7 @@ def _count(table: RobotsTable, values: Mapping[str, Value]) -> int:
 def inputs(several: Sequence[Place], made: Callable[[Place], Files]) -> Files:
     """Return the input files of a run: those of its first robot, and the file that lists all robots.
 
-    `made` returns the input files of one place; all places have files of the same names.
+    `made` returns the input files of one place. Raises ConfigError if not all places have files of the same names.
     """
     main = made(next(place for place in several if place.number != BASE_PLACE))
     listed = [_listed(place, made(place), dict(main)) for place in several]
@@ -79,6 +79,8 @@ def inputs(several: Sequence[Place], made: Callable[[Place], Files]) -> Files:
 
 
 def _listed(place: Place, files: Files, main: Mapping[str, bytes]) -> Mapping[str, JsonView]:
+    if odd := main.keys() ^ {name for name, _ in files}:
+        raise ConfigError(f"the robots of a run need input files of the same names; {min(odd)} is not there for all")
     own = {name: _text(content) for name, content in files if main.get(name) != content}
     return {"place": place.number, "group": place.group, **({"files": own} if own else {})}
 

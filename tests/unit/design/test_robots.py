@@ -6,7 +6,7 @@ import pytest
 
 from sierra.config.robots_table import RobotsTable
 from sierra.design import robots
-from sierra.errors import Damaged
+from sierra.errors import ConfigError, Damaged
 from sierra.model import RunSpec
 from sierra.util.hashing import digest
 
@@ -27,6 +27,11 @@ def test_the_file_lists_places_and_differing_inputs_and_is_read_again() -> None:
     read = robots.read(files)
     assert [place for place, _ in read] == list(places)
     assert [dict(theirs) for _, theirs in read] == [{"input.xml": INPUTS[n], "map.txt": b"same"} for n in range(4)]
+
+
+def test_robots_with_files_of_other_names_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"1\.xml is not there for all"):
+        robots.inputs(robots.places(TABLE, {"n": 2}), lambda place: ((f"{max(place.number, 1)}.xml", b""),))
 
 
 def test_commands_of_groups_are_in_the_specification_and_the_format_is_pinned() -> None:
