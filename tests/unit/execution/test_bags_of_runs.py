@@ -144,3 +144,10 @@ def test_recorded_bags_are_replayed_exported_and_read_again(tmp_path: Path) -> N
     assert quick(here, "fsck").returncode == 0
     shown = json.loads(quick(here, "try", "--json", "population_size=1").stdout)
     assert [(one["table"], one["rows"]) for one in shown["files"]] == [("odom", 6), ("goal", 3)]
+
+
+def test_robots_have_a_column_of_their_own(tmp_path: Path) -> None:
+    here = project(tmp_path / "p", more='[robots]\ncount = "population_size"\ncommand = "python3 sim.py {input}"\n')
+    ended = quick(here, "run", "population_size=1")
+    assert ended.returncode == 2
+    assert "[outputs.odom] topics: the column robot is the place of a robot; use another name in braces" in ended.stderr
