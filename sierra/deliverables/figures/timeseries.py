@@ -117,7 +117,8 @@ def _line(plot: Axes, drawing: Drawing, table: pa.Table, look: Look) -> None:
     padded = np.concatenate(([False], known, [False]))
     alone = known & ~padded[:-2] & ~padded[2:]
     plot.plot(t, center, **look)
-    plot.plot(t[alone], center[alone], "o", color=colour, markersize=3.5 if len(t) == 1 else 1.2)
+    if alone.any():
+        plot.plot(t[alone], center[alone], "o", color=colour, markersize=3.5 if len(t) == 1 else 1.2)
     some = np.isfinite(low) & np.isfinite(high)
     if len(t) == 1 and some.any():
         style.interval(plot, t[some], low[some], high[some], color=colour, linewidth=1.2)
