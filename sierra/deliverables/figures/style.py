@@ -35,7 +35,7 @@ from matplotlib.ticker import AutoLocator, FixedLocator, FuncFormatter, LogLocat
 from matplotlib.typing import ColorType, LineStyleType, RcKeyType
 
 from sierra.config.deliverable_tables import Figure as FigureTable
-from sierra.deliverables.figures import font
+from sierra.deliverables.figures import font, text_layouts
 from sierra.errors import UsageError
 from sierra.model import Axis, Value
 from sierra.util.arrow_columns import numpy_of
@@ -130,7 +130,7 @@ def applied(figure: FigureTable | None = None) -> Iterator[None]:
     """
     before = _page.set(page(figure) if figure else None)
     try:
-        with _settings():
+        with _settings(), text_layouts.remembered():
             yield
     finally:
         _page.reset(before)
