@@ -35,7 +35,7 @@ def main() -> None:
         options = LinkOptions(ssh_config=str(fleet.ssh_config))
         homes = {name: robot.home for name, robot in fleet.robots.items()}
         stop = ["sh", "-c", "date +%s.%N >> ~/stops"]
-        own = {"disk_min": 1_000_000, "grace": 2.0, "stop": ["sh", "-c", "date +%s.%N >> ~/stops"]}
+        own = {"disk_min": 1_000_000, "grace": 2.0, "stop": stop}
         make = partial(Runs, Path(folder), homes, lambda name, _: Fabric(name, options), **own)
         trials(make())
         for name in fleet.names:
