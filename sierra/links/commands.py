@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from sierra.links import copy_folder, framing
+from sierra.links.address import parse
 from sierra.links.base import LIMIT, Ended, Folder, LinkOptions, Overdue, Unreachable
 
 AT_ONCE = 1 << 14
@@ -129,6 +130,7 @@ class Commands(ABC):
 
     def __init__(self, host: str, options: LinkOptions) -> None:
         self.name = host
+        self._address = parse(host, options.ssh_config)
         self._options = options
         self._places = threading.Semaphore(options.sessions)
         self._open: set[Exchange] = set()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import re
 import socket
 import threading
 import time
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from sierra.config.field_types import Table
 from sierra.errors import NotInstalled, SierraError
+from sierra.links.address import Address
 from sierra.links.base import LinkOptions, Unreachable, UntrustedHost
 from sierra.links.commands import LEAVE_S, PAUSE_S, Commands, Stream, too_many_sessions
 
@@ -96,7 +98,7 @@ class Fabric(Commands):
 
         self._forget()
         with self._turned_into_ours():
-            self._connection = _prepared(self.name, self._options)
+            self._connection = _prepared(self.name, self._address, self._options)
             self._connection.open()
             sock = _on_the_way(self._connection)[-1].transport.sock
             if isinstance(sock, socket.socket):
@@ -121,25 +123,26 @@ class Fabric(Commands):
         except paramiko.BadHostKeyException as error:
             raise UntrustedHost(
                 f"{self.name}: its host key differs from the one that is known for {error.hostname}; if the host was installed "
-                f"again, remove the old key (ssh-keygen -R {error.hostname}) and connect once by ssh"
+                f"again, remove the old key (ssh-keygen -R {error.hostname}) and connect once by {self._address.by_hand}"
             ) from error
         except paramiko.BadAuthenticationType as error:
             raise Unreachable(
                 f"{self.name}: it accepts logins by {' or '.join(error.allowed_types)} only, and not by a key; "
-                f"install a key there (ssh-copy-id {self.name}), or use the link openssh"
+                f"install a key there (ssh-copy-id {self._address.by_hand.removeprefix('ssh ')}), or use the link openssh"
             ) from error
         except paramiko.PasswordRequiredException as error:
             raise Unreachable(f"{self.name}: the key needs a passphrase; load it into an agent (ssh-add)") from error
         except (paramiko.AuthenticationException, paramiko.ssh_exception.IncompatiblePeer) as error:
             reason = " ".join(str(error).split()).rstrip(".")
-            raise Unreachable(f"{self.name}: it refuses the login ({reason}); test it by ssh {self.name}") from error
+            raise Unreachable(f"{self.name}: it refuses the login ({reason}); test it by {self._address.by_hand}") from error
         except (OSError, EOFError, paramiko.SSHException, ValueError) as error:
             if "No authentication methods" in str(error):
                 raise Unreachable(
                     f"{self.name}: there is no key for the login; make one (ssh-keygen) or load it (ssh-add)"
                 ) from error
-            reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-            raise Unreachable(f"{self.name}: not reachable ({reason}); test it by ssh {self.name}") from error
+            said = re.sub(r"^\[Errno \S+\] ", "", " ".join(str(error).split())).rstrip(".")
+            reason = said or type(error).__name__
+            raise Unreachable(f"{self.name}: not reachable ({reason}); test it by {self._address.by_hand}") from error
 
 
 class ChannelStream:
@@ -205,14 +208,14 @@ def import_fabric() -> Any:
     return fabric
 
 
-def _prepared(host: str, options: LinkOptions) -> Any:
+def _prepared(host: str, address: Address, options: LinkOptions) -> Any:
     """Return a connection that is not open yet, and checks the keys of all hosts on the way."""
     fabric = import_fabric()
     limits = {f"{name}_timeout": options.connect for name in ("banner", "auth", "channel")}
     config = fabric.Config(
         system_prefix="/nonexistent/",  # no configuration files of Fabric
         user_prefix="/nonexistent/",
-        runtime_ssh_path=str(Path(options.ssh_config).expanduser()) if options.ssh_config else None,
+        runtime_ssh_path=address.config or None,
         overrides={"connect_kwargs": limits, "timeouts": {"connect": options.connect}},
     )
     connection = fabric.Connection(host, config=config)
@@ -224,7 +227,7 @@ def _prepared(host: str, options: LinkOptions) -> Any:
     for one in _on_the_way(connection):
         if isinstance(one.gateway, str):
             raise Unreachable(f"{host}: its ProxyCommand needs the OpenSSH client; use the link openssh")
-        _check_host_keys(host, one)
+        _check_host_keys(host, address, one)
     return connection
 
 
@@ -236,7 +239,7 @@ def _on_the_way(connection: Any) -> list[Any]:
     return found
 
 
-def _check_host_keys(name: str, connection: Any) -> None:
+def _check_host_keys(name: str, way: Address, connection: Any) -> None:
     """Load the known keys of a host, as OpenSSH does, and refuse all others."""
     import paramiko
 
@@ -260,7 +263,7 @@ def _check_host_keys(name: str, connection: Any) -> None:
             on = "" if name in (hostname, connection.original_host) else f" on the way to {name}"
             raise UntrustedHost(
                 f"{name}: the host key of {hostname}{on} is not known ({key.get_name()} {key.fingerprint}); "
-                f"connect once by ssh {name}, and compare the fingerprint"
+                f"connect once by {way.by_hand}, and compare the fingerprint"
             )
 
     client.set_missing_host_key_policy(Refuse())

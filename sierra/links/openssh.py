@@ -89,7 +89,7 @@ class OpenSsh(Commands):
                 return
             if self._own.control_path:
                 raise Unreachable(
-                    f"{self.name}: no ControlMaster answers at {self._own.control_path}; connect by ssh {self.name}"
+                    f"{self.name}: no ControlMaster answers at {self._own.control_path}; connect by {self._address.by_hand}"
                 )
             if self._failed and self._failed[0] > asked:
                 raise self._failed[1]
@@ -138,7 +138,7 @@ class OpenSsh(Commands):
             ) from None
         except subprocess.TimeoutExpired:
             limit = PATIENCE * self._options.connect
-            raise Unreachable(f"{self.name}: no login within {limit:g} s; test it by ssh {self.name}") from None
+            raise Unreachable(f"{self.name}: no login within {limit:g} s; test it by {self._address.by_hand}") from None
         if done.returncode or not self._answers():
             raise self._refusal(log.read_text(errors="replace"))
 
@@ -147,8 +147,8 @@ class OpenSsh(Commands):
         reason = lines[-1] if lines else "no reason given"
         if any(words in said.lower() for words in UNTRUSTED):
             what = next((line for line in lines if re.search("host key (is known )?for", line, re.I)), reason)
-            return UntrustedHost(f"{self.name}: {what}; connect once by ssh {self.name}, and compare the fingerprint")
-        return Unreachable(f"{self.name}: not reachable ({reason}); test it by ssh {self.name}")
+            return UntrustedHost(f"{self.name}: {what}; connect once by {self._address.by_hand}, and compare the fingerprint")
+        return Unreachable(f"{self.name}: not reachable ({reason}); test it by {self._address.by_hand}")
 
     @property
     def _socket(self) -> Path:
@@ -165,11 +165,8 @@ class OpenSsh(Commands):
         return True
 
     def _argv(self, *words: str) -> list[str]:
-        file = ["-F", str(Path(self._options.ssh_config).expanduser())] if self._options.ssh_config else []
-        user_host, _, port = self.name.rpartition(":")
-        if not user_host or not port.isdecimal() or user_host.count(":"):
-            user_host, port = self.name, ""
-        return ["ssh", *file, "-S", str(self._socket), *words, *(["-p", port] if port else []), "--", user_host]
+        *options, end, host = self._address.arguments
+        return ["ssh", *options, "-S", str(self._socket), *words, end, host]
 
 
 def _quiet() -> dict[str, str]:

@@ -133,3 +133,27 @@ def test_what_login_shells_print_is_dropped(kind: str, fleet: Fleet, tmp_path: P
     link.close()
     with pytest.raises(Unreachable, match=f"{name}: .*not available"):
         MAKERS[kind](name, fleet).run(["true"])
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+def test_aliases_of_host_keys_and_proxy_commands_are_those_of_openssh(kind: str, fleet: Fleet, tmp_path: Path) -> None:
+    jump, name, _ = fleet.names
+    key = (fleet.robots[name].own / "hostkey.pub").read_text()
+    (tmp_path / "known").write_text(f"the-alias {key}")
+    own = f"User robot\nHostKeyAlias the-alias\nIdentityFile {fleet.key}\nUserKnownHostsFile {tmp_path / 'known'}\n"
+    through = f"ProxyCommand ssh -F {fleet.ssh_config} -W {fleet.robots[name].address}:22 {jump}"
+    with fleet.ssh_config.open("a") as file:
+        file.write(f"Host direct\nHostName {fleet.robots[name].address}\n{own}Host by-command\n{through}\n{own}")
+    for host in ("direct", "by-command"):
+        link = MAKERS[kind](host, fleet)
+        if (kind, host) == ("fabric", "by-command"):
+            with pytest.raises(Unreachable, match=r"by-command: its ProxyCommand needs .* use the link openssh"):
+                link.run(["hostname"])
+        else:
+            assert link.run(["hostname"]).stdout.decode() == f"{name}\n"
+            link.close()
+            (tmp_path / "known").write_text("")
+            with pytest.raises(UntrustedHost, match=host):
+                link.run(["hostname"])
+            (tmp_path / "known").write_text(f"the-alias {key}")
+        link.close()
