@@ -13,7 +13,7 @@ from sierra.cli.output import print_json
 def doctor(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[HOST]...", help="With --hosts: robots of the fleet, or hosts as in `ssh HOST`."),
+        typer.Argument(metavar="HOST", help="With --hosts: robots of the fleet, or hosts as in `ssh HOST`."),
     ] = None,
     hosts: Annotated[
         bool, typer.Option("--hosts", help="Check hosts over SSH instead: those named, or the fleet of the runner robots.")

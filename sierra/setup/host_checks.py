@@ -131,9 +131,9 @@ def _checks(host: HostToCheck) -> Iterator[Check]:
         yield Check(f"{host.name}: connection", "ok", f"{host.link}, in {time.monotonic() - began:.2f} s; its key is known")
         yield from _look(host, link)
     except UntrustedHost as error:
-        yield Check(f"{host.name}: key", "missing", *_split(str(error)))
+        yield Check(f"{host.name}: key", "missing", *_split(host, error))
     except Missing as error:
-        yield Check(f"{host.name}: connection", "missing", *_split(str(error)))
+        yield Check(f"{host.name}: connection", "missing", *_split(host, error))
     finally:
         link.close()
 
@@ -197,7 +197,7 @@ def _check(host: HostToCheck, name: str, fits: bool, found: str, remedy: str, ot
     return Check(f"{host.name}: {name}", "ok" if fits else otherwise, found, "" if fits else remedy)
 
 
-def _split(message: str) -> tuple[str, str]:
-    """Return the problem and the remedy of an error."""
-    problem, _, remedy = message.partition("; ")
+def _split(host: HostToCheck, error: Missing) -> tuple[str, str]:
+    """Return the problem and the remedy of an error, without the host's name."""
+    problem, _, remedy = str(error).removeprefix(f"{host.host}: ").partition("; ")
     return problem, remedy
