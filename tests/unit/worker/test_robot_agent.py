@@ -52,7 +52,7 @@ class Driver:
         self.process.stdin.write(json.dumps({"do": do, **fields}).encode() + b"\n")
 
     def receive(self, event: str, seconds: float = 10.0) -> dict[str, Any]:
-        """Return the next event with this name; others are dropped."""
+        """Return the next event with this name, and renew the lease until then; other events are dropped."""
         assert self.process.stdout
         give_up = time.monotonic() + seconds
         while time.monotonic() < give_up:
@@ -66,6 +66,8 @@ class Driver:
                 data = os.read(self.process.stdout.fileno(), 65536)
                 assert data, f"the agent ended before {event}"
                 self.lines += data
+            else:
+                self.send("beat")
         raise AssertionError(f"no {event} in {seconds} s")
 
     def hello(self, **options: Any) -> dict[str, Any]:
