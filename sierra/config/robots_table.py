@@ -6,16 +6,32 @@ takes a place is decided when the run is executed (`[runners.robots]`), and is n
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Annotated
 
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import BeforeValidator, Field, PositiveInt, WithJsonSchema, model_validator
 
 from sierra.config.change_tables import ChangeTable
-from sierra.config.field_types import Argv, Command, Name, Table
+from sierra.config.field_types import NAME, Argv, Command, Name, Table
 
 ROBOT, BASE = "robot", "base"
 """The groups of places that belong to no declared group, and of the base station."""
+
+
+def _count(value: object) -> object:
+    """Return a number of robots, or the name of a variable. Raises ValueError for anything else."""
+    is_number = isinstance(value, int) and not isinstance(value, bool) and value > 0
+    if not (is_number or (isinstance(value, str) and re.fullmatch(NAME, value))):
+        raise ValueError(f"{value!r} should be a whole number from 1, or the name of a variable")
+    return value
+
+
+Count = Annotated[
+    int | str,
+    BeforeValidator(_count),
+    WithJsonSchema({"anyOf": [{"type": "integer", "exclusiveMinimum": 0}, {"type": "string", "pattern": NAME}]}),
+]
 
 
 class BaseStation(Table):
@@ -46,7 +62,7 @@ class RobotsTable(Table):
     `{robot}` in commands and in changes of single runs is the robot's place in the run: 1, 2, …; 0 is the base station.
     """
 
-    count: PositiveInt | Name = Field(
+    count: Count = Field(
         description="how many robots a run takes: a number, or the name of a variable of the query, such as `population_size`"
     )
     command: Argv = Field((), description="the program and its arguments on each robot; default: the project's `command`")

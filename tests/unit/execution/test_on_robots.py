@@ -146,6 +146,8 @@ def test_what_robots_cannot_do_is_refused_in_one_line(
         ("[targets.robots.robots.groups]\na = { places = [1] }\nb = { places = [1] }\n", "place 1 is in a and in b"),
         ("[targets.robots.robots.groups.a]\nplaces = [0]\n", "places"),
         ("[per_run]\nrobot = [1, 2]\n", "{robot} is the robot's place"),
+        ("[targets.half.robots]\ncount = 2.5\n", "2.5 should be a whole number from 1, or the name of a variable"),
+        ("[targets.half.robots]\ncount = true\n", "True should be a whole number from 1"),
     ],
 )  # fmt: skip
 def test_contradictory_tables_of_robots_are_refused(tmp_path: Path, more: str, message: str) -> None:
