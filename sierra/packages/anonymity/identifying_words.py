@@ -11,10 +11,11 @@ import os
 import pwd
 import re
 import socket
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from sierra.config.field_types import RawTable
 from sierra.config.package_table import Package
 from sierra.config.project_file import LoadedProject
 from sierra.errors import Missing
@@ -49,7 +50,7 @@ HOSTS = """
 SELECT host FROM executions UNION SELECT host FROM environments UNION SELECT host FROM builds UNION SELECT node FROM attempts
 UNION SELECT host FROM robots WHERE host IS NOT NULL ORDER BY ALL
 """
-OPERATORS = "SELECT DISTINCT operator FROM all_trials WHERE operator IS NOT NULL AND operator <> $hidden ORDER BY ALL"
+OPERATORS = "SELECT DISTINCT operator FROM all_trials WHERE operator IS NOT NULL ORDER BY ALL"
 REMOTES = "SELECT DISTINCT remote FROM sources WHERE remote IS NOT NULL ORDER BY ALL"
 
 
@@ -88,8 +89,21 @@ def _all(project: LoadedProject, store: Store) -> Iterator[Word]:
             yield Word(str(folder), "folder of the project")
     for host in dict.fromkeys((socket.gethostname(), os.uname().nodename, *store.values(str, HOSTS))):
         yield from _of_host(host)
-    for operator in store.values(str, OPERATORS, hidden=HIDDEN):
-        yield from _of_name(operator, "operator")
+    for address in _addresses(project.config.runners.get("robots", {})):
+        yield from _of_host(address)
+    for operator in store.values(str, OPERATORS):
+        if operator != HIDDEN:
+            yield from _of_name(operator, "operator")
+
+
+def _addresses(table: RawTable) -> Iterator[str]:
+    """Yield the hosts of a fleet that are names in a domain; other names are only known to a configuration of OpenSSH."""
+    fleet = table.get("fleet")
+    for robot in fleet.values() if isinstance(fleet, Mapping) else ():
+        host = str(robot.get("host", "")) if isinstance(robot, Mapping) else ""
+        address = host.rpartition("@")[2].partition(":")[0]
+        if "." in address and re.search("[A-Za-z]", address):
+            yield address
 
 
 def _of_package(package: Package) -> Iterator[Word]:

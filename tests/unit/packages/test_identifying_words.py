@@ -15,7 +15,7 @@ from tests import projects
 
 
 class Records:
-    """A store that knows two hosts and two remotes."""
+    """A store that knows two hosts, two remotes and an operator."""
 
     def values(self, kind: type, text: str) -> list[str]:
         known = {
@@ -25,6 +25,7 @@ class Records:
                 "https://github.com/other/x",
                 "../y",
             ],
+            identifying_words.OPERATORS: ["Grace Hopper", "redacted"],
         }
         return known[text]
 
@@ -40,14 +41,29 @@ def test_words_come_from_the_package_git_the_account_and_the_records(tmp_path: P
     author = {"name": "Doe, Jane Q.", "orcid": "0000-0002-1825-0097", "affiliation": "MIT"}
     package = Package(title="x", license="MIT", authors=(author,), related=({"identifier": "10.5555/12345678"},))  # type: ignore[arg-type]
     project = project_file.load(root)
-    project = replace(project, config=project.config.model_copy(update={"package": package}))
+    fleet = {"fleet": {"tb1": {"host": "pi@tb1.robots.example:22"}, "tb2": {"host": "tb2"}, "tb3": {"host": "192.168.1.9"}}}
+    project = replace(project, config=project.config.model_copy(update={"package": package, "runners": {"robots": fleet}}))
     found, general = words(project, Records())  # type: ignore[arg-type]
     texts = {word.text for word in found}
     assert texts > {
         *("Jane Q. Doe", "Jane Doe", "Doe", "0000-0002-1825-0097", "10.5555/12345678", "José Müller", "Müller"),
         *("jm@uni.example", "uni.example", "github.com/janelab/swarm", "janelab", "jmueller", "/home/jmueller", str(root)),
         *("node7.cluster.lab.example", "node7", "cluster.lab.example", "git.lab.example", "janes-group", "other"),
+        *("Grace Hopper", "Hopper", "tb1.robots.example", "robots.example"),
     }
     assert {"root", "localhost", "host-1", "github.com", "MIT"} <= set(general)
-    assert not texts & {"root", "localhost", "github.com", "MIT", "..", "y", "/", "/home", "/tmp"}
+    assert not texts & {
+        "redacted",
+        "tb2",
+        "192.168.1.9",
+        "root",
+        "localhost",
+        "github.com",
+        "MIT",
+        "..",
+        "y",
+        "/",
+        "/home",
+        "/tmp",
+    }
     assert all(len(text) > 1 for text in texts)
