@@ -24,6 +24,7 @@ CONTENTS = {
         "how-to/queries",
         "how-to/targets",
         "how-to/runs-on-robots",
+        "how-to/robots",
         "how-to/supervised-trials",
         "how-to/outputs",
         "how-to/sql",
