@@ -19,6 +19,7 @@ CONTENTS = {
         "how-to/from-sierra1",
         "how-to/templates",
         "how-to/simulators",
+        "how-to/ros",
         "how-to/compile",
         "how-to/around-a-run",
         "how-to/queries",

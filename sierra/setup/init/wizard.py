@@ -105,4 +105,7 @@ def copy_example(name: str, target: Path) -> list[str]:
         for file in files:
             (target / file).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(example / file, target / file)
+            if os.access(example / file, os.X_OK):
+                mode = (target / file).stat().st_mode
+                (target / file).chmod(mode | (mode & 0o444) >> 2)  # whoever can read it can execute it
     return [str(file) for file in files]

@@ -1,0 +1,584 @@
+"""A run of ROS: `python3 ros_driver.py LAUNCH OUTPUT roslaunch|ros2 [options]`.
+
+SIERRA lays this file beside the launch file of each run. It needs Python 3.8 or newer; with `roslaunch`, the Python of ROS 1.
+It starts the launch file with a master on a port of its own (ROS 1), or in a domain of its own (ROS 2). The exit status is 0
+only if the whole time is over, and no node has died until then.
+
+No single word of roslaunch is believed, because its exit status is 0 even if every node has died:
+
+- a time keeper (`ros_timekeeper.py`, a required node) writes a file when the time is over;
+- a node that the launcher reports as died fails the run, and so does one that disappears without such a report;
+- as many nodes must have been started as the launch file has.
+
+The time begins when all nodes are known to the master, and when the recorder of topics has subscribed. The parameter
+`/sierra/started` then becomes true. SIGTERM and SIGINT end all nodes by SIGINT to the launcher, so that bags are closed.
+
+`python3 ros_driver.py --nodes LAUNCH` prints the nodes of a launch file of ROS 1 as JSON, and what is wrong with them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import contextlib
+import glob
+import http.client
+import json
+import os
+import random
+import re
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import uuid
+import xmlrpc.client
+from pathlib import Path
+from typing import Any, Callable, Iterable
+
+PORTS = range(20000, 32768)  # below those that Linux gives to outgoing connections
+DOMAINS = range(1, 102)  # ROS_DOMAIN_ID: safe on Linux, without the default 0
+SYSTEM = "/usr/share"  # the packages of Debian; a setup script names others
+TICK_S = 0.1
+GONE_S = 3.0
+SETTLED_S = 2.0  # without a new node, until all nodes of ROS 2 count as started
+GRACE = ((signal.SIGINT, 15.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))  # signals to the launcher, and seconds after each
+SIGINT_S, SIGTERM_S = 5.0, 2.0  # for each node, by roslaunch
+LOG_LINES, CHUNK = 20, 1 << 16
+PACKAGE, KEEPER, RECORDER = "sierra_ros", "sierra_timekeeper", "sierra_bag"
+CORE = {"/master", "/rosout"}
+CALLER = "/sierra_driver"
+
+COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+STARTED = re.compile(r"(?:process)?\[(\S+)\]: (?:process )?started with pid \[(\d+)\]")
+DIED = re.compile(r"\[(\S+?)\]:? process has died (?:\[pid \d+, )?(exit code -?\d+|without exit code)")
+FINISHED = re.compile(r"\[(\S+?)\]:? process has finished cleanly")
+REQUIRED = re.compile(r"REQUIRED process \[(\S+)\] has died!")
+REFUSED = re.compile(r"(cannot launch node of type .*|failed to start local process: .*|Unable to launch .*)")
+CLOCK = re.compile(r"(nanosec|sec): (\d+)")
+
+
+class Failure(Exception):
+    """The run has failed; the message is one line."""
+
+
+class Stopped(Exception):
+    """The run was told to end."""
+
+
+def node_of(process: str) -> str:
+    """Return the name of a node from that of its process: `robot0/walker-2` is `/robot0/walker`."""
+    return "/" + re.sub(r"-\d+$", "", process)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def reserved(kind: str, numbers: range, is_free: Callable[[int], bool]) -> tuple[socket.socket, int]:
+    """Return a number that no other run on this machine has, and the lock that reserves it until it is closed.
+
+    The lock is an abstract socket: the kernel removes it with its process, and it is valid where ports are (a network
+    namespace).
+    """
+    for number in random.sample(numbers, len(numbers)):
+        lock = socket.socket(socket.AF_UNIX)
+        try:
+            lock.bind(f"\0sierra-ros-{kind}-{number}")
+        except OSError:
+            lock.close()
+            continue
+        if is_free(number):
+            return lock, number
+        lock.close()
+    raise Failure(f"no {kind} from {numbers[0]} to {numbers[-1]} is free on this machine")
+
+
+def is_free_port(port: int) -> bool:
+    with socket.socket() as tried:
+        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            tried.bind(("", port))
+        except OSError:
+            return False
+    return True
+
+
+def sourced(script: str) -> dict[str, str]:
+    """Return the environment after a setup script. Raises Failure if it fails."""
+    shell = 'source "$1" >&2 && exec "$2" -c "import json, os; print(json.dumps(dict(os.environ)))"'
+    done = subprocess.run(["bash", "-c", shell, "bash", script, sys.executable], stdout=subprocess.PIPE, check=False)
+    if done.returncode:
+        raise Failure(f"the setup script {script} failed: exit status {done.returncode}")
+    variables: dict[str, str] = json.loads(done.stdout)
+    return variables
+
+
+class Died(Failure):
+    """A node has died; its log says why."""
+
+    def __init__(self, message: str, process: str) -> None:
+        super().__init__(message)
+        self.process = process
+
+
+class Watch:
+    """The nodes of a run, as the launcher reports them."""
+
+    def __init__(self) -> None:
+        self.respawned: set[str] = set()
+        """Nodes that the launcher starts again when they end."""
+        self.started: dict[str, int] = {}
+        """The id of each process that was started and has not been reported as ended."""
+        self.nodes: set[str] = set()
+        """All nodes that were started."""
+        self.finished: set[str] = set()
+        """Nodes that have ended by themselves, without an error."""
+        self.is_over = False
+        """Whether the launcher ends its nodes; from then on, it is no failure if they end."""
+        self.latest = 0.0
+        """When the last node was started."""
+        self._gone: dict[str, float] = {}
+        self._line = b""
+        self.last: collections.deque[str] = collections.deque(maxlen=LOG_LINES)
+        """The last lines that nodes and the launcher have printed."""
+
+    def read(self, chunk: bytes) -> None:
+        """Read a part of the launcher's output, and copy it. Raises Failure."""
+        *lines, self._line = (self._line + chunk).split(b"\n")
+        for line in lines:
+            text = COLOURS.sub("", line.decode("utf-8", "replace"))
+            print(text, flush=True)
+            self.last.append(text)
+            self._report(text)
+
+    def _report(self, text: str) -> None:
+        if found := STARTED.search(text):
+            self.started[found[1]] = int(found[2])
+            self.nodes.add(node_of(found[1]))
+            self.latest = time.monotonic()
+        elif self.is_over:
+            return
+        elif found := REQUIRED.search(text):
+            self.is_over = True
+            if node_of(found[1]) != "/" + KEEPER:
+                raise Died(f"the required node {node_of(found[1])} ended before the time was over", found[1])
+        elif found := DIED.search(text):
+            self._end(found[1], found[2])
+        elif found := FINISHED.search(text):
+            self._end(found[1], "")
+        elif found := REFUSED.search(text):
+            raise Failure(found[1])
+
+    def _end(self, process: str, how: str) -> None:
+        self.started.pop(process, None)
+        node = node_of(process)
+        if node in self.respawned:
+            return
+        if how:
+            raise Died(f"the node {node} died early: {how}", process)
+        self.finished.add(node)
+
+    def check_alive(self) -> None:
+        """Raise Died if a process has disappeared, and the launcher does not report it."""
+        now = time.monotonic()
+        gone = [name for name, pid in self.started.items() if not is_alive(pid)]
+        self._gone = {name: self._gone.get(name, now) for name in gone}
+        for name, since in self._gone.items():
+            if now - since > GONE_S and not self.is_over:
+                raise Died(f"the node {node_of(name)} ended early, and the launcher did not report it", name)
+
+
+class Launch:
+    """The launcher of one run, and everything that it starts."""
+
+    def __init__(self, given: argparse.Namespace) -> None:
+        self.given = given
+        self.run = str(uuid.uuid4())
+        self.folder = Path(tempfile.mkdtemp(prefix="ros-"))
+        self.marker = self.folder / "ended"
+        self.logs = self.folder / "log"
+        self.environment = sourced(given.setup) if given.setup else dict(os.environ)
+        self.watch = Watch()
+        self.locks: list[socket.socket] = []
+
+    def command(self) -> list[str]:
+        """Prepare the run; return the words that start it. Raises Failure."""
+        raise NotImplementedError
+
+    def look(self) -> bool:
+        """Look after the run while it goes on; return whether the launcher is to be ended. Raises Failure."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """End what was started beside the launcher."""
+
+    def is_over(self) -> bool:
+        """Return whether the whole time is over."""
+        return self.marker.is_file() and self.marker.read_text() == self.run
+
+    def reserve(self, kind: str, numbers: range, is_free: Callable[[int], bool] = lambda number: True) -> str:
+        lock, number = reserved(kind, numbers, is_free)
+        self.locks.append(lock)
+        return str(number)
+
+    def awaits(self) -> list[str]:
+        """Return the nodes that the run awaits, and that have not ended."""
+        started = [name for name in self.watch.nodes if is_named(name, self.given.awaited)]
+        return sorted(name for name in started if name not in self.watch.finished)
+
+    def execute(self) -> None:
+        """Execute the run. Raises Failure."""
+        self.logs.mkdir(parents=True)
+        output = str(self.given.output.resolve())
+        self.environment.update(ROS_LOG_DIR=str(self.logs), PYTHONUNBUFFERED="1", SIERRA_OUTPUT=output)
+        process = self.started(self.command())
+        try:
+            self.supervise(process)
+        finally:
+            end(process)
+            self.close()
+        self.watch.read(b"\n")
+        if not self.is_over():
+            if self.marker.is_file():
+                raise Failure(self.marker.read_text() or "the time keeper could not write its file")
+            raise Failure(f"the launcher ended before the time was over (exit status {process.returncode})")
+        self.check_bag()
+
+    def started(self, words: list[str]) -> subprocess.Popen[bytes]:
+        quiet, piped = subprocess.DEVNULL, subprocess.PIPE
+        program = shutil.which(words[0], path=self.environment.get("PATH"))
+        if program is None:
+            raise Failure(f"the program {words[0]} is not installed, or setup does not add it to PATH")
+        words = [program, *words[1:]]
+        return subprocess.Popen(
+            words, env=self.environment, stdin=quiet, stdout=piped, stderr=subprocess.STDOUT, start_new_session=True
+        )
+
+    def supervise(self, process: subprocess.Popen[bytes]) -> None:
+        """Follow the launcher until it ends, or is to be ended. Raises Failure."""
+        while process.poll() is None:
+            self.copy(process, TICK_S)
+            self.watch.check_alive()
+            if self.look():
+                self.watch.is_over = True
+                end(process)
+        while self.copy(process, 0.0):
+            pass
+
+    def copy(self, process: subprocess.Popen[bytes], seconds: float) -> bool:
+        """Copy output of the launcher; return whether there was any within this time."""
+        pipe = process.stdout
+        if pipe is None or pipe.closed:
+            time.sleep(seconds)
+            return False
+        if not select.select([pipe], [], [], seconds)[0]:
+            return False
+        chunk = os.read(pipe.fileno(), CHUNK)
+        if not chunk:
+            pipe.close()
+        self.watch.read(chunk)
+        return bool(chunk)
+
+    def check_bag(self) -> None:
+        """Check that the recorder has closed its file. Raises Failure."""
+        if self.given.bag and not (self.given.output / self.given.bag).exists():
+            raise Failure(f"the bag {self.given.bag} is missing or was not closed")
+
+
+class Launch1(Launch):
+    """A run of ROS 1: roslaunch, its master, and the time keeper."""
+
+    def command(self) -> list[str]:
+        given, port = self.given, self.reserve("port", PORTS, is_free_port)
+        self.make_package()
+        found = (str(self.folder / "packages"), *given.packages, self.environment.get("ROS_PACKAGE_PATH") or SYSTEM)
+        uri = "http://127.0.0.1:" + port
+        for name in ("ROS_HOSTNAME", "ROS_NAMESPACE"):
+            self.environment.pop(name, None)
+        self.environment.update(
+            ROS_PACKAGE_PATH=":".join(found),
+            ROS_HOME=str(self.folder / "home"),
+            ROS_MASTER_URI=uri,
+            ROS_IP="127.0.0.1",
+            SIERRA_ROS_RUN=self.run,
+            SIERRA_ROS_MARKER=str(self.marker),
+            SIERRA_ROS_PATIENCE=repr(given.patience),
+            SIERRA_ROS_AWAIT=" ".join(given.awaited),
+        )
+        self.check_nodes()
+        self.master: Any = xmlrpc.client.ServerProxy(uri)
+        self.deadline = time.monotonic() + given.patience
+        self.has_begun = self.has_finished = False
+        limits = (f"--sigint-timeout={SIGINT_S:g}", f"--sigterm-timeout={SIGTERM_S:g}")
+        quiet = ("--disable-title", "--no-summary", "--skip-log-check")
+        return [given.launcher, *quiet, *limits, "--run_id=" + self.run, "--port=" + port, str(given.launch)]
+
+    def make_package(self) -> None:
+        """Make the package of the time keeper, which needs no build."""
+        package = self.folder / "packages" / PACKAGE
+        script = package / "scripts" / "timekeeper"
+        script.parent.mkdir(parents=True)
+        text = (Path(__file__).parent / "ros_timekeeper.py").read_text()
+        script.write_text(f"#!{sys.executable}\n{text}")
+        script.chmod(0o755)
+        about = "<version>1.0.0</version><description>SIERRA</description><license>MIT</license>"
+        person = '<maintainer email="nobody@example.org">SIERRA</maintainer>'
+        (package / "package.xml").write_text(f'<package format="2"><name>{PACKAGE}</name>{about}{person}</package>')
+
+    def check_nodes(self) -> None:
+        """Let ROS read the launch file, and check that everything that it starts exists. Raises Failure."""
+        words = [sys.executable, __file__, "--nodes", str(self.given.launch)]
+        done = subprocess.run(words, env=self.environment, stdout=subprocess.PIPE, check=False)
+        if done.returncode:
+            raise Failure("the launch file cannot be read")
+        answer = json.loads(done.stdout.splitlines()[-1])
+        if answer["errors"]:
+            raise Failure("; ".join(answer["errors"]))
+        names = [node["name"] for node in answer["nodes"]]
+        for wanted in self.given.awaited:
+            if not any(is_named(name, [wanted]) for name in names):
+                raise Failure("await: the launch file has no node {}; it has {}".format(wanted, " ".join(names)))
+        self.expected = len(names)
+        self.watch.respawned = {node["name"] for node in answer["nodes"] if node["respawn"]}
+
+    def look(self) -> bool:
+        if not self.has_begun and not self.missing():
+            self.has_begun = self.told("started")
+        if not self.has_begun and not self.watch.is_over and time.monotonic() > self.deadline:
+            raise Failure(f"after {self.given.patience:g} s, {self.missing()}")
+        if self.has_begun and self.given.awaited and not self.has_finished and not self.awaits():
+            self.has_finished = self.told("finished")
+        return False
+
+    def told(self, name: str) -> bool:
+        with contextlib.suppress(OSError, xmlrpc.client.Error, http.client.HTTPException):
+            return bool(self.master.setParam(CALLER, "/sierra/" + name, True)[0] == 1)
+        return False
+
+    def missing(self) -> str:
+        """Return what is missing until the time can begin; nothing if all nodes are there."""
+        nodes = self.watch.nodes - CORE
+        if len(nodes) < self.expected:
+            return f"{len(nodes)} of {self.expected} nodes were started"
+        try:
+            waiting = nodes - self.watch.finished if self.given.barrier else {"/" + KEEPER}
+            absent = sorted(name for name in waiting if self.master.lookupNode(CALLER, name)[0] != 1)
+            if absent:
+                return f"the node {absent[0]} is not known to the master (for programs that are no nodes: barrier = false)"
+            return self.unrecorded() if self.given.record else ""
+        except (OSError, xmlrpc.client.Error, http.client.HTTPException):
+            return "the master does not answer"
+
+    def unrecorded(self) -> str:
+        """Return a topic that the recorder does not receive yet from all nodes that publish it."""
+        uri = self.master.lookupNode(CALLER, "/" + RECORDER)[2]
+        recorder: Any = xmlrpc.client.ServerProxy(uri)
+        received = collections.Counter(link[4] for link in recorder.getBusInfo(CALLER)[2] if link[2] == "i")
+        for topic, nodes in self.master.getSystemState(CALLER)[2][0]:
+            if received[topic] < len(nodes) and any(re.fullmatch(one, topic) for one in self.given.record):
+                return f"the recorder has not subscribed to {topic}"
+        return ""
+
+    def check_bag(self) -> None:
+        if self.given.bag and list(self.given.output.glob(self.given.bag + "*.active")):
+            raise Failure(f"the bag {self.given.bag} was not closed")
+        super().check_bag()
+
+
+class Launch2(Launch):
+    """A run of ROS 2: `ros2 launch` in a domain of its own. The driver itself keeps the time."""
+
+    def command(self) -> list[str]:
+        given = self.given
+        if given.length is None:
+            raise Failure("ROS 2 needs --length")
+        self.environment.update(
+            ROS_DOMAIN_ID=self.reserve("domain", DOMAINS),
+            ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",  # Iron and newer
+            ROS_LOCALHOST_ONLY="1",  # before
+            ROS_HOME=str(self.folder / "home"),
+        )
+        self.begin: float | None = None
+        self.clock: Clock | None = None
+        self.deadline = time.monotonic() + given.patience
+        return [given.launcher, "launch", "--noninteractive", str(given.launch)]
+
+    def look(self) -> bool:
+        given = self.given
+        if self.begin is None:
+            if self.watch.nodes:
+                self.clock = Clock(given.launcher, self.environment) if given.sim_time else None
+                self.begin = self.deadline = time.monotonic()
+                self.deadline += given.patience
+            elif time.monotonic() > self.deadline:
+                raise Failure(f"no node was started within {given.patience:g} s")
+            return False
+        if self.clock is not None:
+            passed = self.clock.passed()
+            if passed is None and time.monotonic() > self.deadline:
+                raise Failure("nothing has published the simulated time (/clock)")
+        else:
+            passed = time.monotonic() - self.begin
+        if given.awaited:
+            return self.is_finished(passed)
+        return passed is not None and passed >= given.length and self.mark()
+
+    def is_finished(self, passed: float | None) -> bool:
+        started = [name for name in self.watch.nodes if is_named(name, self.given.awaited)]
+        if started and not self.awaits() and time.monotonic() - self.watch.latest > SETTLED_S:
+            return self.mark()
+        if passed is not None and passed > self.given.length + self.given.patience:
+            late = ", ".join(self.awaits() or self.given.awaited)
+            raise Failure(f"awaited nodes have not ended {self.given.patience:g} s after the length of the run: {late}")
+        return False
+
+    def close(self) -> None:
+        if self.clock is not None:
+            end(self.clock.process)
+
+    def mark(self) -> bool:
+        self.marker.write_text(self.run)
+        return True
+
+
+class Clock:
+    """The simulated time of ROS 2, as `ros2 topic echo` prints it."""
+
+    def __init__(self, launcher: str, environment: dict[str, str]) -> None:
+        words = [launcher, "topic", "echo", "/clock", "rosgraph_msgs/msg/Clock"]
+        program = shutil.which(words[0], path=environment.get("PATH")) or words[0]
+        self.process = subprocess.Popen([program, *words[1:]], env=environment, stdout=subprocess.PIPE, start_new_session=True)
+        self._text = ""
+        self._first: float | None = None
+        self._last: float | None = None
+
+    def passed(self) -> float | None:
+        """Return the simulated seconds since the first message; None before it."""
+        pipe = self.process.stdout
+        while pipe is not None and select.select([pipe], [], [], 0.0)[0]:
+            chunk = os.read(pipe.fileno(), CHUNK)
+            if not chunk:
+                raise Failure("ros2 topic echo /clock has ended")
+            self._text += chunk.decode("utf-8", "replace")
+        *messages, self._text = self._text.split("---\n")
+        for message in messages:
+            parts = {name: int(value) for name, value in CLOCK.findall(message)}
+            self._last = parts.get("sec", 0) + parts.get("nanosec", 0) / 1e9
+            self._first = self._last if self._first is None else self._first
+        return None if self._first is None or self._last is None else self._last - self._first
+
+
+def is_named(node: str, names: Iterable[str]) -> bool:
+    """Return whether a node has one of these names: with its namespace (`/robot0/walker`), or without (`walker`)."""
+    return any(node == name or node.rpartition("/")[2] == name for name in names)
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    """End a launcher: by SIGINT, on which it ends its nodes and closes bags, then by SIGTERM and SIGKILL."""
+    for number, seconds in GRACE:
+        if process.poll() is not None:
+            return
+        process.send_signal(number)
+        deadline = time.monotonic() + seconds
+        while process.poll() is None and time.monotonic() < deadline:
+            drain(process)
+
+
+def drain(process: subprocess.Popen[bytes]) -> None:
+    """Copy the last output of a process that is ending: if its pipe were full, it would not end."""
+    pipe = process.stdout
+    if pipe is None or pipe.closed:
+        time.sleep(TICK_S)
+    elif select.select([pipe], [], [], TICK_S)[0]:
+        chunk = os.read(pipe.fileno(), CHUNK)
+        if not chunk:
+            pipe.close()
+        os.write(1, COLOURS.sub("", chunk.decode("utf-8", "replace")).encode())
+
+
+def print_log(launch: Launch, process: str) -> None:
+    """Print the end of the log files of a process, and of what was printed before it died."""
+    found = launch.logs.glob(f"*/{glob.escape(process.replace('/', '-'))}*.log")
+    logs = {name.name: name.read_text("utf-8", "replace").splitlines() for name in sorted(found, reverse=True)}
+    for name, lines in [*logs.items(), ("the output", list(launch.watch.last))]:
+        if lines:
+            print(f"== the end of {name}", *lines[-LOG_LINES:], sep="\n", file=sys.stderr)
+
+
+def print_nodes(launch: str) -> None:
+    """Print the nodes of a launch file of ROS 1, and what is wrong with them, as JSON."""
+    try:
+        import roslaunch.config
+        import roslib.packages
+        from rospkg import ResourceNotFound
+    except ImportError as error:
+        sys.exit(f'{sys.executable} has no ROS 1 ({error}); name the Python of ROS, as in: command = "/usr/bin/python3"')
+    try:
+        config = roslaunch.config.load_config_default([launch], None, verbose=False)
+    except roslaunch.core.RLException as error:
+        sys.exit(" ".join(str(error).split()))
+    nodes, errors = [], [" ".join(str(one).split()) for one in config.config_errors]
+    for node in config.nodes:
+        name = node.namespace + node.name
+        nodes.append({"name": name, "respawn": node.respawn})
+        if not roslaunch.core.is_machine_local(node.machine):
+            errors.append(f"the node {name} is to run on another machine")
+        try:
+            programs = roslib.packages.find_node(node.package, node.type)
+        except ResourceNotFound:
+            errors.append(f"the package {node.package} of the node {name} is unknown; packages names folders with packages")
+            continue
+        if not programs:
+            errors.append(f"the package {node.package} has no executable file {node.type}, which the node {name} names")
+    print(json.dumps({"nodes": nodes, "errors": errors}))
+
+
+def raise_stopped(number: int, frame: object) -> None:
+    raise Stopped(f"was told to end by signal {number}")
+
+
+def main() -> None:
+    """Execute one run; print in one line why it failed."""
+    if sys.argv[1] == "--nodes":
+        print_nodes(sys.argv[2])
+        return
+    parser = argparse.ArgumentParser()
+    parser.add_argument("launch", type=Path)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("launcher")
+    parser.add_argument("--ros", type=int, choices=(1, 2), default=1)
+    parser.add_argument("--packages", action="append", default=[])
+    parser.add_argument("--setup")
+    parser.add_argument("--await", action="append", default=[], dest="awaited")
+    parser.add_argument("--patience", type=float, default=60.0)
+    parser.add_argument("--length", type=float)
+    parser.add_argument("--sim-time", action="store_true")
+    parser.add_argument("--no-barrier", action="store_false", dest="barrier")
+    parser.add_argument("--record", action="append", default=[])
+    parser.add_argument("--bag")
+    given = parser.parse_args()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, raise_stopped)
+    launch = None
+    try:
+        launch = Launch1(given) if given.ros == 1 else Launch2(given)
+        launch.execute()
+    except (Failure, Stopped) as error:
+        if launch is not None and isinstance(error, Died):
+            print_log(launch, error.process)
+        sys.exit(f"ros: {error}")
+
+
+if __name__ == "__main__":
+    main()

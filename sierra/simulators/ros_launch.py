@@ -1,0 +1,233 @@
+"""Launch files in XML: where settings of a run are in them, and the copies of the group that is one robot.
+
+A setting of SIERRA (`random_seed`, `population_size`, …) is a parameter in ROS 1, in the namespace `/sierra`. ROS 2 has no
+parameters that all nodes share: there, it is a variable of the launch file, `$(var sierra_random_seed)`.
+
+The one group of the template becomes a group for each robot. The launch file stays one that ROS reads by itself: a copy gets a
+namespace of its own, and values for the arguments that it may use (`$(arg robot)`, in ROS 2 `$(var robot)`).
+"""
+
+from __future__ import annotations
+
+import copy
+import random
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+from xml.etree import ElementTree
+
+from sierra.plugin import Add, Change, Set, TemplateError, TemplateView
+
+ROOT = "/launch"
+SETTINGS = "sierra"
+TRIES = 1000
+"""Draws of a pose that keeps its distance, until an arena counts as full."""
+KEEPER = '<node pkg="sierra_ros" type="timekeeper" name="sierra_timekeeper" required="true" output="screen"/>'
+
+Pose = tuple[float, float, float]
+"""x and y in metres, and yaw in radians."""
+
+
+class Dialect(Protocol):
+    """The launch files of one generation of ROS."""
+
+    argument: ClassVar[str]
+    """The tag of the elements that give values to a group."""
+    group: ClassVar[str]
+    """XPath of the namespaces of the groups in a launch file."""
+    unnamed: ClassVar[str]
+    """XPath of groups with nodes and without a namespace."""
+
+    def setting(self, name: str) -> str:
+        """Return the XPath of the value of a setting."""
+
+    def settings(self, template: TemplateView, values: Mapping[str, str], why: str) -> Iterator[Change]:
+        """Yield the changes that give settings their values, and add those that the template does not have."""
+
+    def namespace(self, group: ElementTree.Element) -> tuple[ElementTree.Element, str] | None:
+        """Return the element with the namespace of a group, and the name of its attribute; None without a namespace."""
+
+    def recorder(self, topics: Sequence[str]) -> str:
+        """Return the element that records topics into `bag`."""
+
+
+class Launch1:
+    """Launch files of ROS 1 (roslaunch)."""
+
+    argument: ClassVar[str] = "arg"
+    group: ClassVar[str] = f"{ROOT}/group[not(@ns='{SETTINGS}')]/@ns"
+    unnamed: ClassVar[str] = f"{ROOT}/group[node][not(@ns or @if or @unless)]"
+    types: ClassVar[Mapping[str, str]] = {"random_seed": "int", "population_size": "int", "place": "int", "length": "double"}
+
+    def setting(self, name: str) -> str:
+        return f"{ROOT}/group[@ns='{SETTINGS}']/param[@name='{name}']/@value"
+
+    def settings(self, template: TemplateView, values: Mapping[str, str], why: str) -> Iterator[Change]:
+        group = f"{ROOT}/group[@ns='{SETTINGS}']"
+        if not template.find(f"{group}/@ns"):
+            yield Add(ROOT, f'<group ns="{SETTINGS}"/>', at=0, expect=1, why=why)
+        for name, value in values.items():
+            kind = self.types.get(name, "str" if name == "output" else "auto")
+            if template.find(self.setting(name)):
+                yield Set(self.setting(name), value, expect=1, why=why)
+            else:
+                yield Add(group, f'<param name="{name}" type="{kind}" value="{value}"/>', expect=1, why=why)
+
+    def namespace(self, group: ElementTree.Element) -> tuple[ElementTree.Element, str] | None:
+        return (group, "ns") if group.get("ns") not in (None, SETTINGS) else None
+
+    def recorder(self, topics: Sequence[str]) -> str:
+        words = f"-O $(env SIERRA_OUTPUT)/run.bag -e {' '.join(topics)}"
+        return f'<node pkg="rosbag" type="record" name="sierra_bag" args="{words}" output="screen"/>'
+
+
+class Launch2:
+    """Launch files of ROS 2 (ros2 launch)."""
+
+    argument: ClassVar[str] = "let"
+    pushed: ClassVar[tuple[str, ...]] = ("push_ros_namespace", "push-ros-namespace")
+    group: ClassVar[str] = f"{ROOT}/group/*[{' or '.join(f'self::{tag}' for tag in pushed)}]/@namespace"
+    unnamed: ClassVar[str] = f"{ROOT}/group[node][not({' or '.join((*pushed, '@if', '@unless'))})]"
+
+    def setting(self, name: str) -> str:
+        return f"{ROOT}/let[@name='{SETTINGS}_{name}']/@value"
+
+    def settings(self, template: TemplateView, values: Mapping[str, str], why: str) -> Iterator[Change]:
+        for name, value in reversed(list(values.items())):
+            if template.find(self.setting(name)):
+                yield Set(self.setting(name), value, expect=1, why=why)
+            else:
+                yield Add(ROOT, f'<let name="{SETTINGS}_{name}" value="{value}"/>', at=0, expect=1, why=why)
+
+    def namespace(self, group: ElementTree.Element) -> tuple[ElementTree.Element, str] | None:
+        found = next((child for child in group if child.tag in self.pushed), None)
+        return None if found is None else (found, "namespace")
+
+    def recorder(self, topics: Sequence[str]) -> str:
+        words = f"ros2 bag record -s mcap -o $(env SIERRA_OUTPUT)/run --regex '{'|'.join(topics)}'"
+        return f'<executable cmd="{words}" name="sierra_bag" output="screen"/>'
+
+
+@dataclass(frozen=True, slots=True)
+class RandomPoses:
+    """A rectangle in which poses are drawn from the seed of the run, at a distance from each other."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    yaw: tuple[float, float]
+    distance: float
+
+    def drawn(self, seed: str, count: int) -> Iterator[Pose]:
+        """Yield a pose for each robot; more robots do not change those before. Raises TemplateError if there is no space."""
+        stream = random.Random(f"{seed}/poses")
+        taken: list[Pose] = []
+        for number in range(count):
+            tries = (self._draw(stream) for _ in range(TRIES))
+            pose = next((one for one in tries if all(self._is_apart(one, other) for other in taken)), None)
+            if pose is None:
+                raise TemplateError(
+                    f"random_poses: robot {number} found no place at a distance of {self.distance:g} m from {number} others; "
+                    "use a larger rectangle, or a smaller distance"
+                )
+            taken.append(pose)
+            yield pose
+
+    def _draw(self, stream: random.Random) -> Pose:
+        x, y, yaw = (round(stream.uniform(*limits), 4) for limits in (self.x, self.y, self.yaw))
+        return x, y, yaw
+
+    def _is_apart(self, one: Pose, other: Pose) -> bool:
+        return (one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2 >= self.distance**2
+
+
+@dataclass(frozen=True, slots=True)
+class Robots:
+    """The robots of a launch file: copies of one group."""
+
+    dialect: Dialect
+    namespace: str | None = None
+    """The namespace of the group; None: the only group that has one."""
+    prefix: str | None = None
+    """The beginning of the names of robots; None: the namespace without digits at its end."""
+    arguments: tuple[tuple[str, str], ...] = ()
+    """Arguments that all copies get."""
+    poses: tuple[Pose, ...] | RandomPoses = ()
+
+    def made(self, document: bytes) -> bytes:
+        """Return a launch file with a copy of the group for each robot. Raises TemplateError.
+
+        In a run on robots (with the setting `place`), the launch file of a robot has only its own copy, and that of the base
+        station (0) has none. Without a group that stands for robots, the document stays as it is.
+        """
+        root = _parsed(document)
+        count, seed, place = (self._setting(root, name) for name in ("population_size", "random_seed", "place"))
+        found = [group for group in root.findall("group") if self._stands(group)]
+        if count is None or len(found) != 1:
+            return document
+        if not count.isdecimal() or not int(count) >= 1:
+            raise TemplateError(f"population_size is {count!r}; use a whole number of 1 or more")
+        at = list(root).index(found[0])
+        root.remove(found[0])
+        if place is not None:
+            *_, pose = (None, *self._poses(int(place), seed or "0"))
+            copies = [self._copy(found[0], int(place), pose)] if int(place) else []
+        else:
+            copies = [self._copy(found[0], number, pose) for number, pose in enumerate(self._poses(int(count), seed or "0"))]
+        root[at:at] = copies
+        made: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+        return made + b"\n"
+
+    def check(self, count: int) -> None:
+        """Raise TemplateError if so many robots have no poses."""
+        list(self._poses(count, "0"))
+
+    def _stands(self, group: ElementTree.Element) -> bool:
+        """Return whether a group stands for the robots."""
+        found = self.dialect.namespace(group)
+        return found is not None and (self.namespace is None or found[0].get(found[1]) == self.namespace)
+
+    def _setting(self, root: ElementTree.Element, name: str) -> str | None:
+        path = self.dialect.setting(name).removeprefix(f"{ROOT}/").removesuffix("/@value")
+        found = root.find(path)
+        return None if found is None else found.get("value")
+
+    def _poses(self, count: int, seed: str) -> Iterator[Pose | None]:
+        if isinstance(self.poses, RandomPoses):
+            yield from self.poses.drawn(seed, count)
+        elif self.poses and len(self.poses) < count:
+            raise TemplateError(f"poses: there are {len(self.poses)} poses for {count} robots; add poses, or use random_poses")
+        else:
+            yield from self.poses[:count] or (None,) * count
+
+    def _copy(self, group: ElementTree.Element, number: int, pose: Pose | None) -> ElementTree.Element:
+        made = copy.deepcopy(group)
+        place = self.dialect.namespace(made)
+        assert place is not None  # noqa: S101 - the group was found by its namespace
+        element, attribute = place
+        name = f"{self.prefix or re.sub('[0-9]+$', '', element.get(attribute, ''))}{number}"
+        element.set(attribute, name)
+        values = [("robot", name), ("index", str(number)), *self.arguments]
+        values += zip(("x", "y", "yaw"), map(repr, pose), strict=True) if pose else ()
+        for key, value in reversed(values):
+            self._give(made, key, value)
+        return made
+
+    def _give(self, group: ElementTree.Element, name: str, value: str) -> None:
+        """Give an argument of a group its value, whether the group declares it or not."""
+        tag = self.dialect.argument
+        for child in [child for child in group if child.tag == tag and child.get("name") == name]:
+            group.remove(child)
+        given = ElementTree.Element(tag, {"name": name, "value": value})
+        given.tail = group.text
+        group.insert(0, given)
+
+
+def _parsed(document: bytes) -> ElementTree.Element:
+    """Return the root of a launch file, with its comments. Raises TemplateError if it is not XML."""
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))  # noqa: S314 - templates refuse entities
+    try:
+        root: ElementTree.Element = ElementTree.fromstring(document, parser=parser)  # noqa: S314
+    except (ElementTree.ParseError, ValueError) as error:
+        raise TemplateError(f"the launch file is not XML: {error}") from error
+    return root

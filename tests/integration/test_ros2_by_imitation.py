@@ -1,0 +1,149 @@
+"""The driver of ROS 2: it starts and ends an imitation of `ros2`, which prints what `ros2 launch` prints. ROS 2 is not needed.
+
+The formats of messages are those of `launch` (ROS 2 Humble and newer) as its documentation shows them.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import sierra.simulators
+from tests import projects
+from tests.waiting import until
+
+DRIVER = Path(sierra.simulators.__file__).parent / "drivers" / "ros_driver.py"
+IMITATION = """\
+import os, re, signal, subprocess, sys, time
+import xml.etree.ElementTree as tree
+
+if sys.argv[1:3] == ["topic", "echo"]:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    assert sys.argv[3:] == ["/clock", "rosgraph_msgs/msg/Clock"], sys.argv
+    for tick in range(10**6):
+        print(f"clock:\\n  sec: {tick // 4}\\n  nanosec: {tick % 4 * 250000000}\\n---", flush=True)
+        time.sleep(0.01)
+assert sys.argv[1:3] == ["launch", "--noninteractive"], sys.argv
+assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST" and os.environ["ROS_LOCALHOST_ONLY"] == "1"
+with open(os.path.join(os.environ["SIERRA_OUTPUT"], "domain"), "w") as file:
+    file.write(os.environ["ROS_DOMAIN_ID"])
+nodes = {}
+for number, node in enumerate(tree.parse(sys.argv[3]).iter("node"), 1):
+    process = subprocess.Popen(["sh", "-c", node.get("exec")], start_new_session=True)
+    nodes[f"{node.get('name')}-{number}"] = process
+    print(f"[INFO] [{node.get('name')}-{number}]: process started with pid [{process.pid}]", flush=True)
+
+def end(number, frame):
+    for process in nodes.values():
+        process.poll() is None and os.killpg(process.pid, signal.SIGINT)
+    sys.exit(0)
+
+signal.signal(signal.SIGINT, end)
+while True:
+    for name, process in list(nodes.items()):
+        if process.poll() is not None:
+            del nodes[name]
+            ended = f"has died [pid {process.pid}, exit code {process.returncode}, cmd 'x']." if process.returncode else (
+                f"has finished cleanly [pid {process.pid}]")
+            level = "ERROR" if process.returncode else "INFO"
+            if "silent" not in name:
+                print(f"[{level}] [{name}]: process {ended}", flush=True)
+    time.sleep(0.02)
+"""
+
+
+@pytest.fixture
+def programs(tmp_path: Path) -> dict[str, str]:
+    """Return variables with which `ros2` is the imitation."""
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "ros2").write_text(f"#!{sys.executable}\n{IMITATION}")
+    (tmp_path / "bin" / "ros2").chmod(0o755)
+    (tmp_path / "tmp").mkdir()
+    return {**os.environ, "PATH": f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}", "TMPDIR": str(tmp_path / "tmp")}
+
+
+def start(folder: Path, programs: dict[str, str], *options: str, **nodes: str) -> subprocess.Popen[str]:
+    """Start a run whose nodes are shell commands, by name."""
+    folder.mkdir()
+    lines = "".join(f'<node pkg="p" exec="{command}" name="{name}"/>' for name, command in nodes.items())
+    (folder / "input.launch.xml").write_text(f"<launch>{lines}</launch>")
+    words = (str(folder / "input.launch.xml"), str(folder), "ros2", "--ros", "2", *options)
+    return subprocess.Popen(
+        [sys.executable, DRIVER, *words], env=programs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def end_of(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Return the exit status and the last line on standard error."""
+    _, errors = process.communicate(timeout=60)
+    return process.returncode, (errors.splitlines() or [""])[-1]
+
+
+def test_two_runs_have_two_domains_and_end_after_their_length(tmp_path: Path, programs: dict[str, str]) -> None:
+    begin = time.monotonic()
+    one, two = (start(tmp_path / name, programs, "--length", "1.0", talker="sleep 1000") for name in ("one", "two"))
+    assert (end_of(one), end_of(two)) == ((0, ""), (0, ""))
+    assert time.monotonic() - begin >= 1.0
+    assert (tmp_path / "one" / "domain").read_text() != (tmp_path / "two" / "domain").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "nodes", "message"),
+    [
+        ((), {"talker": "exit 3"}, "ros: the node /talker died early: exit code 3"),
+        ((), {"silent": "exit 3"}, "ros: the node /silent ended early, and the launcher did not report it"),
+        ((), {}, "ros: no node was started within 1 s"),
+        (
+            ("--await", "talker"),
+            {"talker": "sleep 1000"},
+            "ros: awaited nodes have not ended 1 s after the length of the run: /talker",
+        ),
+        (("--setup", "/nowhere"), {}, "ros: the setup script /nowhere failed: exit status 1"),
+        (("--bag", "run"), {"talker": "sleep 1000"}, "ros: the bag run is missing or was not closed"),
+    ],
+)
+def test_a_run_fails_with_its_reason(
+    tmp_path: Path, programs: dict[str, str], options: tuple[str, ...], nodes: dict[str, str], message: str
+) -> None:
+    length = "6.0" if "silent" in nodes else "0.5"
+    process = start(tmp_path / "run", programs, "--length", length, "--patience", "1.0", *options, **nodes)
+    assert end_of(process) == (1, message)
+
+
+def test_awaited_nodes_and_the_simulated_time_end_a_run(tmp_path: Path, programs: dict[str, str]) -> None:
+    begin = time.monotonic()
+    awaited = start(
+        tmp_path / "one", programs, "--length", "100.0", "--await", "walker", walker="sleep 0.5", talker="sleep 1000"
+    )
+    simulated = start(tmp_path / "two", programs, "--length", "10.0", "--sim-time", talker="sleep 1000")
+    assert (end_of(awaited), end_of(simulated)) == ((0, ""), (0, ""))
+    assert time.monotonic() - begin < 60
+
+
+def test_a_run_that_is_told_to_end_ends_its_nodes(tmp_path: Path, programs: dict[str, str]) -> None:
+    process = start(tmp_path / "run", programs, "--length", "100.0", talker="echo $$ > $SIERRA_OUTPUT/pid; exec sleep 1000")
+    until(lambda: (tmp_path / "run" / "pid").read_text().strip())
+    process.send_signal(signal.SIGTERM)
+    assert end_of(process) == (1, "ros: was told to end by signal 15")
+    until(lambda: not Path(f"/proc/{(tmp_path / 'run' / 'pid').read_text().strip()}").exists())
+
+
+def test_a_batch_of_robots_of_ros_2(tmp_path: Path, programs: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", programs["PATH"])
+    root = tmp_path / "project"
+    root.mkdir()
+    node = '<node pkg="p" exec="printf \'n\\n1\\n\' &gt; $SIERRA_OUTPUT/$$.csv; sleep 1000" name="walker"/>'
+    text = f'<launch><group><push_ros_namespace namespace="robot"/>{node}</group></launch>'
+    (root / "swarm.launch.xml").write_text(text)
+    settings = 'platform = "ros"\ntemplate = "swarm.launch.xml"\nplatforms.ros = { ros = 2, length = 0.5 }\nobserve = "none"\n'
+    (root / "sierra.toml").write_text(settings + 'outputs.walk = { file = "*.csv" }\n')
+    summary, _ = projects.run(root, "population_size=1,3", "--runs", "2", "--jobs", "2")
+    assert (summary["executed"], summary["failed"]) == (4, 0)
+    rows = projects.sql(root, "SELECT population_size AS size, count(*) AS rows FROM walk GROUP BY size ORDER BY size")
+    assert [tuple(row.values()) for row in rows] == [(1, 2), (3, 6)]
