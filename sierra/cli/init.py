@@ -32,7 +32,8 @@ def init(
         typer.Option(
             "--example",
             metavar="NAME",
-            help="Copy a bundled example to FOLDER: swarm, sumo, mujoco, jsbsim, gazebo, mesa, ngspice, ns3, netlogo, webots.",
+            help="Copy a bundled example to FOLDER: swarm, sumo, mujoco, jsbsim, gazebo, ros, mesa, ngspice, ns3, "
+            "netlogo, turtlebot3, webots.",
         ),
     ] = None,
     from_sierra1: Annotated[

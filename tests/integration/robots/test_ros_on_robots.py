@@ -1,0 +1,78 @@
+"""Launch files of ROS on robots with real sshd: each starts its own, with stand-ins for the drivers of a TurtleBot3."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests import projects
+from tests.support.robot_fleet import Fleet
+
+TARGETS = """
+target = "sim"
+observe = "none"
+
+[targets.sim]
+
+[targets.robots]
+runner = "robots"
+robots.count = "population_size"
+outputs.path = {{ file = "tb3_{{number}}.csv", time = "time" }}
+
+[runners.robots]
+stop = []
+disk_min = 1
+link_options = {{ ssh_config = "{ssh_config}" }}
+fleet = {{ {fleet} }}
+"""
+
+
+@pytest.fixture
+def turtles(require: Callable[..., str], tmp_path: Path) -> Path:
+    """Return the example of TurtleBot3, whose runs are short."""
+    require("roslaunch")
+    done = projects.quick(tmp_path, "init", "--example", "turtlebot3", "demo")
+    assert done.returncode == 0, done.stderr
+    return tmp_path / "demo"
+
+
+def test_the_launch_file_of_turtlebots_is_valid_and_has_their_topics(turtles: Path, tmp_path: Path) -> None:
+    done = projects.quick(turtles, "inputs", "population_size=3", "speed=0.1", "--runs", "1", "--to", str(tmp_path / "inputs"))
+    assert done.returncode == 0, done.stderr
+    [launch] = (tmp_path / "inputs").glob("**/input.launch")
+    keeper = tmp_path / "packages" / "sierra_ros"
+    keeper.mkdir(parents=True)
+    (keeper / "package.xml").write_text("<package><name>sierra_ros</name></package>")
+    path = f"{turtles / 'packages'}:{tmp_path / 'packages'}:/usr/share"
+    environment = {"PATH": "/usr/bin", "ROS_PACKAGE_PATH": path, "SIERRA_OUTPUT": "/out", "HOME": str(tmp_path)}
+
+    def says(option: str) -> str:
+        return subprocess.run(["roslaunch", option, launch], env=environment, check=True, capture_output=True, text=True).stdout
+
+    nodes = {f"/tb3_{number}/{name}" for number in range(3) for name in ("turtlebot3_core", "wander")}
+    assert set(says("--nodes").split()) == nodes | {"/sierra_timekeeper"}
+    parameters = says("--dump-params")
+    assert "/tb3_2/turtlebot3_core/tf_prefix: tb3_2" in parameters
+    assert "/tb3_2/turtlebot3_core/lidar_frame_id: tb3_2/base_scan" in parameters
+
+
+def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet: Fleet) -> None:
+    robots = ", ".join(f'{name} = {{ host = "{name}" }}' for name in fleet.names)
+    text = (turtles / "sierra.toml").read_text()
+    first, _, rest = text.partition("\n[platforms.ros]\n")
+    rest = rest.replace("length = 5.0", "length = 2.0")
+    made = TARGETS.format(ssh_config=fleet.ssh_config, fleet=robots)
+    (turtles / "sierra.toml").write_text(
+        made.partition("\n[")[0] + first + "\n[platforms.ros]\n" + rest + "\n[" + made.partition("\n[")[2]
+    )
+    done = projects.quick(turtles, "run", "population_size=2", "speed=0.2", "--runs", "1", "--target", "robots", "--no-figures")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = projects.sql(
+        turtles, "SELECT robot, count(*) AS rows, max(x) - min(x) AS way FROM path GROUP BY robot ORDER BY robot"
+    )
+    assert [(row["robot"], row["rows"]) for row in rows] == [(1, 21), (2, 21)]
+    for name in fleet.names:
+        assert not [line for line in fleet.commands(name) if "ros" in line]
