@@ -1,0 +1,67 @@
+"""The platform `ros` with the real ROS 1: many runs at once, the simulated time, containers of both engines, and SLURM."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests import clusters, projects
+
+IMAGE = "localhost/sierra/ros"
+RECIPE = Path(__file__).parents[2] / "containers" / "ros"
+
+
+@pytest.fixture
+def demo(tmp_path: Path) -> Path:
+    """Return the example of ROS, whose runs are short."""
+    done = projects.quick(tmp_path, "init", "--example", "ros", "demo")
+    assert done.returncode == 0, done.stderr
+    settings = (tmp_path / "demo" / "sierra.toml").read_text().replace("length = 3.0", "length = 1.0")
+    (tmp_path / "demo" / "sierra.toml").write_text('observe = "none"\n' + settings)
+    return tmp_path / "demo"
+
+
+def test_eight_runs_on_two_slots_are_apart(demo: Path, require: Callable[..., str]) -> None:
+    require("roslaunch")
+    summary, _ = projects.run(demo, "population_size=1,3", "--runs", "4", "--jobs", "2", "--no-figures")
+    assert (summary["executed"], summary["failed"]) == (8, 0)
+    ways = projects.sql(demo, "SELECT run, robot, count(*) AS rows, sum(x) AS x FROM walk GROUP BY run, robot")
+    assert (len(ways), {row["rows"] for row in ways}) == (16, {21})
+    assert len({row["x"] for row in ways}) == 12  # robot 0 walks alike in both experiments
+
+
+def test_a_run_without_the_simulated_time_fails(demo: Path, require: Callable[..., str]) -> None:
+    require("roslaunch")
+    settings = (demo / "sierra.toml").read_text()
+    (demo / "sierra.toml").write_text(settings + "use_sim_time = true\npatience = 20.0\n")
+    done = projects.quick(demo, "run", "population_size=1", "--runs", "1", "--no-figures")
+    assert "ros: nothing has published the simulated time (/clock)" in done.stdout + done.stderr
+
+
+def test_the_example_runs_on_slurm(demo: Path, slurm: clusters.Slurm, require: Callable[..., str]) -> None:
+    require("roslaunch")
+    with (demo / "sierra.toml").open("a") as file:
+        file.write("[runners.slurm]\narray_tasks = 2\n")
+    summary, _ = projects.run(demo, "population_size=1,2", "--runs", "1", "--on", "slurm", "--no-figures")
+    assert (summary["executed"], summary["failed"]) == (2, 0)
+
+
+@pytest.mark.real
+def test_podman_and_apptainer_give_the_same_results_in_an_image_from_the_recipe(
+    demo: Path, require: Callable[..., str]
+) -> None:
+    for program in ("podman", "apptainer", "mmdebstrap"):
+        require(program)
+    if subprocess.run(["podman", "image", "exists", IMAGE], check=False).returncode:
+        built = projects.quick(demo, "image", "build", str(RECIPE))
+        assert built.returncode == 0, built.stderr
+    with (demo / "sierra.toml").open("a") as file:
+        file.write(f'[container]\nimage = "{IMAGE}"\nengine = "podman"\n')
+    assert projects.quick(demo, "image", "pin", IMAGE).returncode == 0
+    summary, _ = projects.run(demo, "population_size=2", "--runs", "1", "--no-figures")
+    assert (summary["executed"], summary["failed"]) == (1, 0)
+    replayed = projects.quick(demo, "replay", str(summary["batch"])[:10], "--engine", "apptainer")
+    assert "identical (1 runs: 1 identical)" in replayed.stdout, replayed.stdout + replayed.stderr
