@@ -192,6 +192,8 @@ class Ros:
             self._check_end(document)
         elif self._options.length is None:
             raise TemplateError(f"runs of ROS 2 would never end; set length in {TABLE}")
+        elif document.find(self._dialect.setting("length")) != (repr(self._options.length),):
+            raise TemplateError(f"the length of runs of ROS 2 is the option length in {TABLE}; no change can set it")
         if document.find(self._dialect.unnamed):
             example = '<group ns="robot">' if self._options.ros == 1 else '<push_ros_namespace namespace="robot"/>'
             raise TemplateError(

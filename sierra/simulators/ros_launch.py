@@ -163,10 +163,16 @@ class Robots:
         root = _parsed(document)
         count, seed, place = (self._setting(root, name) for name in ("population_size", "random_seed", "place"))
         found = [group for group in root.findall("group") if self._stands(group)]
-        if count is None or len(found) != 1:
+        if count is None:
             return document
-        if not count.isdecimal() or not int(count) >= 1:
+        if not count.isdecimal() or int(count) == 0:
             raise TemplateError(f"population_size is {count!r}; use a whole number of 1 or more")
+        if len(found) != 1:
+            if place is None and len(found) == int(count):  # all robots are in the template
+                return document
+            raise TemplateError(
+                f"population_size is {count}, but {len(found)} groups stand for robots; set group in [platforms.ros]"
+            )
         at = list(root).index(found[0])
         root.remove(found[0])
         if place is not None:
@@ -175,6 +181,7 @@ class Robots:
         else:
             copies = [self._copy(found[0], number, pose) for number, pose in enumerate(self._poses(int(count), seed or "0"))]
         root[at:at] = copies
+        self._check_names(root)
         made: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
         return made + b"\n"
 
@@ -186,6 +193,13 @@ class Robots:
         """Return whether a group stands for the robots."""
         found = self.dialect.namespace(group)
         return found is not None and (self.namespace is None or found[0].get(found[1]) == self.namespace)
+
+    def _check_names(self, root: ElementTree.Element) -> None:
+        """Raise TemplateError if another group has the namespace of a robot."""
+        places = [place for group in root.findall("group") if (place := self.dialect.namespace(group))]
+        names = [element.get(attribute) for element, attribute in places]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise TemplateError(f"another group has the namespace {twice!r} of a robot; rename it, or set prefix")
 
     def _setting(self, root: ElementTree.Element, name: str) -> str | None:
         path = self.dialect.setting(name).removeprefix(f"{ROOT}/").removesuffix("/@value")

@@ -64,4 +64,4 @@ def test_podman_and_apptainer_give_the_same_results_in_an_image_from_the_recipe(
     summary, _ = projects.run(demo, "population_size=2", "--runs", "1", "--no-figures")
     assert (summary["executed"], summary["failed"]) == (1, 0)
     replayed = projects.quick(demo, "replay", str(summary["batch"])[:10], "--engine", "apptainer")
-    assert "identical (1 runs: 1 identical)" in replayed.stdout, replayed.stdout + replayed.stderr
+    assert "identical (1 run: 1 identical)" in replayed.stdout, replayed.stdout + replayed.stderr

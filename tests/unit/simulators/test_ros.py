@@ -148,6 +148,26 @@ def test_robots_stay_as_they_are_without_a_group_that_is_one_robot(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
+    ("options", "added", "message"),
+    [
+        ("", '<group ns="lead"/>', "one group must be one robot, but there are: tb3_0, lead; set group"),
+        ('group = "tb3_0"\n', '<group ns="tb3_2"/>', "another group has the namespace 'tb3_2' of a robot"),
+    ],
+)
+def test_changes_cannot_make_another_number_of_robots(tmp_path: Path, options: str, added: str, message: str) -> None:
+    root = make(tmp_path / "p", OPTIONS + options, more=f"changes = [{{ add = '/launch', xml = '{added}' }}]")
+    with pytest.raises(SierraError, match=re.escape(message)):
+        inputs(root, "population_size=3")
+
+
+def test_the_length_of_ros_2_is_that_of_the_driver(tmp_path: Path) -> None:
+    more = "changes = [{ set = \"//let[@name='sierra_length']/@value\", value = 9 }]"
+    root = make(tmp_path / "p", OPTIONS + "ros = 2\n", LAUNCH2, more)
+    with pytest.raises(TemplateError, match="no change can set it"):
+        inputs(root, "population_size=1")
+
+
+@pytest.mark.parametrize(
     ("options", "before", "after", "error", "message"),
     [
         ("", "", "", TemplateError, "the launch file has no length"),
