@@ -40,6 +40,8 @@ PATIENCE_S = float(os.environ.get("GAZEBO_DRIVER_PATIENCE", "120"))
 """Time without any progress after which Gazebo is taken to hang; not the time that a run may take. Tests shorten it."""
 SETTLE_S, GRACE_S = PATIENCE_S / 6, PATIENCE_S / 24
 """Time without a new model after which no more are expected; time that gzserver gets after a signal that asks it to end."""
+DYING_S = 5.0
+"""Time that gzserver gets to end after it has closed a connection; its exit status then says more."""
 PORTS = 5
 """Ports that are tried: another program may take one between the choice and the start."""
 VARIABLES = {"models": "GAZEBO_MODEL_PATH", "plugins": "GAZEBO_PLUGIN_PATH", "resources": "GAZEBO_RESOURCE_PATH"}
@@ -286,7 +288,7 @@ def simulate(given: argparse.Namespace) -> None:
         server.check_messages()
     except BaseException as error:
         if isinstance(error, TransportError):
-            server.check(GRACE_S)
+            server.check(DYING_S)
         server.kill()
         raise
     _check_end(server.end(), sorted(path.name for path in set(given.folder.iterdir()).difference(before)))
