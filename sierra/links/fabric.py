@@ -54,14 +54,18 @@ class Fabric(Commands):
         import_fabric()
         import paramiko
 
-        transport = self._transport()
-        try:
-            channel = self._session(transport)
-            channel.exec_command(line)
-        except (OSError, EOFError, paramiko.SSHException) as error:
-            reason = "it does not answer in time" if transport.is_active() else "the connection is lost"
-            raise Unreachable(f"{self.name}: {reason}") from error
-        return ChannelStream(self.name, channel, transport)
+        transport, again = self._transport(), True
+        while True:
+            try:
+                channel = self._session(transport)
+                again = False
+                channel.exec_command(line)
+                return ChannelStream(self.name, channel, transport)
+            except (OSError, EOFError, paramiko.SSHException) as error:
+                if transport.is_active() or not again:
+                    reason = "it does not answer in time" if transport.is_active() else "the connection is lost"
+                    raise Unreachable(f"{self.name}: {reason}") from error
+            transport, again = self._transport(), False  # the host has started again; the command has not reached it
 
     def _session(self, transport: paramiko.Transport) -> paramiko.Channel:
         """Return a new channel. If sshd has no more sessions, try again: those of overdue commands last a little longer."""

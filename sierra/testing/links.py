@@ -390,6 +390,7 @@ def reports_disks(trial: Trial) -> None:
         left = [name for name in trial.names(link) if name not in (*before, "folder")]
         holds(not left and not trial.names(link, "folder"), f"{fault.__name__}: a push left something")
         trial.host.heal()
+        link.close()
     holds("big" in link.push(tree, "folder/one").files, "a push does not succeed afterwards")
 
 
