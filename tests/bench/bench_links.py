@@ -1,6 +1,7 @@
 """Links: commands per second, and copies compared with `ssh cat`, on three robots of this machine. For root.
 
-Python and sshd share the cores of this machine with all robots, so that a real fleet is faster.
+Python and sshd share the cores of this machine with all robots, so that a real fleet is faster. Local files are in memory, so
+that the disk of this machine is not measured.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def main() -> None:
     if os.geteuid() != 0 or not all(shutil.which(one, path=os.environ["PATH"] + ":/usr/sbin:/sbin") for one in PROGRAMS):
         print(f"links: not measured, because this needs root and {', '.join(PROGRAMS)}")
         return
-    with Fleet() as fleet, tempfile.TemporaryDirectory() as folder:
+    with Fleet() as fleet, tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
         config = str(fleet.ssh_config)
         for name, make in (
             ("fabric", lambda host: Fabric(host, LinkOptions(ssh_config=config))),
