@@ -85,14 +85,15 @@ class LocalLink:
 
     Options = Table
 
-    def __init__(self, name: str, home: Path) -> None:
+    def __init__(self, name: str, home: Path, lock: str | None = None) -> None:
+        """`lock` is that of another link to the same robot."""
         self.name = name
         self.home = home
         self.off = False
         """True: it does not answer."""
         self.channels: list[LocalChannel] = []
         self.pushed: list[str] = []
-        self._lock = f"{LOCK}-{secrets.token_hex(6)}"
+        self.lock = lock or f"{LOCK}-{secrets.token_hex(6)}"
         home.mkdir(parents=True, exist_ok=True)
 
     def run(self, argv: Sequence[str], *, stdin: bytes = b"", timeout: float = 30.0) -> Ended:
@@ -102,7 +103,7 @@ class LocalLink:
 
     def channel(self, argv: Sequence[str]) -> LocalChannel:
         self._answers()
-        self.channels.append(LocalChannel([self._lock if word == LOCK else word for word in argv], self.home))
+        self.channels.append(LocalChannel([self.lock if word == LOCK else word for word in argv], self.home))
         return self.channels[-1]
 
     def push(self, folder: Path, target: str, *, timeout: float = 60.0) -> object:

@@ -143,7 +143,7 @@ def test_stopping_ends_all_robots(fleet: Fleet):
 def test_two_drivers_cannot_use_one_robot(fleet: Fleet, tmp_path: Path):
     first = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
     fleet.all_begun()
-    other = Fleet(tmp_path, fleet.links)
+    other = Fleet(tmp_path, {name: LocalLink(name, one.home, one.lock) for name, one in fleet.links.items()})
     with pytest.raises(Missing, match=r"^\w+: in use by \w+ on .* \(session session\d\)$"):
         other.run(job(2))
     first.stop()
