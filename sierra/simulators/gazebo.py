@@ -77,8 +77,13 @@ class GazeboOptions(Table):
         (),
         description="places of the copies, in their order: `[x, y]`, `[x, y, yaw]` or `[x, y, z, roll, pitch, yaw]`, in metres "
         "and radians; what is left out is as in the world",
+        examples=[[[0.0, 0.0], [1.0, 0.0, 1.57]]],
     )
-    start_area: Area | None = Field(None, description="area in which the seed of each run places the copies")
+    start_area: Area | None = Field(
+        None,
+        description="area in which the seed of each run places the copies",
+        examples=[{"x": [-2.0, 2.0], "y": [-1.0, 1.0], "distance": 0.4}],
+    )
     models: tuple[Folder, ...] = Field((), description="folders of the project that contain models, which `model://` names")
     plugins: tuple[Folder, ...] = Field((), description="folders of the project that contain libraries of plug-ins")
     resources: tuple[Folder, ...] = Field((), description="folders of the project that contain other files, such as meshes")
