@@ -268,7 +268,8 @@ class _Reference:
             return {}
         shown = set(chain.from_iterable(examples))
         known = model.get("properties", {}).items()
-        return {name: _placeholder(self._plain(inner)) for name, inner in known if name not in shown}
+        left = ((name, inner) for name, inner in known if name not in shown)
+        return {name: _placeholder(inner if inner.get("examples") else self._plain(inner)) for name, inner in left}
 
     def _sentence(self, model: Schema, name: str) -> Iterator[str]:
         """Yield the meaning of a key, its type, and its default."""

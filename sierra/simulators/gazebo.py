@@ -62,7 +62,7 @@ class GazeboOptions(Table):
         None, description="simulated time of one step (max_step_size) in seconds; default: as in the world", examples=[0.005]
     )
     engine: Literal["ode", "bullet", "simbody", "dart"] | None = Field(
-        None, description="physics engine, if the installed Gazebo has it; default: as in the world"
+        None, description="physics engine, if the installed Gazebo has it; default: as in the world", examples=["ode"]
     )
     threads: PositiveInt | None = Field(
         None,
