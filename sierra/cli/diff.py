@@ -50,13 +50,13 @@ def diff(
     patch: Annotated[bool, typer.Option("--patch", help="Show the whole patch and all other details.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text, with all details.")] = False,
 ) -> None:
-    """Compare two batches, experiments, runs, executions or packages, or a batch with a package.
+    """Compare two batches, experiments, runs or packages.
 
     Differences that probably affect results come first: query, platform, command, image, programs, source, variables,
     inputs, rules, seeds, containers, the machine. Differences of the results come last. Nothing is executed; the comparison
-    uses only the records. For a run, its effective execution is compared. For packages, the metadata, batches, runs, sources,
-    programs, environments and results of effective executions are compared. A batch of this project is compared with the batch
-    of a package that has the same id, or with its only one.
+    uses only the records. Two executions can be compared, too; for a run, its effective execution is. For packages, the
+    metadata, batches, runs, sources, programs, environments and results of effective executions are compared. A batch of this
+    project is compared with the batch of a package that has the same id, or with its only one.
 
     The exit code is 0 if nothing differs, and 1 if something does.
 
