@@ -34,7 +34,7 @@ NAME = re.compile(r"[0-9a-f]{12}-([0-9a-f]{16})")
 ASIDE = re.compile(rf"{NAME.pattern}(\.\d+)?")
 """The pattern of the name of a segment that a repair has put aside."""
 LINE = re.compile(r"([0-9a-f]{64})  ([^/\0]+)")
-UNFINISHED = re.compile(r"\.(format|\.?gitignore|CACHEDIR\.TAG|MANIFEST|id)\.\d+")
+UNFINISHED = re.compile(r"\.(format|\.?gitignore|CACHEDIR\.TAG|MANIFEST|id)(\.[0-9a-f]{8})?\.\d+")
 CHUNK = 1 << 20
 THREADS = 4
 EXPANDED = 256 << 20

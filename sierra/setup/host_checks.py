@@ -26,7 +26,7 @@ ROUND_TRIPS = 15
 CLOCK_S = 1.0
 """The offset of a clock from which on a check names a remedy."""
 LOOK = r"""
-import glob, json, os, platform, shutil, subprocess, sys
+import json, os, platform, shutil, subprocess, sys
 asked = json.loads(sys.argv[1])
 found = {"python": list(sys.version_info[:3]), "system": platform.platform(), "machine": platform.machine()}
 folder = os.path.expanduser(asked["folder"] if asked["folder"].startswith(("~", "/")) else "~/" + asked["folder"])
@@ -36,7 +36,9 @@ found["folder"], found["free"] = folder, shutil.disk_usage(folder).free
 found["writable"] = os.access(folder, os.W_OK)
 found["programs"] = [name for name in asked["programs"] if shutil.which(name)]
 battery, found["battery"], found["battery_error"] = asked["battery"], None, None
-guessed = sorted(glob.glob("/sys/class/power_supply/BAT*/capacity"))[:1]
+supplies = "/sys/class/power_supply"
+supplied = sorted(os.listdir(supplies)) if os.path.isdir(supplies) else []
+guessed = [os.path.join(supplies, name, "capacity") for name in supplied if name.startswith("BAT")][:1]
 try:
     if isinstance(battery, list):
         text = subprocess.check_output(battery, stdin=subprocess.DEVNULL, stderr=subprocess.STDOUT, timeout=10).decode()

@@ -83,5 +83,8 @@ def write_once(path: Path, data: bytes) -> None:
 
 
 def unfinished_beside(path: Path) -> Path:
-    """Return a new path beside a file that is being written. No other thread, process or computer gets the same."""
-    return path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}")
+    """Return a new path beside a file that is being written: no other thread, process or computer gets the same.
+
+    It ends with the id of this process. If that is gone, `sierra gc` removes the file.
+    """
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.{os.getpid()}")

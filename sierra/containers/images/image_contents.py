@@ -32,7 +32,7 @@ from sierra.util.hashing import sha256
 from sierra.util.json_types import JsonView, as_object
 
 FORMAT = 1
-UNFINISHED = re.compile(r"\.(saved\.\w+|image\.json|files\.jsonl|rootfs\.(sqfs|\d+))\.\d+")
+UNFINISHED = re.compile(r"\.(saved\.\w+|(image\.json|files\.jsonl)(\.[0-9a-f]{8})?|rootfs\.(sqfs|\d+))\.\d+")
 FOLDER = re.compile(r"[a-z0-9]+-[0-9a-f]{64}")
 DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """The PATH that engines use if an image does not set one."""

@@ -281,7 +281,7 @@ def test_sessions_of_another_user_are_not_taken_over(require: Callable[..., str]
 
 
 def test_a_partially_removed_session_is_not_a_submission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    session = Session(Store.create(tmp_path / "store").paths)
+    session = Session(Store.create(tmp_path / "store").paths, logged=False)
     for number in range(8):
         (session.paths.root / f"folder{number}").mkdir()
     session.paths.submission.write_text("{}")
@@ -412,7 +412,7 @@ def test_array_tasks_that_could_not_begin_are_submitted_again_with_a_notice(
 
 def gives_back(project: Project) -> Callable[[Progress], None]:
     """Let another session claim a run of the query, and release it when it is waited for."""
-    other = Session(Store.create(project.paths.store).paths)
+    other = Session(Store.create(project.paths.store).paths, logged=False)
     other.claim({project.plan(*QUERY, runs=1).batch.runs[0].id})
 
     def watch(progress: Progress) -> None:
