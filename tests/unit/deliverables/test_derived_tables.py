@@ -178,7 +178,7 @@ def test_a_rate_over_all_runs_counts_the_failed_ones(tmp_path: Path) -> None:
 
 NOTED = """\
 import json, sys
-with open("robots.jsonl", "w") as file:
+with open("walk.jsonl", "w") as file:
     for tick in range(3):
         pose = {"x": 1.5 * tick, "y": 0.0}
         print(json.dumps({"tick": tick, "v": tick, "end": "done", "pose": pose, "near": [1] * tick}), file=file)
@@ -191,7 +191,7 @@ def test_columns_without_a_figure_are_named_with_what_to_write(tmp_path: Path) -
     batch = projects.run(root, "population_size=1")[0]["batch"]
     done = projects.quick(root, "figures", batch, "--json")
     [note] = [one for one in done.stderr.splitlines() if "no figure of" in one]
-    assert "'end', 'pose', 'near' of output 'robots'" in note
+    assert "'end', 'pose', 'near' of output 'walk'" in note
     line = note.partition("for example: ")[2]
     name, _, sql = line.partition(" sql = ")
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + f"{name}\nsql = {sql}\n")
