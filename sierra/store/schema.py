@@ -184,6 +184,9 @@ DERIVED = {
     )
 }
 
+WITHOUT_AXES = ("origins", "robot_clocks")
+"""Tables that are read together with those that have the axes, so that their columns may have the names of axes."""
+
 RESERVED = frozenset(
     (
         "batch",
@@ -203,7 +206,7 @@ RESERVED = frozenset(
 ) | {
     column.name
     for table in DERIVED.values()
-    if not table.name.startswith("all_") and table.name != "origins"
+    if not table.name.startswith("all_") and table.name not in WITHOUT_AXES
     for column in table.columns
 }
 """Names that are not allowed for axes, because a column of the store has them."""
