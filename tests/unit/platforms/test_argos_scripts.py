@@ -15,7 +15,7 @@ import re, sys
 import xml.etree.ElementTree as tree
 
 root = tree.parse(sys.argv[sys.argv.index("-c") + 1]).getroot()
-with open("robots.csv", "w") as file:
+with open("walk.csv", "w") as file:
     print("tick,speed", file=file)
     for number, params in enumerate(root.iter("params")):
         print(number, re.search("SPEED = (.*)", open(params.get("script")).read())[1], sep=",", file=file)
@@ -43,7 +43,7 @@ paths = ["loops.cpp"]
 [variables]
 second = { changes = [{ set = "(//lua_controller/params/@script)[2]", value = "../lua/{second}.lua" }] }
 """
-SPEEDS = "SELECT speed FROM robots JOIN effective USING (execution) ORDER BY tick"
+SPEEDS = "SELECT speed FROM walk JOIN effective USING (execution) ORDER BY tick"
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_runs_find_the_scripts_that_the_template_and_a_query_name(root: Path) ->
     projects.run(root, "population_size=1")
     assert [row["speed"] for row in projects.sql(root, SPEEDS)] == [5, 0]
     projects.run(root, "second=run")
-    assert projects.sql(root, "SELECT max(speed) AS most FROM robots WHERE second = 'run'") == [{"most": 9}]
+    assert projects.sql(root, "SELECT max(speed) AS most FROM walk WHERE second = 'run'") == [{"most": 9}]
 
 
 @pytest.mark.integration
