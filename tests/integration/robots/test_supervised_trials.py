@@ -47,6 +47,11 @@ def is_moving(fleet: Fleet, name: str) -> bool:
     return any("/sources/" in line for line in fleet.commands(name))
 
 
+def has_written(fleet: Fleet, name: str) -> bool:
+    """Check whether a program of the project has written its table on a robot."""
+    return any(path.read_text().count("\n") == 2 for path in fleet.robots[name].home.rglob("output/swarm.csv"))
+
+
 def test_a_key_stops_all_robots_and_the_trial_is_repeated(fleet: Fleet, tmp_path: Path) -> None:
     members = ", ".join(f'{name} = {{ host = "{name}" }}' for name in fleet.names[:2])
     root = projects.make(tmp_path / "project", CONFIG.format(fleet=members, config=fleet.ssh_config))
@@ -56,7 +61,8 @@ def test_a_key_stops_all_robots_and_the_trial_is_repeated(fleet: Fleet, tmp_path
         terminal.answer("a: abort > ")
         terminal.expect("any key: stop  rb1 ")
         for name in fleet.names[:2]:
-            until(partial(is_moving, fleet, name))
+            until(partial(has_written, fleet, name))
+            assert is_moving(fleet, name)
         terminal.type(" ")
         terminal.answer("repeat it > ", "i")
         terminal.answer("or text) > ", "2")
