@@ -366,12 +366,8 @@ class Project(Table):
         """Return True if a command uses a variable, or if a change does that does not belong to a variable."""
         services = (word for one in self.services.values() for word in (*one.command, *one.ready.words))
         robots = self.robots
-        words = (*self.command, *(word for command in (*self.before, *self.after) for word in command), *services)
-        words = (
-            (*words, *(word for command in (robots.command, *robots.commands.values()) for word in command))
-            if robots
-            else words
-        )
+        around = (word for command in (*self.before, *self.after) for word in command)
+        words = (*self.command, *around, *services, *(robots.words if robots else ()))
         if name not in OWN_PLACEHOLDERS and any(f"{{{name}}}" in word for word in words):
             return True
         if robots and robots.count == name:

@@ -7,7 +7,8 @@ takes a place is decided when the run is executed (`[runners.robots]`), and is n
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import chain
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field, PositiveInt, WithJsonSchema, model_validator
@@ -81,6 +82,11 @@ class RobotsTable(Table):
                 if seen.setdefault(place, name) != name:
                     raise ValueError(f"groups: place {place} is in {seen[place]} and in {name}; it can be in one group")
         return self
+
+    @property
+    def words(self) -> Iterator[str]:
+        """Yield the words of all commands."""
+        return chain.from_iterable((self.command, *self.commands.values()))
 
     def group(self, place: int) -> str:
         """Return the name of the group of a robot's place."""

@@ -37,8 +37,8 @@ def mark(
 ) -> TrialRow:
     """Record a remark on the execution with an id, or on the effective execution of a run; return the new row.
 
-    What is None stays as it was. Raises NotFound if there is no such execution, UsageError if a trial becomes invalid without a
-    reason.
+    Arguments that are None change nothing. Raises NotFound if there is no such execution, UsageError if a trial becomes
+    invalid without a reason.
     """
     execution, batch = _execution(store, prefix)
     if valid is False and not (reason or "").strip():

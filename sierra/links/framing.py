@@ -42,7 +42,7 @@ class Unframed:
 
     @property
     def before(self) -> str:
-        """What came although the command never began: the words of a login shell."""
+        """The output that came although the command never began: the words of a login shell."""
         return "" if self.begun else " ".join(self._held.decode(errors="replace").split())
 
     def feed(self, data: bytes) -> bytes:

@@ -39,7 +39,7 @@ UNFINISHED = b".sierra-unfinished"
 
 
 class Problem(Exception):
-    """What prevents the transfer, in one line."""
+    """An obstacle to the transfer, in one line."""
 
 
 def stays_within(path: str, target: str) -> bool:

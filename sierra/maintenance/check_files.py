@@ -28,13 +28,14 @@ from sierra.store.schema import RECORDED, arrow_schema, is_table
 from sierra.store.segments import FORMAT, MANIFEST, MARK_BYTES, OUTPUT, SUFFIX, Segment, on_disk, out_of_date
 from sierra.store.store import CACHEDIR
 from sierra.store.views import ONCE
+from sierra.util.fs import UNFINISHED_END
 from sierra.util.hashing import sha256, unsealed
 
 NAME = re.compile(r"[0-9a-f]{12}-([0-9a-f]{16})")
 ASIDE = re.compile(rf"{NAME.pattern}(\.\d+)?")
 """The pattern of the name of a segment that a repair has put aside."""
 LINE = re.compile(r"([0-9a-f]{64})  ([^/\0]+)")
-UNFINISHED = re.compile(r"\.(format|\.?gitignore|CACHEDIR\.TAG|MANIFEST|id)(\.[0-9a-f]{8})?\.\d+")
+UNFINISHED = re.compile(rf"\.(format|\.?gitignore|CACHEDIR\.TAG|MANIFEST|id){UNFINISHED_END}")
 CHUNK = 1 << 20
 THREADS = 4
 EXPANDED = 256 << 20

@@ -15,14 +15,14 @@ from sierra.config.field_types import RawTable
 from sierra.config.plugin_registry import LINKS, RUNNERS
 from sierra.config.project_file import Project
 from sierra.errors import Missing, NotFound, UsageError
-from sierra.links.base import Link, UntrustedHost
+from sierra.links.base import Link, Unreachable, UntrustedHost
+from sierra.links.clock import measured
 from sierra.runners.robots.fleet_table import FleetTable
 from sierra.setup.doctor import Check, State
 
 PROGRAMS = ("bash", "git", "podman", "apptainer", "singularity", "roslaunch", "ros2", "gzserver", "sbatch", "qsub", "chronyc")
 INSTALL = "install Python 3.8 or newer there"
 OLDEST = (3, 8)
-ROUND_TRIPS = 15
 CLOCK_S = 1.0
 """The offset of a clock from which on a check names a remedy."""
 LOOK = r"""
@@ -93,7 +93,7 @@ def _project() -> Project | None:
 
 def _hosts(project: Project | None, names: Sequence[str], link: str | None) -> list[HostToCheck]:
     links = project.links if project else {}
-    fleet = _fleet(links, project.runners if project else {}, link)
+    fleet = _fleet(links, project.runner_tables if project else {}, link)
     if not names and not fleet:
         raise UsageError("there is no fleet in [runners.robots]; name hosts, for example: sierra doctor --hosts robot1 robot2")
     chosen = link or "fabric"
@@ -106,17 +106,16 @@ def _fleet(links: Mapping[str, RawTable], runners: Mapping[str, RawTable], link:
     if not isinstance(table, FleetTable):  # there is none, or a plug-in has this name
         return {}
     chosen = link or table.link
-    of_fleet = table.link_options if chosen == table.link else {}
     return {
         name: HostToCheck(
             name,
             robot.host,
             chosen,
-            {**links.get(chosen, {}), **of_fleet, **(robot.link_options if chosen == table.link else {})},
+            robot.link_options if chosen == table.link else links.get(chosen, {}),
             python=table.python,
-            setup=robot.setup or table.setup,
+            setup=robot.setup,
             folder=table.folder,
-            battery=robot.battery or table.battery,
+            battery=robot.battery,
             battery_min=table.battery_min,
             disk_min=table.disk_min,
         )
@@ -169,22 +168,23 @@ def _disk(host: HostToCheck, found: Mapping[str, Any]) -> Check:
 
 
 def _clock(host: HostToCheck, link: Link) -> Check:
-    """Measure the offset of a host's clock by the fastest of several round trips."""
+    """Measure the offset of a host's clock."""
     channel = link.channel([host.python, "-c", CLOCK])
+
+    def ask() -> int:
+        channel.send("")
+        line = channel.receive(10)
+        if line is None:
+            raise Unreachable(f"{host.host}: the program that tells the time ended: {channel.errors().strip()}")
+        return int(line)
+
     try:
-        trips = []
-        for _ in range(ROUND_TRIPS):
-            before, began = time.time_ns(), time.monotonic_ns()
-            channel.send("")
-            there = int(channel.receive(10) or 0)
-            took = time.monotonic_ns() - began
-            trips.append((took, there - before - took // 2))
+        clock = measured(ask)
     finally:
         channel.close()
-    took, offset = min(trips)
-    found = f"{offset / 1e9:+.3f} s from this machine's, ± {took / 2e9:.3f} s"
+    found = f"{clock.offset_ns / 1e9:+.3f} s from this machine's, ± {clock.rtt_ns / 2e9:.3f} s"
     remedy = "let the time service of the host (chrony, timesyncd) set it"
-    return _check(host, "clock", abs(offset) < CLOCK_S * 1e9, found, remedy, "absent")
+    return _check(host, "clock", abs(clock.offset_ns) < CLOCK_S * 1e9, found, remedy, "absent")
 
 
 def _battery(host: HostToCheck, found: Mapping[str, Any]) -> Iterator[Check]:

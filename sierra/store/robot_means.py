@@ -14,7 +14,7 @@ from __future__ import annotations
 COLUMNS = ("robot", "place")
 """The columns that may have the place of the robot that wrote a row; `place` is for files with an own column `robot`."""
 IS_PLACE = "SELECT coalesce(bool_and(starts_with(file, {column}::VARCHAR || '/')), false) FROM {data}"
-"""Whether a column has the folder of each file: other columns may have the same name."""
+"""True if a column has the folder of each file: other columns may have the same name."""
 
 ROWS = """
 SELECT "# experiment" AS experiment, run, "# number" AS number, {column} AS robot, {t} AS t, {value}::DOUBLE AS value

@@ -85,7 +85,7 @@ class Frame:
         self._robots: dict[str, str] = {}
         """The columns with the places of robots, by table; "" if there is none."""
         self._aligned: dict[tuple[str, str, str], bool | None] = {}
-        """Whether the robots of each run have the same times, by table, time and condition; None: some have two rows at one."""
+        """By table, time and condition: true if robots of each run have the same times; None if some have two rows at one."""
         self.problems: dict[str, SierraError] = {}
         """Why derived tables cannot be used for statistics, by name; known after `outputs`."""
         self._snapshot.views.make(("batch_runs", "all_judgements", "experiments", "batches", "specs"))

@@ -57,6 +57,10 @@ def read_record(path: Path) -> dict[str, Any]:
     raise Damaged(f"{path}: not a record that SIERRA wrote; move {path.parent} away: its contents are not recorded yet")
 
 
+UNFINISHED_END = r"(\.[0-9a-f]{8})?\.\d+"
+"""The end of names by `unfinished_beside`, as a regular expression. Earlier versions wrote only the id of the process."""
+
+
 def write_whole(path: Path, data: bytes) -> Path:
     """Write a file completely or not at all, replacing an existing one."""
     unfinished = unfinished_beside(path)

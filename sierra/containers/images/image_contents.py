@@ -27,12 +27,12 @@ from sierra.errors import Damaged, Missing
 from sierra.provenance.hash_cache import cached_sha256
 from sierra.store.layout import ImagePaths, StorePaths
 from sierra.store.row_types import ImageRow
-from sierra.util.fs import write_whole
+from sierra.util.fs import UNFINISHED_END, write_whole
 from sierra.util.hashing import sha256
 from sierra.util.json_types import JsonView, as_object
 
 FORMAT = 1
-UNFINISHED = re.compile(r"\.(saved\.\w+|(image\.json|files\.jsonl)(\.[0-9a-f]{8})?|rootfs\.(sqfs|\d+))\.\d+")
+UNFINISHED = re.compile(rf"\.(saved\.\w+\.\d+|(image\.json|files\.jsonl){UNFINISHED_END}|rootfs\.(sqfs|\d+)\.\d+)")
 FOLDER = re.compile(r"[a-z0-9]+-[0-9a-f]{64}")
 DEFAULT_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 """The PATH that engines use if an image does not set one."""

@@ -94,7 +94,7 @@ class Conduct:
         self._position = 0
         self._tries: dict[str, int] = {}
         self._ended = float("-inf")
-        """When the last trial ended, by the monotonic clock."""
+        """The end of the last trial by the monotonic clock."""
         self._outcome = Conducted()
 
     def conduct(self, wanted: AbstractSet[str]) -> Conducted:

@@ -33,10 +33,10 @@ class Trial:
     blocks: int
     """Number of blocks of the batch."""
     attempt: int = 0
-    """How often the run was tried before in this session."""
+    """The number of earlier trials of the run in this session."""
     poses: Sequence[Pose] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
-    """What the declared commands printed, by name."""
+    """The output of the declared commands, by name."""
     wait_s: float = 0.0
     """The seconds that must pass before the trial may begin."""
 

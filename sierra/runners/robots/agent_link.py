@@ -10,11 +10,11 @@ import threading
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future, InvalidStateError
-from dataclasses import dataclass
 from typing import Any
 
 from sierra.errors import Missing, SierraError
 from sierra.links.base import Channel, Link, Overdue, Unreachable
+from sierra.links.clock import Clock, measured
 from sierra.util.lazy_logger import Log
 
 log = Log(__name__)
@@ -25,22 +25,10 @@ LOCK = "sierra-robot"
 ANSWER_S = 10.0
 BEATS = 5
 """The number of beats in the time of a lease."""
-PROBES = 15
 
 
 class Refused(Missing):
     """A request that the agent refuses, for a reason that it gives."""
-
-
-@dataclass(frozen=True, slots=True)
-class Clock:
-    """A measurement of a robot's clock."""
-
-    offset_ns: int
-    """Its clock minus this host's; wrong by half of the round-trip time at most."""
-    rtt_ns: int
-    at_ns: int
-    """Its clock at the measurement, since the epoch."""
 
 
 class AgentLink:
@@ -50,7 +38,7 @@ class AgentLink:
         self.name = name
         self.link = link
         self.lost: str | None = None
-        """Why the agent is not there any more; None while it is."""
+        """The reason why the agent is not there any more; None while it is."""
         self.heard = time.monotonic()
         self._lease = lease
         self._events = events
@@ -95,14 +83,8 @@ class AgentLink:
         self._put({"do": do, **fields})
 
     def clock(self) -> Clock:
-        """Measure the robot's clock by the fastest of several round trips. Raises Unreachable."""
-        return min((self._probe() for _ in range(PROBES)), key=lambda one: one.rtt_ns)
-
-    def _probe(self) -> Clock:
-        before, began = time.time_ns(), time.monotonic_ns()
-        wall = self.ask("clock")["wall"]
-        rtt = time.monotonic_ns() - began
-        return Clock(wall - before - rtt // 2, rtt, wall)
+        """Measure the robot's clock. Raises Unreachable."""
+        return measured(lambda: int(self.ask("clock")["wall"]))
 
     def close(self) -> None:
         """Give the robot back."""

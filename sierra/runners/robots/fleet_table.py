@@ -101,8 +101,21 @@ class FleetTable(Table):
         return self
 
     def used(self) -> dict[str, RobotTable]:
-        """Return the robots to use, by name."""
-        return {name: one for name, one in self.fleet.items() if not self.use or name in self.use or one.group in self.use}
+        """Return the robots to use, by name, with what the fleet has for them."""
+        chosen = (name for name, one in self.fleet.items() if not self.use or name in self.use or one.group in self.use)
+        return {name: self.robot(name) for name in chosen}
+
+    def robot(self, name: str) -> RobotTable:
+        """Return a robot with what the fleet has for it, where it has nothing of its own."""
+        own = self.fleet[name]
+        return own.model_copy(
+            update={
+                "setup": own.setup or self.setup,
+                "stop": self.stop if own.stop is None else own.stop,
+                "battery": own.battery or self.battery,
+                "link_options": {**self.link_options, **own.link_options},
+            }
+        )
 
 
 def allocate(table: FleetTable, groups: Sequence[tuple[int, str]]) -> dict[int, str]:

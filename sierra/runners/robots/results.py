@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from sierra.runners.robots.agent_link import Clock
+from sierra.links.clock import Clock
 from sierra.runners.robots.trial import OVER, Part, Trial
 from sierra.store.layout import RUN_OUTPUT
 from sierra.util.json_types import RecordValue
@@ -23,7 +23,7 @@ LATE_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """When a part began and ended, by this host's clock, in seconds since the epoch."""
+    """The beginning and the end of a part, by this host's clock, in seconds since the epoch."""
 
     began: float
     ended: float

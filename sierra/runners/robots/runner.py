@@ -85,6 +85,8 @@ class Robots:
         session.runs.mkdir(parents=True, exist_ok=True)
         self._writer = worker.Journal(str(session.journal))
         self._code = content_name(work.code) if work.code else None
+        beside = next((job.beside for job in jobs if job.beside), None)
+        self._beside = content_name(Path(beside)) if beside else None
         self._thread = threading.Thread(target=self._execute, args=(jobs,), daemon=True)
         self._thread.start()
 
@@ -225,7 +227,7 @@ class Robots:
             files=placed.files,
             folders=placed.folders,
             limits=replace(job.limits, grace_s=self._table.grace),
-            beside=robot.beside(Path(job.beside)) if job.beside else None,
+            beside=robot.beside(Path(job.beside), self._beside) if job.beside else None,
             observe=None,
             members=(),
         )
@@ -233,15 +235,14 @@ class Robots:
 
     def _robot(self, name: str) -> Robot:
         if name not in self._robots:
-            options = self._table.fleet[name]
+            options = self._table.robot(name)
             link = self._make_link(name, options)
             agent = AgentLink(name, link, self._table.lease, self._events)
             self._robots[name] = Robot(name, options, self._table, agent, self._work, self._code, self._session, self._notes)
         return self._robots[name]
 
     def _link(self, name: str, options: RobotTable) -> Link:
-        chosen = {**self._table.link_options, **options.link_options}
-        link: Link = LINKS.make(self._table.link, {self._table.link: chosen}, options.host)
+        link: Link = LINKS.make(self._table.link, {self._table.link: options.link_options}, options.host)
         return link
 
 
@@ -309,10 +310,10 @@ class Robot:
             "who": {"session": session, "text": who},
             "lease": table.lease,
             "grace": table.grace,
-            "setup": own.setup or table.setup,
-            "stop": table.stop if own.stop is None else own.stop,
+            "setup": own.setup,
+            "stop": own.stop,
             "stop_limit": table.stop_limit,
-            "battery": own.battery or table.battery,
+            "battery": own.battery,
             "checks": table.checks,
             "variables": dict(own.variables),
             "keep": [keep] if keep else [],
@@ -331,9 +332,9 @@ class Robot:
         self.environment = dict(row)
         self.hello["environment"] = row["environment"]
 
-    def beside(self, folder: Path) -> str:
-        """Copy the files beside the inputs of all runs to the robot; return their folder there."""
-        target = push_content(self.agent.link, folder, self._root, "beside")
+    def beside(self, folder: Path, name: str | None) -> str:
+        """Copy the files beside the inputs of all runs to the robot; return their folder there. `name`: that of its content."""
+        target = push_content(self.agent.link, folder, self._root, "beside", name)
         return f"{self.hello['folder']}/{target.removeprefix(self._root + '/')}"
 
     def forget_if_lost(self, part: Part | None = None) -> bool:

@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from sierra.errors import Missing, SierraError
-from sierra.runners.robots.agent_link import AgentLink, Clock, Record, Refused
+from sierra.links.clock import Clock
+from sierra.runners.robots.agent_link import AgentLink, Record, Refused
 from sierra.runners.robots.fleet_table import FleetTable
 from sierra.worker import worker
 
@@ -37,7 +38,7 @@ MARGIN_S = 1.0
 SETTLE_S = 6.0
 """The seconds that an agent may take to report an end, after the grace time and the time of the stop command."""
 OVER = "the run is over"
-"""Why the robots are told to stop when the base station's program has ended successfully."""
+"""The reason for the stop when the base station's program has ended successfully."""
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
@@ -50,24 +51,24 @@ class Part:
     group: str
     agent: AgentLink
     hello: Record
-    """What the agent has said about its robot."""
+    """The agent's description of its robot."""
     job: worker.Job
     before: Record = field(default_factory=dict)
-    """What the agent measured before the run, and after it."""
+    """The agent's measurements before the run, and after it."""
     after: Record = field(default_factory=dict)
     clock: Clock | None = None
     clock_after: Clock | None = None
     armed: bool = False
-    """Whether its agent may have the run."""
+    """True if its agent may have the run."""
     started: bool = False
     ended: Record | None = None
     """The agent's report on the end."""
     lost: str | None = None
-    """What happened to the robot, if it was lost."""
+    """The reason why the robot counts as lost; None if it does not."""
     files: Path | None = None
     """The folder of the run that was pulled from it."""
     problem: str | None = None
-    """Why nothing was pulled."""
+    """The reason why nothing was pulled."""
 
     @property
     def name(self) -> str:
@@ -115,7 +116,7 @@ class Trial:
         self.attempt = attempt
         self.parts = parts
         self.stopped: str | None = None
-        """Why the robots were told to stop; the first reason counts."""
+        """The reason why the robots were told to stop; the first one counts."""
         self.at_ns = 0
         """The common start by this host's clock."""
         self._table = table
