@@ -404,13 +404,29 @@ def draw(compared: Compared, store: Store, paths: ProjectPaths, formats: tuple[F
     return list(files)
 
 
+def svg(compared: Compared) -> bytes:
+    """Return the figure of a comparison as an SVG file. Raises UsageError if there is nothing to draw."""
+    from sierra.deliverables.figures import drawing, style
+    from sierra.deliverables.figures.forest import forest
+
+    drawn = replace(_drawing(compared), formats=("svg",))
+    with style.applied():
+        figure = forest(compared)
+        style.settle(figure, drawn)
+        return drawing.svg(figure, drawn)
+
+
 def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
     """Return the content of a recorded comparison by its definition and the data that the store has now."""
+    compared = again(project, store, row)
+    return _content(compared, _drawing(compared))
+
+
+def again(project: LoadedProject, store: Store, row: DeliverableRow) -> Compared:
+    """Return a recorded comparison, made again from the data that the store has now. Raises the errors of `compare`."""
     definition = json.loads(row.definition)
     asked = Comparison.model_validate(definition["comparison"])
-    batches = dict(zip(definition["groups"], row.batches, strict=True))
-    compared = compare(project, store, row.name, batches, asked)
-    return _content(compared, _drawing(compared))
+    return compare(project, store, row.name, dict(zip(definition["groups"], row.batches, strict=True)), asked)
 
 
 def _content(compared: Compared, drawn: Drawing) -> Content:

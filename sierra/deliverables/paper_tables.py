@@ -273,7 +273,7 @@ def _latex_cell(cell: Cell) -> str:
 def markdown(table: PaperTable) -> str:
     """Return the table as a table of GitHub's Markdown."""
     rules = [":--" if place in table.texts else "--:" for place in range(len(table.headers))]
-    rows = [table.headers, rules, *([_text_cell(cell) for cell in row] for row in table.rows)]
+    rows = [table.headers, rules, *([as_text(cell) for cell in row] for row in table.rows)]
     lines = ["| " + " | ".join(as_markdown(cell) for cell in row) + " |" for row in rows]
     above = [as_markdown(table.caption), ""] if table.caption else []
     return "\n".join([*above, *lines, "", as_markdown(table.note)]) + "\n"
@@ -284,7 +284,8 @@ def as_markdown(text: str) -> str:
     return "".join(f"\\{c}" if c in "\\|*_`<>" else c for c in " ".join(text.split()))
 
 
-def _text_cell(cell: Cell) -> str:
+def as_text(cell: Cell) -> str:
+    """Return the text of a cell: `0.714 ± 0.021`, `–` for none."""
     match cell:
         case None:
             return "–"
@@ -301,7 +302,7 @@ def csv(table: PaperTable) -> str:
     """Return the table as CSV, with the rounded numbers as text."""
     file = io.StringIO()
     writer = csv_module.writer(file, lineterminator="\n")
-    writer.writerows([table.headers, *(["" if cell is None else _text_cell(cell) for cell in row] for row in table.rows)])
+    writer.writerows([table.headers, *(["" if cell is None else as_text(cell) for cell in row] for row in table.rows)])
     return file.getvalue()
 
 
@@ -309,7 +310,7 @@ def page(table: PaperTable) -> str:
     """Return the table as an element of HTML."""
     width = len(table.headers)
     heads = "".join(f"<th>{html.escape(header)}</th>" for header in table.headers)
-    rows = ["<tr>" + "".join(f"<td>{html.escape(_text_cell(cell))}</td>" for cell in row) + "</tr>" for row in table.rows]
+    rows = ["<tr>" + "".join(f"<td>{html.escape(as_text(cell))}</td>" for cell in row) + "</tr>" for row in table.rows]
     name = f' id="{html.escape(table.label)}"' if table.label else ""
     caption = [f"<caption>{html.escape(table.caption)}</caption>"] if table.caption else []
     foot = f'<tfoot><tr><td colspan="{width}">{html.escape(table.note)}</td></tr></tfoot>'

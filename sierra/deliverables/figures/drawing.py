@@ -162,10 +162,32 @@ def rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
 
 def _rendered(drawing: Drawing) -> list[tuple[Format, bytes]]:
     shown = noted(drawing)
-    figure, kind = painted(shown), kind_of(drawing.figure)
-    if "html" in drawing.formats and isinstance(kind, Explorable) and not shown.models and not shown.failed_models:
-        shown = replace(shown, charts=tuple(kind.charts(shown)))
-    return _files(figure, shown, drawing.data)
+    figure = painted(shown)
+    return _files(figure, charted(shown) if "html" in drawing.formats else shown, drawing.data)
+
+
+def explorable(drawing: Drawing) -> tuple[Drawing, bytes]:
+    """Return a drawing with its complete small print and its charts, and its SVG file. Raises the errors of `draw`."""
+    from sierra.deliverables.figures import style
+
+    check(drawing)
+    with style.applied(drawing.figure), _freed():
+        shown = noted(drawing)
+        return charted(shown), svg(painted(shown), shown)
+
+
+def svg(figure: matplotlib.figure.Figure, drawing: Drawing) -> bytes:
+    """Return the SVG file of a figure that is drawn already, with the metadata of `drawing`."""
+    [(_, data)] = _files(figure, replace(drawing, formats=("svg",)), drawing.data)
+    return data
+
+
+def charted(drawing: Drawing) -> Drawing:
+    """Return the drawing with charts, if its kind has some. They do not show models."""
+    kind = kind_of(drawing.figure)
+    if not isinstance(kind, Explorable) or drawing.models or drawing.failed_models:
+        return drawing
+    return replace(drawing, charts=tuple(kind.charts(drawing)))
 
 
 @contextmanager

@@ -54,19 +54,23 @@ class _Panel:
 
 def page(drawing: Drawing, svg: bytes, origin: str) -> bytes:
     """Return the page of a figure; `svg` is the same figure as it is printed, for kinds without charts."""
-    title = formats.title(drawing)
+    shown = content(drawing, b"" if drawing.charts else svg, origin)
+    metadata = {"generator": f"SIERRA {__version__}", "description": drawing.note, "sierra": origin}
+    return html.page(shown.title, [html.section(shown)], metadata | {"sierra:sql": drawing.sql})
+
+
+def content(drawing: Drawing, svg: bytes, origin: str) -> Content:
+    """Return the content of the section of a figure on a page."""
     charts = drawing.charts
-    content = Content(
-        title,
+    return Content(
+        formats.title(drawing),
         charts,
-        b"" if charts else svg,
+        svg,
         tuple(filter(None, (drawing.note, *_thinned(charts), drawing.figure.footnote))),
         (charts[0].table,) if charts else tuple(_tables(drawing)),
         drawing.sql,
         _origin(drawing, origin),
     )
-    metadata = {"generator": f"SIERRA {__version__}", "description": drawing.note, "sierra": origin}
-    return html.page(title, [html.section(content)], metadata | {"sierra:sql": drawing.sql})
 
 
 def over_time(drawing: Drawing) -> list[Chart]:

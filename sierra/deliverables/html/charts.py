@@ -60,11 +60,11 @@ class Chart:
     """Whether points are joined by lines."""
 
 
-def element(chart: Chart, place: int) -> str:
+def element(chart: Chart, place: int, heading: str = "h3") -> str:
     """Return the place of a chart as an element of HTML; `place` is its number in the section."""
     about = f"{chart.title or chart.y.label}: {chart.y.label} over {chart.x.label}, {len(chart.series)} series. "
     keys = "Arrow keys move the cursor, + and - zoom, 0 shows everything."
-    title = f'<h3 dir="auto">{text(chart.title)}</h3>' if chart.title else ""
+    title = f'<{heading} dir="auto">{text(chart.title)}</{heading}>' if chart.title else ""
     return (
         f'<div class="chart" data-chart="{place}">{title}'
         f'<div class="plot" tabindex="0" role="group" aria-label="{text(about + keys)}"></div></div>'

@@ -15,9 +15,12 @@ UPLOT = "uplot"
 """The folder of uPlot 1.6.32, which draws the charts, as its package on npm has it: see THIRD-PARTY.md."""
 
 
-def page(title: str, sections: Iterable[str], metadata: Mapping[str, str] | None = None) -> bytes:
-    """Return a whole page, as UTF-8. `sections` are elements of HTML; `metadata` are texts by name."""
-    script, style = _script(), _style()
+def page(title: str, sections: Iterable[str], metadata: Mapping[str, str] | None = None, *, extra: str = "") -> bytes:
+    """Return a whole page, as UTF-8. `sections` are elements of HTML; `metadata` are texts by name.
+
+    `extra` is the name of a further script and a further style in `assets`.
+    """
+    script, style = _script(extra), _style(extra)
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
         "base-uri 'none'; form-action 'none'"
@@ -40,15 +43,16 @@ def page(title: str, sections: Iterable[str], metadata: Mapping[str, str] | None
 
 
 @cache
-def _script() -> str:
+def _script(extra: str) -> str:
     notice = (ASSETS / UPLOT / "LICENSE").read_text("utf-8")
     parts = f"/*! uPlot\n{notice}*/", (ASSETS / UPLOT / "uPlot.iife.min.js").read_text("utf-8"), _asset("page.js")
-    return "\n".join(parts)
+    return "\n".join((*parts, *([_asset(f"{extra}.js")] if extra else [])))
 
 
 @cache
-def _style() -> str:
-    return f"{(ASSETS / UPLOT / 'uPlot.min.css').read_text('utf-8')}\n{_asset('page.css')}"
+def _style(extra: str) -> str:
+    parts = (ASSETS / UPLOT / "uPlot.min.css").read_text("utf-8"), _asset("page.css")
+    return "\n".join((*parts, *([_asset(f"{extra}.css")] if extra else [])))
 
 
 def _asset(name: str) -> str:

@@ -46,13 +46,16 @@ def _lines(content: Content) -> Iterator[str]:
     yield from (table_elements.element(table, place) for place, table in enumerate(content.tables))
     if content.sql or content.origin:
         yield from _origin(content)
-    yield f'<script type="application/json">{data(_data(content))}</script></section>'
+    yield f'<script type="application/json">{data(as_data(content))}</script></section>'
 
 
 def _picture(svg: bytes, description: str) -> str:
-    # As an image, because the style attributes within an SVG element are what the policy of the page forbids.
-    encoded = base64.b64encode(svg).decode()
-    return f'<p class="picture"><img alt="{text(description)}" src="data:image/svg+xml;base64,{encoded}"></p>'
+    return f'<p class="picture"><img alt="{text(description)}" src="{svg_address(svg)}"></p>'
+
+
+def svg_address(svg: bytes) -> str:
+    """Return an SVG file as the address of an image, because the policy of the page forbids the styles in an SVG element."""
+    return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode()}"
 
 
 def _origin(content: Content) -> Iterator[str]:
@@ -65,7 +68,8 @@ def _origin(content: Content) -> Iterator[str]:
     yield "</details>"
 
 
-def _data(content: Content) -> Data:
+def as_data(content: Content) -> Data:
+    """Return the tables and charts as data for scripts."""
     return {
         "tables": [table_elements.as_data(table) for table in content.tables],
         "charts": [chart_elements.as_data(chart, content.tables) for chart in content.charts],

@@ -380,7 +380,7 @@
   }
 
   document.querySelectorAll("section").forEach((element, place) => {
-    const source = element.querySelector('script[type="application/json"]');
+    const source = element.querySelector(':scope > script[type="application/json"]');
     if (!source) return;
     const { tables, charts } = JSON.parse(source.textContent);
     const section = { key: `section ${place}`, views: [] };
