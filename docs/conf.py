@@ -31,6 +31,7 @@ CONTENTS = {
         "how-to/sql",
         "how-to/derived-tables",
         "how-to/figures",
+        "how-to/report",
         "how-to/figure-kinds",
         "how-to/models",
         "how-to/compare",

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from sierra.deliverables.models.errors_of_models import ModelErrors
     from sierra.deliverables.power import RunsForPower
     from sierra.deliverables.record import Checked, ShownDeliverable
+    from sierra.deliverables.report.files import Written
     from sierra.deliverables.sample_size import RunsNeeded
     from sierra.execution.cluster_status import ClusterSession
     from sierra.execution.list_batches import ListedBatch
@@ -1407,6 +1408,36 @@ class Project:
         place = Path(folder) if folder is not None else None
         return comparison_text.text(compared, format, list(map(Path, figures)), place, caption, label)
 
+    def report(
+        self,
+        *words: str,
+        every: bool = False,
+        to: str | os.PathLike[str] | None = None,
+        tell: Callable[[str], None] = lambda text: None,
+    ) -> Written:
+        """Write a report of batches: one page of HTML that needs nothing but itself: see `sierra.deliverables.report`.
+
+        `words` are prefixes of batches' ids or names of queries; without any, the batch requested last. `every`: all batches;
+        of more than 50, only the list. `to` is the file (default: one in `figures/reports`); it is replaced only if it is a
+        report. `tell` receives the progress. Raises NotFound, UsageError for a file that is no report, Missing.
+
+        >>> written = project.report(summary.batch)
+        >>> written.file.suffix, written.notes
+        ('.html', ())
+        """
+        from sierra.deliverables.report import files, make
+
+        if every and words:
+            raise UsageError("--all is about all batches; leave out the others")
+        source = make.Source(self._loaded, self.store, self.compare_declared)
+        batches = [one.batch for one in self.batches] if every else [self._labelled_batch(word)[1] for word in words]
+        batches = list(dict.fromkeys(batches)) or [self.batch()]
+        if to is not None:
+            files.check(Path(to))
+        made = make.of_batches(source, batches, tell, self.root.name) if every else make.of_batches(source, batches, tell)
+        file = files.default(self.paths, batches, every=every) if to is None else Path(to)
+        return files.Written(files.write(file, made.data), tuple(made.batches), tuple(made.notes))
+
     def batch(self, prefix: str | None = None, *, target: str | None = None) -> str:
         """Return the id of a batch from a prefix; without one, that of the batch requested last, for `target` if it is given.
 
@@ -1618,6 +1649,39 @@ def reproduce(
     options = steps.Options(_slots(jobs), tuple(claims), budget, engine, runner)
     folder = None if into is None else Path(into)
     return steps.reproduce(Path(package), folder, options, agree or steps.isolated_only, observer or _observer(progress))
+
+
+def report_package(
+    package: str | os.PathLike[str],
+    *,
+    to: str | os.PathLike[str] | None = None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Written:
+    """Write a report of the batches in a package, and execute nothing of it.
+
+    `to` is the file; by default, it is beside the package: `results-report.html` for `results.zip`. The other arguments and the
+    errors are those of `Project.report`; Damaged for a package that is not safe.
+
+    >>> from sierra.api import report_package
+    >>> report_package("results.zip")
+    Traceback (most recent call last):
+    sierra.errors.Missing: results.zip: No such file or directory
+    """
+    from sierra.deliverables.report import files, make
+    from sierra.deliverables.report.reproduce import Received
+    from sierra.packages.reading import received
+
+    path = Path(package)
+    opened = received.open_package(path)
+    file = path.with_name(f"{path.stem}-report.html") if to is None else Path(to)
+    files.check(file)
+    described, config = opened.manifest, opened.project.config.package
+    about = config.model_copy(update={"date": config.date or described.date, "title": config.title or described.title})
+    source = make.Source(
+        opened.project, opened.store, received=Received(path.name, opened.id, about, (*described.notes, *opened.notes))
+    )
+    made = make.of_batches(source, received.batches(opened.store), tell, about.title or path.name)
+    return files.Written(files.write(file, made.data), tuple(made.batches), tuple(made.notes))
 
 
 def _observer(wanted: bool | None) -> Observer:

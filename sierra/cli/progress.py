@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import typer
 
@@ -45,6 +45,19 @@ def watching(*, quiet: bool) -> Iterator[Display]:
             yield bar
     else:
         yield _Lines()
+
+
+@contextlib.contextmanager
+def telling(*, quiet: bool) -> Iterator[Callable[[str], None]]:
+    """Yield a receiver of the name of what is being made, which a terminal shows meanwhile, unless `quiet`."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    with Console(file=raw(sys.stderr)).status("") as status:
+        yield lambda text: status.update(Text(safe(text)))
 
 
 class Planning(Observer):

@@ -8,6 +8,7 @@ PROJECT/sierra.toml
 PROJECT/sierra.lock                 the images that image names stand for; committed with the project
 PROJECT/figures/<batch>/            figures, and the mark .drawn; what they show is recorded in the table deliverables
 PROJECT/figures/comparisons/        figures of comparisons
+PROJECT/figures/reports/            reports
 PROJECT/.sierra/files               hashes of the project's files outside git; rebuilt if it is missing
 PROJECT/.sierra/format              the version of the store's format
 PROJECT/.sierra/id                  the store's id; see sierra.store.ownership_marks
@@ -53,6 +54,7 @@ FIGURES = "figures"
 DRAWN = ".drawn"
 """The mark of a folder that SIERRA draws figures to, so that it does not count as source."""
 COMPARISONS = "comparisons"
+REPORTS = "reports"
 
 RUN_STDOUT = "stdout"
 RUN_STDERR = "stderr"

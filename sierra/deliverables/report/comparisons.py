@@ -1,0 +1,138 @@
+"""The section about comparisons: what `sierra compare` says about a batch, and about batches beside each other."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from sierra.config.deliverable_tables import Comparison
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables import comparison
+from sierra.deliverables.comparison import Compared
+from sierra.deliverables.comparison_text import paper_table
+from sierra.deliverables.html.elements import Markup, element, joined
+from sierra.deliverables.report.parts import Place, Section, auto, code, details, note, picture
+from sierra.deliverables.report.results import paper_table as as_element
+from sierra.errors import Missing, SierraError, UsageError
+from sierra.store.row_types import DeliverableRow
+from sierra.store.store import Store
+from sierra.util.hashing import short
+
+RECORDED = """
+SELECT * FROM deliverables WHERE kind = 'comparison' AND list_has_any(batches, $batches)
+QUALIFY row_number() OVER (PARTITION BY name, batches ORDER BY lamport DESC, made DESC) = 1 ORDER BY name, batches
+"""
+"""The last record of each comparison that someone has drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparisons:
+    """The comparisons that a report shows, and why others could not be made."""
+
+    shown: Sequence[Compared]
+    notes: Sequence[str]
+
+    def within(self, batch: str) -> list[Compared]:
+        """Return the comparisons of groups within one batch."""
+        return [one for one in self.shown if list(one.batches.values()) == [batch]]
+
+    def between(self) -> list[Compared]:
+        """Return the comparisons of several batches."""
+        return [one for one in self.shown if len(one.batches) > 1]
+
+
+def find(
+    project: LoadedProject, store: Store, batches: Sequence[str], declared_between: Callable[[str], Compared] | None
+) -> Comparisons:
+    """Return the declared and the recorded comparisons of these batches.
+
+    `declared_between` makes a declared comparison of several batches; None if the queries that it names cannot be resolved.
+    """
+    found: dict[tuple[str, tuple[str, ...]], Compared] = {}
+    notes = []
+    for name, made in _possible(project, store, batches, declared_between):
+        try:
+            one = made()
+        except Missing:
+            raise
+        except SierraError as error:
+            notes.append(f"comparison {name} could not be made: {error}")
+            continue
+        if set(batches).intersection(one.batches.values()):
+            found.setdefault((one.name, tuple(one.batches.values())), one)
+    if declared_between is None and (left := [name for name, one in project.config.comparisons.items() if not _is_within(one)]):
+        notes.append(f"comparisons of several batches are not made from the declarations of a package: {', '.join(left)}")
+    return Comparisons(list(found.values()), notes)
+
+
+def _possible(
+    project: LoadedProject, store: Store, batches: Sequence[str], declared_between: Callable[[str], Compared] | None
+) -> Iterator[tuple[str, Callable[[], Compared]]]:
+    """Yield the name of each comparison, and a function that makes it."""
+    for name, asked in project.config.comparisons.items():
+        if _is_within(asked):
+            for batch in batches:
+                yield f"{name} of batch {short(batch)}", partial(_of_batch, project, store, name, asked, batch)
+        elif declared_between is not None:
+            yield name, partial(declared_between, name)
+    for row in store.select(DeliverableRow, RECORDED, batches=list(batches)):
+        yield row.name, partial(comparison.again, project, store, row)
+
+
+def _is_within(asked: Comparison) -> bool:
+    return bool(asked.by) or not asked.groups
+
+
+def _of_batch(project: LoadedProject, store: Store, name: str, asked: Comparison, batch: str) -> Compared:
+    return comparison.compare(project, store, name, {short(batch): batch}, asked)
+
+
+def section(found: Sequence[Compared], notes: Sequence[str], place: Place) -> Section | None:
+    """Return the section about comparisons; None if there is nothing to say."""
+    lines = [_compared(one, place) for one in found] + list(map(note, notes))
+    return Section("comparisons", "Comparisons", joined(lines)) if lines else None
+
+
+def _compared(one: Compared, place: Place) -> Markup:
+    shown = paper_table(one)
+    return element(
+        "article",
+        element(place.inner, auto(one.name)),
+        element("p", one.text, dir="auto"),
+        *_picture(one),
+        as_element(shown),
+        *map(note, one.notes),
+        *_origin(one),
+        class_="comparison",
+    )
+
+
+def _picture(one: Compared) -> Iterator[Markup]:
+    try:
+        svg = comparison.svg(one)
+    except UsageError as error:
+        yield note(f"There is no figure: {error}")
+        return
+    yield picture(svg, f"Differences between groups. {one.text}")
+
+
+def _origin(one: Compared) -> Iterator[Markup]:
+    groups = [f"{group}={batch}" if len(one.batches) > 1 else batch for group, batch in one.batches.items()]
+    options = {
+        "--by": ",".join(one.asked.by),
+        "--table": one.table,
+        "--column": one.column,
+        "--measure": "" if one.asked.over_time else one.measure,
+        "--threshold": "" if one.asked.threshold is None else f"{one.asked.threshold!r}",
+        "--against": one.asked.against or "",
+        "--margin": "" if one.asked.margin is None else f"{one.asked.margin!r}",
+        "--alpha": "" if one.asked.alpha == Comparison().alpha else f"{one.asked.alpha!r}",
+    }
+    words = [*groups, *(word for name, value in options.items() if value for word in (name, value))]
+    words += ["--over-time"] if one.asked.over_time else []
+    lines = [shlex.join(["sierra", "compare", *words])]
+    if one.asked.where or one.asked.experiments or one.asked.groups:
+        lines = [one.asked.model_dump_json(exclude_unset=True, indent=1)]
+    yield details("How to make this again", code("\n".join(lines), "the comparison"))

@@ -1,0 +1,160 @@
+"""The section about the environment: code, hosts, robots, image, programs, variables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+from sierra.deliverables.html.elements import Markup, Node, element, joined
+from sierra.deliverables.report.batch_state import BatchState
+from sierra.deliverables.report.parts import Place, Section, badge, details, facts, note, sql, table
+from sierra.util.hashing import short
+from sierra.util.text import few, size
+
+HOSTS = """
+SELECT e.host, n.os, n.kernel, n.machine, n.cpu, n.cores, n.memory, n.python, n.sierra, count(*) AS executions
+FROM effective f JOIN executions e USING (execution) LEFT JOIN environments n USING (environment)
+WHERE f.batch = $b GROUP BY ALL ORDER BY executions DESC, e.host, n.kernel, n.cpu, n.cores, n.memory, n.python, n.sierra
+"""
+"""The hosts of the executions that count."""
+ROBOTS = """
+SELECT r.robot, r.robot_group AS part, any_value(r.machine) AS machine, any_value(r.firmware) AS firmware,
+       count(DISTINCT r.execution) AS executions
+FROM effective f JOIN robots r USING (execution) WHERE f.batch = $b GROUP BY ALL ORDER BY part, robot
+"""
+SHOWN = 200
+"""The largest number of programs, robots or hosts that are listed."""
+
+
+class _Host(NamedTuple):
+    host: str
+    os: str | None
+    kernel: str | None
+    machine: str | None
+    cpu: str | None
+    cores: int | None
+    memory: int | None
+    python: str | None
+    sierra: str | None
+    executions: int
+
+
+class _Robot(NamedTuple):
+    robot: str
+    part: str
+    machine: str | None
+    firmware: str | None
+    executions: int
+
+
+def section(state: BatchState, place: Place) -> Section:
+    """Return the section about what was around the executions that count."""
+    return Section("environment", "Environment", joined(_lines(state, place)))
+
+
+def _lines(state: BatchState, place: Place) -> Iterator[Markup]:
+    yield element(place.inner, "Code")
+    yield facts(_code(state))
+    yield from _variables(json.loads(state.shown.spec.variables))
+    yield element(place.inner, "Hosts")
+    yield from _hosts(state)
+    yield from _robots(state, place)
+    yield from _image(state, place)
+    yield from _programs(state)
+
+
+def _code(state: BatchState) -> dict[str, Node]:
+    spec, source = state.shown.spec, state.shown.source
+    found: dict[str, Node] = {"platform": spec.platform, "command": element("code", " ".join(spec.command))}
+    if source is None:
+        return {**found, "source": "none declared"}
+    found |= {"commit": source.commit and element("code", source.commit), "described as": source.described}
+    found |= {"branch": source.branch, "remote": source.remote, "tree": element("code", source.tree)}
+    if source.dirty is not None:
+        text = "differed from the commit; SIERRA keeps the exact files" if source.dirty else "as in the commit"
+        found["working tree"] = joined(
+            (badge("dirty" if source.dirty else "clean", "unclear" if source.dirty else "good"), " ", text)
+        )
+    if source.vcs == "none":
+        found["version control"] = "none; SIERRA keeps the files"
+    return found
+
+
+def _variables(found: Mapping[str, str]) -> Iterator[Markup]:
+    if found:
+        lines = "\n".join(f"{name}={value}" for name, value in found.items())
+        yield details(f"Declared environment variables ({len(found)})", element("pre", lines, tabindex=0, dir="auto"))
+
+
+def _hosts(state: BatchState) -> Iterator[Markup]:
+    found = state.store.select(_Host, HOSTS, b=state.id)
+    if not found:
+        yield note("No execution counts yet.")
+        return
+    rows = [
+        (
+            one.host,
+            one.os or "",
+            one.kernel or "",
+            " ".join(filter(None, (one.cpu, f"({one.machine})" if one.machine else ""))),
+            f"{one.cores}" if one.cores else "",
+            size(one.memory) if one.memory else "",
+            " / ".join(filter(None, (one.python, one.sierra))),
+            one.executions,
+        )
+        for one in found[:SHOWN]
+    ]
+    headers = ("host", "system", "kernel", "processor", "cores", "memory", "Python / SIERRA", "runs")
+    yield table(headers, rows, "Hosts of the executions that count", numbers=(4, 5, 7))
+    if len(found) > SHOWN:
+        yield note(f"The first {SHOWN} of {len(found)} are listed.")
+    yield sql(HOSTS, state.id)
+
+
+def _robots(state: BatchState, place: Place) -> Iterator[Markup]:
+    if not state.shown.spec.robots:
+        return
+    found = state.store.select(_Robot, ROBOTS, b=state.id)
+    yield element(place.inner, "Robots")
+    rows = [(one.robot, one.part, one.machine or "", one.firmware or "", one.executions) for one in found[:SHOWN]]
+    yield table(("robot", "group", "processor", "firmware", "runs"), rows, "Robots of the executions that count", numbers=(4,))
+    yield sql(ROBOTS, state.id)
+
+
+def _image(state: BatchState, place: Place) -> Iterator[Markup]:
+    image = state.shown.image
+    if image is None:
+        return
+    yield element(place.inner, "Container")
+    row = image.row
+    isolations = [
+        f"{one.row.engine} {one.row.version or ''}, network {one.row.network}" for one in state.shown.isolations if one.row
+    ]
+    packages = ", ".join(f"{len(lines)} of {manager}" for manager, lines in image.packages.items())
+    yield facts(
+        {
+            "image": row.name if row else "not recorded",
+            "content": element("code", image.image),
+            "kind": row and row.kind,
+            "processor": row and row.architecture,
+            "packages": packages,
+            "isolation": few(list(dict.fromkeys(isolations)), 4),
+            "access to the host": ", ".join(state.shown.spec.host_access) or "none",
+        }
+    )
+
+
+def _programs(state: BatchState) -> Iterator[Markup]:
+    programs = state.shown.programs
+    if not programs:
+        return
+    rows = [(one.name, one.kind, _version(one.version), short(one.sha256 or "")) for one in programs[:SHOWN]]
+    more = note(f"The first {SHOWN} of {len(programs):,} are listed.") if len(programs) > SHOWN else None
+    inner = table(("name", "kind", "version", "SHA-256"), rows, "Programs and libraries outside of the source and the image")
+    yield details("Programs and libraries", inner, more)
+
+
+def _version(version: str | None) -> str:
+    lines = (version or "").splitlines()
+    return f"{len(lines)} distributions" if len(lines) > 1 else "".join(lines)[:120]

@@ -1,0 +1,66 @@
+"""The section about failures: why runs have no result, the ends of their logs, and doubts about results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from sierra.deliverables.html.elements import Markup, Node, element, joined
+from sierra.deliverables.report.batch_state import BatchState
+from sierra.deliverables.report.parts import Place, Section, auto, note, sql
+from sierra.execution.show_record import FAILURES, Failed
+from sierra.util.hashing import short
+from sierra.util.text import counted
+
+LAST = """
+SELECT status, host, log_tail FROM executions WHERE run = $r AND purpose = 'run' ORDER BY lamport DESC LIMIT 1
+"""
+REASONS, LINES, WIDTH = 20, 15, 400
+"""The largest number of reasons, of lines of a log, and of characters of a line."""
+
+
+class _Last(NamedTuple):
+    status: str
+    host: str
+    log_tail: str | None
+
+
+def section(state: BatchState, place: Place) -> Section:
+    """Return the section about failures, also if there are none."""
+    return Section("failures", "Failures", joined(_lines(state, place)))
+
+
+def _lines(state: BatchState, place: Place) -> Iterator[Markup]:
+    failures = state.shown.failures
+    if not failures:
+        yield element("p", "No run failed." if not state.unexecuted else "No run that was executed failed.")
+    for one in failures[:REASONS]:
+        yield _failure(state, one, place)
+    if len(failures) > REASONS:
+        runs = sum(one.runs for one in failures[REASONS:])
+        yield note(f"{len(failures) - REASONS} more reasons, of {counted(runs, 'run')}: see sierra show {state.short}.")
+    if failures:
+        yield sql(FAILURES, state.id)
+    if unlike := state.shown.nondeterminism:
+        text = "gave other output when executed again; the table nondeterminism has them"
+        yield note(f"{counted(len(unlike), 'run')} {text}.")
+
+
+def _failure(state: BatchState, one: Failed, place: Place) -> Markup:
+    values = "".join(f"{name} = {value}, " for name, value in one.values.items())
+    where: list[Node] = ["for example ", element("code", short(one.run)), f" ({values}run {one.number})"]
+    last = next(iter(state.store.select(_Last, LAST, r=one.run)), None)
+    if last:
+        where.append(f" on {last.host}")
+    return element(
+        "article",
+        element(place.inner, f"{counted(one.runs, 'run')}: ", auto(one.reason)),
+        element("p", *where, dir="auto"),
+        _log(last.log_tail) if last and last.log_tail else note("It left no log."),
+        class_="failure",
+    )
+
+
+def _log(tail: str) -> Markup:
+    lines = [line.expandtabs()[:WIDTH] for line in tail.splitlines()[-LINES:]]
+    return element("pre", "\n".join(lines), tabindex=0, role="region", aria_label="End of the log", dir="auto")

@@ -1,0 +1,40 @@
+"""The section that lists batches, with the numbers of their runs."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from sierra.deliverables.html.elements import Markup, Node, element, joined
+from sierra.deliverables.report.parts import Section, note, table
+from sierra.execution.list_batches import ListedBatch
+from sierra.util.hashing import short
+
+MOST = 1000
+"""The largest number of batches that are listed: a page with more becomes slow."""
+
+
+def section(listed: Sequence[ListedBatch], shown: Collection[str]) -> Section:
+    """Return the list of batches, the last one first. Those in `shown` have a part of their own in the page."""
+    newest = list(reversed(listed))[:MOST]
+    headers = ("batch", "query", "controller", "scenario", "experiments", "runs", "failed", "not executed", "first submitted")
+    inner: list[Node] = [table(headers, (_row(one, one.batch in shown) for one in newest), "", numbers=(4, 5, 6, 7))]
+    if len(listed) > len(newest):
+        inner.append(note(f"The last {MOST:,} of {len(listed):,} batches are listed; sierra ls lists all."))
+    if not shown:
+        inner.append(note("These are too many batches for one page; name some, as in: sierra report HASH HASH"))
+    return Section("batches", "Batches", joined(inner))
+
+
+def _row(one: ListedBatch, shown: bool) -> tuple[Node, ...]:
+    identity: Markup = element("code", short(one.batch))
+    return (
+        element("a", identity, href=f"#b{short(one.batch)}") if shown else identity,
+        one.query,
+        one.controller,
+        one.scenario,
+        f"{one.experiments:,}",
+        f"{one.runs:,}",
+        "?" if one.failed is None else f"{one.failed:,}",
+        "?" if one.missing is None else f"{one.missing:,}",
+        f"{one.created:%Y-%m-%d %H:%M}",
+    )

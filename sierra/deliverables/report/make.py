@@ -1,0 +1,155 @@
+"""Make reports: gather what the store knows about batches, and put it into a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from sierra.config.project_file import LoadedProject, Project
+from sierra.deliverables.comparison import Compared
+from sierra.deliverables.report import (
+    batch_state,
+    claims,
+    comparisons,
+    design,
+    environment,
+    failures,
+    index,
+    page,
+    question,
+    reproduce,
+    results,
+)
+from sierra.deliverables.report.batch_state import BatchState
+from sierra.deliverables.report.claims import Claims
+from sierra.deliverables.report.comparisons import Comparisons
+from sierra.deliverables.report.page import Chapter
+from sierra.deliverables.report.parts import Place, Section
+from sierra.deliverables.report.reproduce import Received
+from sierra.execution import list_batches
+from sierra.store.store import Store
+
+AT_MOST = 50
+"""The largest number of batches that a report of all batches shows in full; of more, it only has the list."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a report comes from."""
+
+    project: LoadedProject
+    store: Store
+    declared_between: Callable[[str], Compared] | None = None
+    """Makes a declared comparison of several batches; None in a package, whose queries are not resolved."""
+    received: Received | None = None
+    """The package; None for the user's own project."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """A page, and notes on what it lacks."""
+
+    data: bytes
+    batches: Sequence[str]
+    notes: Sequence[str]
+
+
+def received(source: Source) -> Source:
+    """Return the source without what would execute programs of a package: models by commands."""
+    if source.received is None:
+        return source
+    project = source.project
+    left = [name for name, model in project.config.models.items() if model.command]
+    note = f"Models are left out, because commands of the package would have to be executed: {', '.join(left)}."
+    about = replace(source.received, notes=(*source.received.notes, *([note] if left else [])))
+    harmless = replace(
+        project, config=_without_commands(project.config), declared=project.declared and _without_commands(project.declared)
+    )
+    return replace(source, project=harmless, received=about)
+
+
+def _without_commands(config: Project) -> Project:
+    return config.model_copy(update={"models": {name: model for name, model in config.models.items() if not model.command}})
+
+
+def of_batches(source: Source, batches: Sequence[str], tell: Callable[[str], None], every: str = "") -> Report:
+    """Return the report of batches: of one, or of several with a list at the beginning.
+
+    `every` is the title of a report of all batches; of more than `AT_MOST`, it only has the list. `tell` receives the progress.
+    """
+    if every and len(batches) > AT_MOST:
+        return _list(source, every)
+    source = received(source)
+    states = [batch_state.read(source.project, source.store, batch) for batch in batches]
+    tell("claims")
+    found = claims.find(source.project, source.store, batches, batches if source.received else None, every=bool(every))
+    tell("comparisons")
+    compared = comparisons.find(source.project, source.store, batches, source.declared_between)
+    if len(states) == 1:
+        return _single(source, states[0], found, compared, tell)
+    return _several(source, states, found, compared, tell, every or f"{len(states)} batches")
+
+
+def _list(source: Source, title: str) -> Report:
+    """Return the report of too many batches: the list of them."""
+    listed = list_batches.batches(source.store)
+    data = page.of_batches(title, [index.section(listed, ())], [], Claims(()), source.received)
+    note = f"{len(listed)} batches are too many for one page, so it only has their list; name some instead of --all"
+    return Report(data, [one.batch for one in listed], (note,))
+
+
+def _single(source: Source, state: BatchState, found: Claims, compared: Comparisons, tell: Callable[[str], None]) -> Report:
+    place = Place()
+    sections, notes = _results(state, place, tell)
+    of_claims = claims.section(source.project, found, place)
+    of_groups = comparisons.section(compared.shown, compared.notes, place)
+    parts = [
+        question.section(state),
+        design.section(state),
+        *sections,
+        *filter(None, (of_groups, of_claims)),
+        failures.section(state, place),
+        environment.section(state, place),
+        reproduce.section(state, source.received, place),
+    ]
+    return Report(page.of_batch(state, parts, found, source.received), (state.id,), (*notes, *compared.notes))
+
+
+def _several(
+    source: Source,
+    states: Sequence[BatchState],
+    found: Claims,
+    compared: Comparisons,
+    tell: Callable[[str], None],
+    title: str,
+) -> Report:
+    ids = {state.id for state in states}
+    listed = [one for one in list_batches.batches(source.store) if one.batch in ids]
+    of_claims = claims.section(source.project, found, Place())
+    of_groups = comparisons.section(compared.between(), compared.notes, Place())
+    chapters, notes = [], list(compared.notes)
+    for state in states:
+        place = Chapter(state, ()).place
+        sections, own = _results(state, place, tell)
+        within = comparisons.section(compared.within(state.id), (), place)
+        parts = [
+            question.section(state),
+            design.section(state),
+            *sections,
+            *filter(None, (within,)),
+            failures.section(state, place),
+            environment.section(state, place),
+            reproduce.section(state, source.received, place),
+        ]
+        chapters.append(Chapter(state, parts))
+        notes += own
+    first = [index.section(listed, ids), *filter(None, (of_claims, of_groups))]
+    return Report(page.of_batches(title, first, chapters, found, source.received), [one.id for one in states], notes)
+
+
+def _results(state: BatchState, place: Place, tell: Callable[[str], None]) -> tuple[list[Section], list[str]]:
+    """Return the sections with figures, tables and other deliverables, and notes on what could not be made."""
+    found = results.figures(state, tell)
+    tables, failed = results.table_section(state, place)
+    sections = [results.figure_section(found, place), *filter(None, (tables, results.other_section(state)))]
+    return sections, [*found.notes, *failed]

@@ -1,0 +1,182 @@
+"""The sections about results: figures as they are printed and as charts to explore, tables for papers, other files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from sierra.deliverables import comparison, declared_tables, paper_tables
+from sierra.deliverables.declared_tables import Made
+from sierra.deliverables.figures.drawing import Drawing, explorable
+from sierra.deliverables.gallery import Gallery
+from sierra.deliverables.html import charts as chart_elements
+from sierra.deliverables.html import tables as table_elements
+from sierra.deliverables.html.charts import Chart
+from sierra.deliverables.html.elements import Markup, element, joined
+from sierra.deliverables.html.escaping import data
+from sierra.deliverables.html.sections import Content, as_data
+from sierra.deliverables.record import origin_of
+from sierra.deliverables.report.batch_state import BatchState
+from sierra.deliverables.report.parts import Place, Section, auto, details, note, picture, sql, table
+from sierra.errors import Missing, NotInstalled, SierraError
+from sierra.store import deliverable_records
+from sierra.store.samples import Frame
+from sierra.util.hashing import short
+
+WIDTH = re.compile(rb'<svg\b[^>]*? width="([0-9.]+)pt"')
+WIDE = 400.0
+"""The width in points above which a figure takes a whole row: those for two columns of a paper."""
+SERIES = 8
+"""The largest number of series that the text of a picture describes."""
+DRAWN = ("figure", comparison.KIND, declared_tables.KIND)
+"""Kinds of deliverables that the report itself shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """The figures of a batch, as contents of sections, and notes on those that could not be drawn."""
+
+    contents: Sequence[Content]
+    notes: Sequence[str]
+
+
+def figures(state: BatchState, tell: Callable[[str], None]) -> Figures:
+    """Return the figures that `sierra figures` draws. `tell` receives the name of each before it is drawn.
+
+    Raises Missing if something necessary is missing; other errors become notes.
+    """
+    contents, failed = [], []
+    with Frame(state.store, state.id) as frame:
+        gallery = Gallery(state.project, state.store, frame)
+        wanted, notes = gallery.wanted(None)
+        for name, figure in wanted.items():
+            tell(name)
+            try:
+                contents.append(_content(*explorable(gallery.drawing(name, figure))))
+            except SierraError as error:
+                if isinstance(error, Missing) and not isinstance(error, NotInstalled):
+                    raise
+                failed.append(f"figure {name} could not be drawn: {error}")
+        more = (*gallery.declared_notes, *gallery.time_notes.values(), *gallery.models.notes([*wanted]))
+    return Figures(contents, (*failed, *notes, *more))
+
+
+def _content(drawing: Drawing, svg: bytes) -> Content:
+    from sierra.deliverables.figures import interactive
+
+    return interactive.content(drawing, svg, origin_of(drawing.batch, drawing.data))
+
+
+def figure_section(found: Figures, place: Place) -> Section:
+    """Return the section with all figures."""
+    shown = [_figure(content, place, number) for number, content in enumerate(found.contents, 1)]
+    lines = [element("div", *shown, class_="figures") if shown else note("There is no figure.")]
+    return Section("figures", "Figures", joined((*lines, *map(note, found.notes))))
+
+
+def _figure(content: Content, place: Place, number: int) -> Markup:
+    name = f"{place.prefix}figure-{number}"
+    tables = [Markup(table_elements.element(one, k)) for k, one in enumerate(content.tables)]
+    charts = [Markup(chart_elements.element(one, k, place.innermost)) for k, one in enumerate(content.charts)]
+    return element(
+        "section",
+        auto(content.title, place.inner, id=name),
+        picture(content.picture, described(content), ". ".join(content.notes)),
+        _explorer(charts) if charts else None,
+        *tables,
+        sql(content.sql) if content.sql else None,
+        element("script", Markup(data(as_data(content))), type="application/json"),
+        class_="figure wide" if _width(content.picture) > WIDE else "figure",
+        aria_labelledby=name,
+    )
+
+
+def _width(svg: bytes) -> float:
+    """Return the width of an SVG file of matplotlib, in points; 0 if it does not name it."""
+    found = WIDTH.search(svg[:5000])
+    return float(found[1]) if found else 0.0
+
+
+def _explorer(charts: Sequence[Markup]) -> Markup:
+    lost = element("noscript", element("p", "The charts need JavaScript. The figure and the data show the same numbers."))
+    return details("Explore: values, intervals and n at each point", lost, element("div", joined(charts), class_="charts"))
+
+
+def described(content: Content) -> str:
+    """Return a text for those who do not see a figure: what it shows, and the numbers at its end or its ends."""
+    if not content.charts:
+        return f"{content.title}. {' '.join(content.notes)} The numbers are in the data below the figure."
+    shown = " ".join(sentence for chart in content.charts for sentence in _sentences(chart))
+    return f"{content.title}. {shown}"
+
+
+def _sentences(chart: Chart) -> Iterator[str]:
+    yield f"{f'{chart.title}: ' if chart.title else ''}{chart.y.label} over {chart.x.label}."
+    for one in chart.series[:SERIES]:
+        rows = [one.stop - 1] if chart.form == "lines" else [one.start, one.stop - 1]
+        values = [text for row in dict.fromkeys(rows) if (text := _value(chart, row))]
+        yield f"{f'{one.name}: ' if one.name else ''}{', '.join(values)}." if values else f"{one.name}: no value."
+    if len(chart.series) > SERIES:
+        yield f"And {len(chart.series) - SERIES} more series."
+
+
+def _value(chart: Chart, row: int) -> str:
+    columns = chart.table.columns
+    value = columns[chart.y.column][row]
+    if not isinstance(value, int | float):
+        return ""
+    at = f" at {_short(columns[chart.x.column][row])}" if chart.x.column >= 0 else ""
+    ends = [columns[k][row] for k in (chart.low, chart.high) if k >= 0]
+    known = [end for end in ends if isinstance(end, int | float)]
+    interval = f" (interval {_short(known[0])} to {_short(known[1])})" if len(known) == 2 else ""
+    return f"{_short(value)}{interval}{at}"
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def table_section(state: BatchState, place: Place) -> tuple[Section | None, list[str]]:
+    """Return the section with the declared tables for papers, None if there are none, and notes on those that failed."""
+    lines: list[Markup] = []
+    failed = []
+    for name, declared in state.project.config.paper_tables.items():
+        try:
+            made = declared_tables.make(state.project, state.store, name, declared, {state.short: state.id})
+        except Missing:
+            raise
+        except SierraError as error:
+            failed.append(f"table {name} could not be made: {error}")
+            continue
+        lines += _table(made, place)
+    lines += map(note, failed)
+    return (Section("tables", "Tables", joined(lines)) if lines else None), failed
+
+
+def _table(made: Made, place: Place) -> Iterator[Markup]:
+    yield auto(made.table.caption or made.name, place.inner)
+    yield paper_table(made.table)
+    yield sql(made.sql)
+
+
+def paper_table(shown: paper_tables.PaperTable) -> Markup:
+    """Return a table for papers, with the line below it."""
+    rows = [[paper_tables.as_text(cell) for cell in row] for row in shown.rows]
+    numbers = tuple(place for place in range(len(shown.headers)) if place not in shown.texts)
+    return joined((table(shown.headers, rows, numbers=numbers), note(shown.note) if shown.note else None))
+
+
+def other_section(state: BatchState) -> Section | None:
+    """Return the section that lists deliverables in files of their own, such as videos; None if there are none."""
+    found = [row for row in deliverable_records.latest(state.store, state.id) if row.kind not in DRAWN]
+    if not found:
+        return None
+    rows = [(row.name, row.kind, joined(auto(file, "div") for file in row.files), _hashes(row.sha256s)) for row in found]
+    text = "These files are not in this page. Their SHA-256 tells whether a file is the recorded one."
+    inner = (element("p", text), table(("name", "kind", "files", "SHA-256"), rows, "Videos and other files"))
+    return Section("videos", "Videos and other files", joined(inner))
+
+
+def _hashes(found: Sequence[str]) -> Markup:
+    return joined(element("div", element("code", short(one))) for one in found)

@@ -1,0 +1,255 @@
+"""Reports of batches: what they say, what they do not let in, and where they are written."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from sierra.deliverables.html.elements import Markup, element, joined
+from tests import projects, stores
+from tests.support import reported
+
+VOID = {"meta", "img", "br"}
+
+
+class Page(HTMLParser):
+    """A page: its elements with attributes and texts. It fails for elements that are not closed in order."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[str] = []
+        self.feed(data.decode())
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] not in ("script", "style"):
+            self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join("".join(self.texts).split())
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.elements if name == tag]
+
+    def ids(self) -> list[str]:
+        return [attributes["id"] for _, attributes in self.elements if attributes.get("id")]  # type: ignore[misc]
+
+
+def reported_by(root: Path, *words: str, to: Path) -> tuple[Page, str]:
+    """Return the report that the command writes, and the notes on standard error."""
+    done = projects.quick(root, "report", *words, "--to", str(to))
+    assert done.returncode == 0, done.stderr
+    return Page(to.read_bytes()), done.stderr
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A project with one batch, and the batch's id."""
+    root = reported.make(tmp_path_factory.mktemp("report") / "project")
+    return root, stores.ask(root, "sizes")
+
+
+@pytest.fixture(scope="module")
+def page(project: tuple[Path, str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, str, bytes]:
+    """The report of the batch, the notes, and its bytes."""
+    file = tmp_path_factory.mktemp("page") / "report.html"
+    found, notes = reported_by(project[0], to=file)
+    return found, notes, file.read_bytes()
+
+
+def test_elements_escape_every_text_and_keep_what_is_markup_already() -> None:
+    inner = element("b", "<i>", title='"x" \u202e')
+    assert inner == '<b title="&quot;x&quot;  ">&lt;i&gt;</b>'
+    assert element("p", inner, " & ", None, class_="a", hidden=True, id=None, aria_label="l", tabindex=0) == (
+        f'<p class="a" hidden aria-label="l" tabindex="0">{inner} &amp; </p>'
+    )
+    assert element("br") == "<br>"
+    assert isinstance(joined((inner, "<")), Markup)
+
+
+@pytest.mark.integration
+def test_a_report_tells_the_whole_story_of_a_batch(project: tuple[Path, str], page: tuple[Page, str, bytes]) -> None:
+    root, batch = project
+    found, notes, _ = page
+    for said in (
+        "Complete, with failures. 13 of 18 runs succeeded, 5 did not.",
+        "How do results depend on population size (1, 2, 4 robots)? 3 experiments with 6 runs each",
+        "tick [s], coverage [m²]",
+        "Run i has the same seed in every experiment",
+        "mean, 95 % CI (Student's t), n = 1–6",
+        "figure impossible could not be drawn: no output has 'no_such_column'",
+        "population_size=2 is greater than population_size=1",
+        "does not hold One robot covers ten square metres.",
+        "rest on other batches, or on none that is recorded: later.",
+        "5 runs: exit status 3",
+        "the wheels came off",
+        "dirty differed from the commit",
+        f"SIERRA batch {batch}",
+        f"sierra replay {batch[:10]}",
+        "Jane Doe (2026). Coverage of swarms",
+    ):
+        assert said in found.text, said
+    assert "note: figure impossible could not be drawn" in notes
+    sections = [name for name in found.ids() if f"{name}-title" in found.ids()]
+    order = ["question", "design", "figures", "tables", "comparisons", "claims", "failures", "environment", "reproduce"]
+    assert sections == order
+    assert [link["href"] for link in found.all("a")][1:] == [f"#{name}" for name in order]
+    drawn = {
+        path.stem: path.read_bytes() for path in sierra.open(root).figures(batch, formats=["svg"]) if path.suffix == ".svg"
+    }
+    shown = [base64.b64decode(str(one["src"]).partition(",")[2]) for one in found.all("img")]
+    assert shown[:3] == [drawn["over_time"], drawn["at_the_end"], drawn["spread"]]
+    assert "Coverage at the end. final coverage [m²] over population size [robots]." in str(found.all("img")[1]["alt"])
+
+
+@pytest.mark.integration
+def test_every_sql_in_a_report_can_be_executed(project: tuple[Path, str], page: tuple[Page, str, bytes]) -> None:
+    root, batch = project
+    texts = re.findall(r"<pre tabindex=\"0\"><code>(.*?)</code>", page[2].decode(), re.DOTALL)
+    own = [text for text in texts if f"&#x27;{batch}&#x27;" in text and "FROM" in text and "FROM data" not in text]
+    assert len(own) >= 4
+    for text in own:
+        statement = text.replace("&#x27;", "'").replace("&lt;", "<").replace("&gt;", ">")
+        assert projects.quick(root, "sql", statement).returncode == 0, statement
+
+
+@pytest.mark.integration
+def test_texts_of_others_are_only_text_in_a_report(page: tuple[Page, str, bytes]) -> None:
+    found, _, data = page
+    assert [tag for tag, _ in found.elements if tag in ("iframe", "object", "form", "link", "base", "svg", "b", "i")] == []
+    assert [one for one in found.all("img") if not str(one["src"]).startswith("data:image/svg+xml;base64,")] == []
+    assert not any(name.startswith("on") or name == "style" for _, attributes in found.elements for name in attributes)
+    assert {str(link["href"])[0] for link in found.all("a")} == {"#"}
+    assert len([one for one in found.all("script") if one.get("type") is None]) == 1
+    assert b"\xe2\x80\xae" not in data
+    assert len(found.ids()) == len(set(found.ids()))
+    assert "</script><script>alert(1)</script><img src=x onerror=alert(2)>" in found.text
+
+
+@pytest.mark.integration
+def test_the_same_store_gives_the_same_report(project: tuple[Path, str], page: tuple[Page, str, bytes], tmp_path: Path) -> None:
+    root, batch = project
+    reported_by(root, batch[:6], to=tmp_path / "again.html")
+    assert (tmp_path / "again.html").read_bytes() == page[2]
+
+
+@pytest.mark.integration
+def test_a_report_of_all_batches_begins_with_a_list(recorded: Path, tmp_path: Path) -> None:
+    batches = [one.batch for one in sierra.open(recorded).batches]
+    found, _ = reported_by(recorded, "--all", to=tmp_path / "all.html")
+    assert [name for name in found.ids() if re.fullmatch(r"b[0-9a-f]{10}", name)] == [f"b{batch[:10]}" for batch in batches]
+    assert len(found.ids()) == len(set(found.ids()))
+    assert {str(link["href"])[1:] for link in found.all("a")} <= set(found.ids())
+    levels = [int(tag[1]) for tag, _ in found.elements if re.fullmatch(r"h\d", tag)]
+    assert levels[0] == 1
+    assert all(after - before <= 1 for before, after in pairwise(levels))
+    assert "How do results vary if only the seeds differ?" not in found.text
+
+
+@pytest.mark.integration
+def test_a_report_of_very_many_batches_is_their_list(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sierra.deliverables.report.make.AT_MOST", 2)
+    found, notes = reported_by(recorded, "--all", to=tmp_path / "all.html")
+    assert "3 batches are too many for one page" in notes
+    assert found.all("img") == []
+    assert all(one.batch[:10] in found.text for one in sierra.open(recorded).batches)
+
+
+@pytest.mark.integration
+def test_a_batch_that_still_runs_is_reported_as_such(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project")
+    project = sierra.open(root)
+    batch = project.run("population_size=1,2", only="population_size=1", figures=False).batch
+    found, _ = reported_by(root, to=tmp_path / "part.html")
+    assert "Incomplete. 2 of 4 runs succeeded, 2 have no result." in found.text
+    from sierra.execution.sessions import Session
+
+    session = Session(project.store.paths, logged=False)
+    try:
+        session.claim(set(project.store.values(str, "SELECT run FROM batch_runs WHERE batch = $b", b=batch)))
+        found, _ = reported_by(root, to=tmp_path / "part.html")
+    finally:
+        session.close()
+    assert "Still running. 2 of 4 runs succeeded, 2 are not finished." in found.text
+
+
+def test_only_a_report_is_replaced(recorded: Path, tmp_path: Path) -> None:
+    file = tmp_path / "thesis.html"
+    file.write_text("<!DOCTYPE html><p>my thesis")
+    (tmp_path / "folder").mkdir()
+    for name, words, code in (
+        ("thesis.html", "exists and is no report of SIERRA", 2),
+        ("folder", "is no file", 2),
+        ("no/such.html", "no such folder", 3),
+    ):
+        done = projects.quick(recorded, "report", "--to", str(tmp_path / name))
+        assert (done.returncode, done.stdout) == (code, "")
+        assert words in done.stderr
+    assert file.read_text() == "<!DOCTYPE html><p>my thesis"
+
+
+def test_unknown_batches_and_contradicting_words_are_refused(recorded: Path, tmp_path: Path) -> None:
+    for words in (("ffffffff",), ("--all", "abcd"), ("one.zip", "abcd"), ("one.zip", "--all")):
+        done = projects.quick(recorded, "report", *words, "--to", str(tmp_path / "report.html"))
+        assert done.returncode == 2, words
+        assert done.stderr.startswith("sierra: ")
+    assert projects.quick(tmp_path, "report", "none.zip").returncode == 3
+    assert projects.quick(tmp_path, "report").returncode == 3
+    assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.integration
+def test_a_damaged_store_writes_no_report(recorded: Path, tmp_path: Path) -> None:
+    root = stores.copy(recorded, tmp_path / "copy")
+    for file in (root / ".sierra" / "segments").glob("*/batches.parquet"):
+        file.write_bytes(file.read_bytes()[:40])
+    done = projects.quick(root, "report", "--to", str(tmp_path / "report.html"))
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.integration
+def test_the_report_of_a_package_executes_nothing_of_it(tmp_path: Path) -> None:
+    ran = tmp_path / "ran"
+    model = f'[models.bad]\ncommand = ["touch", "{ran}"]\ncolumn = "coverage"\n'
+    within = '[comparisons.sizes]\nby = "population_size"\n[comparisons.both]\ngroups = ["calm", "sizes"]\n'
+    queries = '[queries.sizes]\ncriteria = "population_size=1,2"\n[queries.calm]\ncriteria = "noise=0"\n'
+    about = '[package]\ntitle = "Title"\nauthors = [{ name = "A B" }]\nlicense = "MIT"\n'
+    root = projects.make(tmp_path / "project", projects.CONFIG + model + within + queries + about)
+    stores.ask(root, "sizes", runs=3)
+    packed = projects.quick(root, "package", sierra.open(root).batches[0].batch, "-o", str(tmp_path / "results.zip"), "--yes")
+    assert packed.returncode == 0, packed.stderr
+    ran.unlink(missing_ok=True)
+    shutil.rmtree(root)
+    done = projects.quick(tmp_path, "report", "results.zip", "--json")
+    assert done.returncode == 0, done.stderr
+    answer: dict[str, Any] = json.loads(done.stdout)
+    assert Path(answer["file"]).name == "results-report.html"
+    found = Page((tmp_path / "results-report.html").read_bytes())
+    assert "Models are left out, because commands of the package would have to be executed: bad." in found.text
+    assert "comparisons of several batches are not made from the declarations of a package: both" in found.text
+    assert "population_size=2 − population_size=1" in found.text
+    assert "sierra reproduce results.zip" in found.text
+    assert "A B (" in found.text
+    assert not ran.exists()
