@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from sierra.deliverables.claims.evaluate import Evaluated
     from sierra.deliverables.claims.regression import Changed
     from sierra.deliverables.comparison import Compared
+    from sierra.deliverables.explorer.server import Server
     from sierra.deliverables.models.errors_of_models import ModelErrors
     from sierra.deliverables.power import RunsForPower
     from sierra.deliverables.record import Checked, ShownDeliverable
@@ -94,7 +95,10 @@ class Project:
 
     @cached_property
     def _loaded(self) -> project_file.LoadedProject:
-        """Return the project; if only a store exists, its outputs are the ones that were recorded last."""
+        return self._read()
+
+    def _read(self) -> project_file.LoadedProject:
+        """Return the project as its file is now; if only a store exists, its outputs are the ones that were recorded last."""
         from sierra.config import project_file
 
         loaded = project_file.read(self._found)
@@ -985,6 +989,22 @@ class Project:
         >>> drawn, notes = project.draw(summary.batch, formats=["html"])
         """
         return self._deliver(self.batch(prefix), name, formats=formats)
+
+    def explorer(self, *, port: int = 0, write: bool = False) -> Server:
+        """Return a server on 127.0.0.1 for a page that explores batches; `url` is its address, `serve` answers until `close`.
+
+        `port`: 0 takes a free one. With `write`, the page may add figures to `sierra.toml`. Raises Missing for a port that is
+        taken.
+
+        >>> server = project.explorer()
+        >>> server.url.startswith("http://127.0.0.1:")
+        True
+        >>> server.close()
+        """
+        from sierra.deliverables.explorer.answers import Answers
+        from sierra.deliverables.explorer.server import Server
+
+        return Server(Answers(self._read, self.store, writes=write), self.root.name, port)
 
     def check_figures(self, prefix: str | None = None) -> list[Checked]:
         """Return whether each figure that was drawn of a batch still follows from the store. Default: the batch requested last.

@@ -50,13 +50,13 @@ class Browser:
         self._process.kill()
         self._process.wait()
 
-    def open(self, file: Path, *, width: int = 1200, height: int = 900, dark: bool = False) -> None:
-        """Open a file, and wait until it is drawn."""
+    def open(self, file: Path | str, *, width: int = 1200, height: int = 900, dark: bool = False) -> None:
+        """Open a file or an address, and wait until it is drawn."""
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
         self.prefer(dark=dark)
         self.console.clear()
         self.requests.clear()
-        self.call("Page.navigate", url=file.as_uri())
+        self.call("Page.navigate", url=file if isinstance(file, str) else file.as_uri())
         self.run("new Promise(done => document.readyState == 'complete' ? done() : addEventListener('load', () => done()))")
         self.settle()
 

@@ -104,6 +104,10 @@ class Frame:
     def __exit__(self, *_: object) -> None:
         self._snapshot.__exit__()
 
+    def interrupt(self) -> None:
+        """End the statement that another thread executes for this frame; it raises an error there."""
+        self._snapshot.interrupt()
+
     def _members(self, these: Mapping[str, str] | None) -> None:
         run = self._snapshot.run
         taken = "(SELECT ordinal, run, judgement FROM effective WHERE batch = $b)"

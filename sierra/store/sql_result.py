@@ -59,6 +59,10 @@ class Answer:
         """Return the names of the columns of numbers."""
         return [name for name, kind in zip(self.columns, self.types, strict=True) if re.fullmatch(NUMBER, kind)]
 
+    def first(self, count: int) -> Answer:
+        """Return the first rows of this answer, of which no others are computed if possible."""
+        return Answer(self._relation.limit(count), self.notes)
+
     def rows(self) -> list[tuple[SqlValue, ...]]:
         """Return all rows as Python objects; times are in UTC."""
         if not all(kind == INSTANT or SIMPLE.fullmatch(kind) for kind in self.types):

@@ -323,6 +323,10 @@ class Snapshot:
         if self._shared is not None:
             self._shared.close()
 
+    def interrupt(self) -> None:
+        """End the statement that another thread executes on this snapshot; it raises SqlError there."""
+        self._opened.cursor.interrupt()
+
     def sql(self, text: str, **parameters: object) -> pa.Table:
         """Return the result of one statement that only reads, as an Arrow table. Raises SqlError."""
 

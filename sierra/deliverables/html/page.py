@@ -11,19 +11,28 @@ from pathlib import Path
 from sierra.deliverables.html.escaping import text
 
 ASSETS = Path(__file__).with_name("assets")
+ASKS = "; connect-src 'self'"
 UPLOT = "uplot"
 """The folder of uPlot 1.6.32, which draws the charts, as its package on npm has it: see THIRD-PARTY.md."""
 
 
-def page(title: str, sections: Iterable[str], metadata: Mapping[str, str] | None = None, *, extra: str = "") -> bytes:
+def page(
+    title: str,
+    sections: Iterable[str],
+    metadata: Mapping[str, str] | None = None,
+    *,
+    extra: str = "",
+    asks: bool = False,
+) -> bytes:
     """Return a whole page, as UTF-8. `sections` are elements of HTML; `metadata` are texts by name.
 
-    `extra` is the name of a further script and a further style in `assets`.
+    `extra` is the name of a further script and a further style in `assets`. With `asks`, scripts may ask the server that sent
+    the page.
     """
     script, style = _script(extra), _style(extra)
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
-        "base-uri 'none'; form-action 'none'"
+        f"base-uri 'none'; form-action 'none'{ASKS if asks else ''}"
     )
     facts = [f'<meta name="{text(name)}" content="{text(content)}">' for name, content in (metadata or {}).items()]
     lines = (

@@ -379,11 +379,12 @@
     }
   }
 
-  document.querySelectorAll("section").forEach((element, place) => {
+  // Draw the charts of a section, and let its buttons copy its tables.
+  function show(element, key) {
     const source = element.querySelector(':scope > script[type="application/json"]');
     if (!source) return;
     const { tables, charts } = JSON.parse(source.textContent);
-    const section = { key: `section ${place}`, views: [] };
+    const section = { key, views: [] };
     section.zoom = (range) => section.views.forEach((view) => view.zoom(range));
     section.toggle = (name) => section.views.forEach((view) => view.toggle(name));
     element.querySelectorAll("[data-chart]").forEach((holder) => {
@@ -392,5 +393,8 @@
     });
     element.querySelectorAll("[data-csv]").forEach((button) =>
       button.addEventListener("click", () => copy(csv(tables[Number(button.dataset.csv)]), button)));
-  });
+  }
+
+  globalThis.sierra = { make, show, copy, csv };
+  document.querySelectorAll("section").forEach((element, place) => show(element, `section ${place}`));
 })();

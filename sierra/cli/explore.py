@@ -1,0 +1,52 @@
+"""`sierra explore`: look at batches, draw charts and ask SQL in the browser."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from sierra.cli.output import note
+from sierra.errors import UsageError
+
+
+def explore(
+    context: typer.Context,
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port on this machine; 0: a free one.")] = 0,
+    write: Annotated[bool, typer.Option("--write", help="Let the page add figures to sierra.toml.")] = False,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser, if this is a terminal.")
+    ] = True,
+) -> None:
+    """Explore batches in the browser: charts, and SQL over the store.
+
+    The page is served on 127.0.0.1 until Ctrl-C. Its address contains a token, without which nothing is answered. Statements
+    can only read the store, and are ended after 30 s. Nothing is loaded from the network.
+
+    \b
+    Examples:
+      sierra explore
+      sierra explore --port 8080 --no-browser
+      sierra explore --write
+    """
+    from sierra.cli.open_project import project
+
+    if write and context.obj is not None:
+        raise UsageError("a package is never changed; leave out --write")
+    server = project().explorer(port=port, write=write)
+    print(server.url, flush=True)
+    note("Ctrl-C ends the server")
+    if browser and sys.stdout.isatty():
+        _open(server.url)
+    try:
+        server.serve()
+    except KeyboardInterrupt:
+        note("ended")
+
+
+def _open(url: str) -> None:
+    import webbrowser
+
+    if not webbrowser.open(url):
+        note("no browser was found; open the address in one")

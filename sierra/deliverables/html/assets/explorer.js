@@ -1,0 +1,357 @@
+"use strict";
+// Asks the server, and fills the page with its answers. All texts of the store become text nodes, never HTML; the only HTML
+// that is inserted is that of a chart's section, which the server has escaped.
+(() => {
+  const { make, show, copy, csv } = globalThis.sierra;
+  const token = location.hash.slice(1);
+  const of = (id) => document.getElementById(id);
+  const WORDS = ["SELECT", "FROM", "WHERE", "GROUP BY ALL", "ORDER BY", "LIMIT", "JOIN", "USING", "avg(", "count(*)", "max(", "min(", "DESCRIBE"];
+  const MOST = 200;
+  const EVERY = 5000;
+  const page = { batches: [], batch: null, tables: {}, outputs: [], variables: [], state: "", asking: 0, drawn: null };
+
+  async function ask(name, content = {}) {
+    page.asking += name === "state" ? 0 : 1;
+    of("stop").disabled = page.asking === 0;
+    try {
+      const answer = await fetch(`/ask/${name}`, {
+        method: "POST",
+        headers: { "Content-Type": "application/json", "X-Sierra-Token": token },
+        body: JSON.stringify(content),
+      });
+      const found = await answer.json();
+      if (!answer.ok) throw new Error(found.error);
+      return found;
+    } catch (error) {
+      throw error instanceof TypeError ? new Error("The server has ended. Start it again with: sierra explore") : error;
+    } finally {
+      page.asking -= name === "state" ? 0 : 1;
+      of("stop").disabled = page.asking === 0;
+    }
+  }
+
+  // Do something, and show its error at a place of the page.
+  async function guarded(place, work) {
+    place.textContent = "";
+    try {
+      return await work();
+    } catch (error) {
+      place.textContent = error.message;
+      return null;
+    }
+  }
+
+  const say = (text) => { of("status").textContent = text; };
+
+  // Batches
+
+  function stateOf(one) {
+    const parts = [];
+    if (one.running) parts.push("running now");
+    if (one.failed) parts.push(`${one.failed} failed`);
+    if (one.missing) parts.push(`${one.missing} missing`);
+    return parts.join(", ") || "complete";
+  }
+
+  function listBatches() {
+    const words = of("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
+    const text = (one) => `${one.batch} ${one.query} ${one.targets.join(" ")} ${stateOf(one)}`.toLowerCase();
+    const found = page.batches.filter((one) => words.every((word) => text(one).includes(word)));
+    const list = of("batches");
+    list.replaceChildren();
+    for (const one of found.slice(0, MOST)) {
+      const entry = make("div", list, { role: "option", id: `batch-${one.batch}`, "data-batch": one.batch, dir: "auto" }, one.query);
+      const target = one.targets.length ? `, ${one.targets.join(", ")}` : "";
+      make("small", entry, {}, `${one.batch.slice(0, 10)}${target}, ${one.requested}, ${one.runs} runs, ${stateOf(one)}`);
+      entry.setAttribute("aria-selected", String(one.batch === page.batch));
+      entry.addEventListener("click", () => choose(one.batch));
+    }
+    const more = found.length - MOST;
+    of("left-out").textContent = more > 0 ? `${more.toLocaleString()} more; use the filter.` : "";
+  }
+
+  function stepBatch(by) {
+    const shown = [...of("batches").children].map((one) => one.dataset.batch);
+    const at = Math.min(Math.max(shown.indexOf(page.batch) + by, 0), shown.length - 1);
+    if (shown[at]) choose(shown[at]);
+  }
+
+  async function choose(batch) {
+    page.batch = batch;
+    for (const one of of("batches").children) one.setAttribute("aria-selected", String(one.dataset.batch === batch));
+    const entry = of(`batch-${batch}`);
+    if (entry) {
+      entry.scrollIntoView({ block: "nearest" });
+      of("batches").setAttribute("aria-activedescendant", entry.id);
+    }
+    const one = page.batches.find((other) => other.batch === batch);
+    of("batch").hidden = false;
+    of("batch-title").textContent = one.query;
+    of("facts").textContent = `batch ${batch.slice(0, 10)}: ${one.experiments} experiments, ${one.runs} runs, ${stateOf(one)}; sierra replay ${batch.slice(0, 10)}`;
+    of("figures").replaceChildren(document.createTextNode("Looking for figures …"));
+    of("batch-notes").replaceChildren();
+    const [tables, found] = await Promise.all([
+      guarded(of("sql-error"), () => ask("tables", { batch })),
+      guarded(of("chart-error"), () => ask("batch", { batch })),
+    ]);
+    if (page.batch !== batch) return;
+    if (tables) listTables(tables);
+    if (!found) return;
+    page.variables = found.variables;
+    fillChoices();
+    of("figures").replaceChildren();
+    for (const [name, keys] of Object.entries(found.figures))
+      make("button", of("figures"), { type: "button" }, name).addEventListener("click", () => draw(name, keys));
+    for (const note of found.notes) make("p", of("batch-notes"), { class: "note", dir: "auto" }, note);
+    const [first] = Object.entries(found.figures);
+    if (first) draw(...first);
+  }
+
+  // Tables
+
+  function listTables({ of_runs, of_store }) {
+    page.tables = { ...of_runs, ...of_store };
+    page.outputs = Object.keys(of_runs);
+    of("tables").replaceChildren();
+    nameTables(of("tables"), of_runs);
+    const own = make("details", of("tables"));
+    make("summary", own, {}, "Records of the store");
+    nameTables(make("div", own), of_store);
+    fillChoices();
+  }
+
+  function nameTables(place, tables) {
+    for (const [name, columns] of Object.entries(tables)) {
+      const details = make("details", place);
+      const summary = make("summary", details);
+      make("button", summary, { type: "button", dir: "auto" }, name).addEventListener("click", () => insert(quoted(name)));
+      const list = make("ul", details);
+      for (const [column, kind] of columns) {
+        const item = make("li", list);
+        make("button", item, { type: "button", dir: "auto" }, column).addEventListener("click", () => insert(quoted(column)));
+        make("small", item, {}, kind.toLowerCase());
+      }
+    }
+  }
+
+  const quoted = (name) => (/^[a-z_][a-z0-9_]*$/i.test(name) ? name : `"${name.replaceAll('"', '""')}"`);
+
+  function insert(text) {
+    const area = of("statement");
+    area.setRangeText(text, area.selectionStart, area.selectionEnd, "end");
+    area.focus();
+  }
+
+  // Charts
+
+  const form = () => of("chart").elements;
+
+  function choices(select, names, chosen, first) {
+    select.replaceChildren();
+    if (first !== undefined) make("option", select, { value: "" }, first);
+    for (const name of names) make("option", select, {}, name);
+    select.value = names.includes(chosen) ? chosen : select.options[0]?.value ?? "";
+  }
+
+  function fillChoices() {
+    const { table, x, series, facet } = form();
+    choices(table, page.outputs, table.value, "the statement below");
+    for (const select of [x, series, facet]) choices(select, page.variables, select.value, "");
+    listColumns();
+  }
+
+  function listColumns() {
+    const numbers = /INT|DOUBLE|FLOAT|DECIMAL/;
+    const columns = (page.tables[form().table.value] ?? []).filter(([, kind]) => numbers.test(kind));
+    of("columns").replaceChildren();
+    for (const [name] of columns) make("option", of("columns"), { value: name });
+  }
+
+  function keysOfForm() {
+    const field = form();
+    const keys = field.table.value ? { table: field.table.value } : { sql: of("statement").value };
+    keys.kind = field.kind.value;
+    const columns = field.column.value.split(",").map((one) => one.trim()).filter(Boolean);
+    if (columns.length) keys.column = columns.length === 1 ? columns[0] : columns;
+    for (const name of ["x", "series", "facet", "where", "center", "band"]) if (field[name].value) keys[name] = field[name].value;
+    if (field.log_y.checked) keys.log_y = true;
+    return keys;
+  }
+
+  function toForm(name, keys) {
+    const field = form();
+    field.name.value = name;
+    if (keys.table !== undefined) field.table.value = keys.table;
+    if (keys.sql !== undefined) { field.table.value = ""; of("statement").value = keys.sql; }
+    field.kind.value = keys.kind ?? "timeseries";
+    field.column.value = [].concat(keys.column ?? []).join(", ");
+    for (const key of ["x", "series", "facet", "where", "center", "band"]) field[key].value = keys[key] ?? "";
+    field.log_y.checked = keys.log_y === true;
+    listColumns();
+  }
+
+  async function draw(name, keys) {
+    toForm(name, keys);
+    of("drawn").toggleAttribute("data-stale", true);
+    const before = performance.now();
+    const found = await guarded(of("chart-error"), () => ask("chart", { batch: page.batch, name, keys }));
+    of("drawn").toggleAttribute("data-stale", false);
+    if (!found) return;
+    page.drawn = { name, keys, file: found.file };
+    of("drawn").innerHTML = found.section;
+    show(of("drawn").firstElementChild, "chart");
+    of("toml").textContent = found.toml;
+    of("declaration").hidden = false;
+    of("written").textContent = "";
+    say(`Drawn in ${((performance.now() - before) / 1000).toFixed(2)} s.`);
+  }
+
+  async function write() {
+    const place = of("written");
+    const found = await guarded(place, () => ask("write", page.drawn));
+    if (!found) return;
+    const only = found.figures.length === 1 ? " From now on, sierra draws this figure instead of the default ones." : "";
+    place.textContent = `Written.${only}`;
+  }
+
+  // SQL
+
+  async function answer() {
+    of("words").hidden = true;
+    const within = of("within").checked && page.batch ? page.batch : null;
+    const before = performance.now();
+    const found = await guarded(of("sql-error"), () => ask("query", { statement: of("statement").value, batch: within }));
+    if (!found) return;
+    const took = ((performance.now() - before) / 1000).toFixed(2);
+    const place = of("result");
+    place.replaceChildren();
+    const count = `${found.more ? "the first " : ""}${found.rows.length.toLocaleString()} rows`;
+    const line = make("p", place, { class: "note" });
+    make("span", line, { role: "status" }, `${count}, ${took} s `);
+    const button = make("button", line, { type: "button" }, "Copy as CSV");
+    make("span", line, { role: "status" });
+    const columns = found.columns.map((_, k) => found.rows.map((row) => row[k]));
+    button.addEventListener("click", () => copy(csv({ headers: found.columns, columns }), button));
+    if (found.notes) make("p", place, { class: "note", dir: "auto" }, found.notes);
+    const scroll = make("div", place, { class: "scroll", tabindex: "0", role: "region", "aria-label": "Answer" });
+    const table = make("table", scroll);
+    const head = make("tr", make("thead", table));
+    for (const name of found.columns) make("th", head, { scope: "col", dir: "auto" }, name);
+    const body = make("tbody", table);
+    for (const row of found.rows) {
+      const line = make("tr", body);
+      row.forEach((value, k) => {
+        const numeric = found.numeric.includes(found.columns[k]);
+        make("td", line, numeric ? { class: "number" } : { dir: "auto" }, value === null ? "" : String(value));
+      });
+    }
+  }
+
+  // Completion of the word before the cursor by names of tables, of columns and of SQL.
+
+  function candidates(start) {
+    const area = of("statement");
+    const word = /[\w]*$/.exec(area.value.slice(0, area.selectionStart))[0];
+    if (!word || word.length < start) return { word, found: [] };
+    const low = word.toLowerCase();
+    const named = Object.keys(page.tables).map((name) => [quoted(name), "table"]);
+    const columns = new Map(Object.entries(page.tables).flatMap(([table, list]) => list.map(([name]) => [quoted(name), `column of ${table}`])));
+    const all = [...named, ...columns, ...WORDS.map((name) => [name, ""])];
+    const fits = all.filter(([name]) => name.toLowerCase().replace(/^"/, "").startsWith(low) && name.toLowerCase() !== low);
+    return { word, found: fits.slice(0, 12) };
+  }
+
+  function propose(start) {
+    const { word, found } = candidates(start);
+    const list = of("words");
+    list.replaceChildren();
+    found.forEach(([name, kind], k) => {
+      const item = make("li", list, { role: "option", id: `word-${k}`, "aria-selected": String(k === 0) }, `${name} `);
+      make("small", item, {}, kind);
+      item.addEventListener("mousedown", (event) => { event.preventDefault(); accept(word, name); });
+    });
+    list.hidden = found.length === 0;
+    mark();
+    return found.length > 0;
+  }
+
+  function mark() {
+    const chosen = of("words").querySelector('[aria-selected="true"]');
+    if (chosen && !of("words").hidden) of("statement").setAttribute("aria-activedescendant", chosen.id);
+    else of("statement").removeAttribute("aria-activedescendant");
+    chosen?.scrollIntoView({ block: "nearest" });
+  }
+
+  function accept(word, name) {
+    const area = of("statement");
+    area.setRangeText(name, area.selectionStart - word.length, area.selectionStart, "end");
+    of("words").hidden = true;
+    mark();
+    area.focus();
+  }
+
+  function key(event) {
+    const list = of("words");
+    const items = [...list.children];
+    const at = items.findIndex((one) => one.getAttribute("aria-selected") === "true");
+    if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) answer();
+    else if (list.hidden) return;
+    else if (event.key === "ArrowDown" || event.key === "ArrowUp") {
+      items[at].setAttribute("aria-selected", "false");
+      items.at((at + (event.key === "ArrowDown" ? 1 : -1)) % items.length).setAttribute("aria-selected", "true");
+      mark();
+    } else if (event.key === "Tab" || event.key === "Enter") {
+      const { word, found } = candidates(1);
+      accept(word, found[at][0]);
+    } else if (event.key === "Escape") { list.hidden = true; mark(); } else return;
+    event.preventDefault();
+  }
+
+  // The whole page
+
+  async function refresh() {
+    const found = await guarded(of("chart-error"), () => ask("overview"));
+    if (!found) return;
+    page.batches = found.batches;
+    page.state = found.state;
+    of("write").hidden = !found.writes;
+    choices(form().kind, found.kinds, form().kind.value);
+    listBatches();
+    say(`${found.batches.length.toLocaleString()} batches.`);
+    const chosen = page.batches.some((one) => one.batch === page.batch) ? page.batch : page.batches[0]?.batch;
+    if (chosen) await choose(chosen);
+    else listTables(await ask("tables"));
+  }
+
+  async function look() {
+    if (document.hidden || page.asking) return;
+    const state = await ask("state").catch(() => null);
+    if (state === null) say("The server has ended. Start it again with: sierra explore");
+    else if (state !== page.state) {
+      page.state = state;
+      const found = await ask("overview").catch(() => null);
+      if (!found) return;
+      page.batches = found.batches;
+      listBatches();
+      say("There are new records. Refresh shows them.");
+    }
+  }
+
+  of("filter").addEventListener("input", listBatches);
+  of("batches").addEventListener("keydown", (event) => {
+    const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+    if (by) { event.preventDefault(); stepBatch(by); }
+  });
+  of("refresh").addEventListener("click", refresh);
+  of("stop").addEventListener("click", () => ask("stop").catch(() => null));
+  of("chart").addEventListener("submit", (event) => { event.preventDefault(); draw(form().name.value || "my_figure", keysOfForm()); });
+  form().table.addEventListener("change", listColumns);
+  of("copy-toml").addEventListener("click", () => copy(of("toml").textContent, of("copy-toml")));
+  of("write").addEventListener("click", write);
+  of("sql").addEventListener("submit", (event) => { event.preventDefault(); answer(); });
+  of("statement").addEventListener("input", () => propose(2));
+  of("statement").addEventListener("keydown", key);
+  of("statement").addEventListener("blur", () => { of("words").hidden = true; });
+  setInterval(look, EVERY);
+  refresh();
+})();

@@ -1,0 +1,144 @@
+"""The explorer in a real browser: batches, charts and SQL, on wide and narrow screens, without any foreign request."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+import sierra
+from tests import projects, stores
+from tests.browser import Browser
+
+pytestmark = pytest.mark.real
+PACKAGE = '\n[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n'
+DRAWN = "document.querySelector('#drawn canvas') !== null || document.getElementById('chart-error').textContent"
+TEXT = "document.getElementById({!r}).innerText"
+
+
+@pytest.fixture
+def browser(require: Callable[..., str], tmp_path: Path) -> Iterator[Browser]:
+    with Browser(require("chromium"), tmp_path / "profile") as browser:
+        yield browser
+
+
+@contextmanager
+def explored(root: Path, *options: str, package: str = "") -> Iterator[str]:
+    """Run `sierra explore`; yield the address that it prints, and end it as a user does."""
+    within = ["open", package] if package else []
+    argv = [str(projects.SIERRA), *within, "explore", "--no-browser", *options]
+    with subprocess.Popen(argv, cwd=root, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        try:
+            yield process.stdout.readline().strip()
+        finally:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+
+
+def until(browser: Browser, code: str) -> object:
+    """Wait until an expression is true; return its value."""
+    give_up = time.monotonic() + 60
+    while not (found := browser.run(code)):
+        assert time.monotonic() < give_up, (code, browser.console, browser.run(TEXT.format("chart-error")))
+        time.sleep(0.05)
+    return found
+
+
+def answered(browser: Browser, statement: str) -> str:
+    """Type a statement and ask it; return the answer's text."""
+    browser.run("document.getElementById('result').replaceChildren()")
+    browser.run(f"document.getElementById('statement').value = {statement!r}")
+    browser.run("document.querySelector('#sql button').click()")
+    until(browser, "document.querySelector('#result td') !== null || document.getElementById('sql-error').textContent")
+    text: str = browser.run(TEXT.format("result")) or browser.run(TEXT.format("sql-error"))
+    return text
+
+
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
+def test_a_batch_is_drawn_and_answers_sql(browser: Browser, recorded: Path, width: int, dark: bool) -> None:
+    with explored(recorded) as url:
+        browser.open(url, width=width, dark=dark)
+        until(browser, DRAWN)
+        assert browser.run("document.querySelectorAll('#batches [role=option]').length") == 3
+        assert "noise=0.5" in browser.run(TEXT.format("batch-title"))
+        assert browser.run("document.documentElement.scrollWidth") == width
+        assert "4" in answered(browser, "SELECT 2 + 2 AS four")
+        assert "no statement" not in answered(browser, "SELECT '<img src=x onerror=alert(1)>' AS harmless")
+        assert browser.run("document.querySelector('#result img')") is None
+        assert "DROP" in answered(browser, "DROP TABLE runs")
+        assert browser.console == [] or all("400" in line for line in browser.console)
+        assert all(request.startswith(url.partition("#")[0]) for request in browser.requests)
+
+
+def test_another_batch_is_chosen_by_keys_and_drawn_with_the_form(browser: Browser, recorded: Path) -> None:
+    with explored(recorded) as url:
+        browser.open(url)
+        until(browser, DRAWN)
+        browser.run("document.getElementById('batches').focus()")
+        browser.press("ArrowDown")
+        until(browser, "document.getElementById('batch-title').textContent == 'population_size=2,3'")
+        until(browser, "document.querySelectorAll('#figures button').length > 0")
+        until(browser, "document.querySelector('#drawn .series') !== null && document.getElementById('stop').disabled")
+        browser.run("document.querySelector('#chart [name=kind]').value = 'box'")
+        browser.run("document.querySelector('#chart [name=column]').value = 'coverage'")
+        browser.run("document.querySelector('#chart button').click()")
+        until(browser, "document.querySelector('#drawn img') !== null")
+        assert 'kind = "box"' in browser.run("document.getElementById('toml').textContent")
+
+
+def test_names_are_completed_with_keys(browser: Browser, recorded: Path) -> None:
+    with explored(recorded) as url:
+        browser.open(url)
+        until(browser, DRAWN)
+        browser.run("(area => { area.focus(); area.value = 'SELECT max('; area.selectionStart = area.value.length })"
+                    "(document.getElementById('statement'))")  # fmt: skip
+        for letter in "cov":
+            browser.call("Input.dispatchKeyEvent", type="char", text=letter)
+        until(browser, "!document.getElementById('words').hidden")
+        browser.press("Tab")
+        assert browser.run("document.getElementById('statement').value") == "SELECT max(coverage"
+        assert browser.run("document.getElementById('words').hidden")
+
+
+def test_a_chart_is_written_and_new_batches_are_announced(browser: Browser, tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project")
+    stores.ask(root, "population_size=1,2", runs=2)
+    with explored(root, "--write") as url:
+        browser.open(url)
+        until(browser, DRAWN)
+        browser.run("document.getElementById('declaration').open = true")
+        browser.run("document.getElementById('write').click()")
+        until(browser, "document.getElementById('written').textContent.startsWith('Written.')")
+        assert len(sierra.open(root).config.figures) == 1
+        sierra.open(root).run("population_size=3", runs=1, figures=False)
+        until(browser, "document.querySelectorAll('#batches [role=option]').length == 2")
+        until(browser, "document.getElementById('status').textContent.includes('new records')")
+
+
+def test_a_page_without_the_token_shows_nothing_of_the_store(browser: Browser, recorded: Path) -> None:
+    with explored(recorded) as url:
+        browser.open(url.partition("#")[0])
+        until(browser, "document.getElementById('chart-error').textContent")
+        assert "the address that sierra explore has printed" in browser.run(TEXT.format("chart-error"))
+        assert "population_size" not in browser.run("document.body.innerText")
+
+
+def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project", projects.CONFIG + PACKAGE)
+    batch = stores.ask(root, "population_size=1,2", runs=2)
+    sierra.open(root).package(batch, path=tmp_path / "one.zip")
+    before = (tmp_path / "one.zip").read_bytes()
+    refused = projects.quick(tmp_path, "open", "one.zip", "explore", "--write")
+    assert (refused.returncode, refused.stderr) == (2, "sierra: a package is never changed; leave out --write\n")
+    with explored(tmp_path, package="one.zip") as url:
+        browser.open(url)
+        until(browser, DRAWN)
+        assert "population_size=1,2" in browser.run(TEXT.format("batch-title"))
+        assert "4" in answered(browser, "SELECT count(*) FROM runs")
+    assert (tmp_path / "one.zip").read_bytes() == before

@@ -1,0 +1,289 @@
+"""The explorer's server answers its own page only, from the newest state of the store, and changes nothing unless allowed."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+import threading
+import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import sierra
+from sierra.deliverables.explorer.answers import ROWS, Answers
+from sierra.deliverables.explorer.server import LONGEST, Server
+from sierra.errors import Missing
+from tests import projects, stores
+
+FOR_EVER = "SELECT sum(a.range * b.range) FROM range(100000000) a, range(100000000) b WHERE (a.range + b.range) % 7 = 1"
+SWARM = {"table": "swarm", "column": "coverage", "kind": "timeseries"}
+
+
+class Page:
+    """The explorer's page, as far as the server can tell."""
+
+    def __init__(self, server: Server) -> None:
+        self.server = server
+        self.headers = {
+            "X-Sierra-Token": server.url.partition("#")[2],
+            "Host": f"127.0.0.1:{server.port}",
+            "Origin": f"http://127.0.0.1:{server.port}",
+        }
+
+    def send(self, method: str, path: str, body: bytes = b"", **headers: str) -> tuple[int, bytes, Mapping[str, str]]:
+        """Send a request; a header that is "" is left out."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.server.port, timeout=60)
+        given = {
+            "Content-Length": str(len(body)),
+            **self.headers,
+            **{name.replace("_", "-"): one for name, one in headers.items()},
+        }
+        connection.putrequest(method, path, skip_host=True)
+        for name, value in given.items():
+            if value:
+                connection.putheader(name, value)
+        connection.endheaders(body)
+        answer = connection.getresponse()
+        found = answer.status, answer.read(), dict(answer.getheaders())
+        connection.close()
+        return found
+
+    def ask(self, question: str, /, **content: Any) -> Any:
+        """Return an answer; AssertionError with the error if there is none."""
+        status, body, _ = self.send("POST", f"/ask/{question}", json.dumps(content).encode())
+        found = json.loads(body)
+        assert status == 200, found["error"]
+        return found
+
+    def error(self, question: str, /, **content: Any) -> str:
+        status, body, _ = self.send("POST", f"/ask/{question}", json.dumps(content).encode())
+        assert status == 400
+        text: str = json.loads(body)["error"]
+        assert "\n" not in text
+        return text
+
+
+@contextmanager
+def served(server: Server) -> Iterator[Page]:
+    thread = threading.Thread(target=server.serve)
+    thread.start()
+    try:
+        yield Page(server)
+    finally:
+        server.close()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def page(recorded: Path) -> Iterator[Page]:
+    with served(sierra.open(recorded).explorer()) as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def batch(recorded: Path) -> str:
+    return sierra.open(recorded).batches[0].batch
+
+
+def test_the_page_has_no_data_and_loads_nothing_from_elsewhere(page: Page) -> None:
+    status, body, headers = page.send("GET", "/", X_Sierra_Token="", Origin="")
+    assert status == 200
+    assert headers["Cache-Control"] == "no-store"
+    assert b"default-src 'none'; script-src 'sha256-" in body
+    assert b"; connect-src 'self'\"" in body
+    assert b"population_size" not in body
+    assert page.server.url.partition("#")[2].encode() not in body
+
+
+def test_batches_and_tables_are_listed(page: Page, recorded: Path, batch: str) -> None:
+    found = page.ask("overview")
+    assert [one["batch"] for one in found["batches"]] == [one.batch for one in reversed(sierra.open(recorded).batches)]
+    assert found["batches"][-1]["query"] == "population_size=1,2"
+    assert found["state"] == page.ask("state")
+    tables = page.ask("tables", batch=batch)
+    assert set(tables["of_runs"]) == {"swarm", "notes"}
+    assert ["coverage", "DOUBLE"] in tables["of_runs"]["swarm"]
+    assert {"runs", "executions", "batches"} <= set(tables["of_store"])
+    chosen = page.ask("batch", batch=batch)
+    assert chosen["variables"] == ["population_size"]
+    assert ["coverage"] in [keys["column"] for keys in chosen["figures"].values()]
+
+
+def test_a_statement_has_the_answer_of_sierra_sql(page: Page, recorded: Path, batch: str) -> None:
+    statement = "SELECT run, max(coverage) AS highest, DATE '2026-11-23' AS day FROM swarm GROUP BY run ORDER BY run"
+    found = page.ask("query", statement=statement, batch=batch)
+    table = sierra.open(recorded).sql(statement, within=batch)
+    assert found["columns"] == ["run", "highest", "day"]
+    assert found["numeric"] == ["highest"]
+    assert found["rows"] == [[row["run"], row["highest"], "2026-11-23"] for row in table.to_pylist()]
+    assert found["more"] is False
+
+
+def test_a_billion_rows_are_cut_and_long_texts_too(page: Page) -> None:
+    found = page.ask("query", statement="SELECT range, repeat('x', 20000) AS long FROM range(1000000000)")
+    assert len(found["rows"]) == ROWS
+    assert found["more"] is True
+    assert found["rows"][-1][1].endswith("x… (20,000 letters)")
+
+
+def test_a_chart_is_the_figure_that_its_lines_of_sierra_toml_declare(page: Page, recorded: Path, batch: str) -> None:
+    found = page.ask("chart", batch=batch, name="mine", keys=SWARM | {"title": "A <b>title</b>"})
+    assert tomllib.loads(found["toml"]) == {"figures": {"mine": SWARM | {"title": "A <b>title</b>"}}}
+    assert "A &lt;b&gt;title&lt;/b&gt;" in found["section"]
+    (stats,) = (
+        sierra.open(recorded)
+        .sql("SELECT avg(coverage) AS mean FROM swarm WHERE population_size = 2 AND tick = 3", within=batch)
+        .to_pylist()
+    )
+    assert repr(stats["mean"]) in found["section"]
+    own = page.ask(
+        "chart", batch=batch, name="own", keys={"sql": "SELECT run, tick, coverage FROM swarm", "column": "coverage"}
+    )
+    assert "SELECT run, tick, coverage FROM swarm" in own["section"]
+
+
+@pytest.mark.parametrize(
+    ("change", "status"),
+    [
+        ({"X_Sierra_Token": ""}, 403),
+        ({"X_Sierra_Token": "x" * 43}, 403),
+        ({"X_Sierra_Token": "\xff"}, 403),
+        ({"Origin": "http://evil.example"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Host": "evil.example"}, 403),
+        ({"Host": ""}, 403),
+        ({"Content_Length": str(LONGEST + 1)}, 413),
+        ({"Content_Length": "-1"}, 413),
+        ({"Content_Length": "1e3"}, 413),
+    ],
+)
+def test_a_request_that_is_not_of_the_page_is_refused(page: Page, change: dict[str, str], status: int) -> None:
+    found, body, _ = page.send("POST", "/ask/overview", b"" if "Content_Length" in change else b"{}", **change)
+    assert found == status
+    assert list(json.loads(body)) == ["error"]
+    assert page.ask("state")
+
+
+def test_the_page_is_not_sent_under_another_name(page: Page) -> None:
+    assert page.send("GET", "/", Host="evil.example")[0] == 403
+    assert page.send("GET", "/sierra.toml")[0] == 404
+    assert page.send("PUT", "/", b"")[0] == 501
+    assert page.send("POST", "/ask/_load", b"{}")[0] == 404
+
+
+NONSENSE = [b"", b"[]", b"{", b'{"batch": 1}', b'{"more": ""}', b"[" * 100_000, b"\xff", b'{"batch": "\\u0000"}']
+
+
+@pytest.mark.parametrize("body", NONSENSE)
+def test_nonsense_is_answered_in_one_line(page: Page, body: bytes) -> None:
+    status, answer, _ = page.send("POST", "/ask/batch", body)
+    assert status == 400
+    assert "\n" not in json.loads(answer)["error"]
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "DROP TABLE runs",
+        "COPY runs TO '/tmp/sierra-explorer.csv'",
+        "SELECT * FROM read_csv('/etc/passwd')",
+        "SELECT * FROM read_text('/proc/self/environ')",
+        "SELECT * FROM glob('/*')",
+        "ATTACH '/tmp/other.duckdb'",
+        "INSTALL httpfs",
+        "SET enable_external_access = true",
+        "SELECT 1; SELECT 2",
+        "SELEC 1",
+        "",
+    ],
+)
+def test_a_statement_can_only_read_the_store(page: Page, statement: str) -> None:
+    assert page.error("query", statement=statement)
+    assert page.ask("query", statement="SELECT 1")["rows"] == [[1]]
+
+
+def test_an_unknown_batch_or_key_is_named(page: Page, batch: str) -> None:
+    assert "0123456789" in page.error("batch", batch="0123456789")
+    assert "colour" in page.error("chart", batch=batch, name="mine", keys=SWARM | {"colour": "red"})
+    assert "no numeric column 'speed'" in page.error("chart", batch=batch, name="mine", keys=SWARM | {"column": "speed"})
+
+
+def test_an_answer_that_takes_too_long_is_ended_and_the_next_one_comes(recorded: Path) -> None:
+    project = sierra.open(recorded)
+    answers = Answers(lambda: project._loaded, project.store, wall=0.2)
+    with served(Server(answers, "project")) as page:
+        assert page.error("query", statement=FOR_EVER).startswith("no answer within 0.2 s")
+        assert page.ask("query", statement="SELECT 1")["rows"] == [[1]]
+
+
+def test_an_answer_can_be_stopped(page: Page) -> None:
+    said: list[str] = []
+    asking = threading.Thread(target=lambda: said.append(page.error("query", statement=FOR_EVER)))
+    asking.start()
+    while asking.is_alive():
+        page.ask("stop")
+        asking.join(0.05)
+    assert said == ["stopped"]
+
+
+@pytest.fixture(params=["sierra.toml", "pyproject.toml"])
+def own(request: pytest.FixtureRequest, recorded: Path, tmp_path: Path) -> Path:
+    root = stores.copy(recorded, tmp_path / "project")
+    if request.param == "pyproject.toml":
+        lines = (root / "sierra.toml").read_text().replace("[variables]", "[tool.sierra.variables]")
+        lines = lines.replace("\n[outputs", "\n[tool.sierra.outputs").replace("\n[variables.", "\n[tool.sierra.variables.")
+        (root / "pyproject.toml").write_text(f"[tool.sierra]\n{lines}")
+        (root / "sierra.toml").unlink()
+    return root / str(request.param)
+
+
+def test_a_chart_is_written_to_the_project_and_drawn_from_there(own: Path, batch: str) -> None:
+    before = own.read_text()
+    with served(sierra.open(own.parent).explorer(write=True)) as page:
+        assert page.ask("overview")["writes"] is True
+        file = page.ask("chart", batch=batch, name="mine", keys=SWARM)["file"]
+        assert page.ask("write", name="mine", keys=SWARM, file=file) == {"figures": ["mine"]}
+        assert "has changed since the chart was drawn" in page.error("write", name="other", keys=SWARM, file=file)
+        file = page.ask("chart", batch=batch, name="mine", keys=SWARM)["file"]
+        assert "has a figure 'mine' already" in page.error("write", name="mine", keys=SWARM, file=file)
+        assert "kind" in page.error("write", name="third", keys={"kind": "unknown"}, file=file)
+        assert page.ask("batch", batch=batch)["figures"] == {"mine": SWARM | {"column": ["coverage"]}}
+    assert own.read_text().startswith(before.rstrip())
+    assert sierra.open(own.parent).config.figures["mine"].columns == ("coverage",)
+
+
+def test_nothing_is_written_unless_the_user_allows_it(page: Page, recorded: Path, batch: str) -> None:
+    before = (recorded / "sierra.toml").read_bytes()
+    file = page.ask("chart", batch=batch, name="mine", keys=SWARM)["file"]
+    assert "sierra explore --write" in page.error("write", name="mine", keys=SWARM, file=file)
+    assert (recorded / "sierra.toml").read_bytes() == before
+
+
+def test_new_records_are_seen(tmp_path: Path) -> None:
+    root = projects.make(tmp_path / "project")
+    stores.ask(root, "population_size=1", runs=1)
+    with served(sierra.open(root).explorer()) as page:
+        before = page.ask("state")
+        assert len(page.ask("overview")["batches"]) == 1
+        stores.ask(root, "population_size=2", runs=1)
+        assert page.ask("state") != before
+        assert len(page.ask("overview")["batches"]) == 2
+
+
+def test_a_port_that_is_taken_is_an_error_in_one_line(recorded: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(Missing, match=r"cannot listen on port .* choose another one with --port"):
+            sierra.open(recorded).explorer(port=taken.getsockname()[1])
+
+
+def test_a_client_that_says_nothing_delays_no_other(page: Page) -> None:
+    with socket.create_connection(("127.0.0.1", page.server.port)) as silent:
+        silent.sendall(b"POST /ask/overview HTTP/1.1\r\n")
+        assert page.ask("query", statement="SELECT 1")["rows"] == [[1]]
