@@ -119,6 +119,16 @@ GRACE_S = 5.0  # between SIGTERM and SIGKILL, if the job does not say
 CLEAN_S = 10.0  # for an engine's cleanup after its containers have ended
 START_S = 60.0  # for an engine to start a container
 GIVE_UP_S = 5.0  # to read the outputs of ended runs after the worker was told to stop
+PROCESSORS = {  # by their numbers in ELF files (elf.h)
+    3: "i686",
+    21: "ppc64le",
+    22: "s390x",
+    40: "arm",
+    62: "x86_64",
+    183: "aarch64",
+    243: "riscv64",
+    258: "loongarch64",
+}
 STALLED_S = 5.0  # with only stopped processes, until a run is reported as stalled
 SAMPLE_S = 0.05
 SPREAD_S = 0.5  # for a signal to reach all processes that it was sent to
@@ -862,7 +872,7 @@ class Worker:
                 self.execute_unobserved(job, folder, slot, "it could not be started by the tracer")
                 return
             wall = time.monotonic() - started
-            self.report(job, slot, folder, began, wall, no_outputs("could not be started: " + explain(error)))
+            self.report(job, slot, folder, began, wall, no_outputs("could not be started: " + why_not_started(error, job)))
             return
         running = Running(job, folder, process, observation)
         with self.lock:
@@ -1995,6 +2005,36 @@ def explain(error: BaseException) -> str:
         name = os.fsdecode(name)
     reason = getattr(error, "strerror", None) or "%s: %s" % (type(error).__name__, error)
     return "%s: %s" % (name, reason) if name else reason
+
+
+def why_not_started(error: BaseException, job: Job) -> str:
+    """Return why a program could not be started, in one line. It may be for another processor, or its loader may be missing."""
+    number, name = getattr(error, "errno", None), getattr(error, "filename", None)
+    if "client" in job or not isinstance(name, str) or number not in (errno.ENOEXEC, errno.ENOENT):
+        return explain(error)
+    path = shutil.which(name, path=job["environment"].get("PATH", os.defpath)) or name
+    processor, uname = processor_of(path), os.uname()
+    if number == errno.ENOEXEC and processor:
+        return "%s is a program for %s, but %s is %s" % (path, processor, uname.nodename, uname.machine)
+    if number == errno.ENOENT and processor:
+        return "%s is a program for %s whose loader is not on %s" % (path, processor, uname.nodename)
+    return explain(error)
+
+
+def processor_of(path: str) -> str | None:
+    """Return the processor that a program is for, by its ELF header (elf(5)); None for any other file.
+
+    The names are those of `uname -m`; all 32-bit ARM processors are `arm`.
+    """
+    try:
+        with open(path, "rb") as file:
+            head = file.read(20)
+    except (OSError, ValueError):
+        return None
+    if len(head) < 20 or head[:4] != b"\x7fELF":
+        return None
+    number = int.from_bytes(head[18:20], "big" if head[5] == 2 else "little")
+    return PROCESSORS.get(number, "another processor (number %d in ELF)" % number)
 
 
 def become_subreaper(*, secretive: bool) -> bool:

@@ -23,6 +23,7 @@ import pytest
 
 from sierra.worker import worker
 from sierra.worker.worker import STALLED_S, cpu_of, number_in, stat_of
+from tests.support import elf
 from tests.waiting import PATIENCE_S, until
 
 PROGRAM = str(Path(worker.__file__))
@@ -183,6 +184,17 @@ def test_the_signal_that_ended_a_run_is_recorded(execute: Callable[..., dict[str
 def test_a_program_that_cannot_be_started_is_recorded_as_a_result(execute: Callable[..., dict[str, Any]]) -> None:
     end = execute(job("/no/such/program"))
     assert end["error"] == "could not be started: /no/such/program: No such file or directory"
+
+
+def test_a_program_for_another_processor_is_named_with_both_processors(
+    execute: Callable[..., dict[str, Any]], tmp_path: Path
+) -> None:
+    program, uname = elf.write(tmp_path / "go"), os.uname()
+    other = "aarch64"
+    if uname.machine == other:
+        program, other = elf.write(tmp_path / "go", elf.X86_64), "x86_64"
+    end = execute(job(str(program)))
+    assert end["error"] == f"could not be started: {program} is a program for {other}, but {uname.nodename} is {uname.machine}"
 
 
 def test_runs_start_without_ignored_or_blocked_signals(execute: Callable[..., dict[str, Any]]) -> None:
