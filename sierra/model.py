@@ -455,6 +455,8 @@ BASE = 0
 """The place of the base station in a run on robots; the robots have the places 1, 2, …"""
 ON_ROBOT = "\1"
 """The mark (which no argument contains) that stands for the folder of the code on a robot."""
+ARCH_ON_ROBOT = "\3"
+"""The mark that stands for the name of a robot's processor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -463,7 +465,8 @@ class Member:
 
     The place is part of the run's identity, but no robot's name is: which robot took the place is recorded with the execution.
     In `argv`, in the values of `environment` and in those of `folders`, the character NUL stands for the run's directory on the
-    robot, and `ON_ROBOT` for the folder of the code there. PATH is only in `environment` if the project declares it.
+    robot, `ON_ROBOT` for the folder of the code there, and `ARCH_ON_ROBOT` for its processor. PATH is only in `environment` if
+    the project declares it.
     """
 
     place: int
@@ -476,11 +479,14 @@ class Member:
     folders: Mapping[str, str] | None = None
     """The texts that take the place of marks in its input files, as in `Job`."""
 
-    def at(self, run: str, code: str) -> Member:
-        """Return the member with the paths of the run's directory and of the code on its robot, in place of the marks."""
+    def at(self, run: str, code: str, arch: str) -> Member:
+        """Return the member with the run's directory, the folder of the code and the processor in place of the marks.
+
+        `arch` is the name of the processor of its robot, as in `sierra.util.processors`.
+        """
 
         def filled(text: str) -> str:
-            return text.replace("\0", run).replace(ON_ROBOT, code)
+            return text.replace("\0", run).replace(ON_ROBOT, code).replace(ARCH_ON_ROBOT, arch)
 
         environment = {name: filled(value) for name, value in self.environment.items()}
         folders = None if self.folders is None else {mark: filled(text) for mark, text in self.folders.items()}

@@ -20,6 +20,7 @@ from sierra.model import Job, Member, OutputFile, Result
 from sierra.runners.base import Look, Work
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, RUN_TMP, SessionPaths
 from sierra.store.row_types import RobotRow, TrialRow
+from sierra.util.processors import here
 from sierra.worker import worker
 
 NAMES = ("tb3-00", "tb3-01", "tb3-02", "tb3-03", "tb3-04")
@@ -144,7 +145,9 @@ def _execute(job: Job, folder: Path, code: str) -> tuple[Result, list[tuple[str,
     assert job.members
     assert job.argv == ()
     started = time.time()
-    processes = [_start(one.at(str(folder / f"robot{one.place}"), code), folder / f"robot{one.place}") for one in job.members]
+    processes = [
+        _start(one.at(str(folder / f"robot{one.place}"), code, here()), folder / f"robot{one.place}") for one in job.members
+    ]
     codes = [process.wait(30) for process in processes]
     (folder / RUN_OUTPUT).mkdir()
     for one in job.members:

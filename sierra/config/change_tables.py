@@ -12,7 +12,7 @@ from sierra.config.field_types import NAME, Argv, Name, RawTable, Table, Text
 
 VALUE = "{value}"
 """The text that stands for the value in the `argument` of a variable or of the seed."""
-OWN_PLACEHOLDERS = ("input", "output", "run", "seed", "project", "python", "arguments")
+OWN_PLACEHOLDERS = ("input", "output", "run", "seed", "project", "python", "arch", "arguments")
 """Names in braces that have a meaning of their own in a command."""
 NO_CHANGE = 'it changes nothing; give it "set", "changes", "argument" or "environment"'
 NOT_VARIED = ("HOME", "TMPDIR", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "PYTHONPATH", "PYTHONHOME")

@@ -51,6 +51,7 @@ from sierra.config.trial_tables import Trials
 from sierra.config.validate import options
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.store.layout import CONFIG, PYPROJECT
+from sierra.util.processors import ARCH
 from sierra.util.text import like
 
 if TYPE_CHECKING:
@@ -114,8 +115,8 @@ class Project(Table):
     )
     command: Annotated[tuple[str, ...], BeforeValidator(as_words, json_schema_input_type=Words)] = Field(
         (),
-        description="the program and its arguments; {input}, {output}, {seed}, {project}, {python} and the query's "
-        "variables are filled in",
+        description="the program and its arguments; {input}, {output}, {seed}, {project}, {python}, {arch} and the "
+        "query's variables are filled in",
     )
     robots: RobotsTable | None = Field(None, description="the robots of each run; default: runs take no robots")
     before: Commands = Field(
@@ -303,6 +304,8 @@ class Project(Table):
 
     @model_validator(mode="after")
     def _useful(self) -> Project:
+        if "arch" in self.variables and any(ARCH in word for word in self._words):
+            raise ValueError(f"variables.arch: in commands, {ARCH} is the processor of the host; use another name")
         for name, variable in self.variables.items():
             if variable.argument and name in OWN_PLACEHOLDERS:
                 raise ValueError(f"variables.{name}: in a command, {{{name}}} has another meaning; use another name")
@@ -362,13 +365,17 @@ class Project(Table):
         known = f"known are {', '.join(self.targets)}" if self.targets else "sierra.toml declares no [targets.NAME]"
         return f"unknown target {name!r}; {known}"
 
+    @property
+    def _words(self) -> tuple[str, ...]:
+        """Return all words of the commands of a run."""
+        services = (word for one in self.services.values() for word in (*one.command, *one.ready.words))
+        around = (word for command in (*self.before, *self.after) for word in command)
+        return (*self.command, *around, *services, *(self.robots.words if self.robots else ()))
+
     def _uses(self, name: str) -> bool:
         """Return True if a command uses a variable, or if a change does that does not belong to a variable."""
-        services = (word for one in self.services.values() for word in (*one.command, *one.ready.words))
         robots = self.robots
-        around = (word for command in (*self.before, *self.after) for word in command)
-        words = (*self.command, *around, *services, *(robots.words if robots else ()))
-        if name not in OWN_PLACEHOLDERS and any(f"{{{name}}}" in word for word in words):
+        if name not in OWN_PLACEHOLDERS and any(f"{{{name}}}" in word for word in self._words):
             return True
         if robots and robots.count == name:
             return True

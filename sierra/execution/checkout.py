@@ -44,7 +44,8 @@ def programs_in(
     variables = spec.environment
     if spec.image is not None or spec.robots is not None:  # the programs are in the image, or on the robots
         return _without_leftovers(_beside_image(spec, manifest, root, data), spec, data, made)
-    files = referenced_files.files((*spec.words, *variables.values()), root, source.paths(manifest), data, project or root)
+    named = commands.on_hosts((*spec.words, *variables.values()), spec)
+    files = referenced_files.files(named, root, source.paths(manifest), data, project or root)
     words, *around = (commands.fill(one, root, project=project) for one in (spec.command, *spec.around.commands))
     declared = commands.declared(variables, root, project)
     found = programs.find(words, declared, root, files, project=project, around=around)
@@ -60,7 +61,7 @@ def _without_leftovers(found: Programs, spec: RunSpec, data: Programs, made: Abs
     if not folders:
         return found
     kept = {one.path for one in data.all}
-    words = (*spec.words, *spec.environment.values())
+    words = commands.on_hosts((*spec.words, *spec.environment.values()), spec)
 
     def counts(one: Program) -> bool:
         name = one.name.removeprefix(IN_PROJECT)
@@ -73,7 +74,7 @@ def _without_leftovers(found: Programs, spec: RunSpec, data: Programs, made: Abs
 
 def _beside_image(spec: RunSpec, manifest: bytes, root: Path, data: Programs) -> Programs:
     """Return the project files and mounted files that belong to the fingerprint when the image provides the programs."""
-    words = [word for word in (*spec.words, *spec.environment.values()) if "{project}" in word]
+    words = [word for word in commands.on_hosts((*spec.words, *spec.environment.values()), spec) if "{project}" in word]
     files = referenced_files.files(words, root, source.paths(manifest), data)
     kept = {one.path for one in data.all}
     return replace(files, all=tuple(one for one in files.all if one.path in kept or one.name.startswith(IN_PROJECT)))

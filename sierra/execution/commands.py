@@ -1,11 +1,12 @@
 """Commands of jobs: the argument list and environment of one execution, with placeholders filled in.
 
 Placeholders of a command: `{input}` is the first input file, `{output}` the folder to write to (also the working
-directory), `{run}` the run's own folder, `{seed}` its seed, `{project}` the project's root, and `{python}` the Python
-that runs SIERRA. The word `{arguments}` stands for the arguments that the template gives, or those that the variables of the
-query declare (`argument`); without it, these follow the command. `{input.NAME}` is one of several templates. The name of a
-variable of the query stands for its value: see `sierra.design.run_values`. `{{name}}` stands for the text `{name}`. A word that
-names a file relative to the project's root becomes `{project}/word`, because runs have folders of their own.
+directory), `{run}` the run's own folder, `{seed}` its seed, `{project}` the project's root, `{python}` the Python
+that runs SIERRA, and `{arch}` the processor of the host that executes the run (see `sierra.util.processors`). The word
+`{arguments}` stands for the arguments that the template gives, or those that the variables of the query declare (`argument`);
+without it, these follow the command. `{input.NAME}` is one of several templates. The name of a variable of the query stands
+for its value: see `sierra.design.run_values`. `{{name}}` stands for the text `{name}`. A word that names a file relative to
+the project's root becomes `{project}/word`, because runs have folders of their own.
 """
 
 from __future__ import annotations
@@ -28,10 +29,11 @@ from sierra.design import robots, run_values
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError, QueryError
 from sierra.execution.build.products import matches
-from sierra.model import BASE, FOLDER, IN_PROJECT, ON_ROBOT, Client, Job, Limits, Member, Run, RunSpec, Service
+from sierra.model import ARCH_ON_ROBOT, BASE, FOLDER, IN_PROJECT, ON_ROBOT, Client, Job, Limits, Member, Run, RunSpec, Service
 from sierra.platforms.base import Platform
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.templates.base import ARGUMENTS, FOLDERS, Files
+from sierra.util import processors
 from sierra.util.hashing import digest_plain
 from sierra.worker import worker
 
@@ -243,7 +245,7 @@ def fill(
 
     The code is in `root`. Paths outside of it (`{project}/../build`) are resolved in the user's `project` folder.
     """
-    known = {"project": str(root), "python": sys.executable, **(values or {})}
+    known = {"project": str(root), "python": sys.executable, "arch": processors.here(), **(values or {})}
 
     def filled(match: re.Match[str]) -> str:
         if match[1]:
@@ -259,6 +261,12 @@ def fill(
 def with_texts(words: Iterable[str], values: Mapping[str, str]) -> tuple[str, ...]:
     """Return the words with some placeholders filled in; all else stays as it is."""
     return tuple(NAMED.sub(lambda match: values.get(match[2] or "", match[0]), word) for word in words)
+
+
+def on_hosts(words: Iterable[str], spec: RunSpec) -> tuple[str, ...]:
+    """Return the words for the processors that may execute runs: this machine's, or for robots, all known ones."""
+    names = (processors.here(),) if spec.robots is None else processors.NAMES
+    return tuple(dict.fromkeys(chain.from_iterable(with_texts(words, {"arch": name}) for name in names)))
 
 
 def arguments(files: Files) -> tuple[str, ...]:
@@ -323,6 +331,7 @@ class CommandBuilder:
         self._here = _IN_RUN if box and not box.shared else HERE
         self._on_robots = spec.robots is not None
         self._placed = {"project": PROJECT if box else ON_ROBOT if self._on_robots else str(root)}
+        self._placed["arch"] = ARCH_ON_ROBOT if self._on_robots else processors.here()
         python = ROBOT_PYTHON if self._on_robots else python
         self._placed["python"] = PYTHON if image else python
         self._project = Path(self._placed["project"]) if box else project
@@ -482,12 +491,13 @@ class CommandBuilder:
 def _in_project(word: str, root: Path, made: Sequence[str]) -> str:
     """Return `{project}/sim.py` for `sim.py` if that file exists in `root`, or if a pattern in `made` matches it.
 
-    Paths like `../build/sim` work too.
+    Paths like `../build/sim` work too, and `bin/{arch}/sim` if there is such a file for any processor.
     """
-    if "{" in word or not word or word.startswith(("/", "-")):
+    if "{" in word.replace(processors.ARCH, "") or not word or word.startswith(("/", "-")):
         return word
+    names = dict.fromkeys(word.replace(processors.ARCH, name) for name in processors.NAMES)
     try:
-        exists = any(matches(word, pattern) for pattern in made) or (root / word).is_file()
+        exists = any(matches(word, pattern) for pattern in made) or any((root / name).is_file() for name in names)
     except (OSError, ValueError):
         return word
     return IN_PROJECT + word.removeprefix("./") if exists else word

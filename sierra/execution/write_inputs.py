@@ -119,13 +119,13 @@ def _write_run(folder: Path, job: Job, plan: Plan) -> None:
 
 
 def _write_member(folder: Path, one: Member, plan: Plan) -> None:
-    """Write the inputs and the command of one robot; `{project}` stands for the folder of the code on it."""
+    """Write the inputs and the command of one robot; `{project}` is the folder of the code on it, `{arch}` its processor."""
     (folder / RUN_OUTPUT).mkdir(parents=True)
     for name, content in one.files:
         path = inside(folder, name)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
-    placed = one.at(HERE, "{project}")
+    placed = one.at(HERE, "{project}", "{arch}")
     _write_command(folder, placed.argv, placed.environment, plan)
 
 

@@ -25,9 +25,9 @@ from sierra.model import Add, Axis, Change, Criterion, Linear, Listed, Log, Mont
 from sierra.platforms.base import Following, Platform, Reader
 from sierra.testing.assertions import holds, is_one_line, says_what_its_options_are
 
-COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python", "arguments"))
+COMMAND_PLACEHOLDERS = frozenset(("input", "output", "run", "seed", "project", "python", "arch", "arguments"))
 """Placeholders that a command may contain in braces; `sierra.execution.commands` describes each."""
-VARIABLE_PLACEHOLDERS = frozenset(("project", "python"))
+VARIABLE_PLACEHOLDERS = frozenset(("project", "python", "arch"))
 """Placeholders that a variable may contain. A variable is the same for all runs of a batch."""
 CRITERION_NOBODY_HAS = "no_platform_has_a_criterion_of_this_name"
 DOCUMENTS = (b"<a/>", b"", b"\xff\x00not text\n")

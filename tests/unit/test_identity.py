@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -155,6 +156,25 @@ def test_ids_do_not_depend_on_path_user_or_time(tmp_path: Path, monkeypatch: pyt
     for path in there.iterdir():
         os.utime(path, (1, 1))
     assert ids(plan(there)) == here
+
+
+def test_ids_do_not_depend_on_the_processor_but_programs_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = project(tmp_path, TOML.replace("sh sim.sh", "sh sims/{arch}.sh"))
+    (root / "sims").mkdir()
+    (root / ".gitignore").write_text("sims\n")
+    subprocess.run(["git", "init", "-q", str(root)], check=True)
+    for arch in ("x86_64", "aarch64"):
+        (root / "sims" / f"{arch}.sh").write_text(f"echo {arch}\n")
+    plans = []
+    for machine in ("x86_64", "aarch64"):
+        monkeypatch.setattr(platform, "machine", lambda machine=machine: machine)
+        plans.append(plan(root))
+    assert plans[0].batch.spec.command[:2] == ("sh", "{project}/sims/{arch}.sh")
+    assert ids(plans[0]) == ids(plans[1])
+    assert [[one.name for one in made.programs.all if "sims" in one.name] for made in plans] == [
+        ["{project}/sims/x86_64.sh"],
+        ["{project}/sims/aarch64.sh"],
+    ]
 
 
 def test_git_repository_around_a_project_changes_no_ids(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 from sierra.errors import ConfigError
 from sierra.store.layout import STORE
 from sierra.util.hashing import merkle, sha256_file
+from sierra.util.processors import ARCH
 
 NEVER = frozenset((".git", STORE))
 """Folders that no pattern reaches."""
@@ -36,8 +37,8 @@ def names(root: Path, patterns: Iterable[str]) -> list[str]:
 
 
 def matches(name: str, pattern: str) -> bool:
-    """Check whether a pattern matches the name of a file, which need not exist."""
-    return _match(PurePosixPath(name).parts, PurePosixPath(pattern).parts)
+    """Check whether a pattern matches the name of a file, which need not exist. `{arch}` in the pattern is any processor."""
+    return _match(PurePosixPath(name).parts, PurePosixPath(pattern.replace(ARCH, "*")).parts)
 
 
 def _match(parts: Sequence[str], pattern: Sequence[str]) -> bool:

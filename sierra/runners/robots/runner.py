@@ -30,7 +30,7 @@ from sierra.provenance import environment
 from sierra.runners.base import Beat, Look, Work
 from sierra.runners.journal_reader import Journal, Row
 from sierra.runners.local import record
-from sierra.runners.robots import results
+from sierra.runners.robots import fitting_programs, results
 from sierra.runners.robots.agent_link import LOCK, AgentLink, Record
 from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate
 from sierra.runners.robots.push import content_name, push_content, push_programs
@@ -38,6 +38,7 @@ from sierra.runners.robots.trial import SETTLE_S, Part, Trial, each
 from sierra.store.layout import SessionPaths
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_logger import Log
+from sierra.util.processors import name_of
 from sierra.worker import worker
 
 log = Log(__name__)
@@ -218,7 +219,9 @@ class Robots:
 
     def _part(self, job: Job, member: Member, robot: Robot) -> Part:
         """Return the part of a run that a robot executes."""
-        placed = member.at("\0", robot.code)
+        if self._work.code:
+            fitting_programs.check(robot.name, robot.arch, member, self._work.code, robot.agent.link)
+        placed = member.at("\0", robot.code, robot.arch)
         variables = {**robot.hello["variables"], **placed.environment, "SIERRA_EXECUTION": job.execution}
         own = replace(
             job,
@@ -301,6 +304,11 @@ class Robot:
                 ended = f", and ended {left['ended']} of its processes" if left["ended"] else ""
                 self._notes.put(f"{self.name}: removed what an earlier run had left{ended}")
         return self.hello
+
+    @property
+    def arch(self) -> str:
+        """Return the name of its processor."""
+        return name_of(str(self.hello["facts"]["machine"]))
 
     def _greeting(self, keep: str | None) -> Record:
         table, own = self._table, self._options

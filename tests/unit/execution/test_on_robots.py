@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import platform
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -10,7 +12,7 @@ import pytest
 import sierra
 from sierra.errors import ConfigError, QueryError, SierraError, UsageError
 from sierra.execution.commands import CommandBuilder
-from sierra.model import ON_ROBOT, Job
+from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Job
 from tests import projects, robots
 
 GROUPS = """
@@ -93,6 +95,26 @@ def test_each_robot_gets_inputs_and_commands_of_its_own(tmp_path: Path) -> None:
         ["group", "place"],
         *2 * [["files", "group", "place"]],
     ]
+
+
+def test_the_processor_is_the_robots_and_the_code_has_the_programs_for_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = robots.CONFIG.replace('"{python} robot.py', '"bin/{arch}/go robot.py')
+    root = robots.project(tmp_path / "p", '[environment]\nset = { LIBRARIES = "{project}/lib/{arch}" }\n', config)
+    (root / ".gitignore").write_text("bin\n")
+    subprocess.run(["git", "init", "-q", root], check=True)
+    for arch in ("aarch64", "x86_64"):
+        (root / "bin" / arch).mkdir(parents=True)
+        (root / "bin" / arch / "go").write_text(arch)
+    [job] = jobs(root, "population_size=1")
+    assert job.members[0].argv[0] == f"{ON_ROBOT}/bin/{ARCH_ON_ROBOT}/go"
+    placed = job.members[0].at("/run", "/code", "armv7l")
+    assert (placed.argv[0], placed.environment["LIBRARIES"]) == ("/code/bin/armv7l/go", "/code/lib/armv7l")
+    monkeypatch.setattr(platform, "machine", lambda: "arm64")
+    assert [one.run for one in jobs(root, "population_size=1")] == [job.run], "the processor is no part of the identity"
+    plan = sierra.open(root).plan("population_size=1", target="robots")
+    assert [one.name for one in plan.programs.all] == [f"{{project}}/bin/{arch}/go" for arch in ("x86_64", "aarch64")]
 
 
 def test_commands_and_groups_are_part_of_the_identity_and_other_projects_keep_theirs(tmp_path: Path) -> None:
