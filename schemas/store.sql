@@ -268,7 +268,8 @@ CREATE TABLE builds (
     "flags" VARCHAR,  -- declared variables that hold compilers and their flags, as JSON; NULL if there are none
     "result" VARCHAR,  -- Merkle hash of the names and digests of its products; NULL if it failed
     "log" VARCHAR,  -- SHA-256 of what it printed, which is in objects; if that is over 1 MiB, only its beginning and end are kept
-    "lamport" BIGINT  -- its position in the logical order, as in sessions
+    "lamport" BIGINT,  -- its position in the logical order, as in sessions
+    "processors" VARCHAR[]  -- the processors that {arch} stands for, one after the other; NULL if the build does not use it
 );
 
 -- The products of builds: files of the project that its runs use; their content is not recorded.

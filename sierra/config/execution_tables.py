@@ -26,6 +26,8 @@ from sierra.config.field_types import (
     valid_path,
 )
 from sierra.errors import Missing
+from sierra.util import processors
+from sierra.util.processors import ARCH
 
 SYSTEM = ("proc", "sys", "dev", "tmp")
 """Folders in a container where nothing can be mounted."""
@@ -167,21 +169,46 @@ class ProgramsTable(Table):
     )
 
 
+def _processor(text: str) -> str:
+    """Return the name of a processor. Raises ValueError for an unknown one."""
+    if (name := processors.name_of(text)) not in processors.NAMES:
+        raise ValueError(f"{text!r} should be a processor: {', '.join(processors.NAMES)}")
+    return name
+
+
+Processor = Annotated[str, AfterValidator(_processor)]
+
+
 class BuildTable(Table):
     """The command that makes programs or libraries of the project from its source, before runs use them."""
 
     command: Annotated[Argv, Field(min_length=1)] = Field(
-        description="the program and its arguments, as in `command`; {project} and {python} are filled in"
+        description="the program and its arguments, as in `command`; {project}, {python} and {arch} are filled in"
     )
     produces: Annotated[
         tuple[InProject, ...],
         BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words),
         Field(min_length=1),
     ] = Field(description="the products: paths or globs (`**`: any folders), relative to the project; git must ignore them")
+    arch: Annotated[
+        tuple[Processor, ...],
+        BeforeValidator(lambda v: (v,) if isinstance(v, str) else v, json_schema_input_type=Words),
+    ] = Field(
+        (),
+        description="the processors for which the command is executed, once for each, as {arch} in `command`, `produces` and "
+        "variables; default: this machine's",
+        examples=[["x86_64", "aarch64"]],
+    )
     folder: InProject = Field(
         ".", alias="in", description="the folder in which the command is executed, relative to the project"
     )
     wall: Positive | None = Field(None, description="time limit of the command, in seconds; default: none")
+
+    @model_validator(mode="after")
+    def _one_product_each(self) -> BuildTable:
+        if self.arch and (shared := [pattern for pattern in self.produces if ARCH not in pattern]):
+            raise ValueError(f"produces: {shared[0]!r} needs {ARCH}, because each processor in arch has a product of its own")
+        return self
 
 
 class Ready(Table):

@@ -309,6 +309,7 @@ class CommandBuilder:
         timeouts: Mapping[str, float] | None = None,
         observed: bool = False,
         python: str = sys.executable,
+        arch: str = "",
     ) -> None:
         """Prepare the variables and containers that all jobs share.
 
@@ -317,7 +318,7 @@ class CommandBuilder:
         scheduler allots. `beside` is the folder of the files that lie beside the inputs of runs. With an `image` and without a
         `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful command, and
         `timeouts` the seconds in which services must be ready, by name. `observed`: services that runs share are observed.
-        `python` is the value of `{python}` without an image.
+        `python` is the value of `{python}` without an image, `arch` that of `{arch}`, by default this machine's processor.
         """
         self._success = success
         self._observed = observed
@@ -331,7 +332,7 @@ class CommandBuilder:
         self._here = _IN_RUN if box and not box.shared else HERE
         self._on_robots = spec.robots is not None
         self._placed = {"project": PROJECT if box else ON_ROBOT if self._on_robots else str(root)}
-        self._placed["arch"] = ARCH_ON_ROBOT if self._on_robots else processors.here()
+        self._placed["arch"] = ARCH_ON_ROBOT if self._on_robots else arch or processors.here()
         python = ROBOT_PYTHON if self._on_robots else python
         self._placed["python"] = PYTHON if image else python
         self._project = Path(self._placed["project"]) if box else project

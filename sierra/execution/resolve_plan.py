@@ -42,6 +42,7 @@ from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.row_mapper import of_fields
 from sierra.store.row_types import EnvironmentRow
 from sierra.store.store import Store
+from sierra.util import processors
 from sierra.version import __version__
 
 
@@ -176,11 +177,25 @@ def _used(spec: RunSpec, code: source.Source, root: Path, data: Programs, built:
     known = {one.path for one in data.all}
     data = Programs((*data.all, *(one for one in made.all if one.path not in known)), data.notes)
     try:
-        return programs_in(spec, code.manifest, root, data, made={one.name for one in built.products})
+        used = programs_in(spec, code.manifest, root, data, made={one.name for one in built.products})
+        return _built(used, built, spec)
     except Missing:
         if built.reason is None:
             raise
         return data
+
+
+def _built(used: Programs, built: BuildState, spec: RunSpec) -> Programs:
+    """Return the programs without products for processors for which the build makes none: they may be of any age.
+
+    Robots do not get these. Raises Missing if it is this machine that needs one.
+    """
+    left_out = built.recipe.left_out(used)
+    if left_out and spec.robots is None:
+        name = left_out[0].name.removeprefix(IN_PROJECT)
+        made = ", ".join(built.recipe.processors)
+        raise Missing(f'runs need {name}, but [build] is for {made}; add "{processors.here()}" to arch in [build]')
+    return replace(used, all=tuple(one for one in used.all if one not in left_out))
 
 
 def this_environment(config: Project) -> EnvironmentRow:

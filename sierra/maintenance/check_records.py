@@ -189,12 +189,13 @@ class _Build(NamedTuple):
     image: str | None
     host_access: list[str] | None
     programs: str
+    processors: list[str] | None
     result: str | None
 
     def id(self) -> str:
         host_access = tuple(self.host_access or ())
         spec = RunSpec(PLATFORM, tuple(self.command), json.loads(self.variables), self.source, self.image, host_access)
-        return build_id(spec, self.folder, tuple(self.produces), self.programs)
+        return build_id(spec, self.folder, tuple(self.produces), self.programs, tuple(self.processors or ()))
 
 
 def _builds(records: Records) -> Iterator[Finding]:

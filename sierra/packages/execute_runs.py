@@ -25,7 +25,8 @@ comparable, and 130 after Ctrl-C.
 Each line of `jobs` is a run: `argv`, `environment` (the variables that differ from the shared ones; null removes one), `files`
 (inputs), `folders` (marks in inputs, see `worker.py`), `seconds` (its recorded duration), and `outputs` (the SHA-256 of each
 file). An input is a text in which each character stands for a byte, or an object with the lines that differ from the same input
-of the line before. PROJECT_MARK and PYTHON_MARK stand for paths of this machine, and NUL for the folder of the run.
+of the line before. PROJECT_MARK and PYTHON_MARK stand for paths of this machine, ARCH_MARK for its processor, and NUL for the
+folder of the run.
 """
 
 from __future__ import annotations
@@ -51,6 +52,7 @@ FORMAT = "sierra execution 1"
 PLAN = "plan.json"
 PROJECT_MARK = "/@sierra-project@"
 PYTHON_MARK = "@sierra-python@"
+ARCH_MARK = "@sierra-arch@"
 CONDUCTED = "\2"  # as in worker.py: the second word is a plan in JSON
 STORE = ".sierra"
 HASH = re.compile("[0-9a-f]{64}")
@@ -284,6 +286,11 @@ def filled(value: Any, marks: Mapping[str, str]) -> Any:
     return value
 
 
+def arch() -> str:
+    """Return the name of this machine's processor, as Linux calls it."""
+    return {"arm64": "aarch64", "amd64": "x86_64"}.get(os.uname().machine, os.uname().machine)
+
+
 def command(argv: Sequence[str], marks: Mapping[str, str]) -> list[str]:
     """Return a command with the paths of this machine. The conductor itself replaces NUL in a plan for it."""
     if argv[0] == CONDUCTED and len(argv) > 1:
@@ -319,7 +326,7 @@ class Host:
         return "on this machine, without isolation" + (", although they were recorded in a container" if image else "")
 
     def job(self, run: Run, project: Path) -> dict[str, Any]:
-        marks = {PROJECT_MARK: str(project), PYTHON_MARK: sys.executable}
+        marks = {PROJECT_MARK: str(project), PYTHON_MARK: sys.executable, ARCH_MARK: arch()}
         environment = {name: filled(text, marks) for name, text in variables(self.batch, run).items()}
         environment.setdefault("PATH", os.environ.get("PATH", os.defpath))
         return {"argv": command(run.argv, marks), "environment": environment, "folders": filled(run.folders, marks)}
@@ -380,7 +387,7 @@ class Container:
         return f"in {self.name} containers without network, image {clean(self.image.get('id', ''))}"
 
     def job(self, run: Run, project: Path) -> dict[str, Any]:
-        marks = {PROJECT_MARK: IN_PROJECT, PYTHON_MARK: "python3", "\0": IN_RUN}
+        marks = {PROJECT_MARK: IN_PROJECT, PYTHON_MARK: "python3", ARCH_MARK: arch(), "\0": IN_RUN}
         environment = {name: filled(text, marks) for name, text in variables(self.batch, run).items()}
         environment["TMPDIR"] = "/tmp"  # noqa: S108 - the container's own
         argv = command(run.argv, marks)
@@ -727,7 +734,7 @@ def proposal(batches: Sequence[Batch], places: Sequence[Any], count: int, second
         yield f"batch {clean(batch.id)[:10]}: {place.place()}"
         if first is not None:
             words = json.loads(first.argv[1])["argv"] if first.argv[0] == CONDUCTED else first.argv
-            marks = {PROJECT_MARK: "project", PYTHON_MARK: "python3", "\0": "run"}
+            marks = {PROJECT_MARK: "project", PYTHON_MARK: "python3", ARCH_MARK: arch(), "\0": "run"}
             yield "  first command: " + clean(" ".join(shlex.quote(filled(str(word), marks)) for word in words))
         yield from (f"  note: {clean(note)}" for note in batch.notes)
     if any(place.name == HOST for place in places):

@@ -26,6 +26,7 @@ from sierra.errors import Missing
 from sierra.provenance import libraries, pythons
 from sierra.provenance.dependency_model import INSTALLED, NOTHING, Kind, Program, Programs, by_likelihood, called, versions
 from sierra.provenance.hash_cache import HashCache
+from sierra.util import processors
 from sierra.util.hashing import sha256, short
 from sierra.util.text import few
 
@@ -122,6 +123,8 @@ class _Finding:
                 self._variables = {**self._variables, **dict([word.split("=", 1)])}
             elif not starts and before.startswith("-") and os.sep not in word:
                 continue  # the value of an option
+            elif word in processors.NAMES:
+                continue  # a value of `{arch}`; `setarch` is installed under such names too
             elif word and not word.startswith("-") and (path := shutil.which(word, path=search)):
                 self.start(word, path)
                 starts = starts and Path(word).name in STARTERS

@@ -148,7 +148,8 @@ def replay(
         if record.of.build is not None:
             checkout.bring(root, record.of.build.inputs)
             observer.notice(f"building from the recorded source: {' '.join(record.of.build.row.command)}")
-            built = rebuild(record.of.build, record.of.manifest, project, store, session, engine, image)
+            takes_robots = record.of.spec.robots is not None
+            built = rebuild(record.of.build, record.of.manifest, project, store, session, engine, image, on_robots=takes_robots)
             record.notes += [built.text] if built.different else []
         checkout.bring(root, (name for name, _ in checkout.used))
         checkout.supply(root)

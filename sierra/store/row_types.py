@@ -339,6 +339,9 @@ class BuildRow(NamedTuple):
         str, "SHA-256 of what it printed, which is in objects; if that is over 1 MiB, only its beginning and end are kept"
     ]
     lamport: Annotated[int, "its position in the logical order, as in sessions"]
+    processors: Annotated[
+        list[str] | None, "the processors that {arch} stands for, one after the other; NULL if the build does not use it"
+    ] = None
 
 
 class BuildProductRow(NamedTuple):

@@ -54,6 +54,7 @@ RECORDED = {name: _recorded(name, row) for name, row in ROWS.items()}
 
 LATER: dict[str, tuple[str, ...]] = {
     "sessions": ("build", "target"),
+    "builds": ("processors",),
     "observations": ("distributions",),
     "specs": ("named_inputs", "shared_files", "around", "robots"),
 }

@@ -84,24 +84,20 @@ def perform(recipe: Recipe, place: Place, store: Store, session: Session) -> End
         for name in (RUN_HOME, RUN_TMP):
             (folder / name).mkdir(parents=True)
     isolation = _isolated(recipe, place, store, session)
-    client = _client(recipe, place, session, isolation)
     log.info("build %s begins", recipe.id)
     started = datetime.now(UTC)
     try:
-        exit_code, reason = _execute(client, place.root / recipe.folder, folder / LOG, recipe.wall)
+        exit_code, reason = _execute_all(recipe, place, session, isolation)
     finally:
-        if client.stop:
-            worker.end_container({"argv": [], "environment": dict(client.environment), "stop": list(client.stop)})
         isolation.close()
-        local.end_orphans([session.paths])
     ended = datetime.now(UTC)
     log.info("build %s ended: %s", recipe.id, reason or "well")
     if reason is not None:
         _check_disk(place.root, folder, folder / LOG)
         return Ended(started, ended, exit_code, reason)
-    if lacking := products.unmatched(place.root, recipe.produces):
+    if lacking := products.unmatched(place.root, recipe.patterns):
         return Ended(started, ended, exit_code, f"it made no file that matches {lacking[0]!r} of produces")
-    return Ended(started, ended, exit_code, None, products.hashed(place.root, recipe.produces))
+    return Ended(started, ended, exit_code, None, products.hashed(place.root, recipe.patterns))
 
 
 def record(
@@ -137,6 +133,7 @@ def record(
         result=products.result(ended.products) if ended.reason is None else None,
         log=objects.add(content),
         lamport=stamp(session.number, session.id),
+        processors=list(recipe.processors) or None,
     )
     objects.close()
     writer.records([row])
@@ -238,9 +235,25 @@ def _filled(variables: Mapping[str, str], code: Path, place: Place) -> dict[str,
     return {name: _fill((value,), code, place)[0] for name, value in variables.items()}
 
 
+def _execute_all(recipe: Recipe, place: Place, session: Session, isolation: Isolation) -> tuple[int | None, str | None]:
+    """Execute a build's command for each processor until one fails; return the last exit status, and why it failed."""
+    exit_code, reason, output = None, None, session.paths.building / LOG
+    for one in recipe.executions:
+        client = _client(one, place, session, isolation)
+        try:
+            exit_code, reason = _execute(client, place.root / recipe.folder, output, recipe.wall)
+        finally:
+            if client.stop:
+                worker.end_container({"argv": [], "environment": dict(client.environment), "stop": list(client.stop)})
+            local.end_orphans([session.paths])
+        if reason is not None:
+            break
+    return exit_code, reason
+
+
 def _execute(client: Client, folder: Path, output: Path, wall: float | None) -> tuple[int | None, str | None]:
     """Execute a program until it ends, or until its time limit; return its exit status, and why it failed."""
-    with disk_errors(output.parent), output.open("wb") as file:
+    with disk_errors(output.parent), output.open("ab") as file:
         try:
             process = subprocess.Popen(
                 client.argv,

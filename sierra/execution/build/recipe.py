@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path, PurePosixPath
 
 from sierra.config.execution_tables import BuildTable, Container
@@ -20,12 +21,14 @@ from sierra.model import IN_PROJECT, Around, RunSpec
 from sierra.provenance import fingerprint_programs, source
 from sierra.provenance.compiled_languages import LANGUAGES, compilers
 from sierra.provenance.dependency_model import NOTHING, Kind, Program, Programs
+from sierra.util import processors
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView
+from sierra.util.processors import ARCH
 
 PLATFORM = "build"
 """The platform in the specification of a build."""
-KNOWN = ("project", "python")
+KNOWN = ("project", "python", "arch")
 FLAGS = re.compile(r"\w*FLAGS|CMAKE_\w+|" + "|".join(variable for variable, _ in LANGUAGES))
 """Pattern of the names of variables that hold compilers or their flags."""
 
@@ -41,7 +44,9 @@ class Recipe:
     manifest: bytes
     """The list of the source's files."""
     wall: float | None = None
-    """The time limit in seconds; not part of the id."""
+    """The time limit of the command in seconds; not part of the id."""
+    processors: tuple[str, ...] = ()
+    """The processors that `{arch}` stands for, one after the other; empty if the recipe does not have it."""
     programs: Programs = NOTHING
     compilers: tuple[str, ...] = ()
     """The paths of the compilers among the programs."""
@@ -49,7 +54,33 @@ class Recipe:
     @property
     def id(self) -> str:
         """Return the id of the build: the hash of its inputs."""
-        return build_id(self.spec, self.folder, self.produces, self.programs.id)
+        return build_id(self.spec, self.folder, self.produces, self.programs.id, self.processors)
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """Return the patterns of the products for all processors."""
+        names = self.processors or (ARCH,)
+        return tuple(dict.fromkeys(pattern.replace(ARCH, name) for pattern in self.produces for name in names))
+
+    def left_out(self, used: Programs) -> list[Program]:
+        """Return the programs among those used that an earlier build made for processors for which this one makes none."""
+        own = [one for one in used.all if one.name.startswith(IN_PROJECT)]
+        named = ((one, one.name.removeprefix(IN_PROJECT)) for one in own)
+        return [one for one, name in named if _matches(name, self.produces) and not _matches(name, self.patterns)]
+
+    @property
+    def executions(self) -> tuple[Recipe, ...]:
+        """Return the recipe for each execution of the command: one for each processor, if command or variables name it."""
+        texts = (*self.spec.command, *self.spec.environment.values())
+        if not any(ARCH in text for text in texts):
+            return (self,)
+        return tuple(self._for(name) for name in self.processors)
+
+    def _for(self, processor: str) -> Recipe:
+        values, spec = {"arch": processor}, self.spec
+        filled = commands.with_texts(spec.environment.values(), values)
+        variables = dict(zip(spec.environment, filled, strict=True))
+        return replace(self, spec=replace(spec, command=commands.with_texts(spec.command, values), environment=variables))
 
     @property
     def flags(self) -> dict[str, str]:
@@ -58,15 +89,19 @@ class Recipe:
 
     def placed(self, root: Path) -> RunSpec:
         """Return the specification in which words that name files in `root` begin with `{project}/`; products stay."""
-        made = set(products.names(root, self.produces))
+        made = set(products.names(root, self.patterns))
         words = (_in_project(word, root, self.folder, made) for word in self.spec.command)
         return replace(self.spec, command=tuple(words))
 
 
-def build_id(spec: RunSpec, folder: str, produces: tuple[str, ...], programs: str) -> str:
+def _matches(name: str, patterns: tuple[str, ...]) -> bool:
+    return any(products.matches(name, pattern) for pattern in patterns)
+
+
+def build_id(spec: RunSpec, folder: str, produces: tuple[str, ...], programs: str, processors: tuple[str, ...] = ()) -> str:
     """Return the id of a build: the hash of its inputs."""
     inputs: dict[str, JsonView] = {**spec.preimage(), "folder": folder, "produces": list(produces), "programs": programs}
-    return digest("build", inputs)
+    return digest("build", {**inputs, "processors": list(processors)} if processors else inputs)
 
 
 def declared(table: BuildTable, runs: RunSpec, manifest: bytes) -> Recipe:
@@ -77,19 +112,28 @@ def declared(table: BuildTable, runs: RunSpec, manifest: bytes) -> Recipe:
     for word in table.command:
         for _, name in commands.PLACEHOLDER.findall(word):
             if name and name not in KNOWN:
-                raise ConfigError(
-                    f"[build] command: unknown placeholder {{{name}}} in {word!r}; known are {{project}} and {{python}}"
-                )
+                known = "{project}, {python} and {arch}"
+                raise ConfigError(f"[build] command: unknown placeholder {{{name}}} in {word!r}; known are {known}")
     folder = PurePosixPath(table.folder).as_posix()
-    return Recipe(
-        replace(runs, platform=PLATFORM, command=table.command, around=Around()), folder, table.produces, manifest, table.wall
-    )
+    spec = replace(runs, platform=PLATFORM, command=table.command, around=Around(), robots=None)
+    texts = (*table.command, *table.produces, *spec.environment.values())
+    names = table.arch or (processors.here(),)
+    used = tuple(dict.fromkeys(names)) if any(ARCH in text for text in texts) else ()
+    return Recipe(spec, folder, table.produces, manifest, table.wall, used)
 
 
 def complete(recipe: Recipe, root: Path, project: Path, box: Container | None) -> Recipe:
     """Return the recipe with the programs that it uses; the code is in `root`. Raises Missing if a program is not found."""
+    each = [_complete(one, root, project, box) for one in recipe.executions]
+    used = dict.fromkeys(chain.from_iterable(one.programs.all for one in each))
+    notes = dict.fromkeys(chain.from_iterable(one.programs.notes for one in each))
+    found = dict.fromkeys(chain.from_iterable(one.compilers for one in each))
+    return replace(recipe, programs=Programs(tuple(used), tuple(notes)), compilers=tuple(found))
+
+
+def _complete(recipe: Recipe, root: Path, project: Path, box: Container | None) -> Recipe:
     placed = recipe.placed(root)
-    made = {f"{IN_PROJECT}{name}" for name in products.names(root, recipe.produces)}
+    made = {f"{IN_PROJECT}{name}" for name in products.names(root, recipe.patterns)}
     if recipe.spec.image is not None:
         mounted = container_setup.data(NOTHING, box, project) if box else NOTHING
         used = checkout.programs_in(placed, recipe.manifest, root, mounted, project)

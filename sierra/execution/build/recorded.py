@@ -17,6 +17,7 @@ from sierra.model import IN_PROJECT, Purpose, RunSpec
 from sierra.provenance.dependency_model import Programs
 from sierra.store.row_types import BuildProductRow, BuildRow
 from sierra.store.store import Snapshot, Store
+from sierra.util.processors import here
 from sierra.util.text import few
 
 if TYPE_CHECKING:
@@ -89,12 +90,19 @@ def rebuild(
     session: Session,
     engine: Engine,
     image: Image | None,
+    *,
+    on_robots: bool = False,
 ) -> Rebuilt:
-    """Execute a recorded build in the restored source of a session, and record that. Raises SierraError if it fails."""
+    """Execute a recorded build in the restored source of a session, and record that. Raises SierraError if it fails.
+
+    If it was for other processors, it is executed for this machine's too, unless runs are executed `on_robots`.
+    """
     from sierra.execution.build.perform import Place, failure, perform, record
 
     table = project.config.build
     recipe = _recipe(recorded.row, manifest, table.wall if table else None)
+    if recipe.processors and not on_robots:
+        recipe = replace(recipe, processors=tuple(dict.fromkeys((*recipe.processors, here()))))
     hosted = image if engine.name == "none" else None
     if hosted is not None:
         variables = commands.within(hosted, recipe.spec.environment)
@@ -111,7 +119,7 @@ def rebuild(
 
 def _recipe(row: BuildRow, manifest: bytes, wall: float | None) -> Recipe:
     spec = RunSpec(PLATFORM, tuple(row.command), json.loads(row.variables), row.source, row.image, tuple(row.host_access))
-    return Recipe(spec, row.folder, tuple(row.produces), manifest, wall)
+    return Recipe(spec, row.folder, tuple(row.produces), manifest, wall, tuple(row.processors or ()))
 
 
 def _compared(recorded: tuple[Product, ...], made: tuple[Product, ...]) -> Rebuilt:

@@ -39,7 +39,7 @@ FILES = "SELECT files FROM sources WHERE tree = $t LIMIT 1"
 
 def look(recipe: Recipe, root: Path, store: Store | None) -> BuildState:
     """Compare the products on disk with the last build from the same inputs. Nothing is executed."""
-    found = products.hashed(root, recipe.produces)
+    found = products.hashed(root, recipe.patterns)
     if store is None:
         return BuildState(recipe, found, "nothing has been built yet")
     with store.snapshot() as snapshot:
@@ -82,6 +82,8 @@ def _changes(recipe: Recipe, before: BuildRow, store: Store, snapshot: Snapshot)
     declared = (spec.command, recipe.folder, recipe.produces)
     if (tuple(before.command), before.folder, tuple(before.produces)) != declared:
         yield "[build] has changed"
+    if tuple(before.processors or ()) != recipe.processors:
+        yield f"products are needed for {', '.join(recipe.processors) or 'no processor in particular'}"
     if json.loads(before.variables) != dict(spec.environment):
         yield "declared variables have changed"
     if (before.image, tuple(before.host_access)) != (spec.image, spec.host_access):

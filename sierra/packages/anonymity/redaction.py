@@ -124,7 +124,7 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
     ),
     "builds": _rules(
         "build session batch purpose source command folder produces variables image host_access programs engine exit_code "
-        "reason compiler flags result log lamport",
+        "reason compiler flags result log lamport processors",
         started=T,
         ended=T,
         host=Rule.HOST,

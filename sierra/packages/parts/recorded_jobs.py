@@ -86,6 +86,7 @@ class Jobs:
             success=recalled.success.exit_status,
             timeouts={name: table.timeout for name, table in project.config.services.items()},
             python=execute_runs.PYTHON_MARK,
+            arch=execute_runs.ARCH_MARK,
         )
         own_path = image is not None or "PATH" in recalled.spec.environment
         self._left_out = OF_SESSION if own_path else (*OF_SESSION, "PATH")

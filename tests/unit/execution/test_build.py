@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -16,6 +17,7 @@ import sierra
 from sierra.execution.build import products
 from sierra.execution.build.recipe import build_id
 from sierra.model import RunSpec
+from sierra.util.processors import here
 from sierra.worker import worker
 from tests import projects
 from tests.waiting import until
@@ -41,6 +43,7 @@ population_size = "//swarm/@count"
 command = "sh compile.sh"
 produces = ["build/sim"]
 """
+HERE = here()
 QUERY = ("run", "population_size=1,2", "--no-figures")
 
 
@@ -341,6 +344,8 @@ def test_the_build_is_executed_in_its_folder(root: Path) -> None:
         ('produces = ["../sim"]', "'../sim' should be a path within the project"),
         ('produces = [".sierra/sim"]', "'.sierra/sim' should be a path within the project"),
         ("produces = []", "should not be empty"),
+        ('arch = "z80"', "'z80' should be a processor: x86_64, i686, aarch64"),
+        ('arch = "arm64"', "'build/sim' needs {arch}, because each processor in arch has a product of its own"),
     ],
 )
 def test_a_mistake_in_the_table_is_named(root: Path, line: str, complaint: str) -> None:
@@ -545,6 +550,54 @@ def test_records_of_builds_stay_sound_and_are_removed_with_their_batch(root: Pat
     assert rows(root, "SELECT batch FROM builds") == [{"batch": second["batch"]}]
     assert len(rows(root, "FROM build_products")) == 1
     assert "sound" in run(root, "fsck").stdout
+
+
+def for_processors(folder: Path, arch: str = "") -> Path:
+    """Write a project with a product for each processor."""
+    config = CONFIG.replace("build/sim", "build/{arch}/sim").replace("sh compile.sh", "sh compile.sh {arch}")
+    compiler = 'mkdir -p build/$1\n{ cat sim.sh; echo "# for $1"; } > build/$1/sim\nchmod +x build/$1/sim\necho built for $1\n'
+    return make(folder, config + arch, compiler=compiler)
+
+
+@pytest.mark.integration
+def test_each_processor_has_a_product_of_its_own(tmp_path: Path) -> None:
+    other = "riscv64" if HERE == "aarch64" else "aarch64"
+    root = for_processors(tmp_path / "p", f'arch = ["{HERE}", "{other}"]\n')
+    assert run(root).stderr.count("building, because") == 1
+    [build] = rows(root, "FROM builds")
+    assert (build["produces"], build["processors"]) == (["build/{arch}/sim"], [HERE, other])
+    assert build["command"] == ["sh", "compile.sh", "{arch}"]
+    names = sorted(f"build/{arch}/sim" for arch in (HERE, other))
+    assert [row["name"] for row in rows(root, "FROM build_products ORDER BY name")] == names
+    assert rows(root, "SELECT command[1] AS program FROM specs") == [{"program": "{project}/build/{arch}/sim"}]
+    assert "building" not in run(root).stderr
+    assert "sound" in run(root, "fsck").stdout
+    (root / f"build/{other}/sim").write_text("changed")
+    assert f"build/{other}/sim is not the file that was built" in run(root).stderr
+    replayed = run(root, "replay", rows(root, "FROM batches")[0]["batch"])
+    assert "differ" not in replayed.stderr
+    config = (root / "sierra.toml").read_text()
+    (root / "sierra.toml").write_text(config.replace(f'["{HERE}", "{other}"]', f'"{other}"'))
+    refused = projects.quick(root, *QUERY).stderr.splitlines()[-1]
+    assert refused == f'sierra: runs need build/{HERE}/sim, but [build] is for {other}; add "{HERE}" to arch in [build]'
+
+
+@pytest.mark.integration
+def test_another_processor_needs_another_product_for_the_same_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = for_processors(tmp_path / "p")
+    run(root)
+    [batch] = rows(root, "FROM batches")
+    monkeypatch.setattr(platform, "machine", lambda: "riscv64")
+    plan = sierra.open(root).plan("population_size=1,2")
+    assert plan.build
+    assert (plan.batch.id, plan.build.reason) == (batch["batch"], "products are needed for riscv64")
+    assert "products are needed for riscv64" in run(root).stderr
+    assert rows(root, "SELECT name FROM programs WHERE name LIKE '%/sim' ORDER BY name") == [
+        {"name": f"{{project}}/build/{arch}/sim"} for arch in sorted(("riscv64", HERE))
+    ]
+    shutil.rmtree(root / "build")
+    monkeypatch.undo()
+    assert "different machine" not in run(root, "replay", batch["batch"]).stderr
 
 
 def test_the_id_of_a_build_is_the_hash_of_its_inputs() -> None:
