@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import NamedTuple
 
 from sierra.errors import UsageError
 from sierra.runners.base import Runner, RunsMembers
@@ -18,6 +19,14 @@ OPERATORS = """
 SELECT DISTINCT operator FROM all_trials t JOIN executions e USING (execution)
 WHERE list_contains($runs, e.run) AND operator IS NOT NULL ORDER BY operator
 """
+PROCESSORS = """
+SELECT DISTINCT was.place, was.machine, now.machine AS found
+FROM robots was JOIN executions e USING (execution) JOIN executions f USING (run)
+JOIN robots now ON now.execution = f.execution AND now.place = was.place
+WHERE list_contains($recorded, e.execution) AND list_contains($made, f.execution) AND was.machine <> now.machine
+ORDER BY ALL
+"""
+"""SQL: the places whose robots had another processor."""
 SHOWN = 5
 
 
@@ -28,6 +37,18 @@ def check(runner: Runner, name: str, of: str) -> None:
             f"{short(of)} was executed on robots, and runner {name!r} cannot execute it again; use --on robots (a replay "
             "needs robots, but not the same ones)"
         )
+
+
+class _Processor(NamedTuple):
+    place: int
+    machine: str
+    found: str
+
+
+def other_processors(store: Store, recorded: Collection[str], made: Collection[str]) -> list[str]:
+    """Return a note on each place whose robot had another processor in the executions `made` than in the recorded ones."""
+    rows = store.select(_Processor, PROCESSORS, recorded=list(recorded), made=list(made))
+    return [f"different processor at place {row.place}: was {row.machine}, is now {row.found}" for row in rows]
 
 
 def note(store: Store, runs: Collection[str], *, judged: bool) -> str:

@@ -132,7 +132,8 @@ def replay(
     )
     image = options.image or plan_from_record.image(project, store, record.of.spec)
     runner = runners.find(options.runner, project.config.runner_tables)(options.slots)
-    if record.of.spec.robots is not None:
+    takes_robots = record.of.spec.robots is not None
+    if takes_robots:
         on_robots.check(runner, options.runner, record.found.id)
         record.notes.append(on_robots.note(store, [one.run for one in record.runs], judged=bool(project.config.equivalence)))
     began = datetime.now(UTC)
@@ -148,7 +149,6 @@ def replay(
         if record.of.build is not None:
             checkout.bring(root, record.of.build.inputs)
             observer.notice(f"building from the recorded source: {' '.join(record.of.build.row.command)}")
-            takes_robots = record.of.spec.robots is not None
             built = rebuild(record.of.build, record.of.manifest, project, store, session, engine, image, on_robots=takes_robots)
             record.notes += [built.text] if built.different else []
         checkout.bring(root, (name for name, _ in checkout.used))
@@ -170,7 +170,7 @@ def replay(
             *now.notes,
             *_other_programs(record, now, root),
             *(files.notes if files else ()),
-            *_other_machine(store, record, around),
+            *(() if takes_robots else _other_machine(store, record, around)),
         )
         for text in notes:
             observer.notice(text)
@@ -218,6 +218,8 @@ def replay(
             return Replay(session.id, record.found, (), notes, interrupted=True, of=record.named, kept=kept, built=built)
         compared = _compare(record, store, made, failed, declared)
         before = len(record.notes)
+        if takes_robots:
+            record.notes += on_robots.other_processors(store, [str(one.execution) for one in record.runs], list(made.values()))
         experiments = tuple(_experiments(project, store, record, list(compared), was, declared))
         late = record.notes[before:]
         for text in late:

@@ -6,13 +6,15 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from sierra.containers.engines.base import PROJECT
 from sierra.errors import Missing
 from sierra.links.base import Link
 from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Member
 from sierra.util.processors import NAMES, can_execute
 from sierra.worker import worker
 
-IN_CODE = re.compile(f"{ON_ROBOT}/([^:;,=]+)")
+IN_CODE = re.compile(f"(?:{ON_ROBOT}|{PROJECT})/([^:;,=]+)")
+"""A path in the code: on a robot, or in a container there."""
 EMULATORS = "/proc/sys/fs/binfmt_misc/qemu-"
 """The beginning of the kernel's names for emulators of other processors, which end with that of qemu."""
 OF_QEMU = {"i686": "i386"}
@@ -27,10 +29,10 @@ def check(robot: str, arch: str, member: Member, code: Path, link: Link) -> None
     for name in _names(member):
         if not (code / name.replace(ARCH_ON_ROBOT, arch)).exists():
             raise Missing(_lacking(robot, arch, name, code))
-    program = member.argv[0].replace(ARCH_ON_ROBOT, arch)
-    if not program.startswith(f"{ON_ROBOT}/"):
+    program = IN_CODE.fullmatch(member.argv[0])
+    if program is None:
         return
-    name = program.removeprefix(f"{ON_ROBOT}/")
+    name = program[1].replace(ARCH_ON_ROBOT, arch)
     other = worker.processor_of(str(code / name))
     if other and not can_execute(arch, other) and not _emulates(link, other):
         raise Missing(

@@ -64,6 +64,12 @@ def test_each_robot_executes_the_product_for_its_processor(fleet: Fleet, tmp_pat
         {"place": 2, "machine": "i686", "made_for": "i686"},
     ]
     [run] = projects.sql(root, "FROM runs")
+    fleet.set_machine("rb2", "")
+    replayed = projects.quick(root, "replay", run["run"], "--on", "robots")
+    assert "different processor at place 2: was i686, is now x86_64" in replayed.stderr
+    assert "different machine" not in replayed.stderr
+    assert replayed.returncode == 1, "the output says for which processor the program was made"
+    fleet.set_machine("rb2", "i686")
 
     configure(root, fleet, [HERE])
     missing = projects.quick(root, *words)
@@ -79,4 +85,4 @@ def test_each_robot_executes_the_product_for_its_processor(fleet: Fleet, tmp_pat
     foreign = projects.quick(root, *words)
     assert foreign.returncode == 3
     assert f"rb1 is {HERE}, but bin/{HERE}/go is a program for aarch64" in foreign.stderr.splitlines()[-1]
-    assert projects.sql(root, "SELECT run, purpose FROM executions") == [{"run": run["run"], "purpose": "run"}]
+    assert projects.sql(root, "SELECT run FROM executions WHERE purpose = 'run'") == [{"run": run["run"]}]

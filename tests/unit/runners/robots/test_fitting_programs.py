@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from sierra.containers.engines.base import PROJECT
 from sierra.errors import Missing
 from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Member
 from sierra.runners.robots import fitting_programs
@@ -26,7 +27,7 @@ def test_each_processor_has_its_own_program(tmp_path: Path):
     for arch in ("aarch64", "armv7l"):
         check(tmp_path, OWN, "-v", arch=arch)
     with pytest.raises(Missing) as caught:
-        check(tmp_path, OWN, arch="x86_64")
+        check(tmp_path, OWN.replace(ON_ROBOT, PROJECT), arch="x86_64")  # in a container
     assert str(caught.value) == (
         "rb3 is x86_64, but the code has no bin/x86_64/go; it is there for aarch64, armv7l; "
         'add "x86_64" to arch in [build], or add the file'
