@@ -7,7 +7,7 @@ command lines inherits from it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Protocol
@@ -115,8 +115,13 @@ class Link(Protocol):
     def channel(self, argv: Sequence[str]) -> Channel:
         """Start a command with which lines are exchanged."""
 
-    def push(self, folder: Path, target: str, *, timeout: float = 60.0) -> Folder:
+    def push(
+        self, folder: Path, target: str, *, timeout: float = 60.0, progress: Callable[[int], None] = lambda size: None
+    ) -> Folder:
         """Copy a local folder to a host; return its contents. `target` is absolute, or relative to the home folder there.
+
+        If `folder` is a file, the target is a folder with only this file. `progress` gets the size of each part in bytes after
+        it was sent.
 
         The target appears whole or not at all, and is verified by the hashes of its files. If it is there already with the same
         contents, nothing is copied. Executable files stay executable, and empty folders and links within the folder are kept.

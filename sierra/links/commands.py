@@ -170,10 +170,13 @@ class Commands(ABC):
     def channel(self, argv: Sequence[str]) -> Lines:
         return Lines(self._exchanged(argv, self._options.lost), self._options.lost)
 
-    def push(self, folder: Path, target: str, *, timeout: float = 60.0) -> Folder:
+    def push(
+        self, folder: Path, target: str, *, timeout: float = 60.0, progress: Callable[[int], None] = lambda size: None
+    ) -> Folder:
         listed = copy_folder.listed(folder)
+        root = folder.parent if folder.is_file() else folder
         with self._exchange(copy_folder.program("push"), timeout) as exchange:
-            return copy_folder.push(exchange, folder, listed, target, timeout)
+            return copy_folder.push(exchange, root, listed, target, timeout, progress)
 
     def pull(self, folder: str, target: Path, *, timeout: float = 60.0) -> Folder:
         with self._exchange(copy_folder.program("pull"), timeout) as exchange:

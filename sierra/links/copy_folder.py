@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,8 +29,13 @@ def program(way: str) -> tuple[str, ...]:
 
 
 def listed(folder: Path) -> list[Entry]:
-    """Return the entries of a local folder. Raises Missing if there are other things than files, folders and links within."""
+    """Return the entries of a local folder, or of one with only a file, if `folder` is a file.
+
+    Raises Missing if there are other things than files, folders and links within.
+    """
     try:
+        if folder.is_file():
+            return [remote_folder.file_entry(os.fsencode(folder), remote_folder.text(os.fsencode(folder.name)))]
         found, left_out = remote_folder.entries(os.fsencode(folder))
     except OSError as error:
         raise Missing(f"{error.filename!r} cannot be read: {error.strerror}") from error
@@ -39,13 +44,16 @@ def listed(folder: Path) -> list[Entry]:
     return found
 
 
-def push(exchange: Exchange, folder: Path, entries: list[Entry], target: str, timeout: float) -> Folder:
+def push(
+    exchange: Exchange, folder: Path, entries: list[Entry], target: str, timeout: float, progress: Callable[[int], None]
+) -> Folder:
     """Send a folder, unless the host has it already."""
     host = _Host(exchange, timeout, f"{exchange.name}: {_shown(target)} cannot be written")
     host.request(target, entries)
     if host.answer().get("state") == "send":
         for data in _contents(folder, entries):
             host.send(data)
+            progress(len(data))
         host.answer()
     return _folder(entries)
 

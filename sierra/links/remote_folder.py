@@ -64,8 +64,7 @@ def entries(root: bytes, alive: Callable[[], None] = lambda: None) -> tuple[list
                 found.append(["folder", path])
                 visit(one.path, path + "/")
             elif stat.S_ISREG(status.st_mode):
-                digest, size = hash_of(one.path, alive)
-                found.append(["file", path, digest, size, bool(status.st_mode & 0o111)])
+                found.append(file_entry(one.path, path, alive))
             elif stat.S_ISLNK(status.st_mode) and stays_within(path, text(os.readlink(one.path))):
                 found.append(["link", path, text(os.readlink(one.path))])
             else:
@@ -73,6 +72,12 @@ def entries(root: bytes, alive: Callable[[], None] = lambda: None) -> tuple[list
 
     visit(root, "")
     return found, left_out
+
+
+def file_entry(file: bytes, path: str, alive: Callable[[], None] = lambda: None) -> list[Any]:
+    """Return the entry of a file."""
+    digest, size = hash_of(file, alive)
+    return ["file", path, digest, size, bool(os.stat(file).st_mode & 0o111)]
 
 
 def hash_of(path: bytes, alive: Callable[[], None]) -> tuple[str, int]:

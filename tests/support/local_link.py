@@ -9,7 +9,7 @@ import select
 import shutil
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from sierra.config.field_types import Table
@@ -106,14 +106,20 @@ class LocalLink:
         self.channels.append(LocalChannel([self.lock if word == LOCK else word for word in argv], self.home))
         return self.channels[-1]
 
-    def push(self, folder: Path, target: str, *, timeout: float = 60.0) -> object:
+    def push(
+        self, folder: Path, target: str, *, timeout: float = 60.0, progress: Callable[[int], None] = lambda size: None
+    ) -> object:
         self._answers()
         path = self.home / target
         if path.exists() and content_name(path) != content_name(folder):
             raise Missing(f"{self.name}: {target} is there already, with other contents")
         if not path.exists():
             self.pushed.append(target)
-            shutil.copytree(folder, path, symlinks=True)
+            if folder.is_file():
+                path.mkdir(parents=True)
+                shutil.copy(folder, path)
+            else:
+                shutil.copytree(folder, path, symlinks=True)
         return None
 
     def pull(self, folder: str, target: Path, *, timeout: float = 60.0) -> object:
