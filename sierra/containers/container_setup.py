@@ -115,8 +115,8 @@ class Isolation:
         if box is None:
             return None
         # the code of a replay is in a folder of its own
-        mounts = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
-        client = self.engine.client(replace(box, session="", mounts=mounts, files=""), Process((), {}, (), "/"))
+        placed = tuple(replace(one, source="{project}") if one.target == PROJECT else one for one in box.mounts)
+        client = self.engine.client(replace(box, session="", mounts=placed, files=""), Process((), {}, (), "/"))
         row = IsolationRow(
             isolation="",
             engine=self.engine.name,
@@ -127,7 +127,7 @@ class Isolation:
             user=able.user,
             network="host" if box.network else "none" if able.isolated else "not isolated",
             devices=[*box.devices, *(["gpu"] if box.gpu else [])],
-            mounts=json.dumps({mount.target: mount.source for mount in mounts}, sort_keys=True),
+            mounts=json.dumps({mount.target: mount.source for mount in placed}, sort_keys=True),
             limits_asked=json.dumps(box.limits, sort_keys=True),
             limits_enforced=json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
             argv=[word.replace("\0", "{run}") for word in client.argv],
@@ -197,14 +197,7 @@ def contain(
     able = engine.probe()
     if able.trouble:
         raise Missing(able.trouble)
-    inside = images.examine(project, store, image)
-    _check_variables(image, inside)
-    for command in (spec.command, *spec.around.commands):
-        program(command, spec.environment.get("PATH"), inside)
-    if spec.around and not inside.program(PYTHON):
-        raise Missing(
-            f"services, before and after need {PYTHON} in the image {image.name}, which lacks it; add it to the image"
-        )
+    inside = examined(spec, image, project, store)
     reference = engine.prepare(image, project, store)
     theirs = image.file and reference == str(project / image.file)
     given = container or Container(image=image.name)
@@ -216,11 +209,36 @@ def contain(
         notes.append(f"the image's USER {inside.user!r} is ignored: outside the container, processes belong to {able.user}")
     if not elsewhere:
         _check_devices(spec)
-    box = ContainerSpec(
-        image=image,
+    box = replace(
+        settings(spec, image, given, bounds, session, shared=shared),
         reference=reference,
+        mounts=tuple(_with_below((Mount(str(code), PROJECT), *mounts(spec, given, project)))),
+        files=str(store.session(session).engine) if elsewhere else "",
+    )
+    return Isolation(engine, able, box, (*notes, *ignored(engine, able, box)), guard_file(Path(reference)) if theirs else None)
+
+
+def examined(spec: RunSpec, image: Image, project: Path, store: StorePaths) -> Contents:
+    """Return the contents of an image after a check that it has the programs of runs. Raises Missing."""
+    inside = images.examine(project, store, image)
+    _check_variables(image, inside)
+    for command in (spec.command, *(spec.robots or {}).values(), *spec.around.commands):
+        program(command, spec.environment.get("PATH"), inside)
+    if spec.around and not inside.program(PYTHON):
+        raise Missing(
+            f"services, before and after need {PYTHON} in the image {image.name}, which lacks it; add it to the image"
+        )
+    return inside
+
+
+def settings(
+    spec: RunSpec, image: Image, given: Container, bounds: Limits, session: str, *, shared: bool = False
+) -> ContainerSpec:
+    """Return the settings of containers that do not depend on a host: without the reference to the image, and mounts."""
+    return ContainerSpec(
+        image=image,
+        reference="",
         session=session,
-        mounts=tuple(_with_below((Mount(str(code), PROJECT), *_mounts(spec, given, project)))),
         network=NETWORK in spec.host_access,
         devices=tuple(one.removeprefix(DEVICE) for one in spec.host_access if one.startswith(DEVICE)),
         gpu=GPU in spec.host_access,
@@ -230,12 +248,10 @@ def contain(
         pids=given.pids,
         wall=None if shared or bounds.wall_s is None else bounds.wall_s + bounds.grace_s + SPARE_S,
         shared=shared,
-        files=str(store.session(session).engine) if elsewhere else "",
     )
-    return Isolation(engine, able, box, (*notes, *_ignored(engine, able, box)), guard_file(Path(reference)) if theirs else None)
 
 
-def _mounts(spec: RunSpec, given: Container, project: Path) -> Iterator[Mount]:
+def mounts(spec: RunSpec, given: Container, project: Path) -> Iterator[Mount]:
     """Yield the additional mounts of a run specification, with the project's sources. Raises ConfigError, Missing."""
     for target in (one.removeprefix(MOUNT) for one in spec.host_access if one.startswith(MOUNT)):
         if target not in given.mounts:
@@ -293,7 +309,7 @@ def program(command: Sequence[str], path: str | None, inside: Contents) -> str:
     return found
 
 
-def _ignored(engine: Engine, able: Capabilities, box: ContainerSpec) -> Iterator[str]:
+def ignored(engine: Engine, able: Capabilities, box: ContainerSpec) -> Iterator[str]:
     """Yield a note for each limit that is neither enforced nor watched, and for a network that is not isolated."""
     for name in sorted(box.limits.keys() - able.enforced - WATCHED):
         yield f"LIMIT IGNORED: {engine.name} does not enforce {name} here ({able.version})"

@@ -25,7 +25,7 @@ PROJECT/.sierra/work/<session>/     the work of a session; removed once it is re
     results/probe.<attempt>.pack  logs/  sent/<number>.json
                                     on a cluster: the submission and its results; see sierra.worker.array_task
 PROJECT/.sierra/images/<id>/        the description of an image, and its files as apptainer runs them; rebuilt from the image
-    image.json  files.jsonl  rootfs.sqfs  rootfs.<user>/
+    image.json  files.jsonl  rootfs.sqfs  rootfs.<user>/  image.tar
 PROJECT/.sierra/damaged/<segment>/  segments that `sierra fsck --repair` moved out of the way
 PROJECT/.sierra/logs/<session>.log  messages of a session, <session>.old: the earlier ones; see sierra.store.session_log_file
 PROJECT/.sierra/build/              lock: held while products are built; aside/: older products meanwhile
@@ -168,6 +168,8 @@ class ImagePaths:
     """The list of the image's files."""
     rootfs = _Below("rootfs.sqfs")
     """The image's files as a squashfs."""
+    archive = _Below("image.tar")
+    """The image as an archive, for other hosts with podman."""
 
     def sandbox(self, user: int) -> Path:
         """Return the folder of the image's files for a user who can't mount a squashfs."""

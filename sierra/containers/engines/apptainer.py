@@ -18,11 +18,13 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from sierra.config.field_types import Table
 from sierra.containers import images
 from sierra.containers.engines import apptainer_ways_to_start, sandboxes
 from sierra.containers.engines.apptainer_ways_to_start import Way
-from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, Process, WithoutOptions
+from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, Process, Supplied, WithoutOptions
 from sierra.containers.engines.client_errors import killed, last_line, mounted, signalled
+from sierra.containers.engines.hosts import HERE, Host, Notice, OtherHost
 from sierra.containers.images.image import Image
 from sierra.errors import Missing
 from sierra.model import Client, Result
@@ -55,8 +57,14 @@ class Apptainer(WithoutOptions):
 
     name = "apptainer"
 
+    def __init__(self, options: Table | None = None, host: Host = HERE) -> None:
+        self._host = host
+
+    def on(self, host: OtherHost) -> Apptainer:
+        return Apptainer(host=host)
+
     def probe(self) -> Capabilities:
-        return apptainer_ways_to_start.apptainer()
+        return apptainer_ways_to_start.apptainer(self._host)
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
         images.verify(root, image)
@@ -65,12 +73,27 @@ class Apptainer(WithoutOptions):
             return str(squashfs)
         return str(sandboxes.prepare(squashfs, image.id, store.image(image.folder).sandbox(os.geteuid())))
 
+    def portable(self, image: Image, root: Path, store: StorePaths) -> Path:
+        images.verify(root, image)
+        return images.rootfs(root, store, image)
+
+    def supply(self, image: Image, file: Path, sha256: str, notice: Notice) -> Supplied:
+        assert isinstance(self._host, OtherHost)  # noqa: S101 - by contract
+        placed = self._host.place(file, sha256, "images", notice)
+        if apptainer_ways_to_start.way(self._host).squashfs:
+            return Supplied(placed.path, {placed.path: placed.state})
+        folder = f"{Path(placed.path).parent}.files"
+        sandboxes.unpack(self._host, file, placed.path, image.id, folder)
+        return Supplied(folder)
+
     def client(self, box: ContainerSpec, process: Process) -> Client:
-        way = apptainer_ways_to_start.way()
+        way = apptainer_ways_to_start.way(self._host)
         argv = (*way.words(network=box.network, files=box.files), *_options(way, box, process), box.reference, *process.argv)
-        return Client(argv, {**apptainer_ways_to_start.environment(), **dict(_given(way, box, process))})
+        return Client(argv, {**apptainer_ways_to_start.environment(self._host), **dict(_given(way, box, process))})
 
     def sweep(self, sessions: Sequence[str]) -> None:
+        if self._host is not HERE:
+            return  # the agent there ends all processes of a run, and no container outlives its client
         mark = re.compile(f'{MARK}(=|":")({"|".join(map(re.escape, sessions))})(\0|")'.encode())
         for folder in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
@@ -97,12 +120,15 @@ def _explained(complaint: str) -> str:
 
 
 @cache
-def _script(files: str) -> str:
-    return apptainer_ways_to_start.stored(Path(files), SCRIPT.read_text(), "sh") if files else str(SCRIPT)
+def _script(host: Host, files: str) -> str:
+    """Return the path of the script on a host."""
+    if host is HERE and not files:
+        return str(SCRIPT)
+    return str(host.call("keep", files or host.folder, SCRIPT.read_text(), "sh"))
 
 
 def _options(way: Way, box: ContainerSpec, process: Process) -> Iterator[str]:
-    yield from map(mounted, (Mount(_script(box.files), SOURCED), *box.mounts, *process.mounts))
+    yield from map(mounted, (Mount(_script(way.host, box.files), SOURCED), *box.mounts, *process.mounts))
     yield from (mounted(Mount(device, device, writable=True)) for device in box.devices)
     if box.gpu:
         yield "--nv"

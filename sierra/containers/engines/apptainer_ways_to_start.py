@@ -1,4 +1,4 @@
-"""The way to start apptainer or singularity-ce here, found by trying and cached by `sierra.containers.engines.capabilities`.
+"""The way to start apptainer or singularity-ce on a host, found by trying; `sierra.containers.engines.capabilities` caches it.
 
 Their abilities depend on their installation. As root, they mount squashfs files by the kernel. In a user's namespace, they need
 `squashfuse` and a `/dev/fuse` that can be opened, or else the files in a folder. If the kernel allows it (`unshare`), a user is
@@ -10,10 +10,8 @@ Only an installation with setuid does not allow another configuration.
 from __future__ import annotations
 
 import contextlib
-import os
+import glob
 import re
-import shutil
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -21,11 +19,10 @@ from pathlib import Path
 
 from sierra.containers.engines import capabilities
 from sierra.containers.engines.base import HOSTNAME, Capabilities, Mount
-from sierra.containers.engines.capabilities import CPUS, PIDS, Found
+from sierra.containers.engines.capabilities import CPUS, PIDS, Dependencies, Found
 from sierra.containers.engines.client_errors import mounted
-from sierra.store.layout import user_apptainer
-from sierra.util.fs import write_whole
-from sierra.util.hashing import sha256
+from sierra.containers.engines.hosts import HERE, Host, handed_on, run
+from sierra.containers.engines.on_host import ROOT
 
 NAMES = ("apptainer", "singularity")
 MIN_VERSIONS = {"apptainer": (1, 1), "singularity-ce": (3, 10)}
@@ -48,7 +45,7 @@ Its other variables could add mounts that are not recorded.
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """One way to start a container, as it works here."""
+    """One way to start a container, as it works on a host."""
 
     program: str
     configuration: str
@@ -58,6 +55,7 @@ class Way:
     """True if an image can be started from a squashfs; otherwise its files must be in a folder."""
     enforced: frozenset[str] = frozenset()
     """The limits that the engine enforces."""
+    host: Host = HERE
 
     def words(self, *, network: bool = False, files: str = "") -> Iterator[str]:
         """Yield the words of the command up to the options that differ between containers. `files`: see `ContainerSpec`."""
@@ -65,7 +63,7 @@ class Way:
             yield from ("unshare", "--map-root-user", "--")
         yield from (self.program, "--silent")
         if self.configuration:
-            yield f"--config={_configured(Path(files or user_apptainer()), self.configuration, network)}"
+            yield f"--config={_configured(self.host, files or self.host.folder, self.configuration, network)}"
         yield from ("exec", *ISOLATED, f"--hostname={HOSTNAME}", *(() if network else ALONE))
 
     @property
@@ -74,49 +72,49 @@ class Way:
         return f"{Path(self.program).name.upper()}ENV_"
 
 
-def apptainer() -> Capabilities:
-    """Return the abilities of apptainer or singularity-ce on this host."""
-    return capabilities.cached("apptainer", _test, _dependencies()).abilities
+def apptainer(host: Host = HERE) -> Capabilities:
+    """Return the abilities of apptainer or singularity-ce on a host."""
+    return capabilities.cached("apptainer", _test, _dependencies, host).abilities
 
 
-def way() -> Way:
-    """Return the way in which containers can be started here. If there is none, return the simplest way."""
-    found = capabilities.cached_here("apptainer", _test, _dependencies)
+def way(host: Host = HERE) -> Way:
+    """Return the way in which containers can be started on a host. If there is none, return the simplest way."""
+    found = capabilities.cached_here("apptainer", _test, _dependencies, host)
     if not found.options:
-        return Way(NAMES[0], "", mapped=False, squashfs=True)
+        return Way(NAMES[0], "", mapped=False, squashfs=True, host=host)
     program, configuration, *flags = found.options
-    return Way(program, configuration, MAPPED in flags, SQUASHFS in flags, found.abilities.enforced)
+    return Way(program, configuration, MAPPED in flags, SQUASHFS in flags, found.abilities.enforced, host)
 
 
-def environment() -> dict[str, str]:
+def environment(host: Host = HERE) -> dict[str, str]:
     """Return the environment in which the engine is started."""
-    return {name: value for name, value in os.environ.items() if HANDED_ON.fullmatch(name)}
+    return handed_on(host, HANDED_ON)
 
 
-def _dependencies() -> Sequence[str]:
+def _dependencies(host: Host) -> Dependencies:
     """Return the paths on which the result depends: it is valid as long as they do not change."""
-    programs = [*NAMES, "unshare", "squashfuse", "squashfuse_ll", "fusermount", "fusermount3", "mksquashfs"]
-    configuration = [f"{top}/{name}/{name}.conf" for top in ("/etc", "/usr/local/etc") for name in NAMES]
-    return [*map(capabilities.path_of, programs), *configuration, "/dev/fuse", "/etc/subuid"]
+    programs = (*NAMES, "unshare", "squashfuse", "squashfuse_ll", "fusermount", "fusermount3", "mksquashfs")
+    configuration = (f"{top}/{name}/{name}.conf" for top in ("/etc", "/usr/local/etc") for name in NAMES)
+    return Dependencies(programs, (*configuration, "/dev/fuse", "/etc/subuid"))
 
 
-def _test() -> Found:
-    program = next((name for name in NAMES if shutil.which(name)), None)
+def _test(host: Host) -> Found:
+    program = next((name for name in NAMES if host.call("which", name)), None)
     if program is None:
         trouble = "neither apptainer nor singularity-ce is installed; see docs/how-to/containers.md"
         return Found(Capabilities("apptainer", trouble=trouble))
-    version = capabilities.run((program, "--version")).stdout.strip().replace(" version ", " ")
+    version = run(host, (program, "--version")).stdout.strip().replace(" version ", " ")
     name, _, number = version.partition(" ")
     found = tuple(int(part) for part in re.findall(r"\d+", number)[:2])
     if found < MIN_VERSIONS.get(name, (99,)):
         least = " or ".join(f"{name} {'.'.join(map(str, number))}" for name, number in MIN_VERSIONS.items())
         return Found(Capabilities(version, trouble=f"{version or program} is too old: {least} or newer is needed"))
-    return _first_that_works(program, version)
+    return _first_that_works(host, program, version)
 
 
-def _first_that_works(program: str, version: str) -> Found:
+def _first_that_works(host: Host, program: str, version: str) -> Found:
     complaint = ""
-    for one in _ways(program):
+    for one in _ways(host, program):
         able = _start(one, LIMITS)
         if able.trouble:
             able = replace(_start(one, ()), enforced=frozenset())
@@ -129,48 +127,44 @@ def _first_that_works(program: str, version: str) -> Found:
     return Found(Capabilities(version, trouble=capabilities.remedy(program, complaint)))
 
 
-def _ways(program: str) -> Iterator[Way]:
+def _ways(host: Host, program: str) -> Iterator[Way]:
     """Yield the possible ways, the one with the best isolation first."""
-    output = capabilities.run((program, "buildcfg")).stdout
+    output = run(host, (program, "buildcfg")).stdout
     match = re.search(r"^(?:APPTAINER|SINGULARITY)_CONF_FILE=(.+)$", output, re.MULTILINE)
     configuration = ""
     with contextlib.suppress(OSError):  # it cannot be read, or a changed copy cannot be written
-        if match and _configured(user_apptainer(), match[1], False):
+        if match and _configured(host, host.folder, match[1], False):
             configuration = match[1]
-    if os.geteuid() != 0 and shutil.which("unshare"):
-        yield Way(program, configuration, mapped=True, squashfs=True)
+    if host.facts.user != 0 and host.call("which", "unshare"):
+        yield Way(program, configuration, mapped=True, squashfs=True, host=host)
     if configuration:
-        yield Way(program, configuration, mapped=False, squashfs=True)
-    yield Way(program, "", mapped=False, squashfs=True)
+        yield Way(program, configuration, mapped=False, squashfs=True, host=host)
+    yield Way(program, "", mapped=False, squashfs=True, host=host)
 
 
-def _start(one: Way, limits: Sequence[str], squashfs: Path | None = None) -> Capabilities:
-    def words(root: Path, mounts: Mapping[str, str]) -> tuple[str, ...]:
-        given = (mounted(Mount(source, target)) for target, source in mounts.items())
-        groups = mounted(Mount("/sys/fs/cgroup", "/sys/fs/cgroup"))
-        return (*one.words(), *limits, *given, groups, "--pwd=/", str(squashfs or root))
+def _start(one: Way, limits: Sequence[str]) -> Capabilities:
+    able = capabilities.start(one.host, lambda mounts: _words(one, limits, mounts), environment(one.host))
+    return able or Capabilities("")
 
-    return capabilities.start(words, environment())
+
+def _words(one: Way, limits: Sequence[str], mounts: Mapping[str, str]) -> tuple[str, ...]:
+    given = (mounted(Mount(source, target)) for target, source in mounts.items())
+    groups = mounted(Mount("/sys/fs/cgroup", "/sys/fs/cgroup"))
+    return (*one.words(), *limits, *given, groups, "--pwd=/", ROOT)
 
 
 def _starts_squashfs(one: Way) -> bool:
-    """Return whether a squashfs can be started directly. If none can be made here, assume yes for root and no for users."""
-    if shutil.which("mksquashfs") is None:
-        return os.geteuid() == 0
-    with tempfile.TemporaryDirectory(prefix="sierra-probe-") as made:
-        root, file = Path(made, "root"), Path(made, "root.sqfs")
-        root.mkdir()
-        capabilities.make_root(root)
-        capabilities.run(("mksquashfs", str(root), str(file), "-quiet", "-no-progress", "-processors", "1"))
-        return not _start(one, (), file).trouble
+    """Return whether a squashfs can be started directly. If none can be made there, assume yes for root and no for users."""
+    able = capabilities.start(one.host, lambda mounts: _words(one, (), mounts), environment(one.host), squashed=True)
+    return one.host.facts.user == 0 if able is None else not able.trouble
 
 
 def _helpers(one: Way, *, squashfs: bool) -> Iterator[str]:
     """Yield the tools and features that it uses besides its own programs."""
     if not squashfs:
         yield "images in folders"
-    elif os.geteuid() != 0:
-        done = capabilities.run(("squashfuse_ll", "--help"))
+    elif one.host.facts.user != 0:
+        done = run(one.host, ("squashfuse_ll", "--help"))
         match = re.search(r"squashfuse ([\d.]+)", done.stdout + done.stderr)
         yield f"squashfuse {match[1]}" if match else "squashfuse"
     if one.mapped:
@@ -178,25 +172,16 @@ def _helpers(one: Way, *, squashfs: bool) -> Iterator[str]:
 
 
 @cache
-def _configured(folder: Path, configuration: str, network: bool) -> str:
-    """Return the path of a copy of the administrator's configuration with SIERRA's settings."""
-    theirs = Path(configuration).read_text(errors="surrogateescape").splitlines()
-    systemd = Path("/run/systemd/system").exists()
+def _configured(host: Host, folder: str, configuration: str, network: bool) -> str:
+    """Return the path of a copy of the administrator's configuration with SIERRA's settings. Raises OSError."""
+    found = host.call("texts", (glob.escape(configuration),))
+    if not found:
+        raise FileNotFoundError(configuration)
     ours = {
         **dict.fromkeys(("config passwd", "config group", "mount hostfs", "always use nv", "always use rocm"), False),
         "config resolv_conf": network,
-        "systemd cgroups": systemd,
+        "systemd cgroups": host.facts.systemd,
     }
-    lines = [line for line in theirs if not SETTLED.match(line)]
+    lines = [line for line in found[0][1].splitlines() if not SETTLED.match(line)]
     text = "\n".join([*lines, *(f"{name} = {'yes' if value else 'no'}" for name, value in ours.items()), ""])
-    return stored(folder, text, "conf")
-
-
-def stored(folder: Path, text: str, kind: str) -> str:
-    """Return the path of a file with this text, named by the text's hash. Writes it if it does not exist."""
-    data = text.encode(errors="surrogateescape")
-    file = folder / f"{sha256(data)[:16]}.{kind}"
-    if not file.is_file() or file.read_bytes() != data:
-        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_whole(file, data)
-    return str(file)
+    return str(host.call("keep", folder, text, "conf"))

@@ -14,22 +14,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, runtime_checkable
 
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import ENGINES, NoOptions, Tables
+from sierra.containers.engines.hosts import Notice, OtherHost
 from sierra.containers.images.image import Image
 from sierra.model import Client, Result
-from sierra.store.layout import StorePaths
+from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP, StorePaths
 
 INSIDE = "/run/sierra"
 """The folder in a container with SIERRA's files: `run`, `project` and, if runs share the container, `runs` and `worker.py`."""
+RUN = f"{INSIDE}/run"
 PROJECT = f"{INSIDE}/project"
 PYTHON = "python3"
 """The value of `{python}` in a container."""
 HOSTNAME = "run"
+HERE = "\0"
+"""The mark that stands for the run's folder on the host, which only the worker knows."""
 WRITABLE = ("/tmp", "/var/tmp", "/run", "/dev", "/dev/shm", "/dev/mqueue")  # noqa: S108 - the container's own
 """The folders in a container where runs may write with at least one engine, in addition to their own folders."""
 
@@ -109,6 +113,17 @@ class Capabilities:
     """The reason why no container can be started, and the remedy; empty if containers work."""
 
 
+def run_process(argv: tuple[str, ...], variables: Mapping[str, str], *more: Mount) -> Process:
+    """Return the process of a run in a container of its own, with its folders. NUL stands for the run's folder on the host."""
+    own = (
+        Mount(HERE, RUN),
+        *(Mount(f"{HERE}/{name}", f"{RUN}/{name}", writable=True) for name in (RUN_OUTPUT, RUN_HOME)),
+        Mount(f"{HERE}/{RUN_TMP}", "/tmp", writable=True),  # noqa: S108 - the container's own
+        *more,
+    )
+    return Process(argv, variables, own, f"{RUN}/{RUN_OUTPUT}")
+
+
 class Engine(Protocol):
     """The contract of an engine. An engine has no state: it may be created at any time and used by many threads."""
 
@@ -146,6 +161,34 @@ class Engine(Protocol):
 
         A signal that ended the process becomes `signal`. An exceeded limit among `enforced` becomes `stopped`. An error of the
         engine itself (no image, no such command, no permission) becomes `error`. All other fields stay as they are.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Supplied:
+    """An image that another host has now."""
+
+    reference: str
+    """The engine's name for it there, as returned by `Engine.prepare`."""
+    files: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    """The files there that must not change, with the kernel's data about them when they were verified."""
+
+
+@runtime_checkable
+class OnOtherHosts(Protocol):
+    """An engine that also starts containers on other hosts, such as robots, where nothing of SIERRA is installed."""
+
+    def on(self, host: OtherHost) -> Engine:
+        """Return this engine on another host: its `probe`, `client` and `sweep` are about that host."""
+
+    def portable(self, image: Image, root: Path, store: StorePaths) -> Path:
+        """Return a file on this host with the image, in the form that other hosts need. Raises Missing as `prepare`."""
+
+    def supply(self, image: Image, file: Path, sha256: str, notice: Notice) -> Supplied:
+        """Copy the `portable` file of an image to the host of this engine, unless that has it, and verify it there.
+
+        `sha256` is that of the file. Called on an engine that `on` has returned. `notice` gets messages for the user. Raises
+        Missing, Unreachable.
         """
 
 

@@ -1,4 +1,4 @@
-"""The abilities of engines on this host, found by starting a container and cached until something changes.
+"""The abilities of engines on a host, found by starting a container and cached until something changes.
 
 No image is needed: the container's root is an empty folder in which the host's programs are mounted read-only. The host's own
 shell then reports what it sees in the container: its user outside of it, the networks, whether the requested limits are set,
@@ -13,31 +13,23 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import pwd
 import re
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
-from pathlib import Path
 
 from sierra.containers.engines.base import Capabilities
+from sierra.containers.engines.hosts import HERE, Host, OtherHost, completed
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
 from sierra.util.json_types import JsonView, as_object, as_texts
-from sierra.util.lazy_logger import Log
-
-log = Log(__name__)
 
 MAX_ENTRIES = 64
 DECIDING = ("PATH", "HOME", "CONTAINERS_CONF", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")
 """The variables whose change within a process requires a new check."""
 TIMEOUT_S = 20.0
-SHARED = ("usr", "bin", "sbin", "lib", "lib32", "lib64")
-"""The folders of the host that its shell needs in a container."""
-OWN = ("dev", "etc", "proc", "run", "sys", "tmp", "var")
 MEMORY, CPUS, PIDS = 64 << 20, 0.5, 90
 """The limits that are requested to test whether they are enforced."""
 REPORT = r"""
@@ -76,16 +68,40 @@ _WORKS: dict[str, Found] = {}
 """The successful results of this process, which are available even if the cache cannot be written."""
 
 
-def cached(name: str, test: Callable[[], Found], dependencies: Sequence[str]) -> Found:
-    """Return the cached result for an engine if the engine and its `dependencies` are unchanged; otherwise test it."""
-    key = json.dumps([name, _boot(), os.geteuid(), *(_state(path) for path in dependencies), *_variables()])
+@dataclass(frozen=True, slots=True)
+class Dependencies:
+    """The programs and the files on which the abilities of an engine depend."""
+
+    programs: tuple[str, ...]
+    files: tuple[str, ...]
+
+
+Test = Callable[[Host], Found]
+
+
+def cached(name: str, test: Test, depends: Callable[[Host], Dependencies], host: Host = HERE) -> Found:
+    """Return the cached result for an engine if the engine and its dependencies are unchanged; otherwise test it."""
+    if isinstance(host, OtherHost):
+        if name not in host.known:
+            host.known[name] = _cached(name, test, depends, host)
+        found: Found = host.known[name]
+        return found
+    return _cached(name, test, depends, host)
+
+
+def _cached(name: str, test: Test, depends: Callable[[Host], Dependencies], host: Host) -> Found:
+    facts = host.facts
+    on = depends(host)
+    states = host.call("states", on.programs, on.files)
+    named = [f"on {host.name}"] if host.name else []
+    key = json.dumps([name, *named, facts.boot, facts.user, *states, *_variables(host.variables)])
     if key in _WORKS:
         return _WORKS[key]
     file = Cache(user_engines(), MAX_ENTRIES)
     with contextlib.suppress(LookupError):
         return _WORKS.setdefault(key, _unpacked(as_object(file.get(key))))
     try:
-        found = test()
+        found = test(host)
     except OSError as error:
         trouble = f"{name} cannot be tested: {error.filename or tempfile.gettempdir()}: {error.strerror}"
         return Found(Capabilities(name, trouble=trouble))
@@ -96,16 +112,16 @@ def cached(name: str, test: Callable[[], Found], dependencies: Sequence[str]) ->
     return found
 
 
-def cached_here(name: str, test: Callable[[], Found], dependencies: Callable[[], Sequence[str]]) -> Found:
+def cached_here(name: str, test: Test, depends: Callable[[Host], Dependencies], host: Host = HERE) -> Found:
     """Return the result of `cached`, cached for this process and its environment, because every run needs it."""
-    return _cached_here(name, test, dependencies, (os.geteuid(), *map(os.environ.get, DECIDING)))
+    if host is not HERE:
+        return cached(name, test, depends, host)
+    return _cached_here(name, test, depends, (os.geteuid(), *map(os.environ.get, DECIDING)))
 
 
 @cache
-def _cached_here(
-    name: str, test: Callable[[], Found], dependencies: Callable[[], Sequence[str]], _: tuple[object, ...]
-) -> Found:
-    return cached(name, test, dependencies())
+def _cached_here(name: str, test: Test, depends: Callable[[Host], Dependencies], _: tuple[object, ...]) -> Found:
+    return cached(name, test, depends)
 
 
 def _unpacked(fact: Mapping[str, JsonView]) -> Found:
@@ -119,40 +135,20 @@ def _unpacked(fact: Mapping[str, JsonView]) -> Found:
 
 
 def start(
-    words: Callable[[Path, Mapping[str, str]], Sequence[str]],
+    host: Host,
+    words: Callable[[Mapping[str, str]], Sequence[str]],
     environment: Mapping[str, str] | None = None,
     *,
     fill: bool = False,
-) -> Capabilities:
-    """Return what a container reports. `words` makes the command from root and mounts; `fill` exceeds the memory limit."""
-    with tempfile.TemporaryDirectory(prefix="sierra-probe-") as made:
-        root = Path(made)
-        mounts = make_root(root)
-        command = (*words(root, mounts), "/bin/sh", "-c", REPORT + (USE_MEMORY if fill else "echo on"))
-        done = run(command, environment)
-    return _reported(done)
+    squashed: bool = False,
+) -> Capabilities | None:
+    """Return what a container reports. `words` makes the command from the mounts, with `ROOT` for the path of its files.
 
-
-def run(command: Sequence[str], environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end, or until the timeout, which counts as a failure."""
-    try:
-        done = subprocess.run(
-            command,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=TIMEOUT_S,
-            env=environment,
-            cwd="/",
-            check=False,
-        )
-        log.command(command, done.returncode, done.stderr)
-        return done
-    except subprocess.TimeoutExpired:
-        return subprocess.CompletedProcess(command, 1, "", f"it did not answer within {TIMEOUT_S:.0f} s")
-    except OSError as error:
-        return subprocess.CompletedProcess(command, 1, "", str(error.strerror))
+    `fill` exceeds the memory limit. `squashed`: start a squashfs; None if none can be made there.
+    """
+    command = (*words(host.facts.mounts), "/bin/sh", "-c", REPORT + (USE_MEMORY if fill else "echo on"))
+    done = host.call("probe", command, environment, TIMEOUT_S, squashed, timeout=2 * TIMEOUT_S)
+    return None if done is None else _reported(completed(command, done), host)
 
 
 def remedy(name: str, output: str) -> str:
@@ -186,7 +182,7 @@ KNOWN = (
 """Patterns of errors with which engines fail to start containers, each with its remedy."""
 
 
-def _reported(done: subprocess.CompletedProcess[str]) -> Capabilities:
+def _reported(done: subprocess.CompletedProcess[str], host: Host) -> Capabilities:
     if "\ntold\n" not in done.stdout:
         return Capabilities("", trouble=done.stderr.strip() or f"status {done.returncode}")
     lines = [line.partition(" ")[::2] for line in done.stdout.splitlines()]
@@ -199,54 +195,11 @@ def _reported(done: subprocess.CompletedProcess[str]) -> Capabilities:
             inside, first, outside, _ = map(int, value.split())
             user = outside + inside - first
     isolated = not any(name == "card" for name, _ in lines)
-    return Capabilities("", os.geteuid() != 0, frozenset(enforced), isolated, _user_name(user))
+    return Capabilities("", host.facts.user != 0, frozenset(enforced), isolated, host.call("user_name", user))
 
 
-def _user_name(user: int) -> str:
-    try:
-        return pwd.getpwuid(user).pw_name
-    except KeyError:
-        return str(user)
-
-
-def make_root(root: Path) -> dict[str, str]:
-    """Turn an empty folder into a container's root, and return the mounts that it needs: host paths by their path inside."""
-    root.chmod(0o755)
-    for name in OWN:
-        (root / name).mkdir()
-    mounts = {}
-    for name in SHARED:
-        folder = Path("/", name)
-        if folder.is_symlink():
-            (root / name).symlink_to(folder.readlink())
-        elif folder.is_dir():
-            (root / name).mkdir()
-            mounts[f"/{name}"] = f"/{name}"
-    return mounts
-
-
-def path_of(program: str) -> str:
-    """Return the path of a program, also from folders that only root has on the PATH; its name if it is not found."""
-    return shutil.which(program) or shutil.which(program, path="/usr/sbin:/sbin:/usr/local/sbin:/usr/libexec/podman") or program
-
-
-def _variables() -> Iterator[str]:
+def _variables(environment: Mapping[str, str]) -> Iterator[str]:
     """Yield the variables of the environment that influence engines."""
-    for name in sorted(os.environ):
+    for name in sorted(environment):
         if re.match(r"(CONTAINERS|STORAGE|APPTAINER|SINGULARITY|XDG)_|PATH$|HOME$", name):
-            yield f"{name}={os.environ[name]}"
-
-
-def _boot() -> str:
-    try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-    except OSError:
-        return ""
-
-
-def _state(path: str) -> list[str | int]:
-    try:
-        status = os.stat(path)  # noqa: PTH116 - as quick as can be
-    except OSError:
-        return [path]
-    return [path, status.st_ino, status.st_size, status.st_mode, status.st_ctime_ns]
+            yield f"{name}={environment[name]}"

@@ -8,26 +8,24 @@ and waits for orphans. A run sees neither the container's name nor podman's own 
 from __future__ import annotations
 
 import math
-import os
 import re
-import resource
 import subprocess
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
 
-from sierra.containers.engines import podman_ways_to_start
-from sierra.containers.engines.base import HOSTNAME, Capabilities, ContainerSpec, Process, WithoutOptions
+from sierra.config.field_types import Table
+from sierra.containers import images
+from sierra.containers.engines import hosts, podman_ways_to_start
+from sierra.containers.engines.base import HOSTNAME, Capabilities, ContainerSpec, Process, Supplied, WithoutOptions
 from sierra.containers.engines.client_errors import killed, last_line, mounted, signalled
+from sierra.containers.engines.hosts import HERE, SLOWEST, SPARE_S, Host, Notice, OtherHost, handed_on
 from sierra.containers.images import podman_images
 from sierra.containers.images.image import Image, Kind, short
 from sierra.errors import Missing
 from sierra.model import Client, Result
 from sierra.store.layout import StorePaths
-from sierra.util.lazy_logger import Log
-
-log = Log(__name__)
 
 LABEL = "org.sierra.session"
 CID = "\0/.cid"
@@ -47,12 +45,17 @@ class Podman(WithoutOptions):
 
     name = "podman"
 
+    def __init__(self, options: Table | None = None, host: Host = HERE) -> None:
+        self._host = host
+
+    def on(self, host: OtherHost) -> Podman:
+        return Podman(host=host)
+
     def probe(self) -> Capabilities:
-        return podman_ways_to_start.podman()
+        return podman_ways_to_start.podman() if self._host is HERE else podman_ways_to_start.podman(self._host)
 
     def prepare(self, image: Image, root: Path, store: StorePaths) -> str:
-        if image.kind != Kind.OCI:
-            raise Missing(f"podman cannot run {image.name}, which is only a file system; use --engine apptainer")
+        _check_kind(image)
         if not podman_images.present(image.id):
             if not image.file:
                 raise Missing(
@@ -61,17 +64,51 @@ class Podman(WithoutOptions):
             podman_images.load(root / image.file, image.id)
         return image.id
 
+    def portable(self, image: Image, root: Path, store: StorePaths) -> Path:
+        from sierra.containers.images import import_export
+
+        _check_kind(image)
+        if image.file and (root / image.file).is_file():
+            images.verify(root, image)
+            return root / image.file
+        archive = store.image(image.folder).archive
+        if not archive.is_file():
+            archive.parent.mkdir(parents=True, exist_ok=True)
+            import_export.export(root, image.name, archive)
+        return archive
+
+    def supply(self, image: Image, file: Path, sha256: str, notice: Notice) -> Supplied:
+        assert isinstance(self._host, OtherHost)  # noqa: S101 - by contract
+        if not self._has(image):
+            placed = self._host.place(file, sha256, "images", notice)
+            done = self._podman("load", "--quiet", f"--input={placed.path}", timeout=SPARE_S + file.stat().st_size / SLOWEST)
+            self._host.call("remove", str(Path(placed.path).parent))  # podman has a copy
+            if not self._has(image):
+                said = podman_images.complaint(done.stderr) if done.returncode else f"it has not the id {short(image.id)}"
+                raise Missing(f"{self._host.name}: podman cannot load the image {image.name}: {said}")
+        return Supplied(image.id)
+
+    def _has(self, image: Image) -> bool:
+        return self._podman("image", "exists", image.id).returncode == 0
+
     def client(self, box: ContainerSpec, process: Process) -> Client:
-        here = podman_ways_to_start.here()
-        options = _options(box, process, here.abilities.enforced)
+        here = podman_ways_to_start.here(self._host)
+        options = _options(self._host, box, process, here.abilities.enforced)
         argv = ("podman", *here.options, "run", *options, box.reference, *process.argv)
-        return Client(argv, environment(box.session), ("podman", "rm", "--force", "--time=0", "--ignore", f"--cidfile={CID}"))
+        stop = ("podman", "rm", "--force", "--time=0", "--ignore", f"--cidfile={CID}")
+        return Client(argv, environment(box.session, self._host), stop)
 
     def sweep(self, sessions: Sequence[str]) -> None:
         for session in sessions:
-            listed = _podman("ps", "--all", "--quiet", "--no-trunc", f"--filter=label={LABEL}={session}", session=session)
+            listed = self._podman(
+                "ps", "--all", "--quiet", "--no-trunc", f"--filter=label={LABEL}={session}", session=session
+            ).stdout
             if found := listed.split():
-                _podman("rm", "--force", "--time=0", "--ignore", *found, session=session)
+                self._podman("rm", "--force", "--time=0", "--ignore", *found, session=session)
+
+    def _podman(self, *words: str, session: str = "", timeout: float | None = None) -> subprocess.CompletedProcess[str]:
+        """Return the end of a podman command; its status is 1 if podman cannot be started."""
+        return hosts.run(self._host, ("podman", *words), environment(session, self._host), timeout)
 
     def classify(self, result: Result, stderr: str, enforced: AbstractSet[str]) -> Result:
         last = last_line(stderr)
@@ -84,18 +121,23 @@ class Podman(WithoutOptions):
         return signalled(result, enforced)
 
 
-def environment(session: str) -> dict[str, str]:
+def environment(session: str, host: Host = HERE) -> dict[str, str]:
     """Return the environment in which podman is started."""
-    return {**{name: value for name, value in os.environ.items() if HANDED_ON.fullmatch(name)}, "SIERRA_SESSION": session}
+    return {**handed_on(host, HANDED_ON), "SIERRA_SESSION": session}
 
 
-def _options(box: ContainerSpec, process: Process, enforced: AbstractSet[str]) -> Iterator[str]:
+def _check_kind(image: Image) -> None:
+    if image.kind != Kind.OCI:
+        raise Missing(f"podman cannot run {image.name}, which is only a file system; use --engine apptainer")
+
+
+def _options(host: Host, box: ContainerSpec, process: Process, enforced: AbstractSet[str]) -> Iterator[str]:
     yield from ("--rm", "--init", "--pull=never", "--log-driver=none", f"--cidfile={CID}", f"--label={LABEL}={box.session}")
     yield from ("--read-only", "--read-only-tmpfs=false", "--tmpfs=/run:rw,nosuid,nodev,mode=755", "--no-hosts")
     yield from ("--image-volume=ignore", "--no-healthcheck")  # else an image adds writable folders and programs beside the run
     yield from ("--cap-drop=all", "--security-opt=no-new-privileges", "--user=0:0", f"--hostname={HOSTNAME}", "--tz=UTC")
     yield from ("--pid=private", "--ipc=private", "--umask=0022")  # independent of containers.conf
-    yield from (f"--ulimit={name}={_allowed(kind)}" for name, kind in (("nofile", "NOFILE"), ("nproc", "NPROC")))
+    yield from (f"--ulimit={name}={_allowed(host, kind)}" for name, kind in (("nofile", "NOFILE"), ("nproc", "NPROC")))
     yield "--network=host" if box.network else "--network=none"
     if process.interactive:
         yield "--interactive"
@@ -106,7 +148,7 @@ def _options(box: ContainerSpec, process: Process, enforced: AbstractSet[str]) -
     if box.gpu:
         yield "--device=nvidia.com/gpu=all"
     if box.memory is not None and "memory" in enforced:
-        yield from podman_ways_to_start.memory_options(box.memory)
+        yield from podman_ways_to_start.memory_options(box.memory, host)
     if box.cpus is not None and "cpus" in enforced:
         yield f"--cpus={box.cpus}"
     if box.pids is not None and "pids" in enforced:
@@ -118,17 +160,7 @@ def _options(box: ContainerSpec, process: Process, enforced: AbstractSet[str]) -
     yield from ("--entrypoint=", f"--workdir={process.folder}", "--")
 
 
-def _allowed(kind: str) -> str:
-    _, hard = resource.getrlimit(getattr(resource, f"RLIMIT_{kind}"))
-    most = MAX_FILES if hard == resource.RLIM_INFINITY else min(hard, MAX_FILES)
+def _allowed(host: Host, kind: str) -> str:
+    hard = host.facts.most[kind]
+    most = MAX_FILES if hard is None else min(hard, MAX_FILES)
     return f"{most}:{most}"
-
-
-def _podman(*words: str, session: str) -> str:
-    """Return podman's standard output; empty if podman cannot be started."""
-    try:
-        done = subprocess.run(("podman", *words), capture_output=True, text=True, env=environment(session), check=False)
-    except OSError:
-        return ""
-    log.command(("podman", *words), done.returncode, done.stderr)
-    return done.stdout

@@ -1,4 +1,4 @@
-"""The way to start podman here, found by trying and cached by `sierra.containers.engines.capabilities`.
+"""The way to start podman on a host, found by trying and cached by `sierra.containers.engines.capabilities`.
 
 Some settings of podman's configuration affect all containers, and no option of a single container can remove them. The files
 are read as podman reads them (containers.conf(5)): a later file overrides an earlier one. If a variable names a file, only that
@@ -7,9 +7,8 @@ file is used.
 
 from __future__ import annotations
 
-import os
+import glob
 import re
-import shutil
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -18,68 +17,70 @@ from pathlib import Path
 
 from sierra.containers.engines import capabilities
 from sierra.containers.engines.base import Capabilities
-from sierra.containers.engines.capabilities import CPUS, MEMORY, PIDS, Found
+from sierra.containers.engines.capabilities import CPUS, MEMORY, PIDS, Dependencies, Found
+from sierra.containers.engines.hosts import HERE, Host, run
+from sierra.containers.engines.on_host import ROOT
 
 KEYS = ("volumes", "mounts", "devices")
 NAME = "containers.conf"
 
 
-def podman() -> Capabilities:
-    """Return the abilities of podman on this host."""
-    able = capabilities.cached("podman", _test, _dependencies()).abilities
-    return able if able.trouble else replace(able, trouble=_settings_trouble())
+def podman(host: Host = HERE) -> Capabilities:
+    """Return the abilities of podman on a host."""
+    able = capabilities.cached("podman", _test, _dependencies, host).abilities
+    return able if able.trouble else replace(able, trouble=_settings_trouble(host))
 
 
-def here() -> Found:
+def here(host: Host = HERE) -> Found:
     """Return the abilities of podman, and the options before any command with which it works, as cached for this process."""
-    return capabilities.cached_here("podman", _test, _dependencies)
+    return capabilities.cached_here("podman", _test, _dependencies, host)
 
 
-def _test() -> Found:
+def _test(host: Host) -> Found:
     """Test podman by starting a container: as it is, and otherwise with runc or with cgroupfs."""
-    if shutil.which("podman") is None:
+    if host.call("which", "podman") is None:
         trouble = "podman is not installed; install it, for example with apt-get install podman"
         return Found(Capabilities("podman", trouble=trouble))
-    version = capabilities.run(("podman", "--version")).stdout.strip().removeprefix("podman version ")
+    version = run(host, ("podman", "--version")).stdout.strip().removeprefix("podman version ")
     if (number := version.partition(".")[0]).isdigit() and int(number) < 4:
         return Found(Capabilities(f"podman {version}", trouble=f"podman {version} is too old: 4.0 or newer is needed"))
     limits = (f"--cpus={CPUS}", f"--pids-limit={PIDS}")
     first = ""
     for options in ((), ("--runtime=runc",), ("--cgroup-manager=cgroupfs",), ("--runtime=runc", "--cgroup-manager=cgroupfs")):
-        if options and "--runtime=runc" in options and shutil.which("runc") is None:
+        if options and "--runtime=runc" in options and host.call("which", "runc") is None:
             continue
-        for given in ((*memory_options(MEMORY), *limits), limits, ()):
+        for given in ((*memory_options(MEMORY, host), *limits), limits, ()):
             fill = any(option.startswith("--memory") for option in given)
-            able = capabilities.start(partial(_words, options, given), fill=fill)
+            able = capabilities.start(host, partial(_words, options, given), fill=fill) or Capabilities("")
             if not able.trouble:
-                return Found(replace(able, version=_version(options, version)), options)
+                return Found(replace(able, version=_version(host, options, version)), options)
             first = first or able.trouble
             if not re.search(r"limit|controller|cgroup", able.trouble):
                 break
     return Found(Capabilities(f"podman {version}", trouble=capabilities.remedy("podman", first)))
 
 
-def memory_options(size: int) -> tuple[str, ...]:
+def memory_options(size: int, host: Host = HERE) -> tuple[str, ...]:
     """Return podman's options to kill a whole container that uses more memory. Empty without control groups of version 2."""
-    unified = Path("/sys/fs/cgroup/cgroup.controllers").exists()
-    return (f"--memory={size}", f"--memory-swap={size}", "--cgroup-conf=memory.oom.group=1") if unified else ()
+    options = (f"--memory={size}", f"--memory-swap={size}", "--cgroup-conf=memory.oom.group=1")
+    return options if host.facts.unified else ()
 
 
-def _words(options: Sequence[str], limits: Sequence[str], root: Path, mounts: Mapping[str, str]) -> tuple[str, ...]:
+def _words(options: Sequence[str], limits: Sequence[str], mounts: Mapping[str, str]) -> tuple[str, ...]:
     given = tuple(f"--volume={source}:{target}:ro" for target, source in mounts.items())
     alone = ("--network=none", "--pid=private", "--ipc=private", "--no-hosts", "--read-only")
     weak = ("--cap-drop=all", "--security-opt=no-new-privileges")
     few = ("--ulimit=nofile=1024:1024", "--ulimit=nproc=1024:1024")
     run = ("run", "--rm", "--init", "--pull=never", "--log-driver=none", "--user=0:0")
-    return ("podman", *options, *run, *alone, *weak, *few, *limits, *given, "--rootfs", str(root))
+    return ("podman", *options, *run, *alone, *weak, *few, *limits, *given, "--rootfs", ROOT)
 
 
-def _version(options: Sequence[str], version: str) -> str:
+def _version(host: Host, options: Sequence[str], version: str) -> str:
     """Return the versions of podman and of the programs with which it starts containers."""
     template = (
         "{{.Host.OCIRuntime.Name}}\n{{.Host.OCIRuntime.Version}}\n\n{{.Host.Conmon.Version}}\ncgroups {{.Host.CgroupsVersion}}"
     )
-    output = capabilities.run(("podman", *options, "info", f"--format={template}")).stdout
+    output = run(host, ("podman", *options, "info", f"--format={template}")).stdout
     runtime, _, rest = output.partition("\n\n")
     words = runtime.split()
     name = words[0] if words else "an unknown runtime"
@@ -92,21 +93,27 @@ def _version(options: Sequence[str], version: str) -> str:
     return ", ".join(parts)
 
 
-def _dependencies() -> tuple[str, ...]:
+def _dependencies(host: Host) -> Dependencies:
     programs = ("podman", "runc", "crun", "conmon", "catatonit", "newuidmap", "fuse-overlayfs")
-    home = Path(os.environ.get("XDG_CONFIG_HOME") or Path(os.environ.get("HOME", "/"), ".config"), "containers")
-    folders = (home, Path("/etc/containers"), Path("/usr/share/containers"))
-    files = [str(folder / name) for folder in folders for name in ("containers.conf", "containers.conf.d", "storage.conf")]
-    return (*map(capabilities.path_of, programs), *files, os.environ.get("CONTAINERS_CONF", ""), "/etc/subuid", "/etc/subgid")
+    folders = (_own(host), Path("/etc/containers"), Path("/usr/share/containers"))
+    files = (str(folder / name) for folder in folders for name in ("containers.conf", "containers.conf.d", "storage.conf"))
+    only = host.variables.get("CONTAINERS_CONF", "")
+    return Dependencies(programs, (*files, only, "/etc/subuid", "/etc/subgid"))
 
 
-def _settings_trouble() -> str:
+def _own(host: Host) -> Path:
+    """Return the folder of the user's own configuration."""
+    variables = host.variables
+    return Path(variables.get("XDG_CONFIG_HOME") or Path(variables.get("HOME", "/"), ".config"), "containers")
+
+
+def _settings_trouble(host: Host) -> str:
     """Return why runs would have access to things that are not recorded, and the remedy; empty if they have no such access."""
-    found: dict[str, Path] = {}
-    for file in _files():
+    found: dict[str, str] = {}
+    for file, text in host.call("texts", tuple(_files(host))):
         try:
-            settings = tomllib.loads(file.read_text("utf-8")).get("containers", {})
-        except (OSError, ValueError):  # podman reports this error itself
+            settings = tomllib.loads(text).get("containers", {})
+        except ValueError:  # podman reports this error itself
             continue
         for key in KEYS:
             if key in settings:
@@ -120,13 +127,14 @@ def _settings_trouble() -> str:
     return ""
 
 
-def _files() -> Iterator[Path]:
-    if only := os.environ.get("CONTAINERS_CONF"):
-        yield Path(only)
+def _files(host: Host) -> Iterator[str]:
+    """Yield the patterns of the files that podman reads, in its order."""
+    variables = host.variables
+    if only := variables.get("CONTAINERS_CONF"):
+        yield glob.escape(only)
     else:
-        own = Path(os.environ.get("XDG_CONFIG_HOME") or Path(os.environ.get("HOME", "/"), ".config"), "containers")
-        for folder in (Path("/usr/share/containers"), Path("/etc/containers"), *([own] if os.geteuid() else [])):
-            yield folder / NAME
-            yield from sorted((folder / f"{NAME}.d").glob("*.conf"))
-    if last := os.environ.get("CONTAINERS_CONF_OVERRIDE"):
-        yield Path(last)
+        for folder in (Path("/usr/share/containers"), Path("/etc/containers"), *([_own(host)] if host.facts.user else [])):
+            plain = glob.escape(str(folder))
+            yield from (f"{plain}/{NAME}", f"{plain}/{NAME}.d/*.conf")
+    if last := variables.get("CONTAINERS_CONF_OVERRIDE"):
+        yield glob.escape(last)

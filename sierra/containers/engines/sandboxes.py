@@ -9,21 +9,16 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import hashlib
 import os
-import shutil
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+from sierra.containers.engines.hosts import HERE, SLOWEST, Host
 from sierra.containers.images.sif_format import is_sif
 from sierra.containers.images.sif_format import read as read_sif
 from sierra.errors import Missing
 from sierra.store.layout import user_engines
 from sierra.util.cache import Cache
-from sierra.util.lazy_logger import Log
-
-log = Log(__name__)
 
 MAX_ENTRIES = 64
 
@@ -32,66 +27,22 @@ def prepare(squashfs: Path, identity: str, folder: Path) -> Path:
     """Return `folder` with the files of a squashfs (or of the one in a SIF), unpacked if necessary. Raises Missing."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
-        cache = Cache(user_engines(), MAX_ENTRIES)
-        key = f"sandbox {folder.resolve()} {identity}"
-        if cache.get(key) == (state(folder) or "gone"):
-            return folder
-        _unpack(squashfs, folder)
-        cache.put(key, state(folder))
-        cache.save()
+        unpack(HERE, squashfs, str(squashfs), identity, str(folder.resolve()))
     return folder
 
 
-def state(folder: Path) -> str:
-    """Return a hash of the kernel's data about each file below a folder; empty if there is no such folder."""
-    if not folder.is_dir():
-        return ""
-    digest = hashlib.sha256()
-    for line in sorted(_lines(str(folder))):
-        digest.update(line)
-    return digest.hexdigest()
-
-
-def _lines(top: str) -> Iterator[bytes]:
-    pending = [top]
-    while pending:
-        folder = pending.pop()
-        with contextlib.suppress(PermissionError), os.scandir(folder) as entries:
-            for entry in entries:
-                status = entry.stat(follow_symlinks=False)
-                if entry.is_dir(follow_symlinks=False):
-                    pending.append(entry.path)
-                state = (status.st_mode, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-                yield os.fsencode(entry.path) + repr(state).encode() + b"\0"
-
-
-def _unpack(squashfs: Path, folder: Path) -> None:
-    unfinished = folder.with_name(f".{folder.name}.{os.getpid()}")
-    offset = ("-offset", str(read_sif(squashfs).offset)) if is_sif(squashfs) else ()
-    command = ("unsquashfs", "-no-progress", "-no-xattrs", "-quiet", *offset, "-dest", str(unfinished), str(squashfs))
-    try:
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", check=False)
-    except OSError as error:
-        raise Missing("unsquashfs is not installed; it comes with squashfs-tools (apt-get install squashfs-tools)") from error
-    log.command(command, done.returncode, done.stderr)
-    try:
-        if done.returncode:
-            lines = (done.stderr + done.stdout).strip().splitlines() or ["it printed no error"]
-            raise Missing(f"{squashfs} cannot be unpacked: {lines[0]}")
-        _remove(folder)
-        unfinished.rename(folder)
-    finally:
-        _remove(unfinished)
-
-
-def _remove(folder: Path) -> None:
-    """Remove a folder, even if the image has made parts of it read-only."""
-    if folder.is_symlink() or not folder.is_dir():
+def unpack(host: Host, squashfs: Path, there: str, identity: str, folder: str) -> None:
+    """Unpack a squashfs on a host, unless the folder has its unchanged files. It has the path `there`. Raises Missing."""
+    cache = Cache(user_engines(), MAX_ENTRIES)
+    key = " ".join(("sandbox", *([f"on {host.name}"] if host.name else []), folder, identity))
+    limit = squashfs.stat().st_size / SLOWEST
+    if cache.get(key) == (host.call("tree_state", folder, timeout=limit) or "gone"):
         return
-    for root, _, _ in os.walk(folder):
-        with contextlib.suppress(OSError):
-            Path(root).chmod(0o700)
-    shutil.rmtree(folder, ignore_errors=True)
+    offset = read_sif(squashfs).offset if is_sif(squashfs) else 0
+    if trouble := host.call("unpack", there, offset, folder, timeout=limit):
+        raise Missing(f"{host.name}: {trouble}" if host.name else trouble)
+    cache.put(key, host.call("tree_state", folder, timeout=limit))
+    cache.save()
 
 
 @contextlib.contextmanager
