@@ -631,5 +631,7 @@ class Result:
     """Names of files that it wrote, but not among its outputs: `{run}/…`, and others if it was observed. Perhaps not all."""
     left_out: tuple[str, ...] = ()
     """Entries of its output folder that are neither files nor folders: links, sockets. A long list is incomplete."""
+    isolation: str | None = None
+    """The isolation of the execution, if it differs from that of this process."""
     robots: Mapping[int, str] = field(default_factory=dict)
     """The names of the robots that took the places of the run; empty for a run without robots."""

@@ -23,7 +23,19 @@ from typing import TYPE_CHECKING, cast
 
 from sierra.config.change_tables import OWN_PLACEHOLDERS
 from sierra.config.project_file import Project
-from sierra.containers.engines.base import INSIDE, PROJECT, PYTHON, WRITABLE, ContainerSpec, Engine, Mount, Process
+from sierra.containers.engines.base import (
+    HERE,
+    INSIDE,
+    PROJECT,
+    PYTHON,
+    RUN,
+    WRITABLE,
+    ContainerSpec,
+    Engine,
+    Mount,
+    Process,
+    run_process,
+)
 from sierra.containers.images.image import Image
 from sierra.design import robots, run_values
 from sierra.design.run_values import Declared
@@ -69,9 +81,6 @@ ROBOT_PYTHON = "python3"
 """The value of `{python}` on robots, which have a Python of their own."""
 KNOWN_ON_ROBOTS = (*OWN_PLACEHOLDERS, robots.VALUE)
 """Names in braces that have a meaning of their own in commands on robots."""
-HERE = "\0"
-"""Placeholder for the run's folder, which only the worker knows."""
-_IN_RUN = f"{INSIDE}/run"
 _BESIDE = f"{INSIDE}/beside"
 _CONDUCTOR = f"{INSIDE}/{worker.CONDUCTOR}"
 PORT_MARK = "\2{}\2"
@@ -329,7 +338,7 @@ class CommandBuilder:
         self._bounds = bounds
         self._box = box
         self._script = script or Path(worker.__file__)
-        self._here = _IN_RUN if box and not box.shared else HERE
+        self._here = RUN if box and not box.shared else HERE
         self._on_robots = spec.robots is not None
         self._placed = {"project": PROJECT if box else ON_ROBOT if self._on_robots else str(root)}
         self._placed["arch"] = ARCH_ON_ROBOT if self._on_robots else arch or processors.here()
@@ -463,15 +472,10 @@ class CommandBuilder:
         """Return the client that starts the container of one run; None without containers."""
         if self._box is None:
             return None
-        own = (
-            Mount(HERE, _IN_RUN),
-            *(Mount(f"{HERE}/{name}", f"{_IN_RUN}/{name}", writable=True) for name in (RUN_OUTPUT, RUN_HOME)),
-            Mount(f"{HERE}/{RUN_TMP}", "/tmp", writable=True),  # noqa: S108
-        )
+        more: tuple[Mount, ...] = ()
         if self._spec.around:
-            argv, own = (PYTHON, "-I", "-S", _CONDUCTOR, _IN_RUN, *argv[1:]), (*own, self._conductor())
-        process = Process(argv, variables, own, f"{_IN_RUN}/{RUN_OUTPUT}")
-        return self._engine.client(self._box, process)
+            argv, more = (PYTHON, "-I", "-S", _CONDUCTOR, RUN, *argv[1:]), (self._conductor(),)
+        return self._engine.client(self._box, run_process(argv, variables, *more))
 
     def _container(self) -> Client:
         """Return the client that starts one container for all runs of a slot, with the worker in it."""

@@ -42,8 +42,6 @@ def _check(config: Project) -> None:
     for name in (name for name, used in around.items() if used):
         raise ConfigError(f"{name} has no effect on robots; remove it there, or let the robots' own commands do it")
     _check_changes(config)
-    if config.container is not None:
-        raise ConfigError("[container]: runs on robots execute without a container; remove it for this target")
 
 
 def _check_changes(config: Project) -> None:
@@ -76,7 +74,7 @@ def _of_robots(name: str, output: Output) -> Output:
 
 
 def of_groups(
-    config: Project, root: Path, declared: Declared, made: Iterable[str] = ()
+    config: Project, root: Path, declared: Declared, made: Iterable[str] = (), *, contained: bool = False
 ) -> Mapping[str, tuple[str, ...]] | None:
     """Return the commands of groups of places in the form that is part of a run's identity; None for runs without robots.
 
@@ -88,7 +86,9 @@ def of_groups(
     def checked(group: str, argv: tuple[str, ...]) -> tuple[str, ...]:
         place = f"[robots.{group}] command" if group == "base" else f"[robots.groups.{group}] command"
         known = (*commands.KNOWN_ON_ROBOTS, *declared.names)
-        return commands.checked(argv, root, place, known, contained=False, made=tuple(made), declared=declared, project=config)
+        return commands.checked(
+            argv, root, place, known, contained=contained, made=tuple(made), declared=declared, project=config
+        )
 
     return {group: checked(group, argv) for group, argv in config.robots.commands.items()}
 

@@ -72,7 +72,7 @@ def plan(
     command = commands.command(platform, root, contained=image is not None, made=made, declared=declared, project=config)
     surroundings = around.declared(config, root, declared, contained=image is not None, made=made)
     around.check_ports(config, command, surroundings)
-    groups = on_robots.of_groups(config, root, declared, made)
+    groups = on_robots.of_groups(config, root, declared, made, contained=image is not None)
     variables = {**commands.environment(platform, config), **(box.variables if box else {})}
     of_groups = tuple(word for argv in (groups or {}).values() for word in argv)
     values = commands.used_values((*command, *of_groups, *surroundings.words), declared, config)

@@ -9,10 +9,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from sierra.config.execution_tables import Container
 from sierra.config.project_file import LoadedProject
-from sierra.containers.container_setup import contain
-from sierra.containers.engines.base import Engine
+from sierra.containers import on_hosts
+from sierra.containers.container_setup import Isolation, contain
+from sierra.containers.engines.base import Capabilities, Engine
 from sierra.containers.images.image import Image
+from sierra.containers.on_hosts import HostContainers
 from sierra.execution import commands, shared_files
 from sierra.execution.follow import Followed, follow
 from sierra.execution.observation import choose_runs
@@ -65,6 +68,10 @@ class Service:
         self._beside = self._shared_files()
         self._begun: set[int] = set()
         """The experiments of which runs were executed."""
+        self._hosts = self._on_hosts(images or store.paths)
+        if setup.spec.robots is not None:
+            self.isolation = Isolation(setup.engine, Capabilities(""), notes=self._hosts.notes if self._hosts else ())
+            return
         self.isolation = contain(
             setup.engine,
             setup.image,
@@ -76,6 +83,17 @@ class Service:
             store=images or store.paths,
             session=session.id,
             elsewhere=stays,
+        )
+
+    def _on_hosts(self, store: StorePaths) -> HostContainers | None:
+        """Return the containers of runs on robots; None for other runs, and without containers. Raises as `contain`."""
+        setup, container = self._setup, self._setup.project.config.container
+        if setup.spec.robots is None or setup.image is None or setup.engine.name == "none":
+            return None
+        given = container or Container(image=setup.image.name)
+        root = setup.project.root
+        return on_hosts.contain(
+            setup.engine, setup.image, setup.spec, given, setup.limits, root=root, store=store, session=self._session.id
         )
 
     def _shared_files(self) -> Sequence[SharedFileRow]:
@@ -130,6 +148,7 @@ class Service:
             environment.recorded(record),
             self._setup.environment._asdict(),
             self._setup.root,
+            self._hosts,
         )
         recorder = Recorder(self._store, self._session.paths, context, kept, doubt)
         try:
@@ -148,7 +167,7 @@ class Service:
             self._session.id,
             setup.project.root,
             image=setup.image,
-            box=self.isolation.box,
+            box=self._hosts.box if self._hosts else self.isolation.box,
             script=self._session.paths.worker if self._stays else None,
             beside=self._session.paths.shared if self._beside else None,
             success=success,

@@ -24,9 +24,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sierra.containers.engines.base import PROJECT
+from sierra.containers.engines.base import HERE, PROJECT
 from sierra.errors import Missing, UsageError
-from sierra.execution.commands import HERE, CommandBuilder
+from sierra.execution.commands import CommandBuilder
 from sierra.execution.plan import Plan
 from sierra.model import Job, Member
 from sierra.query.condition import Selection

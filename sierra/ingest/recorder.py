@@ -45,6 +45,8 @@ LOG_KEPT = 1 << 20
 LOG_SHOWN = 2000
 WITH_EXECUTION = ("robots", "trials")
 """Tables of which a runner reports rows that are recorded with their execution."""
+ONCE = {"environments": "environment", "isolations": "isolation"}
+"""Tables of which a runner reports the same rows again and again, with the columns that identify them."""
 TRACED = "strace"
 """The method of observations by the tracer."""
 COUNT = "SELECT count(*) AS executions FROM executions WHERE session = $s"
@@ -88,8 +90,8 @@ class Recorder:
         self._other_rows: dict[str, list[Mapping[str, RecordValue]]] = {}
         self._parts: dict[str, list[tuple[str, Mapping[str, RecordValue]]]] = {}
         """The rows of `WITH_EXECUTION` that are not recorded yet, with their tables, by execution."""
-        self._environments: set[str] = set()
-        """The environments that are recorded or will be; usually one for all elements."""
+        self._once: set[str] = set()
+        """The ids of the rows of `ONCE` that are recorded or will be; usually one for all elements."""
         self._ruled = 0
         """The number of segments that record the data shared by all executions."""
         self._position: int | None = None
@@ -148,10 +150,10 @@ class Recorder:
             if table in WITH_EXECUTION:
                 self._parts.setdefault(str(row["execution"]), []).append((table, row))
                 continue
-            if table == "environments":
-                if row["environment"] in self._environments:
+            if (column := ONCE.get(table)) is not None:
+                if row[column] in self._once:
                     continue
-                self._environments.add(str(row["environment"]))
+                self._once.add(str(row[column]))
             self._other_rows.setdefault(table, []).append(row)
         self._copies += copies
 
@@ -338,7 +340,7 @@ class Recorder:
             programs=context.programs,
             ingest_rules=self._reading,
             purpose=context.purpose,
-            isolation=context.isolation and context.isolation.isolation,
+            isolation=result.isolation or (context.isolation and context.isolation.isolation),
             attempt=result.attempt,
             lamport=context.lamport(position),
         )

@@ -20,6 +20,7 @@ from typing import ClassVar, Protocol, runtime_checkable
 from sierra.config.cluster_table import ClusterTable
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import RUNNERS, SCHEDULERS, Tables
+from sierra.containers.on_hosts import HostContainers
 from sierra.errors import ConfigError, Missing, SierraError, UsageError
 from sierra.model import Job, Requirement, Result, Times
 from sierra.provenance.dependency_model import INSTALLED, Kind, Program, Programs
@@ -48,6 +49,8 @@ class Work:
     """The row of `environments` of this process. It supplies what a node does not report about itself."""
     code: Path | None = None
     """The folder of the code, which robots get; None if the runs do not need it."""
+    containers: HostContainers | None = None
+    """The containers in which robots execute runs; None without containers."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
 Record = Dict[str, Any]
 
 RUNS = "runs"
+FIRST = "1"  # the folder in which a worker executes its only run
 PROCESS, ENDED, STOP_LOG, WORKER_LOG = "process.json", "ended.json", "stop.log", "worker.log"
 LEASE_S, GRACE_S, STOP_S = 5.0, 2.0, 5.0
 SETUP_S, CHECK_S = 60.0, 10.0
@@ -147,10 +148,11 @@ class Run:
             )
         born = the_worker().birth(self.worker.pid)
         executions = [self.job["execution"]]
-        write_whole(
-            os.path.join(folder, PROCESS),
-            {"pid": self.worker.pid, "born": born, "boot": boot_id(), "executions": executions, "who": order.get("who")},
+        self.client = (
+            the_worker().with_folder(self.job["client"], os.path.join(folder, FIRST)) if "client" in self.job else None
         )
+        known = {"pid": self.worker.pid, "born": born, "boot": boot_id(), "executions": executions, "client": self.client}
+        write_whole(os.path.join(folder, PROCESS), {**known, "who": order.get("who")})
         self.tell_worker({**self.job, "waits": True})
 
     def begin(self, moment: float) -> None:
@@ -187,6 +189,8 @@ class Run:
         """Look at the run; return whether it has ended, with all of its processes."""
         self.look_at_clocks()
         if self.kill_at is not None and now >= self.kill_at:
+            if self.client and not self.killed:  # which the worker did not do
+                the_worker().end_container(self.client)
             self.killed = True
             kill_all(self.worker.pid)
         if self.worker.poll() is None:
@@ -440,7 +444,10 @@ class Agent:
         found = []
         for attempt in sorted(the_worker().entries_of(root)):
             folder = os.path.join(root, attempt)
-            ended = end_processes_of(folder)
+            record = read_record(os.path.join(folder, PROCESS)) or {}
+            ended = end_processes_of(record)
+            if record.get("client"):
+                the_worker().end_container(record["client"])
             if ended:
                 self.execute_stop_command()
             found.append({"attempt": attempt, "ended": ended, "report": read_record(os.path.join(folder, ENDED))})
@@ -462,6 +469,9 @@ class Agent:
             status, words = self.output_of(argv)
             if status != 0:
                 failed.append("%s: %s" % (" ".join(argv), words or "status %s" % status))
+        for path, state in request.get("unchanged", {}).items():
+            if state_of(path) != state:
+                failed.append("%s has changed since it was verified" % path)
         space = shutil.disk_usage(self.folder)
         return {"event": "checked", "battery": self.battery_level(), "disk": space.free, "failed": failed}
 
@@ -607,9 +617,8 @@ def with_setup(line: str | None, environment: Mapping[str, str]) -> dict[str, st
     return {name: value for name, _, value in pairs if name not in LEFT_OUT and not name.startswith("BASH_FUNC_")}
 
 
-def end_processes_of(folder: str) -> int:
+def end_processes_of(record: Record) -> int:
     """Kill the processes of an earlier agent's run that are alive; return how many were. After a reboot there are none."""
-    record = read_record(os.path.join(folder, PROCESS)) or {}
     if record.get("boot") != boot_id():
         return 0
     worker = the_worker()
@@ -651,6 +660,15 @@ def end_orphans(spared: int) -> bool:
         with contextlib.suppress(ChildProcessError):
             os.waitpid(pid, os.WNOHANG)
     return living > 0
+
+
+def state_of(path: str) -> list[int]:
+    """Return the kernel's data about a file, as `sierra.containers.engines.on_host` does; empty if there is none."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return []
+    return [status.st_ino, status.st_size, status.st_mode, status.st_ctime_ns]
 
 
 def write_whole(path: str, record: Record) -> None:

@@ -65,6 +65,7 @@ mount --bind {folder}/own /run/robot
 mount --bind {etc} /etc
 mount --bind {folder}/home /home
 for hidden in {hidden}; do mount -t tmpfs -o mode=755 tmpfs "$hidden"; done
+{engines}
 mount -t tmpfs -o mode=1777 tmpfs /tmp
 cd /
 {machine} /usr/sbin/sshd -D -e -f /run/robot/sshd_config &
@@ -80,6 +81,17 @@ CLIENT = """Host {name}
   StrictHostKeyChecking yes
 {more}
 """
+FOR_ENGINES = "\n".join(
+    (
+        "if [ -e /dev/fuse ]; then mknod -m 666 /run/fuse c 10 229; mount --bind /run/fuse /dev/fuse; fi",
+        *(
+            f"mkdir -p {target}; mount -t {kind} -o {options.split(',', 2)[-1]} {kind} {target} || true"
+            for _, target, kind, options, *_ in map(str.split, Path("/proc/mounts").read_text().splitlines())
+            if target.startswith("/sys/fs/cgroup") and not options.endswith("name=systemd")
+        ),
+    )
+)
+"""What container engines need, and `ip netns` hides: a FUSE device for all users, and control groups."""
 Result = TypeVar("Result")
 _count = itertools.count()
 
@@ -205,7 +217,9 @@ class Fleet:
             _ip("-n", robot.namespace, "link", "set", card, "up")
         hidden = " ".join(f"'{one}'" for one in (REPOSITORY, Path("/root")) if not one.is_relative_to("/tmp"))
         machine = f"setarch {robot.machine}" if robot.machine else ""
-        script = INIT.format(name=name, folder=robot.folder, etc=self.folder / "etc", hidden=hidden, machine=machine)
+        script = INIT.format(
+            name=name, folder=robot.folder, etc=self.folder / "etc", hidden=hidden, machine=machine, engines=FOR_ENGINES
+        )
         (robot.folder / "init.sh").write_text(script)
         own = ["--mount", "--uts", "--ipc", "--pid", "--fork", "--kill-child", "--mount-proc", "--propagation", "private"]
         with (robot.folder / "log").open("ab") as log:

@@ -22,10 +22,11 @@ LENGTH = 24
 
 
 def content_name(folder: Path) -> str:
-    """Return a name for the content of a folder: paths, bytes, and which files may be executed."""
+    """Return a name for the content of a folder, or of a file: paths, bytes, and which files may be executed."""
     found = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        name = os.fsencode(path.relative_to(folder))
+    top = folder.parent if folder.is_file() else folder
+    for path in [folder] if folder.is_file() else sorted(folder.rglob("*")):
+        name = os.fsencode(path.relative_to(top))
         if path.is_symlink():
             found.update(b"link %s\0%s\0" % (name, os.fsencode(path.readlink())))
         elif path.is_file():
@@ -37,7 +38,7 @@ def content_name(folder: Path) -> str:
 
 
 def push_content(link: Link, folder: Path, root: str, kind: str, name: str | None = None) -> str:
-    """Copy a folder to `root`/`kind`/NAME on a robot, unless it is there; return that path.
+    """Copy a folder, or one with only a file, to `root`/`kind`/NAME on a robot, unless it is there; return that path.
 
     `name` is that of its content, if it is known. No program can change the copy, as far as permissions stop it. A copy that
     was changed nevertheless is replaced. Raises Missing, Unreachable.

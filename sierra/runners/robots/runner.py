@@ -7,6 +7,7 @@ one. A robot that is missing before a run starts ends the session: the runs that
 
 from __future__ import annotations
 
+import contextlib
 import getpass
 import os
 import queue
@@ -23,6 +24,8 @@ from typing import ClassVar, cast
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import LINKS
 from sierra.config.robots_table import BASE
+from sierra.containers.engines.hosts import OtherHost
+from sierra.containers.on_hosts import HostContainer
 from sierra.errors import ConfigError, Missing, SierraError
 from sierra.links.base import Link, Unreachable
 from sierra.model import Job, Member, Result
@@ -32,6 +35,7 @@ from sierra.runners.journal_reader import Journal, Row
 from sierra.runners.local import record
 from sierra.runners.robots import fitting_programs, results
 from sierra.runners.robots.agent_link import LOCK, AgentLink, Record
+from sierra.runners.robots.engine_errors import classify
 from sierra.runners.robots.fleet_table import FleetTable, RobotTable, allocate
 from sierra.runners.robots.push import content_name, push_content, push_programs
 from sierra.runners.robots.trial import SETTLE_S, Part, Trial, each
@@ -78,8 +82,6 @@ class Robots:
             raise ConfigError(NO_FLEET)
         jobs = list(work.jobs)
         for job in jobs:
-            if job.client is not None:
-                raise ConfigError('the runner "robots" executes runs without containers; use --engine none')
             allocate(self._table, [(one.place, one.group) for one in job.members])
         self._journal = Journal(session.journal)
         self._journal.skip()
@@ -167,6 +169,7 @@ class Robots:
         """Execute one run as `_run` does, once."""
         taken = allocate(self._table, [(one.place, one.group) for one in job.members])
         robots = {place: self._robot(name) for place, name in taken.items()}
+        each(Robot.examine, robots.values())
         each(Robot.connect, robots.values())
         parts = [self._part(job, one, robots[one.place]) for one in job.members]
         attempt = f"{job.execution[:16]}-{secrets.token_hex(4)}"
@@ -185,6 +188,9 @@ class Robots:
         folder = self._next_folder()
         folder.mkdir()
         trial.finish(folder, lambda part: self._rejoin(part, trial.attempt))
+        for part in trial.parts:
+            if container := self._robots[part.name].container:
+                classify(part, container)
         own = record(replace(job, members=()))
         end = results.result(trial, own, folder, interrupted=trial.stopped == STOPPED)
         for part in trial.parts:
@@ -193,8 +199,10 @@ class Robots:
             self._notes.put(text)
         for table, row in self._rows(trial, own):
             self._writer.write(cast(worker.Event, {"event": "row", "table": table, "row": as_json(row)}))
-        more = {"environment": trial.parts[0].hello.get("environment"), "robots": {str(p.place): p.name for p in trial.parts}}
-        self._writer.write(cast(worker.Event, {**end, **more}))
+        first = trial.parts[0]
+        isolated = {"isolation": first.hello["isolation"]} if "isolation" in first.hello else {}
+        more = {"environment": first.hello.get("environment"), "robots": {str(p.place): p.name for p in trial.parts}}
+        self._writer.write(cast(worker.Event, {**end, **more, **isolated}))
 
     def _rejoin(self, part: Part, attempt: str) -> Record:
         """Connect to a lost robot again, if it comes back within the time of a lease. Raises Unreachable."""
@@ -210,8 +218,13 @@ class Robots:
                 time.sleep(REJOIN_S)
 
     def _rows(self, trial: Trial, job: worker.Job) -> list[tuple[str, Mapping[str, RecordValue]]]:
-        found = [self._robots[part.name].environment for part in trial.parts]
-        return [*(("environments", row) for row in found if row), *results.rows(trial, job)]
+        robots = [self._robots[part.name] for part in trial.parts]
+        isolations = [row for robot in robots if robot.container and (row := robot.container.isolation.row)]
+        return [
+            *(("environments", robot.environment) for robot in robots if robot.environment),
+            *(("isolations", row._asdict()) for row in isolations),
+            *results.rows(trial, job),
+        ]
 
     def _next_folder(self) -> Path:
         used = [int(path.name) for path in self._session.runs.iterdir() if path.name.isdigit()]
@@ -222,7 +235,8 @@ class Robots:
         if self._work.code:
             fitting_programs.check(robot.name, robot.arch, member, self._work.code, robot.agent.link)
         placed = member.at("\0", robot.code, robot.arch)
-        variables = {**robot.hello["variables"], **placed.environment, "SIERRA_EXECUTION": job.execution}
+        given = robot.variables if robot.container else robot.hello["variables"]  # a setup line is about the host
+        variables = {**given, **placed.environment, "SIERRA_EXECUTION": job.execution}
         own = replace(
             job,
             argv=placed.argv,
@@ -232,9 +246,11 @@ class Robots:
             limits=replace(job.limits, grace_s=self._table.grace),
             beside=robot.beside(Path(job.beside), self._beside) if job.beside else None,
             observe=None,
+            client=robot.container.client(placed.argv, variables) if robot.container else None,
             members=(),
         )
-        return Part(member.place, member.group, robot.agent, robot.hello, record(own))
+        unchanged = robot.container.files if robot.container else {}
+        return Part(member.place, member.group, robot.agent, robot.hello, record(own), unchanged)
 
     def _robot(self, name: str) -> Robot:
         if name not in self._robots:
@@ -265,6 +281,9 @@ class Robot:
     ) -> None:
         self.name = name
         self.agent = agent
+        self.variables = options.variables
+        self.container: HostContainer | None = None
+        """The containers there; None without containers, or before `examine`."""
         self.hello: Record = {}
         self.environment: dict[str, RecordValue] = {}
         self.code = ""
@@ -277,6 +296,23 @@ class Robot:
         self._notes = notes
         self._root = table.folder.removeprefix("~/")
         self._connected = False
+        self._examined = False
+
+    def examine(self) -> None:
+        """Check that runs can be executed there, before anything is copied. Raises Missing, Unreachable, UntrustedHost."""
+        if self._examined:
+            return
+        link, python = self.agent.link, self._table.python
+        try:
+            if link.run((python, "-c", OLD_PYTHON)).status != 0:
+                raise Missing(f"needs Python 3.8 or newer as {python!r}; set python in [runners.robots]")
+            if self._work.containers:
+                self.container = self._work.containers.on(OtherHost(self.name, link, self._root, python))
+                for note in self.container.notes:
+                    self._notes.put(note)
+        except SierraError as error:
+            raise type(error)(_named(self.name, error)) from error
+        self._examined = True
 
     def connect(self, keep: str | None = None) -> Record:
         """Start the agent unless it is there, and return what it says about its robot. `keep`: an attempt to leave as it is.
@@ -287,10 +323,11 @@ class Robot:
             return self.hello
         link = self.agent.link
         try:
-            if link.run((self._table.python, "-c", OLD_PYTHON)).status != 0:
-                raise Missing(f"needs Python 3.8 or newer as {self._table.python!r}; set python in [runners.robots]")
+            self.examine()
             programs = push_programs(link, self._root)
             code = push_content(link, self._work.code, self._root, "sources", self._code) if self._work.code else ""
+            if self.container and keep is None:
+                self._supply(self.container, code)
             self.agent.start((self._table.python, "-I", "-S", "-B", f"{programs}/robot_agent.py", self._root, LOCK))
             self.hello = self.agent.ask("hello", HELLO_S, **self._greeting(keep))
         except SierraError as error:
@@ -299,6 +336,8 @@ class Robot:
         self._connected = True
         self.code = f"{self.hello['folder']}/{code.removeprefix(self._root + '/')}"
         self._describe()
+        if self.container and (row := self.container.isolation.row):
+            self.hello["isolation"] = row.isolation
         for left in self.hello["leftovers"]:
             if left["attempt"] != keep:
                 ended = f", and ended {left['ended']} of its processes" if left["ended"] else ""
@@ -309,6 +348,16 @@ class Robot:
     def arch(self) -> str:
         """Return the name of its processor."""
         return name_of(str(self.hello["facts"]["machine"]))
+
+    def _supply(self, container: HostContainer, code: str) -> None:
+        """Give the robot the image, and copies of what is mounted."""
+        copies = {one: self._copied(container, Path(one)) for one in container.sources}
+        container.supply(container.placed(code) if code else "", copies, self._notes.put)
+
+    def _copied(self, container: HostContainer, source: Path) -> str:
+        """Return the path on the robot of a copy of a file or folder."""
+        folder = container.placed(push_content(self.agent.link, source, self._root, "mounts"))
+        return f"{folder}/{source.name}" if source.is_file() else folder
 
     def _greeting(self, keep: str | None) -> Record:
         table, own = self._table, self._options
@@ -356,6 +405,9 @@ class Robot:
     def close(self) -> None:
         """Give the robot back, and end the connection."""
         if self._connected and self.agent.lost is None:
+            if self.container:
+                with contextlib.suppress(SierraError):
+                    self.container.engine.sweep([self._session.root.name])
             self.agent.close()
         self.agent.link.close()
 

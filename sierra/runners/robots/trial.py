@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -53,6 +53,8 @@ class Part:
     hello: Record
     """The agent's description of its robot."""
     job: worker.Job
+    unchanged: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    """Files on the robot that must not have changed since they were verified, with the kernel's data about them then."""
     before: Record = field(default_factory=dict)
     """The agent's measurements before the run, and after it."""
     after: Record = field(default_factory=dict)
@@ -141,7 +143,9 @@ class Trial:
 
     def _check(self) -> None:
         """Check battery, disk and the declared conditions. Raises Missing."""
-        for part, found in zip(self.parts, self._each(lambda part: part.agent.ask("check", CHECK_S)), strict=True):
+        for part, found in zip(
+            self.parts, self._each(lambda part: part.agent.ask("check", CHECK_S, unchanged=part.unchanged)), strict=True
+        ):
             part.before = found
             if reason := self._unfit(found):
                 raise Missing(f"{part.name}: {reason}")

@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 
+from sierra.containers.engines import on_host
 from sierra.runners.robots.push import PROGRAMS
 from sierra.worker import robot_agent, worker
 from tests.waiting import until
@@ -138,6 +139,18 @@ def agent(program: Path, tmp_path: Path) -> Iterator[Start]:
                 assert pipe
                 pipe.close()
         until(driver.is_alone, "the run of a killed agent is gone", 10)
+
+
+def test_a_file_that_changed_since_it_was_verified_is_reported(agent: Start, tmp_path: Path) -> None:
+    file, driver = tmp_path / "image", agent()
+    file.write_text("1")
+    driver.hello()
+    state = on_host.state(str(file))[1:]
+    for words in ("1", "2"):
+        file.write_text(words) if words == "2" else None
+        driver.send("check", unchanged={str(file): state})
+        failed = driver.receive("checked")["failed"]
+        assert failed == ([] if words == "1" else [f"{file} has changed since it was verified"])
 
 
 def test_a_run_starts_at_its_time_and_leaves_its_outputs(agent: Start):

@@ -1,0 +1,25 @@
+"""The ends of programs in containers on robots, as their engine explains them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sierra.containers.on_hosts import HostContainer
+from sierra.runners.journal_reader import result_of
+from sierra.runners.robots.trial import Part
+from sierra.store.layout import RUN_STDERR
+
+SHOWN = 2000
+
+
+def classify(part: Part, container: HostContainer) -> None:
+    """Replace the end of the engine's client by that of the program, in the report of a part whose files were pulled."""
+    end = part.end
+    if end is None or end["exit_code"] == 0 or part.files is None:
+        return
+    with Path(part.files, RUN_STDERR).open("rb") as file:
+        file.seek(max(0, Path(part.files, RUN_STDERR).stat().st_size - SHOWN))
+        errors = file.read().decode("utf-8", "replace")
+    result = container.engine.classify(result_of(end), errors, container.isolation.enforced)
+    end["exit_code"], end["signal"] = result.exit_code, result.signal
+    end["stopped"], end["error"] = result.stopped, result.error
