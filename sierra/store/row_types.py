@@ -172,10 +172,15 @@ class RobotRow(NamedTuple):
     start_skew_ns: Annotated[
         int | None, "start of its program minus the common start, by the submitting host's clock", "ns"
     ] = None
-    started: Annotated[datetime | None, "when its program started, by the submitting host's clock"] = None
+    started: Annotated[
+        datetime | None, "when its program, or the engine of its container, started, by the submitting host's clock"
+    ] = None
     ended: Annotated[datetime | None, "when its program ended, by the submitting host's clock"] = None
     exit_code: Annotated[int | None, "exit status of its program; NULL if a signal ended it or it is unknown"] = None
     signal: Annotated[int | None, "the signal that ended its program; NULL if none did"] = None
+    isolation: Annotated[
+        str | None, "its isolation, as in isolations, with the version of its engine; NULL without a container"
+    ] = None
 
 
 class TrialRow(NamedTuple):

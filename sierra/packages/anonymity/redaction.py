@@ -92,6 +92,7 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
         host=Rule.HOST,
         boot_id=Rule.NOTHING,
         environment=E,
+        isolation=Rule.ISOLATION,
         clock_start_ns=Rule.NOTHING,
         clock_end_ns=Rule.NOTHING,
         started=T,

@@ -180,6 +180,7 @@ def rows(trial: Trial, job: worker.Job, table: Iterable[str] = ()) -> Iterator[t
                 "ended": datetime.fromtimestamp(times.ended, UTC) if times else None,
                 "exit_code": end["exit_code"] if end else None,
                 "signal": end["signal"] if end else None,
+                "isolation": part.hello.get("isolation"),
             },
         )
 

@@ -1,0 +1,146 @@
+"""Runs on robots in containers, over real sshd: one image, both engines, and nothing left there."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests import containers, projects, robots
+from tests.support.robot_fleet import Fleet
+from tests.waiting import until
+
+pytestmark = [pytest.mark.integration, pytest.mark.real]
+
+SIERRA = str(Path(sys.executable).with_name("sierra"))
+ENGINES = ("apptainer", "podman")
+ROBOT = """\
+cat /proc/sys/kernel/hostname; test -e /home/robot && echo sees the host
+echo tick,coverage > swarm.csv
+for tick in 0 1 2 3; do echo $tick,$((tick * $2)) >> swarm.csv; done
+"""
+DEAF = """\
+trap '' TERM
+echo tick,coverage > swarm.csv
+setsid sh -c 'trap "" TERM; sleep 300' &
+sleep 300; sleep 300
+"""
+FOLDER = ".cache/sierra-robot"
+
+
+@pytest.fixture
+def root(fleet: Fleet, tmp_path: Path, require: Callable[..., str]) -> Path:
+    """Return a project whose runs execute on the fleet in an image with a shell."""
+    require("busybox-static, as /bin/busybox", there=containers.BUSYBOX.exists())
+    for engine in ENGINES:
+        require(engine)
+    image = containers.busybox(tmp_path)
+    fleets = "".join(f'{name} = {{ host = "{name}" }}\n' for name in fleet.names)
+    options = f'stop = ["touch", "stopped"]\ndisk_min = 1000000\nlink_options = {{ ssh_config = "{fleet.ssh_config}" }}\n'
+    limits = "grace = 0.5\nlease = 2.0\n"
+    more = f'[runners.robots]\n{options}{limits}[runners.robots.fleet]\n{fleets}[targets.robots.container]\nimage = "{image}"\n'
+    config = robots.CONFIG.replace('"pretend"', '"robots"').replace("{python} robot.py", "sh robot.sh")
+    root = robots.project(tmp_path / "p", more, config)
+    (root / "robot.sh").write_text(ROBOT)
+    assert projects.quick(root, "image", "pin", str(image)).returncode == 0
+    return root
+
+
+def run(root: Path, engine: str, robots: int = 3) -> subprocess.CompletedProcess[str]:
+    query = (f"population_size={robots}", "--runs", "1", "--target", "robots", "--no-figures")
+    return projects.quick(root, "run", *query, "--engine", engine)
+
+
+def left(fleet: Fleet) -> list[str]:
+    """Return the processes of runs, of the agents and of engines on all robots; podman's own process for its user may stay."""
+    listed = (line for name in fleet.names for line in fleet.commands(name))
+    return [line for line in listed if line != "catatonit -P"]
+
+
+def as_user(fleet: Fleet, name: str, *words: str) -> str:
+    done = subprocess.run(["ssh", "-F", fleet.ssh_config, name, *words], capture_output=True, text=True, check=False)
+    return done.stdout
+
+
+def test_both_engines_give_the_same_runs_and_bytes_and_leave_nothing(root: Path, fleet: Fleet) -> None:
+    first = run(root, "apptainer")
+    assert first.returncode == 0, first.stderr
+    [image] = (fleet.robots["rb1"].home / FOLDER / "images").glob("*/*")
+    again = run(root, "podman")
+    assert "1 run: 0 executed, 1 reused" in again.stdout, again.stdout + again.stderr
+    [batch] = {row["batch"] for row in projects.sql(root, "SELECT batch FROM sessions")}
+    state = image.stat()
+    damaged = next((fleet.robots["rb2"].home / FOLDER / "images").glob("*/*"))
+    damaged.write_bytes(b"x" * damaged.stat().st_size)
+    for engine in ENGINES:
+        replayed = projects.quick(root, "replay", batch, "--on", "robots", "--engine", engine)
+        assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+        damage = f"rb2: /home/robot/{FOLDER}/images/{damaged.parent.name}/{damaged.name} was damaged, and is copied again"
+        assert (damage in replayed.stderr) == (engine == "apptainer"), replayed.stderr
+    assert image.stat() == state, "it was copied once"
+    found = projects.sql(root, 'SELECT engine, version, mode, network, "user" FROM isolations ORDER BY engine')
+    assert [(row["engine"], row["version"].split()[0]) for row in found] == [(engine, engine) for engine in ENGINES]
+    assert {(row["mode"], row["network"], row["user"]) for row in found} == {("run", "none", "robot")}
+    used = projects.sql(
+        root, "SELECT DISTINCT i.engine FROM executions JOIN isolations i USING (isolation) WHERE status = 'ok'"
+    )
+    assert {row["engine"] for row in used} == set(ENGINES)
+    shown = projects.quick(root, "show", batch).stdout
+    assert "sees the host" not in shown
+    assert left(fleet) == []
+    for name in fleet.names:
+        assert as_user(fleet, name, "podman", "ps", "--all", "--quiet") == ""
+        assert list((fleet.robots[name].home / FOLDER / "runs").iterdir()) == []
+    assert projects.quick(root, "fsck").returncode == 0
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_nothing_of_a_container_outlives_its_driver(root: Path, fleet: Fleet, engine: str) -> None:
+    (root / "robot.sh").write_text(DEAF)
+    query = ("run", "population_size=3", "--runs", "1", "--target", "robots", "--no-figures", "--engine", engine)
+    driver = subprocess.Popen(
+        [SIERRA, *query], cwd=root, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    until(lambda: sum("sleep 300" in line for line in left(fleet)) >= 6, "all have begun", 60)
+    os.killpg(driver.pid, signal.SIGKILL)
+    driver.wait()
+    until(lambda: left(fleet) == [], "all processes are gone", 15)
+    for name in fleet.names:
+        assert as_user(fleet, name, "podman", "ps", "--all", "--quiet") == ""
+        assert (fleet.robots[name].home / "stopped").exists()
+    (root / "robot.sh").write_text(ROBOT)
+    done = run(root, engine)
+    assert done.returncode == 0, done.stderr
+    assert "rb1: removed what an earlier run had left" in done.stderr
+
+
+def test_a_container_of_a_robot_that_was_switched_off_is_removed_by_the_next_run(root: Path, fleet: Fleet) -> None:
+    (root / "robot.sh").write_text(DEAF)
+    query = ("run", "population_size=1", "--runs", "1", "--target", "robots", "--no-figures", "--engine", "podman")
+    with subprocess.Popen([SIERRA, *query], cwd=root, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as driver:
+        until(lambda: sum("sleep 300" in line for line in left(fleet)) >= 2, "it has begun", 60)
+        fleet.power_cut("rb1")
+        driver.wait(60)
+    assert driver.returncode == 1
+    fleet.boot("rb1")
+    assert as_user(fleet, "rb1", "podman", "ps", "--all", "--quiet") != ""
+    (root / "robot.sh").write_text(ROBOT)
+    done = run(root, "podman", 1)
+    assert done.returncode == 0, done.stderr
+    assert left(fleet) == []
+    assert as_user(fleet, "rb1", "podman", "ps", "--all", "--quiet") == ""
+
+
+def test_a_robot_without_the_engine_is_named_before_anything_is_copied(root: Path, fleet: Fleet) -> None:
+    fleet.robots["rb2"].changed = True
+    for program in ("apptainer", "singularity"):
+        fleet.enter("rb2", "sh", "-c", f"touch /run/none; mount --bind /run/none $(readlink -f /usr/bin/{program})")
+    refused = run(root, "apptainer")
+    assert (refused.returncode, refused.stdout) == (3, "")
+    assert refused.stderr.splitlines()[-1].startswith("sierra: rb2: neither apptainer nor singularity-ce is installed")
+    assert not any((fleet.robots[name].home / FOLDER / "sources").exists() for name in fleet.names)
