@@ -1450,11 +1450,11 @@ class Project:
         if every and words:
             raise UsageError("--all is about all batches; leave out the others")
         source = make.Source(self._loaded, self.store, self.compare_declared)
-        batches = [one.batch for one in self.batches] if every else [self._labelled_batch(word)[1] for word in words]
+        batches = [one.batch for one in reversed(self.batches)] if every else [self._labelled_batch(word)[1] for word in words]
         batches = list(dict.fromkeys(batches)) or [self.batch()]
         if to is not None:
             files.check(Path(to))
-        made = make.of_batches(source, batches, tell, self.root.name) if every else make.of_batches(source, batches, tell)
+        made = make.of_batches(source, batches, tell, f"All batches of {self.root.name}" if every else "")
         file = files.default(self.paths, batches, every=every) if to is None else Path(to)
         return files.Written(files.write(file, made.data), tuple(made.batches), tuple(made.notes))
 

@@ -38,9 +38,9 @@ def report(
 ) -> None:
     """Write a report: one page of HTML about batches.
 
-    It tells their whole story: the question, the design, figures, tables, comparisons, claims, failures, the environment,
-    and how to cite and to replay. It is one file, which loads nothing from elsewhere. A file that exists is replaced only if it
-    is a report.
+    It tells their whole story: the question, the design, figures, tables, comparisons, claims, failures, the environment, and
+    how to cite and to replay. It is one file, which loads nothing from elsewhere. A file that exists is replaced only if it is
+    a report.
 
     Of a package, nothing is executed.
 

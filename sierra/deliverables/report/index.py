@@ -14,12 +14,11 @@ MOST = 1000
 
 
 def section(listed: Sequence[ListedBatch], shown: Collection[str]) -> Section:
-    """Return the list of batches, the last one first. Those in `shown` have a part of their own in the page."""
-    newest = list(reversed(listed))[:MOST]
+    """Return the list of batches in this order. Those in `shown` have a part of their own in the page."""
     headers = ("batch", "query", "controller", "scenario", "experiments", "runs", "failed", "not executed", "first submitted")
-    inner: list[Node] = [table(headers, (_row(one, one.batch in shown) for one in newest), "", numbers=(4, 5, 6, 7))]
-    if len(listed) > len(newest):
-        inner.append(note(f"The last {MOST:,} of {len(listed):,} batches are listed; sierra ls lists all."))
+    inner: list[Node] = [table(headers, (_row(one, one.batch in shown) for one in listed[:MOST]), "", numbers=(4, 5, 6, 7))]
+    if len(listed) > MOST:
+        inner.append(note(f"The first {MOST:,} of {len(listed):,} batches are listed; sierra ls lists all."))
     if not shown:
         inner.append(note("These are too many batches for one page; name some, as in: sierra report HASH HASH"))
     return Section("batches", "Batches", joined(inner))

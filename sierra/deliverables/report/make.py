@@ -91,8 +91,8 @@ def of_batches(source: Source, batches: Sequence[str], tell: Callable[[str], Non
 
 
 def _list(source: Source, title: str) -> Report:
-    """Return the report of too many batches: the list of them."""
-    listed = list_batches.batches(source.store)
+    """Return the report of too many batches: the list of them, the last one first."""
+    listed = list_batches.batches(source.store)[::-1]
     data = page.of_batches(title, [index.section(listed, ())], [], Claims(()), source.received)
     note = f"{len(listed)} batches are too many for one page, so it only has their list; name some instead of --all"
     return Report(data, [one.batch for one in listed], (note,))
@@ -123,8 +123,10 @@ def _several(
     tell: Callable[[str], None],
     title: str,
 ) -> Report:
-    ids = {state.id for state in states}
-    listed = [one for one in list_batches.batches(source.store) if one.batch in ids]
+    ids = [state.id for state in states]
+    listed = sorted(
+        (one for one in list_batches.batches(source.store) if one.batch in ids), key=lambda one: ids.index(one.batch)
+    )
     of_claims = claims.section(source.project, found, Place())
     of_groups = comparisons.section(compared.between(), compared.notes, Place())
     chapters, notes = [], list(compared.notes)

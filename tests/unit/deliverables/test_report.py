@@ -6,6 +6,7 @@ import base64
 import json
 import re
 import shutil
+from datetime import UTC, datetime
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -15,9 +16,12 @@ import pytest
 
 import sierra
 from sierra.deliverables.html.elements import Markup, element, joined
+from sierra.deliverables.report import files, index
+from sierra.execution import list_batches
 from tests import projects, stores
 from tests.support import reported
 
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
 VOID = {"meta", "img", "br"}
 
 
@@ -157,7 +161,9 @@ def test_the_same_store_gives_the_same_report(project: tuple[Path, str], page: t
 def test_a_report_of_all_batches_begins_with_a_list(recorded: Path, tmp_path: Path) -> None:
     batches = [one.batch for one in sierra.open(recorded).batches]
     found, _ = reported_by(recorded, "--all", to=tmp_path / "all.html")
-    assert [name for name in found.ids() if re.fullmatch(r"b[0-9a-f]{10}", name)] == [f"b{batch[:10]}" for batch in batches]
+    assert [name for name in found.ids() if re.fullmatch(r"b[0-9a-f]{10}", name)] == [
+        f"b{batch[:10]}" for batch in reversed(batches)
+    ]
     assert len(found.ids()) == len(set(found.ids()))
     assert {str(link["href"])[1:] for link in found.all("a")} <= set(found.ids())
     levels = [int(tag[1]) for tag, _ in found.elements if re.fullmatch(r"h\d", tag)]
@@ -206,6 +212,31 @@ def test_only_a_report_is_replaced(recorded: Path, tmp_path: Path) -> None:
         assert (done.returncode, done.stdout) == (code, "")
         assert words in done.stderr
     assert file.read_text() == "<!DOCTYPE html><p>my thesis"
+
+
+def test_a_report_that_is_interrupted_leaves_the_one_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = files.OURS + b'0.1.0">'
+    (tmp_path / "report.html").write_bytes(before)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        files.write(tmp_path / "report.html", b"new")
+    monkeypatch.undo()
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"report.html": before}
+
+
+def test_ten_thousand_batches_are_a_list_that_says_how_many_it_lacks() -> None:
+    listed = [
+        list_batches.ListedBatch(f"{k:064x}", NOW, "noise=1", None, None, (), 1, 2, NOW, 0, 0, (), (), (), 0)
+        for k in range(10_000)
+    ]
+    section = index.section(listed, ())
+    assert section.body.count("<tr>") == index.MOST + 1
+    assert "The first 1,000 of 10,000 batches are listed; sierra ls lists all." in section.body
+    assert "sierra report HASH HASH" in section.body
 
 
 def test_unknown_batches_and_contradicting_words_are_refused(recorded: Path, tmp_path: Path) -> None:
