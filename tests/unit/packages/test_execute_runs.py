@@ -37,7 +37,8 @@ if os.path.exists(os.path.dirname(os.path.abspath(__file__)) + "/broken"):
 )
 CONFIG = (
     projects.CONFIG.replace("{input}", "{input} {project}/tool.sh").replace(
-        "runs = 2\n", 'runs = 2\nfiles = ["mesh.txt"]\nbefore = [["sh", "-c", "echo {seed} > before.txt"]]\n'
+        "runs = 2\n",
+        'runs = 2\nfiles = ["mesh.txt"]\nbefore = [["sh", "-c", "[ {arch} = $(uname -m) ] && echo {seed} > before.txt"]]\n',
     )
     + """
 [outputs.swarm]
