@@ -143,7 +143,6 @@ def test_commands_and_groups_are_part_of_the_identity_and_other_projects_keep_th
         ((), "population_size=0,1", QueryError, "count is 0; a run takes 1 to 1000 robots"),
         (("{input}\"\ntarget", "{input} {robot}\"\ntarget"), "population_size=2", ConfigError, "unknown placeholder {robot}"),
         (('file = "swarm.csv"', 'file = "*.csv"'), "population_size=2", ConfigError, "name the file, or put a name in braces"),
-        (("[targets.sim]", "[targets.robots.container]\nimage='x'\n[targets.sim]"), "population_size=2", ConfigError, "a cont"),
         (('runs = 2', 'runs = 2\nbefore = "true"'), "population_size=2", ConfigError, "before has no effect on robots"),
         (("[variables]", "changes=[{set='//@x',value='{robot}'}]\n[variables]"), "population_size=1", ConfigError, "in run"),
         (('robot.py {input}', '../robot.py {project}/../x'), "population_size=2", ConfigError, "outside of the project"),
