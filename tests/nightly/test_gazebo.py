@@ -1,4 +1,4 @@
-"""Gazebo classic 11 in containers: the image is built from its recipe, once for all tests of this file."""
+"""Gazebo classic 11 in containers, here and on SLURM: the image is built from its recipe, once for all tests of this file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests import projects
+from tests import clusters, projects
 from tests.simulators import values
 
 RECIPE = Path(__file__).parents[2] / "containers" / "gazebo"
@@ -84,6 +84,17 @@ def test_the_example_is_identical_in_both_engines_and_three_at_once(demo: Path, 
     batch = str(projects.sql(demo, "SELECT batch FROM batches")[0]["batch"])
     assert verdict(demo, batch) == f"batch {batch[:10]}: identical (6 runs: 6 identical)"
     assert verdict(demo, batch, "--engine", "apptainer") == f"batch {batch[:10]}: identical (6 runs: 6 identical)"
+
+
+def test_runs_on_slurm_in_the_image_are_identical_here(demo: Path, slurm: clusters.Slurm, require: Callable[..., str]) -> None:
+    require("apptainer")
+    settings = 'container.engine = "apptainer"\n' + (demo / "sierra.toml").read_text()
+    (demo / "sierra.toml").write_text(f"{settings}[runners.slurm]\narray_tasks = 2\n")
+    summary, _ = projects.run(demo, "population_size=1,8", "--runs", "2", "--on", "slurm")
+    assert (summary["executed"], summary["failed"]) == (4, 0)
+    contained = "executions e JOIN attempts a USING (attempt) JOIN isolations i USING (isolation) WHERE e.host = a.node"
+    assert values(demo, f"SELECT count(*) FROM {contained} AND i.engine = 'apptainer'") == {4}
+    assert "identical (4 runs: 4 identical)" in verdict(demo, str(summary["batch"]), "--engine", "podman")
 
 
 def test_a_population_is_complete_at_the_start_and_its_poses_repeat(demo: Path) -> None:
