@@ -140,6 +140,11 @@ def nice_simulator(folder: Path) -> None:
     change(folder, "scale = 100.0", "scale = 1.0")
 
 
+def nicer(more: int) -> int:
+    """Return this process's niceness and some more, up to the largest one that there is."""
+    return min(os.nice(0) + more, 19)
+
+
 # Use of each kind of plug-in
 
 
@@ -215,7 +220,7 @@ def test_damaged_file_of_a_plugin_format_fails_only_its_own_run(project: Path) -
 def test_runner_of_another_package_is_configured_by_its_table(project: Path) -> None:
     nice_simulator(project)
     succeed(project, "run", "herd=1", "--no-figures", "--on", "niced")
-    assert {row["niceness"] for row in rows(project, "SELECT niceness FROM walk")} == {os.nice(0) + 5}
+    assert {row["niceness"] for row in rows(project, "SELECT niceness FROM walk")} == {nicer(5)}
 
 
 @pytest.fixture
@@ -230,7 +235,7 @@ def spool(project: Path, tmp_path: Path) -> Path:
 def test_scheduler_of_another_package_executes_a_batch(spool: Path) -> None:
     nice_simulator(spool)
     assert "4 runs: 4 executed" in succeed(spool, "run", "herd=1,2", "--no-figures", "--on", "here")
-    assert {row["niceness"] for row in rows(spool, "SELECT niceness FROM walk")} == {os.nice(0) + 3}
+    assert {row["niceness"] for row in rows(spool, "SELECT niceness FROM walk")} == {nicer(3)}
 
 
 @pytest.mark.integration
@@ -274,7 +279,7 @@ def test_engine_of_another_package_starts_runs(project: Path) -> None:
     done = projects.quick(project, "run", "herd=1", "--no-figures")
     assert done.returncode == 0, done.stderr
     assert "NOT ISOLATED: containers of direct have network access here (direct 1)" in done.stdout + done.stderr
-    assert {row["niceness"] for row in rows(project, "SELECT niceness FROM walk")} == {os.nice(0) + 4}
+    assert {row["niceness"] for row in rows(project, "SELECT niceness FROM walk")} == {nicer(4)}
     assert [row["engine"] for row in rows(project, "SELECT engine FROM sessions")] == ["direct"]
 
 
