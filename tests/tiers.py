@@ -25,5 +25,6 @@ def add_marks(items: Iterable[pytest.Item]) -> None:
 
 
 def at_night(values: Iterable[Any]) -> list[Any]:
-    """Return these values of a parameter, sorted and marked for `make nightly`."""
-    return [pytest.param(value, marks=pytest.mark.nightly) for value in sorted(values)]
+    """Return these values of a parameter, sorted and marked for `make nightly`; a tuple has those of several parameters."""
+    night = pytest.mark.nightly
+    return [pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=night) for value in sorted(values)]

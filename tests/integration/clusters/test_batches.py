@@ -20,6 +20,7 @@ from tests import projects
 from tests.batches import CLUSTER, Gated, at_rest, ended, is_whole, packed, rows
 from tests.clusters import Slurm
 from tests.conftest import Simulated
+from tests.tiers import at_night
 from tests.waiting import until
 
 
@@ -278,7 +279,7 @@ def test_two_copies_of_an_array_task_give_one_result_and_a_comparison(gated: Gat
     assert "executed twice" in told
 
 
-@pytest.mark.parametrize("requeued", [0, 3])
+@pytest.mark.parametrize("requeued", [3, *at_night([0])])
 def test_a_batch_completes_after_a_crash_of_the_controller(gated: Gated, requeued: int) -> None:
     """A busy SLURM may requeue the running array tasks when its controller is back.
 

@@ -81,6 +81,7 @@ class Ruthless(Slurm):
         super().cancel(name)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("scheduler", "claim", "complaint"),
     [

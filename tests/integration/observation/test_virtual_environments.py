@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from tests import projects
+from tests.tiers import at_night
 
 SCRIPT = """\
 #!{0}/bin/python3
@@ -28,7 +29,8 @@ def simulate(arena):
         print("tick,value", *(f"{tick},{FACTOR}" for tick in range(3)), sep="\\n", file=file)
 """
 METADATA = "Metadata-Version: 2.1\nName: Swarms\nVersion: 1.5\n"
-COMMANDS = {"a console script": "swarms {input}", "a wrapper": "sh run.sh {input}", "python": "python3 -m swarms.run {input}"}
+CONSOLE_SCRIPT = "a console script"
+COMMANDS = {CONSOLE_SCRIPT: "swarms {input}", "a wrapper": "sh run.sh {input}", "python": "python3 -m swarms.run {input}"}
 
 
 def install(folder: Path) -> Path:
@@ -47,7 +49,7 @@ def install(folder: Path) -> Path:
     return site
 
 
-@pytest.fixture(params=COMMANDS)
+@pytest.fixture(params=[CONSOLE_SCRIPT, *at_night(set(COMMANDS) - {CONSOLE_SCRIPT})])
 def root(request: pytest.FixtureRequest, tmp_path: Path, require: Callable[..., str]) -> Path:
     require("strace")
     config = (
@@ -74,6 +76,7 @@ def sql(root: Path, statement: str) -> list[dict[str, Any]]:
     return found
 
 
+@pytest.mark.parametrize("root", COMMANDS, indirect=True)
 def test_the_same_environment_in_another_folder_reuses_all_runs(root: Path) -> None:
     assert run(root, "one")["executed"] == 4
     install(root.parent / "two" / "deeper")

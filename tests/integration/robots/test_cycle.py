@@ -18,6 +18,7 @@ from sierra.links.fabric import Fabric
 from sierra.runners.robots.trial import Trial
 from tests.support.robot_fleet import Fleet, Proxy
 from tests.support.robot_runs import Runs, job
+from tests.tiers import at_night
 from tests.waiting import until
 
 SLEEP = ("1", "sleep", "2", "sleep", "3", "sleep")
@@ -75,7 +76,7 @@ def radio_down(fleet: Fleet) -> None:
 
 
 @pytest.mark.parametrize("fault", [power_cut, radio_down])
-@pytest.mark.parametrize("step", ["_check", "_arm", "_measure", "_start"])
+@pytest.mark.parametrize("step", ["_arm", "_start", *at_night(["_check", "_measure"])])
 def test_a_robot_that_is_lost_before_the_start_prevents_it(
     runs: Runs, fleet: Fleet, monkeypatch: pytest.MonkeyPatch, step: str, fault: Fault
 ):

@@ -11,7 +11,6 @@ import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from sierra.deliverables.figures.drawing import Drawing
 from sierra.deliverables.record import origin_of
 from sierra.errors import ConfigError, Missing, SierraError, UsageError
 from sierra.model import Axis
+from tests.tiers import at_night
 
 SIZES = Axis("population_size", (1, 2, 4, 8), unit="robots")
 NAMES = Axis("scenario", ("low", "high"))
@@ -115,27 +115,14 @@ def flowing(shown: Drawing) -> str:
     return " ".join(said(shown).split())
 
 
-@cache
-def once(kind: str) -> list[tuple[str, bytes]]:
-    """Return a drawing of generated data in all formats, as this process first drew it."""
-    return list(figures.rendered(drawing(kind, (SIZES, NAMES) if kind == "heatmap" else (SIZES,))))
-
-
 @pytest.mark.integration
-@pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
+@pytest.mark.parametrize("kind", ["timeseries", "heatmap", *at_night(set(KINDS) - {"timeseries"})])
 def test_every_kind_of_figure_is_written_in_three_formats_with_captions(kind: str, tmp_path: Path) -> None:
     axes = (SIZES, NAMES) if kind == "heatmap" else (SIZES,)
     paths = figures.draw(drawing(kind, axes), tmp_path / "new")
     assert [path.name for path in paths] == [f"{kind}.{ending}" for ending in ("png", "pdf", "svg", "txt", "tex")]
     assert [path.read_bytes()[:4] for path in paths[:3]] == [b"\x89PNG", b"%PDF", b"<?xm"]
     assert sorted(paths) == sorted((tmp_path / "new").iterdir())
-
-
-@pytest.mark.integration
-@pytest.mark.parametrize("kind", [*KINDS, "heatmap"])
-def test_same_data_give_the_same_bytes(kind: str) -> None:
-    axes = (SIZES, NAMES) if kind == "heatmap" else (SIZES,)
-    assert list(figures.rendered(drawing(kind, axes))) == once(kind)
 
 
 @pytest.mark.integration
@@ -148,7 +135,7 @@ def test_figures_are_identical_across_processes_dates_and_time_zones() -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     another = environment | {"PYTHONHASHSEED": "2", "SOURCE_DATE_EPOCH": "1700000000", "TZ": "Asia/Tokyo"}
     drawn = subprocess.run([sys.executable, "-c", code, __file__], env=another, capture_output=True, text=True, check=True)
-    assert drawn.stdout == f"{[sha256(data).hexdigest() for kind in KINDS for _, data in once(kind)]}\n"
+    assert drawn.stdout == f"{[sha256(data).hexdigest() for kind in KINDS for _, data in figures.rendered(drawing(kind))]}\n"
 
 
 @pytest.mark.integration

@@ -112,7 +112,7 @@ class Unsure(NoEngine):
         return replace(super().probe(), trouble="no container can be started; start another engine")
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("engine", "claim", "complaint"),
     [

@@ -68,7 +68,7 @@ class Grasping(Maps):
         return observation
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("way", "claim"),
     [

@@ -157,19 +157,19 @@ class Hasty(Deaf):
         return replace(super().look(), alive=not self.stopped)
 
 
-@pytest.mark.integration
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("runner", "claim", "complaint"),
     [
         (Leaking, conformance.gives_exactly_the_jobs_environment, "the variables differ from the job's"),
         (Splitting, conformance.gives_what_the_job_has, "became|other|unpack|differs from the job's"),
-        pytest.param(Lenient, conformance.keeps_the_time_limit, "the session does not end", marks=pytest.mark.nightly),
+        (Lenient, conformance.keeps_the_time_limit, "the session does not end"),
         (Repeating, conformance.executes_each_job_once, "14 results of 7 executions"),
         (Hopeful, conformance.tells_how_each_ended, "exit status 3 became"),
         (Careless, conformance.keeps_what_runs_leave, "differs from its reported size or hash"),
         (Slow, conformance.looks_at_once, r"look\(\) took"),
-        pytest.param(Deaf, conformance.ends_when_stopped, "the session does not end", marks=pytest.mark.nightly),
-        pytest.param(Hasty, conformance.ends_when_stopped, "are still running", marks=pytest.mark.nightly),
+        (Deaf, conformance.ends_when_stopped, "the session does not end"),
+        (Hasty, conformance.ends_when_stopped, "are still running"),
     ],
 )
 def test_the_suite_detects_violations_of_its_claims(
