@@ -33,6 +33,7 @@ CONTENTS = {
         "how-to/figures",
         "how-to/report",
         "how-to/figure-kinds",
+        "how-to/videos",
         "how-to/models",
         "how-to/compare",
         "how-to/claims",

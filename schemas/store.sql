@@ -485,12 +485,12 @@ CREATE TABLE images (
     "size" BIGINT  -- total size of its files [bytes]
 );
 
--- Deliverables: figures and tables that were made from the store, with a row each time that one has changed.
+-- Deliverables: figures, tables and videos that were made from the store, with a row each time that one has changed.
 CREATE TABLE deliverables (
     "deliverable" VARCHAR,  -- hash of all columns below except made and lamport
     "batch" VARCHAR,  -- the batch that it was made for
     "batches" VARCHAR[],  -- the batches whose data it shows
-    "kind" VARCHAR,  -- figure or comparison
+    "kind" VARCHAR,  -- figure, table, comparison or video
     "name" VARCHAR,  -- its name
     "definition" VARCHAR,  -- what it shows and how, with labels, units and notes, as JSON
     "sql" VARCHAR,  -- the SQL that computed its data

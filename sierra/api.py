@@ -1006,6 +1006,28 @@ class Project:
 
         return Server(Answers(self._read, self.store, writes=write), self.root.name, port)
 
+    def videos(
+        self,
+        prefix: str | None = None,
+        *names: str,
+        jobs: int | None = None,
+        progress: Callable[[int, int], None] = lambda done, frames: None,
+    ) -> tuple[list[Path], list[str]]:
+        """Make the videos `[videos.NAME]` of a batch, all or those with these names; return the files and notes.
+
+        Notes say what could not be shown, and which runs are not in a video. `jobs` is the number of files that are made at a
+        time, by default the number of cores. `progress` receives the number of frames that are drawn, and of all frames of a
+        video. Raises NotFound, SierraError if a video that is named cannot be made.
+
+        >>> project.videos(summary.batch)
+        Traceback (most recent call last):
+        sierra.errors.NotFound: sierra.toml declares no [videos.NAME]
+        """
+        from sierra.deliverables.videos import render
+
+        batch = self.batch(prefix)
+        return render.videos(self._loaded, self.store, batch, names, jobs=_slots(jobs), progress=progress)
+
     def check_figures(self, prefix: str | None = None) -> list[Checked]:
         """Return whether each figure that was drawn of a batch still follows from the store. Default: the batch requested last.
 

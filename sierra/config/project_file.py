@@ -49,6 +49,7 @@ from sierra.config.package_table import Package
 from sierra.config.robots_table import ROBOT, RobotsTable
 from sierra.config.trial_tables import Trials
 from sierra.config.validate import options
+from sierra.config.video_table import Video
 from sierra.errors import ConfigError, Missing, UsageError
 from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.util.processors import ARCH
@@ -219,6 +220,7 @@ class Project(Table):
     paper_tables: Mapping[Name, TableForPaper] = Field(
         default_factory=dict, description="tables for papers, by name; they are drawn with the figures"
     )
+    videos: Mapping[Name, Video] = Field(default_factory=dict, description="videos, by name, for `sierra video`")
     models: Mapping[Name, Model] = Field(
         default_factory=dict, description="predictions that are drawn with the data, by name, for figures and `sierra models`"
     )

@@ -7,23 +7,12 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, NonNegativeInt, model_validator
 
 from sierra.config.deliverable_tables import LimitsOfAxis, ListOfWords
-from sierra.config.field_types import Finite, Inside, Positive, Table
+from sierra.config.field_types import Finite, Positive, Table
 
-Kind = Literal["matrix", "grid", "poses", "network", "files"]
+Kind = Literal["matrix", "grid"]
 Format = Literal["mp4", "webm", "gif"]
-COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000), "poses": (2, 3), "network": (2, 3), "files": (0, 0)}
+COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000)}
 """The smallest and the largest number of columns of each kind."""
-OF_KINDS = {
-    "fill": ("matrix",),
-    "palette": ("matrix", "grid"),
-    "limits": ("matrix", "grid"),
-    "robot": ("poses",),
-    "xlim": ("poses",),
-    "ylim": ("poses",),
-    "place": ("network",),
-    "files": ("files",),
-}
-"""The keys that only some kinds have."""
 Side = Annotated[int, Field(ge=160, le=4096)]
 
 
@@ -39,17 +28,12 @@ class Video(Table):
     kind: Kind = Field(
         "matrix",
         description="`matrix`: three columns (number of the row, number of the column, value), a row for each cell; `grid`: "
-        "each row of the table is a row of the matrix, and `columns` are its columns; `poses`: x, y and perhaps the heading "
-        "in radians, a row for each robot; `network`: source, target and perhaps weight, a row for each edge; `files`: images "
-        "or a video that runs leave",
+        "each row of the table is a row of the matrix, and `columns` are its columns",
     )
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
     sql: str = Field("", description="a SELECT statement whose rows are shown instead of a `table`, as in `[tables.NAME]`")
     columns: ListOfWords = Field(
         (), alias="column", description="the columns that the kind needs; default for `grid`: all numeric ones but the time"
-    )
-    files: Inside | Literal[""] = Field(
-        "", description="kind `files`: glob of the images, from the run's output folder, in natural order; or one video"
     )
     show: Literal["run", "mean", "tiles", "difference"] = Field(
         "run",
@@ -75,12 +59,6 @@ class Video(Table):
         None, description="values at the ends of the colours; default: the smallest and the largest value of all frames"
     )
     palette: Literal["viridis", "cividis", "magma", "grey", "coolwarm"] = Field("viridis", description="scale of colours")
-    robot: str = Field("", description="column that tells robots apart; default: rows at one time are different robots")
-    xlim: LimitsOfAxis | None = Field(None, description="limits of x; default: those of all frames")
-    ylim: LimitsOfAxis | None = Field(None, description="limits of y; default: those of all frames")
-    place: tuple[str, ...] = Field(
-        (), description="columns of the x and y position of the source of a row; default: nodes are on a circle"
-    )
     title: str = Field("", description="title above the frames; default: none")
     label: str = Field("", description="label of the values; default: the name of their column and its unit")
     size: tuple[Side, Side] = Field((640, 480), description="width and height in pixels; odd sizes are increased by one")
@@ -93,30 +71,20 @@ class Video(Table):
     def _fitting(self) -> Video:
         if self.table and self.sql:
             raise ValueError('give either "table" or "sql"')
-        names = {field.alias or name for name, field in Video.model_fields.items() if name in self.model_fields_set}
-        for key, kinds in OF_KINDS.items():
-            if key in names and self.kind not in kinds:
-                raise ValueError(f'"{key}" needs kind = {" or ".join(map(repr, kinds))}, not {self.kind!r}')
+        if self.kind != "matrix" and self.fill is not None:
+            raise ValueError('"fill" needs kind "matrix", whose cells are rows')
         least, most = COLUMNS[self.kind]
         if not least <= len(self.columns) <= most:
             wanted = str(least) if least == most else f"{least} to {most}"
             raise ValueError(f"kind {self.kind!r} needs {wanted} columns, not {len(self.columns)}")
-        if self.kind == "files" and (not self.files or self.table or self.sql):
-            raise ValueError('kind "files" needs "files", the names of images or of a video, and no "table" or "sql"')
-        if len(self.place) not in (0, 2):
-            raise ValueError('"place" should name the two columns of x and y')
         return self
 
     @model_validator(mode="after")
     def _shows(self) -> Video:
         if (self.show == "difference") != bool(self.groups) or len(self.groups) not in (0, 2):
             raise ValueError('show = "difference" and two "groups", such as ["noise=0", "noise=0.4"], belong together')
-        if self.show in ("mean", "difference") and self.kind not in ("matrix", "grid"):
-            raise ValueError(f'show = "{self.show}" needs numbers: kind "matrix" or "grid", not {self.kind!r}')
         if self.show in ("mean", "tiles") and self.run is not None:
             raise ValueError(f'show = "{self.show}" shows all runs, so it cannot be used with "run"')
         if self.show == "difference" and self.experiments:
             raise ValueError('the experiments of a difference are its "groups"')
-        if self.step is not None and self.kind == "files":
-            raise ValueError('kind "files" has no times, so it cannot be used with "step"')
         return self

@@ -1,4 +1,4 @@
-"""Check whether figures and comparisons that were drawn still follow from the store."""
+"""Check whether figures, comparisons and videos that were drawn still follow from the store."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.deliverables import comparison, declared_tables, record, render
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Checked, Content, ShownDeliverable
+from sierra.deliverables.videos import render as videos
 from sierra.store.row_types import DeliverableRow
 from sierra.store.samples import Frame
 from sierra.store.store import Store
@@ -33,4 +34,6 @@ def _again(project: LoadedProject, store: Store, row: DeliverableRow, shared: Ca
         return comparison.content(project, store, row)
     if row.kind == declared_tables.KIND:
         return declared_tables.content(project, store, row.name, row.definition, row.batches)
+    if row.kind == videos.KIND:
+        return videos.content(project, store, row)
     return render.content(project, store, row, shared)

@@ -228,6 +228,18 @@ class Gallery:
         declared = self._config.declared(output.name)
         return declared.units.get(column, "") if declared else ""
 
+    def ticks_per_second(self, output: OutputTable) -> Mapping[int, float]:
+        """Return the ticks per second of each experiment, by its position; nothing if the time of the output is no ticks."""
+        declared = self._config.declared(output.name)
+        if not isinstance(declared, Output) or declared.ticks_per_second is None:
+            return {}
+        return seconds.rates(declared.ticks_per_second, self._config, self._store, self.frame)
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """Return the variables, with their labels and units."""
+        return self._axes
+
     def column(self, figure: Figure) -> stats.Samples:
         """Return the samples of the one column that a figure names, in the rows of its `where`."""
         output = self.output(figure)
@@ -277,13 +289,8 @@ class Gallery:
         declared = self._config.declared(output.name)
         units = dict(declared.units) if declared else {}
         tables, models, note = made.tables, made.models, made.note
-        if (
-            isinstance(declared, Output)
-            and declared.ticks_per_second is not None
-            and tables
-            and all("t" in table.column_names for table in tables.values())
-        ):
-            per_second = seconds.rates(declared.ticks_per_second, self._config, self._store, self.frame)
+        per_second = self.ticks_per_second(output) if tables and all("t" in one.column_names for one in tables.values()) else {}
+        if per_second:
             tables = {column: seconds.in_seconds(table, per_second) for column, table in tables.items()}
             models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in made.models)
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)

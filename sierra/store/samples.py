@@ -71,6 +71,18 @@ class OutputTable:
     """True if the order of a run's rows has no meaning, because the statement of a derived table does not order them."""
 
 
+@dataclass(frozen=True, slots=True)
+class ChosenRun:
+    """A run of a batch, and what counts of it."""
+
+    experiment: int
+    """The position of its experiment in the batch."""
+    number: int
+    run: str
+    judgement: str | None
+    """The judgement of its effective execution; None if it has none."""
+
+
 class Frame:
     """A context manager for the data of a batch; `sierra.stats.aggregate.Frame` is its contract."""
 
@@ -188,6 +200,27 @@ class Frame:
             {"b": self.batch},
         )
         return tuple((ordinal, digest) for ordinal, *digests in rows for digest in dict.fromkeys(digests))
+
+    def runs(self) -> list[ChosenRun]:
+        """Return all runs of the batch by experiment and number, also those without an effective execution."""
+        rows = self._snapshot.run(
+            "SELECT w.ordinal, w.number, w.run, m.judgement FROM wanted w LEFT JOIN membership m "
+            "ON m.run = w.run AND m.experiment = w.ordinal ORDER BY w.ordinal, w.number, w.run"
+        )
+        return [ChosenRun(*row) for row in rows]
+
+    def rows_of_run(self, table: str, run: ChosenRun, time: str) -> str:
+        """Return the relation of the rows of one run in an output, without reading those of other runs.
+
+        It has all columns of the output, the time `"# t"`, and the order of the rows: `"# file"`, `"# row"`. Raises NotFound.
+        """
+        if table not in self._files:
+            raise NotFound(f"no output {table!r} in this batch; it has {', '.join(self.names) or 'none'}")
+        source, t = self._relation(table, self._files[table]), f"{identifier(time)}::DOUBLE"
+        if not self._files[table]:
+            return f'(SELECT *, {t} AS "# t", 0 AS "# file", rowid AS "# row" FROM {source.sql} WHERE run = {quote(run.run)})'
+        mine = f"execution = {quote(run.judgement or '')}"
+        return f'(SELECT *, {t} AS "# t", filename AS "# file", file_row_number AS "# row" FROM {source.sql} WHERE {mine})'
 
     @property
     def written(self) -> list[str]:

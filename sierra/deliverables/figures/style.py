@@ -130,7 +130,7 @@ def applied(figure: FigureTable | None = None) -> Iterator[None]:
     """
     before = _page.set(page(figure) if figure else None)
     try:
-        with _settings(), text_layouts.remembered():
+        with settings(), text_layouts.remembered():
             yield
     finally:
         _page.reset(before)
@@ -165,7 +165,8 @@ def _palette(given: str | tuple[str, ...]) -> tuple[ColorType, ...]:
 
 
 @contextmanager
-def _settings() -> Iterator[None]:
+def settings() -> Iterator[None]:
+    """Apply the settings alone, for as long as a video takes."""
     font.register()
     with mpl.rc_context(), warnings.catch_warnings():
         mpl.rcParams.update(_defaults())

@@ -1,0 +1,122 @@
+"""The kinds of what videos show: the tracks of the runs of a film, and the painter of their states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+from sierra.config.deliverable_tables import Figure
+from sierra.config.video_table import Video
+from sierra.deliverables.gallery import Gallery
+from sierra.deliverables.videos.films import Film
+from sierra.deliverables.videos.sql_tracks import Grids, Matrices, Source
+from sierra.deliverables.videos.survey import Range, Survey
+from sierra.errors import SierraError, UsageError
+from sierra.util.text import counted
+
+if TYPE_CHECKING:
+    from sierra.deliverables.videos.scene import Painter, Scale
+    from sierra.deliverables.videos.tracks import Track
+
+
+class Subject(Protocol):
+    """What one film shows."""
+
+    @property
+    def tracks(self) -> Sequence[Track]:
+        """One for each run of the film."""
+
+    time: str
+    """The name of the time."""
+    unit: str
+    """The unit of the time; "" if there is none."""
+    sql: str
+    """The SQL that the states are computed from."""
+
+    def notes(self, survey: Survey) -> Sequence[str]:
+        """Return what the viewer must know of the states."""
+
+    def painter(self, film: Film, survey: Survey) -> Painter:
+        """Return the painter; `survey` has the ranges of all films of the video."""
+
+
+def subjects(video: Video, gallery: Gallery) -> Callable[[Film], Subject]:
+    """Return the function that makes what a film shows. It raises SierraError for a table or column that does not suit."""
+    return partial(_Cells, video, gallery, source_of(video, gallery))
+
+
+def source_of(video: Video, gallery: Gallery) -> Source:
+    """Return the table that a video shows. Raises NotFound, or UsageError for a table without a time."""
+    columns = video.columns if video.kind in ("matrix", "grid") else ()
+    output = gallery.output(Figure.model_construct(table=video.table, sql=video.sql, columns=columns))
+    time = gallery.time(output)
+    if not time:
+        raise UsageError(f'output {output.name!r} has no time column; set time = "COLUMN" in [outputs.{output.name}]')
+    return Source(gallery.frame, output, time, gallery.ticks_per_second(output))
+
+
+class _Timed:
+    """The time of a table, as frames show it."""
+
+    def __init__(self, source: Source, gallery: Gallery) -> None:
+        self.source = source
+        self.time = source.time
+        self.unit = "s" if source.per_second else gallery.unit(source.output, source.time)
+
+
+class _Cells(_Timed):
+    """Matrices as colours."""
+
+    def __init__(self, video: Video, gallery: Gallery, source: Source, film: Film) -> None:
+        super().__init__(source, gallery)
+        self._video = video
+        self._grid = (Matrices if video.kind == "matrix" else Grids)(self.source, video, film.runs)
+        self.tracks = self._grid.tracks
+        self.sql = self.source.shown(self._grid.columns, film.runs)
+        value = self._grid.columns[-1] if video.kind == "matrix" else self.source.output.name
+        unit = gallery.unit(self.source.output, self._grid.columns[-1])
+        self._value = (video.label or value.replace("_", " ")) + (f" [{unit}]" if unit else "")
+
+    def notes(self, survey: Survey) -> Sequence[str]:
+        timeless = sum(rows.timeless for rows in self._grid.rows)
+        limits, found = self._video.limits, survey.values
+        beyond = limits is not None and found.found and (found.low < limits[0] or found.high > limits[1])
+        return [
+            *([f"{counted(timeless, 'row')} without a time left out"] if timeless else []),
+            *([f"cells without a row count as {self._video.fill:g}"] if self._video.fill is not None else []),
+            *(["grey: cells without a finite value"] if survey.empty else []),
+            *(["values beyond the scale have the colours of its ends"] if beyond else []),
+        ]
+
+    def painter(self, film: Film, survey: Survey) -> Painter:
+        from sierra.deliverables.videos.scene import MatrixPainter
+
+        names = self._grid.columns[:2] if self._video.kind == "matrix" else ("row", "column")
+        labels = (names[0].replace("_", " "), names[1].replace("_", " "))
+        return MatrixPainter(self._grid.up, self._grid.across, labels, self._scales(film, survey))
+
+    def _scales(self, film: Film, survey: Survey) -> list[Scale]:
+        from sierra.deliverables.videos.scene import Scale
+
+        shown = tuple(k for k, panel in enumerate(film.panels) if not panel.minus)
+        apart = tuple(k for k, panel in enumerate(film.panels) if panel.minus)
+        low, high = self._video.limits or _ends(survey.values)
+        beyond = (survey.values.low < low, survey.values.high > high)
+        scales = [
+            Scale(low, high, "gray" if self._video.palette == "grey" else self._video.palette, self._value, shown, beyond)
+        ]
+        if apart:
+            most = max(map(abs, _ends(survey.differences)))
+            scales.append(Scale(-most, most, "coolwarm", f"difference of {self._value}", apart))
+        return scales
+
+
+def _ends(values: Range) -> tuple[float, float]:
+    """Return the ends of a scale, which are different numbers. Raises SierraError if there is no value."""
+    if not values.found:
+        raise SierraError("there is no finite value to show")
+    if values.low < values.high:
+        return values.low, values.high
+    around = abs(values.low) * 0.1 + 1e-12
+    return values.low - around, values.high + around

@@ -1,0 +1,232 @@
+"""Videos of recorded matrices show the recorded values, at their times, with the number of runs behind them."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sierra
+from sierra.config.project_file import load, parse
+from sierra.config.video_table import Video
+from sierra.deliverables.gallery import Gallery
+from sierra.deliverables.videos import render
+from sierra.deliverables.videos.scene import MatrixPainter
+from sierra.store.samples import Frame
+from tests import projects, stores, videos
+
+SIMULATOR = """\
+import sys
+
+arena = open(sys.argv[1]).read()
+count = int(arena.split('<swarm count="')[1].split('"')[0])
+seed = int(arena.split('<random seed="')[1].split('"')[0])
+number = int(arena.split('run="')[1].split('"')[0])
+TICKS = (0, 1, 2, 4) if count == 3 else (0, 1, 2, 3)
+
+def heat(tick, i, j):
+    return 10 * count * (number + 1) + tick + 0.1 * i + 0.01 * j
+
+with open("floor.csv", "w") as file:
+    print("tick,i,j,heat", file=file)
+    for tick in TICKS:
+        for i in range(2):
+            for j in range(3):
+                if not (count == 4 and tick == 2 and i == 1):
+                    print(tick, i, j, heat(tick, i, j), sep=",", file=file)
+for tick in TICKS:
+    with open(f"grid-{tick}.csv", "w") as file:
+        print("a,b,c", file=file)
+        for i in range(1 if count == 4 and tick == 2 else 2):
+            print(*(heat(tick, i, j) for j in range(3)), sep=",", file=file)
+if count == 2 and number == 1:
+    sys.exit(3)
+"""
+TEMPLATE = projects.TEMPLATE.replace("<arena ", '<arena run="0" ')
+CONFIG = """\
+template = "arena.xml"
+command = "python3 sim.py {input}"
+seed = "//random/@seed"
+runs = 2
+observe = "none"
+run_changes = [{ set = "/arena/@run", value = "{run}" }]
+[variables]
+population_size = "//swarm/@count"
+[outputs.floor]
+file = "floor.csv"
+time = "tick"
+ticks_per_second = 10
+units = { heat = "K" }
+[outputs.grid]
+file = "grid-{tick}.csv"
+time = "tick"
+"""
+CELLS = {"table": "floor", "column": ["i", "j", "heat"], "formats": ["mp4"]}
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a project with a batch: the population 2 has a failed run, 3 lacks the tick 3, 4 lacks cells at tick 2."""
+    made = projects.make(tmp_path_factory.mktemp("videos") / "p", CONFIG, simulator=SIMULATOR, template=TEMPLATE)
+    stores.ask(made, "population_size=1,2,3,4")
+    return made
+
+
+def prepared(root: Path, **keys: Any) -> render.Prepared:
+    project = load(root)
+    opened = sierra.open(root)
+    with Frame(opened.store, opened.batch()) as frame:
+        video = Video.model_validate(CELLS | keys)
+        return render.prepare("film", video, Gallery(project, opened.store, frame))
+
+
+def write(root: Path, text: str) -> None:
+    (root / "sierra.toml").write_text(CONFIG + text)
+
+
+def test_a_video_shows_the_matrix_of_each_time_by_its_colours(root: Path) -> None:
+    write(
+        root,
+        '[videos.heat]\ntable = "floor"\ncolumn = ["i", "j", "heat"]\nexperiments = "population_size=1"\nlimits = [10, 14]\n'
+        'title = "a <b> $x$"\nsize = [321, 241]\n'
+        '[videos.grid]\nkind = "grid"\ntable = "grid"\nexperiments = "population_size=1"\nsize = [160, 160]\n',
+    )
+    done = projects.quick(root, "video", "--json")
+    assert done.returncode == 0, done.stderr
+    heat, grid = map(Path, json.loads(done.stdout))
+    assert (heat.name, grid.name) == ("heat_experiment0.mp4", "grid_experiment0.mp4")
+    frames = videos.decoded(heat)
+    assert [frame.shape for frame in frames] == [(242, 322, 3)] * 4
+    for tick, frame in enumerate(frames):
+        assert videos.part(frame[110, 150]) == pytest.approx((tick + 0.05) / 4, abs=0.04)
+    assert len(videos.decoded(grid)) == 4
+    before = heat.read_bytes(), grid.read_bytes()
+    assert projects.quick(root, "video", "-j", "2").returncode == 0
+    assert (heat.read_bytes(), grid.read_bytes()) == before, "the same store gives the same bytes"
+    rows = projects.sql(root, "SELECT name, kind, sql, files FROM deliverables ORDER BY name")
+    assert [(row["name"], row["kind"]) for row in rows] == [("grid", "video"), ("heat", "video")]
+    found = projects.sql(root, rows[1]["sql"])
+    assert [row["heat"] for row in found[:6]] == pytest.approx([10, 10.01, 10.02, 10.1, 10.11, 10.12])
+    assert len(found) == 24
+    assert "heat: follows from the store" in projects.quick(root, "figures", "--check").stdout
+    heat.write_bytes(before[0][:-1])
+    changed = projects.quick(root, "figures", "--check")
+    assert (changed.returncode, "is not the file that SIERRA made" in changed.stdout) == (1, True)
+
+
+def test_the_mean_has_only_good_runs_and_says_how_many(root: Path) -> None:
+    made = prepared(root, show="mean", experiments="population_size<=2")
+    one, two = made.films
+    assert (made.whole.values.low, made.whole.values.high) == pytest.approx((15, 23.12))
+    assert one.found.values.low == pytest.approx(15), "the mean of 10 and 20"
+    assert two.found.values.low == pytest.approx(20), "the second run has failed"
+    assert two.film.notes == ("mean over 1 of 2 runs", "without a result: run 1")
+    assert "video film_experiment1: without a result: run 1" in made.notes
+    assert "n = " not in render._count(two.film, [(1,)]), "a single run is no mean"
+
+
+def test_a_run_without_a_result_is_reported_and_not_replaced(root: Path) -> None:
+    made = prepared(root, run=1, experiments="population_size<=2")
+    assert [one.film.name for one in made.films] == ["film_experiment0"]
+    assert "video film_experiment1: run 1 has no successful execution, so there is nothing to show" in made.notes
+
+
+def test_a_difference_is_a_minus_b_with_zero_in_the_middle(root: Path) -> None:
+    made = prepared(root, show="difference", groups=["population_size=1", "population_size=2"])
+    (film,) = made.films
+    assert [panel.label for panel in film.film.panels] == ["A: population size = 1", "B: population size = 2", "A − B"]
+    assert (film.found.differences.low, film.found.differences.high) == pytest.approx((-5, -5))
+    painter = film.subject.painter(film.film, made.whole)
+    assert isinstance(painter, MatrixPainter)
+    values, differences = painter.scales
+    assert (values.low, values.high) == pytest.approx((15, 23.12))
+    assert (differences.low, differences.high) == pytest.approx((-5, 5))
+    assert (values.panels, differences.panels) == ((0, 1), (2,))
+
+
+def test_uneven_times_are_noted_and_a_step_makes_them_even(root: Path) -> None:
+    made = prepared(root, experiments="population_size=3")
+    assert made.films[0].times.tolist() == pytest.approx([0, 0.1, 0.2, 0.4])
+    assert "times are uneven: 0.1 to 0.2 between frames (step makes them even)" in made.notes[0]
+    made = prepared(root, experiments="population_size=3", step=0.1)
+    assert made.films[0].times.tolist() == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    tiles = prepared(root, experiments="population_size=3", show="tiles")
+    assert [panel.label for panel in tiles.films[0].film.panels] == ["run 0", "run 1"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({}, "output 'floor', run 0 of experiment 3 at tick 2: 3 of 2 × 3 cells have no row (set fill"),
+        ({"kind": "grid", "table": "grid", "column": []}, "at tick 2: a matrix of 1 rows, but the first one has 2"),
+        ({"column": ["i", "i", "heat"]}, "3 rows for the cell i 0, i 0; make one by sql"),
+        ({"column": ["i", "j", "none"]}, "output 'floor' has no numeric column 'none'"),
+        ({"experiments": "population_size=9"}, "does not vary it so"),
+        ({"table": "flor"}, "this batch has no output 'flor'"),
+        ({"sql": "SELECT run, i, j, heat FROM floor", "table": ""}, "has no time column"),
+    ],
+)
+def test_what_cannot_be_shown_is_an_error_in_one_line(root: Path, keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(sierra.SierraError) as caught:
+        prepared(root, **{"experiments": "population_size=4", **keys})
+    if "population_size=9" not in str(keys):
+        assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_cells_without_a_row_have_the_value_of_fill(root: Path) -> None:
+    made = prepared(root, experiments="population_size=4", fill=0)
+    assert (made.whole.values.low, made.whole.empty) == (0, 0)
+    assert "cells without a row count as 0" in render._small_print(made, made.films[0])
+
+
+def test_a_wrong_video_does_not_prevent_the_others(root: Path) -> None:
+    write(
+        root,
+        '[videos.bad]\ntable = "floor"\ncolumn = ["i", "j", "none"]\n'
+        '[videos.good]\ntable = "floor"\ncolumn = ["i", "j", "heat"]\nexperiments = "population_size=1"\nsize = [160, 160]\n',
+    )
+    done = projects.quick(root, "video")
+    assert (done.returncode, done.stdout.count("\n")) == (0, 1), done.stderr
+    assert "note: video bad: output 'floor' has no numeric column 'none'" in done.stderr
+    assert projects.quick(root, "video", "bad").returncode == 2
+    assert "there is no [videos.god]" in projects.quick(root, "video", "god").stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('column = ["i", "j"]', "kind 'matrix' needs 3 columns, not 2"),
+        ('column = ["i", "j", "v"]\nshow = "difference"', 'show = "difference" and two "groups"'),
+        ('kind = "grid"\nfill = 0', '"fill" needs kind "matrix"'),
+        ('column = ["i", "j", "v"]\nsize = [9000, 480]', "4096"),
+        ('column = ["i", "j", "v"]\nformats = ["avi"]', "'mp4', 'webm' or 'gif'"),
+    ],
+)
+def test_keys_that_do_not_fit_are_refused(text: str, message: str) -> None:
+    with pytest.raises(sierra.SierraError, match=re.escape(message)):
+        parse(tomllib.loads(f"{projects.CONFIG}[videos.a]\n{text}\n"), "sierra.toml")
+
+
+def test_cells_keep_their_places() -> None:
+    from sierra.deliverables.videos.scene import Scale, Scene, Words, settings
+
+    values = np.array([[0.0, 1.0, np.nan], [0.25, 0.5, 0.75]])
+    with settings():
+        painter = MatrixPainter(np.arange(2.0), np.arange(3.0), ("i", "j"), [Scale(0, 1, "viridis", "v", (0,))])
+        scene = Scene((400, 300), Words("", [""], ""), painter)
+        image, empty = scene.frame("t = 0", [(values,)]), scene.frame("t = 0", [None])
+    (box,) = scene.boxes()
+    for (i, j), value in np.ndenumerate(values):
+        y = box.top + int((i + 0.5) * (box.bottom - box.top) / 2)
+        x = box.left + int((j + 0.5) * (box.right - box.left) / 3)
+        if np.isnan(value):
+            assert videos.is_grey(image[y, x])
+        else:
+            assert videos.part(image[y, x]) == pytest.approx(value, abs=0.01)
+    assert videos.is_grey(empty[box.top + 5, box.left + 5])
