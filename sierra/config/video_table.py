@@ -9,10 +9,20 @@ from pydantic import AfterValidator, Field, NonNegativeInt, model_validator
 from sierra.config.deliverable_tables import LimitsOfAxis, ListOfWords
 from sierra.config.field_types import Finite, Positive, Table
 
-Kind = Literal["matrix", "grid"]
+Kind = Literal["matrix", "grid", "poses"]
 Format = Literal["mp4", "webm", "gif"]
-COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000)}
+COLUMNS = {"matrix": (3, 3), "grid": (0, 100_000), "poses": (2, 3)}
 """The smallest and the largest number of columns of each kind."""
+OF_KINDS = {
+    "fill": ("matrix",),
+    "palette": ("matrix", "grid"),
+    "limits": ("matrix", "grid"),
+    "label": ("matrix", "grid"),
+    "robot": ("poses",),
+    "xlim": ("poses",),
+    "ylim": ("poses",),
+}
+"""The keys that only some kinds have."""
 Side = Annotated[int, Field(ge=160, le=4096)]
 
 
@@ -28,7 +38,8 @@ class Video(Table):
     kind: Kind = Field(
         "matrix",
         description="`matrix`: three columns (number of the row, number of the column, value), a row for each cell; `grid`: "
-        "each row of the table is a row of the matrix, and `columns` are its columns",
+        "each row of the table is a row of the matrix, and `columns` are its columns; `poses`: x, y and perhaps the heading "
+        "in radians, a row for each robot",
     )
     table: str = Field("", description="name of the output or derived table; may be omitted if there is only one")
     sql: str = Field("", description="a SELECT statement whose rows are shown instead of a `table`, as in `[tables.NAME]`")
@@ -59,6 +70,9 @@ class Video(Table):
         None, description="values at the ends of the colours; default: the smallest and the largest value of all frames"
     )
     palette: Literal["viridis", "cividis", "magma", "grey", "coolwarm"] = Field("viridis", description="scale of colours")
+    robot: str = Field("", description="column that tells robots apart; a robot has one row at a time; default: not checked")
+    xlim: LimitsOfAxis | None = Field(None, description="limits of x; default: those of all frames")
+    ylim: LimitsOfAxis | None = Field(None, description="limits of y; default: those of all frames")
     title: str = Field("", description="title above the frames; default: none")
     label: str = Field("", description="label of the values; default: the name of their column and its unit")
     size: tuple[Side, Side] = Field((640, 480), description="width and height in pixels; odd sizes are increased by one")
@@ -71,8 +85,9 @@ class Video(Table):
     def _fitting(self) -> Video:
         if self.table and self.sql:
             raise ValueError('give either "table" or "sql"')
-        if self.kind != "matrix" and self.fill is not None:
-            raise ValueError('"fill" needs kind "matrix", whose cells are rows')
+        for key, kinds in OF_KINDS.items():
+            if key in self.model_fields_set and self.kind not in kinds:
+                raise ValueError(f'"{key}" needs kind {" or ".join(map(repr, kinds))}, not {self.kind!r}')
         least, most = COLUMNS[self.kind]
         if not least <= len(self.columns) <= most:
             wanted = str(least) if least == most else f"{least} to {most}"
@@ -83,6 +98,8 @@ class Video(Table):
     def _shows(self) -> Video:
         if (self.show == "difference") != bool(self.groups) or len(self.groups) not in (0, 2):
             raise ValueError('show = "difference" and two "groups", such as ["noise=0", "noise=0.4"], belong together')
+        if self.show in ("mean", "difference") and self.kind == "poses":
+            raise ValueError(f'show = "{self.show}" needs numbers: kind "matrix" or "grid", not {self.kind!r}')
         if self.show in ("mean", "tiles") and self.run is not None:
             raise ValueError(f'show = "{self.show}" shows all runs, so it cannot be used with "run"')
         if self.show == "difference" and self.experiments:

@@ -10,6 +10,7 @@ from sierra.config.deliverable_tables import Figure
 from sierra.config.video_table import Video
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.videos.films import Film
+from sierra.deliverables.videos.poses import Poses
 from sierra.deliverables.videos.sql_tracks import Grids, Matrices, Source
 from sierra.deliverables.videos.survey import Range, Survey
 from sierra.errors import SierraError, UsageError
@@ -43,13 +44,13 @@ class Subject(Protocol):
 
 def subjects(video: Video, gallery: Gallery) -> Callable[[Film], Subject]:
     """Return the function that makes what a film shows. It raises SierraError for a table or column that does not suit."""
-    return partial(_Cells, video, gallery, source_of(video, gallery))
+    kind = _Robots if video.kind == "poses" else _Cells
+    return partial(kind, video, gallery, source_of(video, gallery))
 
 
 def source_of(video: Video, gallery: Gallery) -> Source:
     """Return the table that a video shows. Raises NotFound, or UsageError for a table without a time."""
-    columns = video.columns if video.kind in ("matrix", "grid") else ()
-    output = gallery.output(Figure.model_construct(table=video.table, sql=video.sql, columns=columns))
+    output = gallery.output(Figure.model_construct(table=video.table, sql=video.sql, columns=video.columns))
     time = gallery.time(output)
     if not time:
         raise UsageError(f'output {output.name!r} has no time column; set time = "COLUMN" in [outputs.{output.name}]')
@@ -75,8 +76,7 @@ class _Cells(_Timed):
         self.tracks = self._grid.tracks
         self.sql = self.source.shown(self._grid.columns, film.runs)
         value = self._grid.columns[-1] if video.kind == "matrix" else self.source.output.name
-        unit = gallery.unit(self.source.output, self._grid.columns[-1])
-        self._value = (video.label or value.replace("_", " ")) + (f" [{unit}]" if unit else "")
+        self._value = _labelled(video.label or value, gallery.unit(self.source.output, self._grid.columns[-1]))
 
     def notes(self, survey: Survey) -> Sequence[str]:
         timeless = sum(rows.timeless for rows in self._grid.rows)
@@ -110,6 +110,45 @@ class _Cells(_Timed):
             most = max(map(abs, _ends(survey.differences)))
             scales.append(Scale(-most, most, "coolwarm", f"difference of {self._value}", apart))
         return scales
+
+
+class _Robots(_Timed):
+    """Poses of robots."""
+
+    def __init__(self, video: Video, gallery: Gallery, source: Source, film: Film) -> None:
+        super().__init__(source, gallery)
+        self._video = video
+        self._poses = Poses(source, video, film.runs)
+        self.tracks = self._poses.tracks
+        self.sql = source.shown((*filter(None, (video.robot,)), *video.columns), film.runs)
+        x, y = (_labelled(name, gallery.unit(source.output, name)) for name in video.columns[:2])
+        self._labels = x, y
+
+    def notes(self, survey: Survey) -> Sequence[str]:
+        timeless = sum(rows.timeless for rows in self._poses.rows)
+        cut = self._video.xlim is not None or self._video.ylim is not None
+        return [
+            *([f"{counted(timeless, 'row')} without a time left out"] if timeless else []),
+            *([f"{survey.empty} missing values: robots without a place are not shown"] if survey.empty else []),
+            *(["robots beyond the limits are not shown"] if cut else []),
+        ]
+
+    def painter(self, film: Film, survey: Survey) -> Painter:
+        from sierra.deliverables.videos.pose_painter import PosePainter
+
+        return PosePainter(self._limits(0, self._video.xlim, survey), self._limits(1, self._video.ylim, survey), self._labels)
+
+    def _limits(self, place: int, given: tuple[float, float] | None, survey: Survey) -> tuple[float, float]:
+        """Return the limits of an axis: the given ones, or those of all films with a margin."""
+        if given:
+            return given
+        low, high = _ends(survey.columns[place] if place < len(survey.columns) else Range())
+        margin = 0.05 * (high - low)
+        return low - margin, high + margin
+
+
+def _labelled(name: str, unit: str) -> str:
+    return f"{name.replace('_', ' ')} [{unit}]" if unit else name.replace("_", " ")
 
 
 def _ends(values: Range) -> tuple[float, float]:

@@ -10,6 +10,7 @@ import hashlib
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 from sierra.deliverables.videos.films import Film
@@ -56,16 +57,25 @@ class Survey:
     """The range of the panels that show values."""
     differences: Range = field(default_factory=Range)
     """The range of the panels that show differences."""
+    columns: tuple[Range, ...] = ()
+    """The ranges of the first two columns of the states: for poses, of x and of y."""
     empty: int = 0
     """The number of cells without a finite value, in all panels and frames."""
     gaps: int = 0
     """The number of frames in which a panel has no data."""
+
+    def add_columns(self, values: Floats) -> None:
+        """Add the values of a state to the ranges of its first two columns."""
+        self.columns = self.columns or tuple(Range() for _ in range(min(2, values.shape[1])))
+        for place, column in enumerate(self.columns):
+            column.add((values[:, place],))
 
     def joined(self, other: Survey) -> Survey:
         """Return the facts about two films together; these have no hash."""
         return Survey(
             values=self.values.joined(other.values),
             differences=self.differences.joined(other.differences),
+            columns=tuple(a.joined(b) for a, b in zip_longest(self.columns, other.columns, fillvalue=Range())),
             empty=self.empty + other.empty,
             gaps=self.gaps + other.gaps,
         )
@@ -90,6 +100,7 @@ def survey(
             for part in state:
                 digest.update(repr((part.dtype.str, part.shape)).encode())
                 digest.update(np.ascontiguousarray(_plain(part)).data)
+            found.add_columns(state[0])
             (found.differences if panel.minus else found.values).add(state)
             found.empty += int((~np.isfinite(state[0])).sum())
         found.gaps += gap

@@ -16,6 +16,7 @@ from sierra.config.project_file import load, parse
 from sierra.config.video_table import Video
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.videos import render
+from sierra.deliverables.videos.pose_painter import PosePainter
 from sierra.deliverables.videos.scene import MatrixPainter
 from sierra.store.samples import Frame
 from tests import projects, stores, videos
@@ -44,6 +45,11 @@ for tick in TICKS:
         print("a,b,c", file=file)
         for i in range(1 if count == 4 and tick == 2 else 2):
             print(*(heat(tick, i, j) for j in range(3)), sep=",", file=file)
+with open("poses.csv", "w") as file:
+    print("tick,robot,x,y,heading", file=file)
+    for tick in TICKS:
+        print(tick, "a", 1 + tick, 1, 0, sep=",", file=file)
+        print(tick, "b" if count < 4 else "a", 1, 4, 1.5707963, sep=",", file=file)
 if count == 2 and number == 1:
     sys.exit(3)
 """
@@ -62,6 +68,10 @@ file = "floor.csv"
 time = "tick"
 ticks_per_second = 10
 units = { heat = "K" }
+[outputs.poses]
+file = "poses.csv"
+time = "tick"
+units = { x = "m", y = "m" }
 [outputs.grid]
 file = "grid-{tick}.csv"
 time = "tick"
@@ -198,12 +208,41 @@ def test_a_wrong_video_does_not_prevent_the_others(root: Path) -> None:
     assert "there is no [videos.god]" in projects.quick(root, "video", "god").stderr
 
 
+POSES: dict[str, Any] = {"kind": "poses", "table": "poses", "column": ["x", "y", "heading"], "robot": "robot"}
+
+
+def test_robots_are_at_their_places_with_their_headings(root: Path) -> None:
+    limits = {"xlim": [0, 6], "ylim": [0, 6]}
+    keys = "".join(f"{key} = {json.dumps(value)}\n" for key, value in (POSES | limits).items())
+    write(root, f'[videos.paths]\n{keys}experiments = "population_size=1"\nsize = [300, 300]\n')
+    done = projects.quick(root, "video", "--json")
+    assert done.returncode == 0, done.stderr
+    frames = [frame.astype(int) for frame in videos.decoded(Path(json.loads(done.stdout)[0]))]
+    moved = [(frame[..., 2] - frame[..., 0] > 60) & (np.indices(frame.shape[:2])[0] > 120) for frame in frames]
+    centers = [np.argwhere(one).mean(axis=0) for one in moved]
+    steps = np.diff(centers, axis=0)
+    assert np.abs(steps[:, 0]).max() < 2, "robot a moves along x only"
+    assert steps[:, 1] == pytest.approx(steps[:, 1].mean(), abs=2)
+    assert 25 < steps[:, 1].mean() < 50, "one of six metres in a panel of some 200 pixels"
+    with pytest.raises(sierra.SierraError, match="at tick 0: robot 'a' has 2 poses; make one by sql"):
+        prepared(root, **POSES, experiments="population_size=4")
+
+
+def test_poses_share_their_limits_over_all_frames_and_files(root: Path) -> None:
+    made = prepared(root, **POSES, experiments="population_size=1,3")
+    for one in made.films:
+        painter = one.subject.painter(one.film, made.whole)
+        assert isinstance(painter, PosePainter)
+        assert (*painter.xlim, *painter.ylim) == pytest.approx((0.8, 5.2, 0.85, 4.15))
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ('column = ["i", "j"]', "kind 'matrix' needs 3 columns, not 2"),
         ('column = ["i", "j", "v"]\nshow = "difference"', 'show = "difference" and two "groups"'),
-        ('kind = "grid"\nfill = 0', '"fill" needs kind "matrix"'),
+        ('kind = "poses"\ncolumn = ["x", "y"]\nlimits = [0, 1]', "\"limits\" needs kind 'matrix' or 'grid', not 'poses'"),
+        ('kind = "poses"\ncolumn = ["x", "y"]\nshow = "mean"', 'show = "mean" needs numbers'),
         ('column = ["i", "j", "v"]\nsize = [9000, 480]', "4096"),
         ('column = ["i", "j", "v"]\nformats = ["avi"]', "'mp4', 'webm' or 'gif'"),
     ],
