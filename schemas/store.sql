@@ -368,10 +368,12 @@ CREATE TABLE environments (
     "limits" VARCHAR,  -- process limits (ulimit) as JSON, soft and hard by name, in bytes, seconds or numbers; null for no limit
     "modules" VARCHAR[],  -- environment modules that were loaded
     "variables" VARCHAR,  -- environment variables as JSON: those known to change results, and those in [environment] record
-    "python" VARCHAR,  -- version of the Python that ran SIERRA
+    "python" VARCHAR,  -- version of the Python that ran SIERRA, or its agent on a robot
     "sierra" VARCHAR,  -- SIERRA's version
-    "distributions" VARCHAR,  -- Python distributions installed where SIERRA ran, one name==version per line
-    "lock" VARCHAR  -- SHA-256 of the column distributions
+    "distributions" VARCHAR,  -- Python distributions installed where SIERRA, or its agent on a robot, ran, one name==version per line
+    "lock" VARCHAR,  -- SHA-256 of the column distributions
+    "packages" VARCHAR,  -- packages of a robot's system, one name==version per line; NULL for other hosts
+    "workspaces" VARCHAR  -- workspaces that a robot's setup line has sourced, one per line: folder, SHA-256 of its files, and commits of its repositories; NULL if there are none, and for other hosts
 );
 
 -- Sources: states of the code of runs, each recorded once.

@@ -113,6 +113,8 @@ def _facts(environment: Mapping[str, object]) -> Iterator[tuple[str, object]]:
                 yield from ((key, _cut(readable(text))) for key, text in value.items())
             case "distributions", list():
                 yield name, len(value)
+            case "packages", str():
+                yield name, len(value.splitlines())
             case (("environment" | "lock"), str()):
                 yield name, value[:10]
             case _, list():

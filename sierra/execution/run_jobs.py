@@ -198,8 +198,7 @@ class Service:
 
     def _is_observed(self) -> bool:
         """Return whether runs may be observed."""
-        here = self._setup.image is None and self._setup.spec.robots is None
-        return here and self._setup.project.config.observe != "none"
+        return self._setup.image is None and self._setup.project.config.observe != "none"
 
     def _search(self) -> str:
         """Return the PATH of the runs."""

@@ -30,7 +30,8 @@ used AS (
 )"""
 """The files that observed runs used. A file that the session has changed itself is no input."""
 CHANGED = """
-SELECT path FROM used WHERE sha256 IS NOT NULL GROUP BY path HAVING count(DISTINCT sha256) > 1 ORDER BY path
+SELECT path FROM used WHERE sha256 IS NOT NULL AND NOT starts_with(path, '{robot ')
+GROUP BY path HAVING count(DISTINCT sha256) > 1 ORDER BY path
 """
 DIFFERENT = r"""
 , counted AS (

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra.containers import engines
-from sierra.ingest import astray, compare_observations
+from sierra.ingest import astray, compare_observations, compare_robots
 from sierra.ingest.match_outputs import NOTED_AT_MOST, OutputMatcher
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape
@@ -237,6 +237,7 @@ class Recorder:
             *elsewhere,
             *unseen,
             *used,
+            *compare_robots.notes(self._store, self.context.batch),
             *as_files(kept),
             *remarks.all(),
         ]

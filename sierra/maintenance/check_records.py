@@ -31,7 +31,7 @@ from sierra.ingest.rejudge import judgement_id
 from sierra.maintenance.check_files import Contents, Objects
 from sierra.maintenance.findings import Affected, Finding, Kind, of
 from sierra.model import RunSpec, Value
-from sierra.provenance import source
+from sierra.provenance import environment, source
 from sierra.provenance.dependency_model import fingerprint
 from sierra.provenance.source.stored_repositories import proves
 from sierra.store.deliverable_records import deliverable_id
@@ -173,7 +173,7 @@ def _recipes(records: Records) -> Iterator[Finding]:
 
 
 def _environments(records: Records) -> Iterator[Finding]:
-    yield from _own(records, EnvironmentRow, lambda row: digest("environment", _fields(row, EnvironmentRow._fields[1:])))
+    yield from _own(records, EnvironmentRow, lambda row: environment.identity(row._asdict()))
 
 
 class _Build(NamedTuple):

@@ -32,9 +32,13 @@ VARIABLES = (
 LOADED = "LOADEDMODULES"
 RELEVANT = (
     *("cpu_flags", "machine", "cpu", "libc", "gpus", "container", "os", "kernel", "variables", "modules", "sierra", "python"),
-    *("distributions", "locale", "timezone", "cores", "memory", "limits", "host"),
+    *("distributions", "workspaces", "packages", "locale", "timezone", "cores", "memory", "limits", "host"),
 )
 """Names of the facts; those that best explain a different result come first."""
+LATER = ("packages", "workspaces")
+"""Facts that only robots report. They are no part of the ids of environments that lack them."""
+ABSENT = ("container", "workspaces")
+"""Facts that are None where there is none. For others, None means that an older record does not have them."""
 SECRET = ("TOKEN", "SECRET", "PASSWORD", "CREDENTIAL")
 
 
@@ -46,13 +50,21 @@ def capture(version: str, record: Sequence[str] = ()) -> dict[str, JsonView]:
 
 
 def elsewhere(
-    around: Mapping[str, JsonView], machine: Mapping[str, JsonView], variables: Mapping[str, str]
+    around: Mapping[str, JsonView],
+    machine: Mapping[str, JsonView],
+    variables: Mapping[str, str],
+    software: Mapping[str, str | None] | None = None,
 ) -> dict[str, JsonView]:
     """Return the record of another host, from the facts and variables that it reported, and `around`, this host's record.
 
-    PATH is this host's, because runs search for programs in it wherever they are executed.
+    PATH is this host's, because runs search for programs in it wherever they are executed. `software`: that of a robot, which
+    has its own (`sierra.worker.robot_software`).
     """
     kept = {name: value for name, value in around.items() if name != "environment"}
+    if software is not None:
+        kept |= {name: str(software[name] or "") for name in ("python", "distributions")}
+        kept |= {name: software[name] for name in LATER if software.get(name)}
+        kept["lock"] = sha256(str(kept["distributions"]).encode())
     own = _table("variables", str(around.get("variables") or ""))
     search = {name: str(value) for name, value in own.items() if name == "PATH"}
     return _record(kept, machine, variables, {name: value for name, value in {**variables, **search}.items() if name != LOADED})
@@ -63,6 +75,7 @@ def _record(
 ) -> dict[str, JsonView]:
     """Return a row of `environments`. `variables` decide about locale, time zone and modules; `recorded` are written down."""
     found = {
+        **dict.fromkeys(LATER),
         **around,
         **machine,
         "locale": next((variables[name] for name in ("LC_ALL", "LC_CTYPE", "LANG") if variables.get(name)), "C"),
@@ -71,7 +84,13 @@ def _record(
         "modules": [name for name in variables.get(LOADED, "").split(":") if name],
         "variables": json.dumps(recorded, sort_keys=True),
     }
-    return {"environment": digest("environment", found), **found}
+    return {"environment": identity(found), **found}
+
+
+def identity(facts: Mapping[str, JsonView]) -> str:
+    """Return the id of an environment with these facts."""
+    given = {name: value for name, value in facts.items() if name not in LATER or value is not None}
+    return digest("environment", {name: value for name, value in given.items() if name != "environment"})
 
 
 def recorded(record: Sequence[str]) -> tuple[str, ...]:
@@ -104,10 +123,10 @@ def differing(
     """
     for name in RELEVANT:
         was, found = before.get(name), now.get(name)
-        if was == found or name not in before or (was is None and name != "container"):
+        if was == found or name not in before or (was is None and name not in ABSENT):
             continue
         match name:
-            case "variables" | "limits" | "distributions":
+            case "variables" | "limits" | "distributions" | "packages" | "workspaces":
                 old, new = (_table(name, str(value or "")) for value in (was, found))
                 changed = (key for key in sorted(old.keys() | new.keys()) if old.get(key) != new.get(key))
                 yield from ((f"{name}.{key}", old.get(key), new.get(key)) for key in changed)
@@ -120,4 +139,12 @@ def differing(
 
 def _table(name: str, text: str) -> Mapping[str, JsonView]:
     """Return the facts that a text contains, by name."""
-    return dependency_model.versions(text) if name == "distributions" else as_object(json.loads(text or "{}"))
+    match name:
+        case "distributions":
+            return dependency_model.versions(text)
+        case "packages":
+            return {package: version for package, _, version in (line.partition("==") for line in text.splitlines())}
+        case "workspaces":
+            return {folder: described for folder, _, described in (line.partition(": ") for line in text.splitlines())}
+        case _:
+            return as_object(json.loads(text or "{}"))

@@ -535,10 +535,18 @@ class EnvironmentRow(NamedTuple):
     ]
     modules: Annotated[list[str], "environment modules that were loaded"]
     variables: Annotated[str, "environment variables as JSON: those known to change results, and those in [environment] record"]
-    python: Annotated[str, "version of the Python that ran SIERRA"]
+    python: Annotated[str, "version of the Python that ran SIERRA, or its agent on a robot"]
     sierra: Annotated[str, "SIERRA's version"]
-    distributions: Annotated[str, "Python distributions installed where SIERRA ran, one name==version per line"]
+    distributions: Annotated[
+        str, "Python distributions installed where SIERRA, or its agent on a robot, ran, one name==version per line"
+    ]
     lock: Annotated[str | None, "SHA-256 of the column distributions"]
+    packages: Annotated[str | None, "packages of a robot's system, one name==version per line; NULL for other hosts"] = None
+    workspaces: Annotated[
+        str | None,
+        "workspaces that a robot's setup line has sourced, one per line: folder, SHA-256 of its files, and commits of its "
+        "repositories; NULL if there are none, and for other hosts",
+    ] = None
 
 
 class SourceRow(NamedTuple):

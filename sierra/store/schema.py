@@ -55,6 +55,7 @@ RECORDED = {name: _recorded(name, row) for name, row in ROWS.items()}
 LATER: dict[str, tuple[str, ...]] = {
     "sessions": ("build", "target"),
     "builds": ("processors",),
+    "environments": ("packages", "workspaces"),
     "observations": ("distributions",),
     "specs": ("named_inputs", "shared_files", "around", "robots"),
 }

@@ -1471,6 +1471,11 @@ def usable(ways: Iterable[Way] = WAYS) -> tuple[Way | None, tuple[str, ...]]:
     return None, tuple(troubles)
 
 
+def gentle() -> tuple[Way | None, tuple[str, ...]]:
+    """Return the way that cannot change what a run does, as `usable` does."""
+    return usable(WAYS[-1:])
+
+
 def read_proc(path: str) -> bytes:
     """Return the content of a file in /proc; empty if it cannot be read."""
     try:

@@ -1,6 +1,7 @@
 """The agent: executes runs on one robot for a driver, and ends them if it hears no more of that driver.
 
-It needs only the standard library (Python 3.8 or newer), and beside it `worker.py` and `machine.py`. A driver starts it by SSH:
+It needs only the standard library (Python 3.8 or newer), and beside it `worker.py`, `machine.py` and `robot_software.py`. A
+driver starts it by SSH:
 
     robot_agent.py FOLDER LOCK
 
@@ -286,6 +287,7 @@ class Agent:
         self.battery: Sequence[str] | str | None = None
         self.checks: Sequence[Sequence[str]] = ()
         self.environment: dict[str, str] = {}
+        self.looker = load("robot_software").Looker()
         self.run: Run | None = None
         self.heard = time.monotonic()
         self.leaving: str | None = None
@@ -395,6 +397,8 @@ class Agent:
             "python": "%d.%d.%d" % sys.version_info[:3],
             "executable": sys.executable,
             "facts": load("machine").facts(),
+            "software": self.looker.news(self.environment),
+            "home": os.path.expanduser("~"),
             "variables": variables,
             "leftovers": leftovers,
         }
@@ -463,9 +467,10 @@ class Agent:
                 time.sleep(LOOK_S / 10)
 
     def check(self, request: Record) -> Record:
-        """Measure battery (percent) and disk (bytes), and execute the checks, unless the request says otherwise."""
+        """Measure battery (percent) and disk (bytes). Before a run, execute the checks, and look for changed software."""
         failed = []
-        for argv in self.checks if request.get("checks", True) else ():
+        before = request.get("checks", True)
+        for argv in self.checks if before else ():
             status, words = self.output_of(argv)
             if status != 0:
                 failed.append("%s: %s" % (" ".join(argv), words or "status %s" % status))
@@ -473,7 +478,8 @@ class Agent:
             if state_of(path) != state:
                 failed.append("%s has changed since it was verified" % path)
         space = shutil.disk_usage(self.folder)
-        return {"event": "checked", "battery": self.battery_level(), "disk": space.free, "failed": failed}
+        found = {"event": "checked", "battery": self.battery_level(), "disk": space.free, "failed": failed}
+        return {**found, "software": self.looker.news(self.environment) if before else None}
 
     def battery_level(self) -> float | None:
         """Return the first number that the battery's file or command gives; None without one. Raises Refused."""

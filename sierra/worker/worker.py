@@ -131,6 +131,7 @@ PROCESSORS = {  # by their numbers in ELF files (elf.h)
 }
 STALLED_S = 5.0  # with only stopped processes, until a run is reported as stalled
 SAMPLE_S = 0.05
+LOOKS = 4  # the next look at an observed run comes after a quarter of its time, because most programs load their files early
 SPREAD_S = 0.5  # for a signal to reach all processes that it was sent to
 ALLOTTED = "\1"
 ROCR = "ROCR_VISIBLE_DEVICES"
@@ -197,7 +198,10 @@ class Job(Program):
     """The part of the runs' time that observations may take; the run is not observed if this would take more."""
     helps: NotRequired[Helps]
     waits: NotRequired[bool]
-    """True: the run is prepared (event `ready`), and starts at the moment that the input gives later: see `Worker.read`."""
+    """True: the run is prepared (event `ready`), and starts at the moment that the input gives later: see `Worker.read`.
+
+    It is one of several that start together on robots, and so cannot be executed once more. Therefore no tracer observes it.
+    """
     unobserved: NotRequired[str]
     """Why this run was executed before and could not be observed: it is executed once more without observation."""
 
@@ -878,7 +882,7 @@ class Worker:
         with self.lock:
             self.running[running.pid] = running
         self.note(running, {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)})
-        if running.limited or self.stopping:
+        if running.limited or observation or self.stopping:
             self.waker.wake()
         status, usage = await_end(running)
         wall = time.monotonic() - started
@@ -973,7 +977,7 @@ class Worker:
             return None
         began = time.monotonic()
         with self.observing:
-            way, self.unusable = self.way(job.get("helps"))
+            way, self.unusable = file_trace().gentle() if job.get("waits") else self.way(job.get("helps"))
         observation = way.begin(folder + TRACE, os.path.join(folder, "output")) if way else None
         self.account.charge(time.monotonic() - began)
         return observation
@@ -1121,6 +1125,7 @@ class Worker:
             if one.observation:
                 one.observation.limit()
                 one.observation.look(pid for pid in one.pids() if pid != one.pid or not one.conducted)
+                due.append(now + max(SAMPLE_S, (now - one.started) / LOOKS))
             if one.stopped is None and now - one.started > POLL_S / 2:
                 reason = exceeded(one)
                 if reason:

@@ -35,6 +35,7 @@ class LocalChannel:
         )
         self.stalled = False
         self._unread = b""
+        self._reading = False
 
     def send(self, line: str) -> None:
         while self.stalled:
@@ -46,6 +47,7 @@ class LocalChannel:
             raise Unreachable("the program has ended") from error
 
     def receive(self, timeout: float) -> str | None:
+        self._reading = True
         assert self.process.stdout
         give_up = time.monotonic() + timeout
         while b"\n" not in self._unread:
@@ -76,7 +78,7 @@ class LocalChannel:
         assert self.process.stdin
         with contextlib.suppress(OSError):
             self.process.stdin.close()
-        if self.process.poll() is not None and self.process.stdout:
+        if self.process.poll() is not None and self.process.stdout and not self._reading:
             self.process.stdout.close()
 
 

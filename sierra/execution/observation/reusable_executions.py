@@ -109,7 +109,7 @@ TABLES = (
 def find(plan: Plan, snapshot: Snapshot, runs: Collection[str]) -> dict[str, Reusable]:
     """Return the executions that count for these runs of the plan, by run."""
     if not runs or plan.image is not None or plan.checkout is not None or plan.batch.spec.robots is not None:
-        return {}  # an image covers the programs; a checkout is not the folder with the current files; robots are not observed
+        return {}  # an image covers the programs; neither a checkout nor a robot has the current files here
     if not snapshot.holds("observations"):
         return {}
     snapshot.views.make(TABLES)

@@ -62,8 +62,8 @@ WHERE list_contains($environments, environment)
 
 def find(plan: Plan, snapshot: Snapshot) -> dict[str, str]:
     """Return the sessions that executed runs of this plan with files that have changed, each with one of these files."""
-    if not snapshot.holds("observations"):
-        return {}
+    if plan.batch.spec.robots is not None or not snapshot.holds("observations"):
+        return {}  # the files of robots are not here
     sets = snapshot.select(_Set, SETS, spec=plan.batch.spec_id, programs=plan.programs.id)
     if not sets:
         return {}

@@ -14,7 +14,7 @@ from pathlib import PurePosixPath
 from typing import Any, TypeVar
 
 from sierra.ingest.observations import file_set
-from sierra.provenance import source
+from sierra.provenance import environment, source
 from sierra.store.row_types import TABLES, EnvironmentRow, FileReadRow, IsolationRow, SourceRow
 from sierra.store.store import Snapshot
 from sierra.util.hashing import digest
@@ -24,6 +24,8 @@ SYSTEM = re.compile(r"/(usr|lib|lib32|lib64|libx32|bin|sbin|etc|proc|sys|dev)(/|
 """Folders that belong to the operating system."""
 PLACEHOLDERS = re.compile(r"\{(project|prefix|gpu|run|mount)\}(/|\Z)")
 """The beginnings of paths in folders that the records name no further."""
+ROBOT = re.compile(r"\{robot ([^}]*)\}")
+"""The beginning of the name of a file on a robot."""
 LOCAL = re.compile(r"LANG|LANGUAGE|LC_.*|TZ")
 """Environment variables that show where somebody lives."""
 LEFT_OUT = "redacted: files outside the project and the operating system are not listed"
@@ -33,7 +35,10 @@ HOSTS = """
 SELECT host FROM executions UNION SELECT host FROM environments UNION SELECT host FROM builds UNION SELECT node FROM attempts
 UNION SELECT host FROM robots WHERE host IS NOT NULL
 """
-ROBOTS = "SELECT robot FROM robots"
+ROBOTS = r"""
+SELECT robot FROM robots UNION
+SELECT regexp_extract(path, '^\{robot ([^}]*)\}', 1) FROM files_read WHERE starts_with(path, '{robot ')
+"""
 ATTEMPTS = """
 SELECT attempt FROM attempts UNION SELECT attempt FROM duplicates
 UNION SELECT attempt FROM executions WHERE attempt IS NOT NULL
@@ -67,7 +72,7 @@ class RowRedactor:
         self.robot = Pseudonyms("robot-{}", snapshot.values(str, ROBOTS))
         self.package = Pseudonyms("package-{}", snapshot.values(str, PACKAGES))
         self.attempt = Pseudonyms("attempt-{}", snapshot.values(str, ATTEMPTS))
-        paths = (one for path in snapshot.values(str, PATHS) for one in path.split(":"))
+        paths = (_on_robot(one)[1] for path in snapshot.values(str, PATHS) for one in path.split(":"))
         self._folder = Pseudonyms("/redacted/{}", (_folder(path) for path in paths if not _is_general(path)))
         self._environments = _by_id(snapshot, EnvironmentRow, self._environment)
         self._sources = _by_id(snapshot, SourceRow, _source)
@@ -101,7 +106,13 @@ class RowRedactor:
 
         The last part stays, because programs are identified by it.
         """
-        return ":".join(one if _is_general(one) else f"{self._folder(_folder(one))}/{_name(one)}" for one in path.split(":"))
+        return ":".join(self._robot_of(robot) + self._place(one) for robot, one in map(_on_robot, path.split(":")))
+
+    def _place(self, path: str) -> str:
+        return path if _is_general(path) else f"{self._folder(_folder(path))}/{_name(path)}"
+
+    def _robot_of(self, name: str | None) -> str:
+        return "" if name is None else f"{{robot {self.robot(name)}}}"
 
     def _environment(self, row: EnvironmentRow) -> EnvironmentRow:
         row = row._replace(
@@ -111,8 +122,9 @@ class RowRedactor:
             timezone=None,
             modules=[HIDDEN] if row.modules else [],
             variables=_variables(row.variables),
+            workspaces=row.workspaces and HIDDEN,
         )
-        return row._replace(environment=digest("environment", _fields(row, EnvironmentRow._fields[1:])))
+        return row._replace(environment=environment.identity(row._asdict()))
 
     def _add_set(self, identity: str, rows: list[FileReadRow]) -> None:
         """Remember the new id of a set of files, and the listings that it needs."""
@@ -123,7 +135,7 @@ class RowRedactor:
         self._files[identity] = file_set(one[1:] for one in kept)
 
     def _file_read(self, row: FileReadRow) -> FileReadRow | None:
-        if not _is_general(row.path) and row.use not in LOADED:
+        if not _is_general(_on_robot(row.path)[1]) and row.use not in LOADED:
             return None
         return row._replace(path=self.place(row.path), sha256=None if row.use == "link" else row.sha256)
 
@@ -161,6 +173,12 @@ def _variables(text: str) -> str:
     found = json.loads(text or "{}")
     kept = {name: HIDDEN if "/" in value or LOCAL.fullmatch(name) else value for name, value in found.items()}
     return json.dumps(kept, sort_keys=True)
+
+
+def _on_robot(path: str) -> tuple[str | None, str]:
+    """Return the robot on which a file is, None for this machine, and the rest of its name."""
+    match = ROBOT.match(path)
+    return (match[1], path[match.end() :]) if match else (None, path)
 
 
 def _is_general(path: str) -> bool:

@@ -143,8 +143,9 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
         "equivalent reason"
     ),
     "environments": _rules(
-        "os kernel machine cpu cpu_flags cores memory gpus libc limits python sierra distributions lock",
+        "os kernel machine cpu cpu_flags cores memory gpus libc limits python sierra distributions lock packages",
         environment=Rule.ROW,
+        workspaces=Rule.ROW,
         host=Rule.ROW,
         container=Rule.ROW,
         locale=Rule.ROW,

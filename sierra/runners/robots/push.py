@@ -11,10 +11,10 @@ from pathlib import Path
 from sierra.errors import Missing
 from sierra.links.base import Link, Unreachable
 from sierra.provenance import machine
-from sierra.worker import robot_agent, worker
+from sierra.worker import robot_agent, robot_software, worker
 
 PROGRAMS = (
-    *(Path(str(one.__file__)) for one in (robot_agent, worker, machine)),
+    *(Path(str(one.__file__)) for one in (robot_agent, robot_software, worker, machine)),
     *(Path(worker.__file__).with_name(name) for name in (worker.TRACER, worker.CONDUCTOR)),
 )
 LENGTH = 24

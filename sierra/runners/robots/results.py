@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sierra.links.clock import Clock
+from sierra.runners.robots import observed_files
 from sierra.runners.robots.trial import OVER, Part, Trial
 from sierra.store.layout import RUN_OUTPUT
 from sierra.util.json_types import RecordValue
@@ -37,6 +38,7 @@ def result(trial: Trial, job: worker.Job, folder: Path, *, interrupted: bool) ->
     started = [part for part in trial.parts if part.started]
     ends = [part.end for part in started if part.end is not None]
     error = failure(trial) if not interrupted else None
+    observed = observed_files.merge(trial.parts, folder)
     outputs, left_out = _moved(trial.parts, folder)
     known = [times for part in started if (times := times_of(part))]
     at = trial.at_ns / 1e9
@@ -62,6 +64,8 @@ def result(trial: Trial, job: worker.Job, folder: Path, *, interrupted: bool) ->
         "outputs": outputs,
         "error": error if stopped is None else None,
     }
+    if observed:
+        record["observed"] = True
     if left_out:
         record["left_out"] = left_out[: worker.MOST_NAMED]
     return record

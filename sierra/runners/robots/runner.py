@@ -44,6 +44,7 @@ from sierra.util.json_types import RecordValue
 from sierra.util.lazy_logger import Log
 from sierra.util.processors import name_of
 from sierra.worker import worker
+from sierra.worker.robot_software import Software
 
 log = Log(__name__)
 HELLO_S = 90.0
@@ -178,7 +179,11 @@ class Robots:
         )
         self._trial = trial
         try:
-            trial.execute()
+            try:
+                trial.execute()
+            finally:
+                for part in parts:
+                    self._robots[part.name].take_changes(part.before.get("software"))
             self._keep(trial, job)
         finally:
             self._trial = None
@@ -245,8 +250,10 @@ class Robots:
             folders=placed.folders,
             limits=replace(job.limits, grace_s=self._table.grace),
             beside=robot.beside(Path(job.beside), self._beside) if job.beside else None,
-            observe=None,
             client=robot.container.client(placed.argv, variables) if robot.container else None,
+            observe=robot.folders() if job.observe is not None else None,
+            budget=None,
+            helps=None,
             members=(),
         )
         unchanged = robot.container.files if robot.container else {}
@@ -335,7 +342,7 @@ class Robot:
             raise type(error)(_named(self.name, error)) from error
         self._connected = True
         self.code = f"{self.hello['folder']}/{code.removeprefix(self._root + '/')}"
-        self._describe()
+        self._describe(self.hello["software"])
         if self.container and (row := self.container.isolation.row):
             self.hello["isolation"] = row.isolation
         for left in self.hello["leftovers"]:
@@ -377,7 +384,17 @@ class Robot:
             "patience": table.lease + table.grace + 2 * table.stop_limit + SETTLE_S,
         }
 
-    def _describe(self) -> None:
+    def folders(self) -> dict[str, str]:
+        """Return the folders there that names of observed files refer to."""
+        home, own = self.hello["home"], self.hello["folder"]
+        return {"project": self.code or own, "home": home, "cache": f"{home}/.cache", "store": own}
+
+    def take_changes(self, software: Software | None) -> None:
+        """Take what the agent has reported before a run: its software, if this has changed since the last report."""
+        if software is not None:
+            self._describe(software)
+
+    def _describe(self, software: Software) -> None:
         """Take the row of `environments` from what the agent reported."""
         variables = {
             name: value
@@ -385,7 +402,7 @@ class Robot:
             if any(fnmatchcase(name, pattern) for pattern in self._work.record)
         }
         around = {**self._work.around, "variables": ""}
-        row = environment.elsewhere(around, self.hello["facts"], variables)
+        row = environment.elsewhere(around, self.hello["facts"], variables, software)
         self.environment = dict(row)
         self.hello["environment"] = row["environment"]
 

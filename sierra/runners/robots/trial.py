@@ -143,11 +143,13 @@ class Trial:
 
     def _check(self) -> None:
         """Check battery, disk and the declared conditions. Raises Missing."""
-        for part, found in zip(
-            self.parts, self._each(lambda part: part.agent.ask("check", CHECK_S, unchanged=part.unchanged)), strict=True
-        ):
-            part.before = found
-            if reason := self._unfit(found):
+
+        def check(part: Part) -> None:
+            part.before = part.agent.ask("check", CHECK_S, unchanged=part.unchanged)
+
+        self._each(check)
+        for part in self.parts:
+            if reason := self._unfit(part.before):
                 raise Missing(f"{part.name}: {reason}")
 
     def _unfit(self, found: Record) -> str | None:

@@ -130,6 +130,7 @@ def test_files_with_a_column_robot_get_the_place_under_another_name(tmp_path: Pa
 def test_a_query_in_a_simulator_and_on_robots_with_sshd(fleet: Fleet, tmp_path: Path) -> None:
     robot_tables = "".join(f'{name} = {{ host = "{name}" }}\n' for name in fleet.names)
     options = f'stop = []\ndisk_min = 1000000\nlink_options = {{ ssh_config = "{fleet.ssh_config}" }}\n'
+    options += 'setup = "export CMAKE_PREFIX_PATH=/home/robot/ws"\n'
     more = f"[runners.robots]\n{options}[runners.robots.fleet]\n{robot_tables}"
     root = robots.project(tmp_path / "p", more, robots.CONFIG.replace('"pretend"', '"robots"'))
     done = projects.quick(root, "run", "population_size=3", "--runs", "2", "--target", "sim,robots", "--no-figures")
@@ -139,10 +140,24 @@ def test_a_query_in_a_simulator_and_on_robots_with_sshd(fleet: Fleet, tmp_path: 
     ) == [{"robot": robot, "rows": 8} for robot in (1, 2, 3)]
     found = projects.sql(root, "SELECT robot, host, status FROM robots JOIN robot_clocks USING (execution, place) ORDER BY ALL")
     assert found == [{"robot": name, "host": name, "status": "ok"} for name in fleet.names for _ in range(2)]
+    used = projects.sql(root, "SELECT path FROM files_read WHERE use = 'executed' AND path LIKE '{robot %'")
+    names = {f"{{robot {name}}}" for name in fleet.names}
+    assert {row["path"].partition("/")[0] for row in used} <= names, "a program that ends at once may not be seen"
+    assert used
+    package_counts = "SELECT min(length(packages)) AS least FROM robots JOIN environments USING (environment)"
+    assert projects.sql(root, package_counts)[0]["least"] > 1000
+
+    workspace = fleet.robots["rb2"].home / "ws"
+    workspace.mkdir()
+    (workspace / "controller.py").write_text("turn('left')")
+    later = projects.quick(root, "run", "population_size=3", "--runs", "3", "--target", "robots", "--no-figures")
+    assert "rb2 was not the same in all runs of this batch: workspaces./home/robot/ws changed" in later.stderr
+    assert "rb1" not in later.stderr
+
     refused = projects.quick(root, "run", "population_size=4", "--target", "robots", "--no-figures")
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "but the fleet in [runners.robots] has 3; 1 to 3 are possible" in refused.stderr
-    [batch] = projects.sql(root, "SELECT batch FROM sessions WHERE target = 'robots'")
+    [batch] = projects.sql(root, "SELECT batch FROM sessions WHERE target = 'robots' LIMIT 1")
     again = projects.quick(root, "replay", batch["batch"], "--runs", "1", "--on", "robots")
     assert again.returncode == 0, again.stderr
     assert projects.quick(root, "fsck").returncode == 0

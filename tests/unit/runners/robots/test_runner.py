@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
+import shutil
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from sierra.errors import ConfigError, Missing
+from sierra.ingest.observations import observed
 from sierra.model import Job
+from sierra.provenance.environment import differing
 from sierra.runners.robots.fleet_table import RobotTable
 from sierra.worker import worker
 from tests.support.local_link import LocalLink
@@ -61,6 +67,31 @@ def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
     assert '"GREETING": "hello"' in environments[row["environment"]]["variables"]
     assert all(list((link.home / ".cache/sierra-robot/runs").iterdir()) == [] for link in fleet.links.values())
     assert [name.split("/")[2] for name in fleet.links["ada"].pushed] == ["programs", "sources"]
+
+
+def test_files_and_software_of_each_robot_are_recorded(tmp_path: Path):
+    workspace = tmp_path / "ws" / "install"
+    workspace.mkdir(parents=True)
+    (workspace / "controller").write_text("turn left")
+    change = ["sh", "-c", "echo >> $AMENT_PREFIX_PATH/controller"]
+    fleet = Fleet(tmp_path, setup=f"export AMENT_PREFIX_PATH={workspace} ROS_PACKAGE_PATH=/usr/share", stop=change)
+    results = fleet.run(*(replace(job(number), observe={"project": "not there"}) for number in (1, 2)))
+    used = observed(results[1])
+    assert used is not None
+    assert (used.observation.method, used.observation.reason) == ("maps", "only files that were mapped into memory were seen")
+    python = Path(shutil.which("python3") or "").resolve()
+    executed = {row.path: row.sha256 for row in used.read if row.use == "executed"}
+    assert executed.keys() == {f"{{robot {name}}}{python}" for name in NAMES}
+    assert set(executed.values()) == {hashlib.sha256(python.read_bytes()).hexdigest()}
+    assert any("libc.so" in row.path and row.path.startswith("{robot cy}") for row in used.read)
+
+    environments = {row["environment"]: row for table, row in fleet.rows if table == "environments"}
+    before, after = (environments[row["environment"]] for table, row in fleet.rows if table == "robots" and row["place"] == 2)
+    [(name, was, found)] = differing(before, after)
+    assert name == f"workspaces.{workspace}"
+    assert str(was).startswith("sha256 ")
+    assert was != found
+    assert re.search(r"^libc6==", str(after["packages"]), re.MULTILINE)
 
 
 def test_nothing_starts_if_a_robot_is_missing(fleet: Fleet):
