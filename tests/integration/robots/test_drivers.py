@@ -14,7 +14,10 @@ from pathlib import Path
 import pytest
 
 from sierra import Project
-from tests.support.robot_fleet import Fleet
+from tests import projects
+from tests.support.killed_driver import NAMES
+from tests.support.robot_fleet import REPOSITORY, Fleet
+from tests.tiers import at_night
 from tests.waiting import until
 
 SWARM = """
@@ -44,6 +47,8 @@ lease = 3.0
 grace = 1.0
 [links.fabric]
 """
+STEPS = {f"{name} {number}" for name in NAMES for number in (1, 3)} | {"arm 2", "clock 20", "clock 100", "journal 2", "done 4"}
+"""The steps at which drivers are killed at night; a batch of two runs on three robots reaches each of them."""
 QUERY = ("run", "speed=1", "--runs", "2", "--on", "robots", "--no-figures")
 
 
@@ -79,8 +84,8 @@ def all_busy(fleet: Fleet, process: subprocess.Popen[str]) -> None:
     until(busy, "all robots have begun", 60)
 
 
-def answered(project: Path) -> None:
-    """Ask again, and check that each run has one successful execution, with all robots in its table."""
+def answered(project: Path, ticks: int = 30) -> None:
+    """Ask again, and check that each run has one successful execution, with all ticks of all robots in its table."""
     process = drive(project)
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
@@ -89,7 +94,7 @@ def answered(project: Path) -> None:
     assert rows("SELECT count(*), count(DISTINCT run) FROM executions WHERE status = 'ok'") == [(2, 2)]
     swarm = "swarm JOIN executions USING (execution)"
     counts = rows(f"SELECT robot, count(*) FROM {swarm} WHERE status = 'ok' GROUP BY robot ORDER BY robot")
-    assert counts == [(1, 60), (2, 60), (3, 60)]
+    assert counts == [(robot, 2 * ticks) for robot in (1, 2, 3)]
     assert set(rows("SELECT count(DISTINCT place) FROM robots GROUP BY execution")) == {(3,)}
 
 
@@ -104,6 +109,21 @@ def test_robots_stop_when_their_driver_is_killed(project: Path, fleet: Fleet):
     until(lambda: all(is_idle(fleet, name) for name in fleet.names), "all robots have stopped", 10)
     assert all((robot.home / "stops").exists() for robot in fleet.robots.values())
     answered(project)
+
+
+@pytest.mark.parametrize("step", ["at 2", "pull 2", *at_night(STEPS)])
+def test_a_driver_that_is_killed_at_a_step_leaves_nothing_that_moves(project: Path, fleet: Fleet, step: str):
+    (project / "swarm.py").write_text(SWARM.replace("range(30)", "range(5)"))
+    argv = [sys.executable, "-m", "tests.support.killed_driver", step, *QUERY]
+    killed = subprocess.run(
+        argv, cwd=project, env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, capture_output=True, timeout=120, check=False
+    )
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    until(lambda: all(is_idle(fleet, name) for name in fleet.names), "all robots have stopped", 10)
+    moved = [robot for robot in fleet.robots.values() if list(robot.home.rglob("swarm.csv"))]
+    assert all((robot.home / "stops").exists() for robot in moved)
+    answered(project, ticks=5)
+    assert projects.quick(project, "fsck").returncode == 0
 
 
 def test_robots_stop_when_their_driver_is_stopped(project: Path, fleet: Fleet):
