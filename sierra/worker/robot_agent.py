@@ -418,6 +418,8 @@ class Agent:
                 holder = self.holder()
                 now = time.monotonic()
                 own = holder.get("session") == self.who.get("session")
+                if own and holder.get("robot") != self.who.get("robot"):
+                    raise Refused("is the same host as %s; each robot needs a host of its own" % holder.get("robot")) from None
                 waits = now < give_up if holder.get("leaving") or own else not holder and now < began + SILENT_S
                 if not waits:
                     raise Refused("in use by %s" % (holder.get("text") or "another process that holds its lock")) from None

@@ -371,7 +371,7 @@ class Robot:
         session = self._session.root.name
         who = f"{getpass.getuser()} on {os.uname().nodename} (session {session})"
         return {
-            "who": {"session": session, "text": who},
+            "who": {"session": session, "robot": self.name, "text": who},
             "lease": table.lease,
             "grace": table.grace,
             "setup": own.setup,
