@@ -29,7 +29,14 @@ if place in mine:
     if action == "deaf":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         print("x" * (10 << 20), flush=True)
-    time.sleep({"sleep": 60, "deaf": 60, "nap": 5, "1s": 1}.get(action, 0.4))
+    if action == "writes":
+        open("much.bin", "wb").write(os.urandom(8 << 20))
+    if action == "forks" and os.fork() == 0:
+        while os.fork() == 0:
+            os.setsid()
+            time.sleep(0.001)
+        os._exit(0)
+    time.sleep({"sleep": 60, "deaf": 60, "forks": 60, "nap": 5, "1s": 1}.get(action, 0.4))
     sys.exit(int(action) if action.isdigit() else 0)
 """
 
@@ -98,7 +105,7 @@ class Runs:
 
 
 def job(number: int, *words: str, robots: int = 3, base: bool = False, python: str = "python3") -> Job:
-    """Return a run of GO. `words` are pairs of a place and its action: an exit status, `sleep`, `nap`, `1s` or `deaf`."""
+    """Return a run of GO. `words` are pairs of a place and its action: an exit status, a word that GO knows."""
     execution = f"{number:064d}"
     places = range(0 if base else 1, robots + 1)
     own = {"SIERRA_EXECUTION": execution, "SIERRA_ROBOTS": str(robots), "HOME": "\0/home"}

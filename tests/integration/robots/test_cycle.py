@@ -5,6 +5,7 @@ After each fault, no program is left on any robot within its lease, the result s
 
 from __future__ import annotations
 
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -181,6 +182,39 @@ def test_a_robot_that_cannot_be_used_is_named_in_one_line(runs: Runs, fleet: Fle
     assert runs.begun() == []
 
 
+def test_a_disk_that_is_full_in_the_middle_fails_the_run(runs: Runs, fleet: Fleet):
+    runner = runs.submit(job(1, "1", "nap", "2", "1s", "3", "nap"))
+    runs.all_begun()
+    fleet.fill_disk("rb2")
+    [result] = runs.follow(runner)
+    assert result.error
+    assert result.error.startswith("rb2 ")
+    assert {"1/here.csv", "3/here.csv"} <= {file.path for file in result.outputs}
+    assert runs.rows_by_place[2]["status"] == "failed"
+    fleet.heal()
+    assert [one.error for one in runs.run(job(2))] == [None]
+
+
+def test_a_full_disk_of_this_machine_fails_the_run(runs: Runs):
+    folder = runs.session.root
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", folder], check=True)
+    try:
+        [result] = runs.run(job(1, "1", "writes"))
+        assert result.error
+        assert result.error.startswith("rb1 has kept its outputs: ")
+        assert "no space left" in result.error.lower()
+        assert {file.path for file in result.outputs} == {"2/here.csv", "3/here.csv"}
+    finally:
+        subprocess.run(["umount", "--lazy", folder], check=True)
+    assert [one.error for one in runs.run(job(2))] == [None]
+
+
+def test_a_slow_network_is_used(runs: Runs, fleet: Fleet):
+    fleet.slow("rb2")
+    runs.table = runs.table.model_copy(update={"lease": 5.0, "clock_error": 1.0})
+    assert [one.error for one in runs.run(job(1))] == [None]
+
+
 def test_a_step_of_the_clock_is_recorded(runs: Runs, fleet: Fleet):
     fleet.set_clock("rb2", 5)
     runner = runs.submit(job(1, "1", "nap", "2", "nap", "3", "nap"))
@@ -192,9 +226,9 @@ def test_a_step_of_the_clock_is_recorded(runs: Runs, fleet: Fleet):
     assert result.ended > result.started
 
 
-def test_a_program_that_ignores_sigterm_and_writes_much_is_ended(runs: Runs, fleet: Fleet):
+def test_programs_that_ignore_sigterm_write_much_and_fork_for_ever_are_ended(runs: Runs, fleet: Fleet):
     fleet.fill_disk("rb1", free=40 << 20)
-    runner = runs.submit(job(1, "1", "deaf", "2", "sleep", "3", "sleep"))
+    runner = runs.submit(job(1, "1", "deaf", "2", "forks", "3", "sleep"))
     runs.all_begun()
     runner.stop()
     began = time.monotonic()
