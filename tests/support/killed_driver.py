@@ -1,6 +1,6 @@
-"""`sierra` as a process that kills itself at a step of a run on robots:
+"""`sierra` as a process that sends a signal to itself at a step of a run on robots:
 
-    python -m tests.support.killed_driver STEP SIERRA_WORDS…
+    python -m tests.support.killed_driver SIGKILL|SIGINT STEP SIERRA_WORDS…
 
 A step is a call that a driver makes, by its name in NAMES and its number among equal ones, as in `arm 2`: one robot may be
 armed then, and the next one is not. Several robots are served at once, so which robot it is depends on chance.
@@ -20,7 +20,7 @@ NAMES = ("run", "push", "channel", "hello", "check", "arm", "clock", "at", "pull
 """Commands and copies over a link, requests to agents, and what is written on this machine."""
 
 
-def main(step: str, words: list[str]) -> None:
+def main(name: str, step: str, words: list[str]) -> None:
     from sierra.cli.main import program
     from sierra.links.fabric import Fabric
     from sierra.runners.robots.agent_link import AgentLink
@@ -30,17 +30,17 @@ def main(step: str, words: list[str]) -> None:
     counts: Counter[str] = Counter()
     lock = threading.Lock()
 
-    def reach(name: str) -> None:
+    def reach(call: str) -> None:
         with lock:
-            counts[name] += 1
-            if f"{name} {counts[name]}" == step:
-                os.kill(os.getpid(), signal.SIGKILL)
+            counts[call] += 1
+            if f"{call} {counts[call]}" == step:
+                os.kill(os.getpid(), signal.Signals[name])
 
-    def watch(owner: type, method: str, name: Callable[..., str]) -> None:
+    def watch(owner: type, method: str, call: Callable[..., str]) -> None:
         original = getattr(owner, method)
 
         def watched(*arguments: Any, **more: Any) -> Any:
-            reach(name(*arguments))
+            reach(call(*arguments))
             return original(*arguments, **more)
 
         setattr(owner, method, watched)
@@ -55,4 +55,4 @@ def main(step: str, words: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2:])
+    main(sys.argv[1], sys.argv[2], sys.argv[3:])

@@ -47,8 +47,9 @@ lease = 3.0
 grace = 1.0
 [links.fabric]
 """
-STEPS = {f"{name} {number}" for name in NAMES for number in (1, 3)} | {"arm 2", "clock 20", "clock 100", "journal 2", "done 4"}
-"""The steps at which drivers are killed at night; a batch of two runs on three robots reaches each of them."""
+STEPS = {f"SIGKILL {name} {number}" for name in NAMES for number in (1, 3)}
+STEPS |= {f"SIGINT {name} 3" for name in NAMES} | {f"SIGKILL {step}" for step in ("arm 2", "clock 100", "journal 2", "done 4")}
+"""The steps at which drivers are killed or interrupted at night; a batch of two runs on three robots reaches each of them."""
 QUERY = ("run", "speed=1", "--runs", "2", "--on", "robots", "--no-figures")
 
 
@@ -111,14 +112,16 @@ def test_robots_stop_when_their_driver_is_killed(project: Path, fleet: Fleet):
     answered(project)
 
 
-@pytest.mark.parametrize("step", ["at 2", "pull 2", *at_night(STEPS)])
-def test_a_driver_that_is_killed_at_a_step_leaves_nothing_that_moves(project: Path, fleet: Fleet, step: str):
+@pytest.mark.parametrize("step", ["SIGKILL at 2", "SIGKILL pull 2", "SIGINT arm 2", *at_night(STEPS)])
+def test_a_driver_that_ends_at_a_step_leaves_nothing_that_moves(project: Path, fleet: Fleet, step: str):
+    number, _, step = step.partition(" ")
     (project / "swarm.py").write_text(SWARM.replace("range(30)", "range(5)"))
-    argv = [sys.executable, "-m", "tests.support.killed_driver", step, *QUERY]
-    killed = subprocess.run(
+    argv = [sys.executable, "-m", "tests.support.killed_driver", number, step, *QUERY]
+    ended = subprocess.run(
         argv, cwd=project, env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, capture_output=True, timeout=120, check=False
     )
-    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    assert ended.returncode in ({-signal.SIGKILL} if number == "SIGKILL" else {130, 0}), ended.stderr
+    assert b"fault" not in ended.stderr
     until(lambda: all(is_idle(fleet, name) for name in fleet.names), "all robots have stopped", 10)
     moved = [robot for robot in fleet.robots.values() if list(robot.home.rglob("swarm.csv"))]
     assert all((robot.home / "stops").exists() for robot in moved)
