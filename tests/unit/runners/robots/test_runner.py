@@ -183,7 +183,7 @@ def test_two_drivers_cannot_use_one_robot(fleet: Fleet, tmp_path: Path):
 
 def test_two_names_of_one_host_are_refused_at_once(tmp_path: Path):
     ada, bob = (LocalLink(name, tmp_path / name) for name in NAMES[:2])
-    fleet = Fleet(tmp_path, {"ada": ada, "bob": bob, "alias": LocalLink("alias", ada.home, ada.lock)}, lease=10.0)
+    fleet = Fleet(tmp_path, {"ada": ada, "bob": bob, "alias": LocalLink("alias", tmp_path / "alias", ada.lock)}, lease=10.0)
     began = time.monotonic()
     with pytest.raises(Missing, match=r"^(ada: is the same host as alias|alias: is the same host as ada); each robot needs"):
         fleet.run(job(1))
