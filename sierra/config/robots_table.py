@@ -14,7 +14,7 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field, PositiveInt, WithJsonSchema, model_validator
 
 from sierra.config.change_tables import ChangeTable
-from sierra.config.field_types import NAME, Argv, Command, Name, Table
+from sierra.config.field_types import NAME, Argv, Name, Table
 
 ROBOT, BASE = "robot", "base"
 """The groups of places that belong to no declared group, and of the base station."""
@@ -38,7 +38,7 @@ Count = Annotated[
 class BaseStation(Table):
     """A base station, which takes part in each run on robots; its place is 0."""
 
-    command: Command = Field(description="the program and its arguments, as in `command`")
+    command: Argv = Field((), description="the program and its arguments; default: as all robots")
 
 
 class GroupOfPlaces(Table):
@@ -95,5 +95,5 @@ class RobotsTable(Table):
     @property
     def commands(self) -> Mapping[str, tuple[str, ...]]:
         """Return the commands that are not that of all robots, by group."""
-        base = {BASE: self.base.command} if self.base else {}
+        base = {BASE: self.base.command} if self.base and self.base.command else {}
         return base | {name: group.command for name, group in self.groups.items() if group.command}

@@ -394,6 +394,7 @@ class Agent:
             "event": "hello",
             "folder": os.path.abspath(self.folder),
             "boot": boot_id(),
+            "address": own_address(),
             "python": "%d.%d.%d" % sys.version_info[:3],
             "executable": sys.executable,
             "facts": load("machine").facts(),
@@ -711,6 +712,12 @@ def last_line(path: str) -> str:
 
 def ending(status: int) -> str:
     return "signal %d" % -status if status < 0 else "status %d" % status
+
+
+def own_address() -> str | None:
+    """Return the address of this robot at which its driver has reached it, in the robot's own network; None without SSH."""
+    words = os.environ.get("SSH_CONNECTION", "").split()  # address and port of the client, then of the server
+    return words[2] if len(words) == 4 else None
 
 
 def boot_id() -> str:

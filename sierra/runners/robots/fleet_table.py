@@ -20,6 +20,11 @@ class RobotTable(Table):
     """One robot of the fleet."""
 
     host: Line = Field(description="its name in your configuration of OpenSSH, or `user@host:port`")
+    address: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9:.%_-]+$")] | None = Field(
+        None,
+        description="its address for the other robots of a run; default: the one in its own network that SSH reaches",
+        examples=["192.168.1.21"],
+    )
     group: Annotated[str, StringConstraints(pattern=NAME)] = Field(
         ROBOT, description="the group of places that it can take: `robot`, `base`, or a name in `[robots.groups]`"
     )

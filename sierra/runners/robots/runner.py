@@ -172,7 +172,8 @@ class Robots:
         robots = {place: self._robot(name) for place, name in taken.items()}
         each(Robot.examine, robots.values())
         each(Robot.connect, robots.values())
-        parts = [self._part(job, one, robots[one.place]) for one in job.members]
+        addresses = {f"SIERRA_ADDRESS_{place}": one.address for place, one in robots.items() if one.address}
+        parts = [self._part(job, one, robots[one.place], addresses) for one in job.members]
         attempt = f"{job.execution[:16]}-{secrets.token_hex(4)}"
         trial = Trial(
             attempt, parts, self._table, self._events, stopping=lambda: self._stopped, notice=lambda text: self._notes.put(text)
@@ -235,13 +236,15 @@ class Robots:
         used = [int(path.name) for path in self._session.runs.iterdir() if path.name.isdigit()]
         return self._session.runs / str(max(used, default=0) + 1)
 
-    def _part(self, job: Job, member: Member, robot: Robot) -> Part:
-        """Return the part of a run that a robot executes."""
+    def _part(self, job: Job, member: Member, robot: Robot, addresses: Mapping[str, str]) -> Part:
+        """Return the part of a run that a robot executes. `addresses`: variables with those of all robots of the run."""
         if self._work.code:
             fitting_programs.check(robot.name, robot.arch, member, self._work.code, robot.agent.link)
         placed = member.at("\0", robot.code, robot.arch)
         given = robot.variables if robot.container else robot.hello["variables"]  # a setup line is about the host
-        variables = {**given, **placed.environment, "SIERRA_EXECUTION": job.execution}
+        variables = {**given, **placed.environment, **addresses, "SIERRA_EXECUTION": job.execution}
+        if robot.address:
+            variables["SIERRA_ADDRESS"] = robot.address
         own = replace(
             job,
             argv=placed.argv,
@@ -320,6 +323,11 @@ class Robot:
         except SierraError as error:
             raise type(error)(_named(self.name, error)) from error
         self._examined = True
+
+    @property
+    def address(self) -> str | None:
+        """Return its address for other robots; None if it is unknown."""
+        return self._options.address or self.hello.get("address")
 
     def connect(self, keep: str | None = None) -> Record:
         """Start the agent unless it is there, and return what it says about its robot. `keep`: an attempt to leave as it is.

@@ -127,6 +127,19 @@ def test_the_end_of_the_base_station_ends_the_run(fleet: Fleet):
     assert fleet.rows_by_place[1]["reason"] == "the run is over"
 
 
+def test_programs_get_the_known_addresses_of_all_robots_of_their_run(fleet: Fleet):
+    own = {"ada": RobotTable(host="ada", group="base", address="10.0.0.1"), "bob": RobotTable(host="bob", address="10.0.0.2")}
+    fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, **own}})
+    (fleet.code / "go.py").write_text(
+        "import os\nprint(*(f'{name}={value}' for name, value in sorted(os.environ.items()) if 'SIERRA_ADDRESS' in name))"
+    )
+    [result] = fleet.run(job(1, robots=2, base=True))
+    both = "SIERRA_ADDRESS_0=10.0.0.1 SIERRA_ADDRESS_1=10.0.0.2\n"
+    assert Path(result.directory, "stdout").read_text() == (
+        f"==> ada <==\nSIERRA_ADDRESS=10.0.0.1 {both}==> bob <==\nSIERRA_ADDRESS=10.0.0.2 {both}==> cy <==\n{both}"
+    )
+
+
 @pytest.mark.integration
 def test_a_robot_without_power_stops_the_others_and_what_was_measured_is_kept(fleet: Fleet):
     runner = fleet.submit(job(1, "1", "sleep", "2", "sleep", "3", "sleep"))
