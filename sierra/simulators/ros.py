@@ -132,12 +132,16 @@ class Ros:
             raise ConfigError(f"{TABLE}: a launch file in YAML needs length")
         if options.poses and options.random_poses:
             raise ConfigError(f"{TABLE}: poses and random_poses exclude each other")
+        self._shares_master = project.robots is not None and project.robots.base is not None and not project.robots.base.command
+        if self._shares_master and options.ros == 2:
+            raise ConfigError(f"{TABLE}: ROS 2 has no master that a base station could have; give robots.base a command")
         self._input = "input.launch" if options.ros == 1 else f"input.launch{Path(project.template).suffix}"
         self._driver = driver_path(project.template, DRIVER, is_among_files=bool(project.files))
         self._python = project.command or ((PYTHON,) if options.ros == 1 else ("{python}",))
         self._dialect = Launch1() if options.ros == 1 else Launch2()
         arguments = (("model", self._kind.model),) if self._kind.model else ()
-        self._robots = Robots(self._dialect, options.group, self._kind.prefix, arguments, _poses(options))
+        poses = _poses(options)
+        self._robots = Robots(self._dialect, options.group, self._kind.prefix, arguments, poses, self._shares_master)
 
     def changes(self, template: TemplateView) -> tuple[Change, ...]:
         if not self._is_xml:
@@ -225,6 +229,7 @@ class Ros:
         words += (word for node in options.wait_for for word in ("--await", node))
         words += ("--patience", repr(options.patience))
         words += () if options.barrier else ("--no-barrier",)
+        words += ("--share-master",) if self._shares_master else ()
         words += ("--sim-time",) if options.use_sim_time else ()
         words += (word for topic in options.record for word in ("--record", topic))
         words += ("--bag", "run.bag" if options.ros == 1 else "run") if options.record else ()
@@ -249,7 +254,7 @@ class Ros:
         for name in ("length", "ticks_per_second"):
             if (value := getattr(options, name)) is not None:
                 settings[name] = repr(value) if name == "length" else repr(value).removesuffix(".0")
-        return {**settings, "output": "$(env SIERRA_OUTPUT)"}
+        return settings if self._shares_master else {**settings, "output": "$(env SIERRA_OUTPUT)"}
 
     def _has_robots(self, template: TemplateView) -> bool:
         """Return whether one group of the template stands for the robots."""

@@ -21,6 +21,10 @@ from sierra.plugin import Add, Change, Set, TemplateError, TemplateView
 
 ROOT = "/launch"
 SETTINGS = "sierra"
+PLACE = "place"
+"""The setting with the place of a robot."""
+OF_ALL = ("arg", "env", "remap", "param", "rosparam")
+"""Elements of a launch file that start nothing. All robots keep them, since each sets parameters before its nodes start."""
 TRIES = 1000
 """Draws of a pose that keeps its distance, until an arena counts as full."""
 KEEPER = '<node pkg="sierra_ros" type="timekeeper" name="sierra_timekeeper" required="true" output="screen"/>'
@@ -153,17 +157,22 @@ class Robots:
     arguments: tuple[tuple[str, str], ...] = ()
     """Arguments that all copies get."""
     poses: tuple[Pose, ...] | RandomPoses = ()
+    share_master: bool = False
+    """Whether all robots of a run use the master of the base station."""
 
     def made(self, document: bytes) -> bytes:
         """Return a launch file with a copy of the group for each robot. Raises TemplateError.
 
         In a run on robots (with the setting `place`), the launch file of a robot has only its own copy, and that of the base
-        station (0) has none. Without a group that stands for robots, the document stays as it is.
+        station (0) has none. If they share a master, the base station starts everything that belongs to no robot. Without a
+        group that stands for robots, the document stays as it is.
         """
         root = _parsed(document)
         count, seed, place = (self._setting(root, name) for name in ("population_size", "random_seed", "place"))
         found = [group for group in root.findall("group") if self._stands(group)]
         if count is None:
+            if self.share_master:
+                raise TemplateError("the robots share a master, but no group is one robot; set group in [platforms.ros]")
             return document
         if not count.isdecimal() or int(count) == 0:
             raise TemplateError(f"population_size is {count!r}; use a whole number of 1 or more")
@@ -174,13 +183,14 @@ class Robots:
                 f"population_size is {count}, but {len(found)} groups stand for robots; set group in [platforms.ros]"
             )
         at = list(root).index(found[0])
-        root.remove(found[0])
         if place is not None:
             *_, pose = (None, *self._poses(int(place), seed or "0"))
             copies = [self._copy(found[0], int(place), pose)] if int(place) else []
         else:
             copies = [self._copy(found[0], number, pose) for number, pose in enumerate(self._poses(int(count), seed or "0"))]
-        root[at:at] = copies
+        root[at : at + 1] = copies
+        if self.share_master:
+            self._keep_own(root, copies)
         self._check_names(root)
         made: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
         return made + b"\n"
@@ -188,6 +198,15 @@ class Robots:
     def check(self, count: int) -> None:
         """Raise TemplateError if so many robots have no poses."""
         list(self._poses(count, "0"))
+
+    def _keep_own(self, root: ElementTree.Element, robots: Sequence[ElementTree.Element]) -> None:
+        """Remove the place, which no two robots share, and from the launch file of a robot what the base station starts."""
+        settings = root.findall(f"group[@ns='{SETTINGS}']")
+        if robots:
+            root[:] = [one for one in root if one in [*settings, *robots] or one.tag in OF_ALL]
+        for group in settings:
+            for one in group.findall(f"param[@name='{PLACE}']"):
+                group.remove(one)
 
     def _stands(self, group: ElementTree.Element) -> bool:
         """Return whether a group stands for the robots."""

@@ -4,6 +4,15 @@ SIERRA lays this file beside the launch file of each run. It needs Python 3.8 or
 It starts the launch file with a master on a port of its own (ROS 1), or in a domain of its own (ROS 2). The exit status is 0
 only if the whole time is over, and no node has died until then.
 
+With `--share-master`, a run on several robots has one master, on its base station. Each of them executes this file, with a
+launch file of its own. They find the master by SIERRA_ADDRESS_0 and SIERRA_EXECUTION, from which its port follows, and agree by
+parameters of the master:
+
+- `/sierra/robot1/nodes`: the nodes of robot 1, as soon as the master knows them all;
+- `/sierra/started`: all nodes of all robots are there; the base station sets it;
+- `/sierra/robot1/finished`: the awaited nodes of robot 1 have ended; `/sierra/finished`: those of all robots;
+- `/sierra/over`: the time is over, and robots end their nodes; `/sierra/robot1/closed`: robot 1 has done so.
+
 No single word of roslaunch is believed, because its exit status is 0 even if every node has died:
 
 - a time keeper (`ros_timekeeper.py`, a required node) writes a file when the time is over;
@@ -22,6 +31,7 @@ import argparse
 import collections
 import contextlib
 import glob
+import hashlib
 import http.client
 import json
 import os
@@ -52,6 +62,7 @@ LOG_LINES, CHUNK = 20, 1 << 16
 PACKAGE, KEEPER, RECORDER = "sierra_ros", "sierra_timekeeper", "sierra_bag"
 CORE = {"/master", "/rosout"}
 CALLER = "/sierra_driver"
+HERE = "127.0.0.1"
 
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 STARTED = re.compile(r"(?:process)?\[(\S+)\]: (?:process )?started with pid \[(\d+)\]")
@@ -299,18 +310,31 @@ class Launch:
 class Launch1(Launch):
     """A run of ROS 1: roslaunch, its master, and the time keeper."""
 
+    address = master_address = HERE
+
+    def __init__(self, given: argparse.Namespace) -> None:
+        super().__init__(given)
+        self.robots: list[str] = []
+        """The other robots that use its master."""
+
+    def find_master(self) -> tuple[str, str]:
+        """Return the port of the master, and the option that starts it there or waits for it. Raises Failure."""
+        port = self.reserve("port", PORTS, is_free_port)
+        return port, "--port=" + port
+
     def command(self) -> list[str]:
-        given, port = self.given, self.reserve("port", PORTS, is_free_port)
+        given, (port, option) = self.given, self.find_master()
         self.make_package()
         found = (str(self.folder / "packages"), *given.packages, self.environment.get("ROS_PACKAGE_PATH") or SYSTEM)
-        uri = "http://127.0.0.1:" + port
+        uri = f"http://{self.master_address}:{port}"
         for name in ("ROS_HOSTNAME", "ROS_NAMESPACE"):
             self.environment.pop(name, None)
         self.environment.update(
             ROS_PACKAGE_PATH=":".join(found),
             ROS_HOME=str(self.folder / "home"),
             ROS_MASTER_URI=uri,
-            ROS_IP="127.0.0.1",
+            ROS_IP=self.address,
+            SIERRA_ROS_ROBOTS=" ".join(self.robots),
             SIERRA_ROS_RUN=self.run,
             SIERRA_ROS_MARKER=str(self.marker),
             SIERRA_ROS_PATIENCE=repr(given.patience),
@@ -322,7 +346,7 @@ class Launch1(Launch):
         self.has_begun = self.has_finished = False
         limits = (f"--sigint-timeout={SIGINT_S:g}", f"--sigterm-timeout={SIGTERM_S:g}")
         quiet = ("--disable-title", "--no-summary", "--skip-log-check")
-        return [given.launcher, *quiet, *limits, "--run_id=" + self.run, "--port=" + port, str(given.launch)]
+        return [given.launcher, *quiet, *limits, "--run_id=" + self.run, option, str(given.launch)]
 
     def make_package(self) -> None:
         """Make the package of the time keeper, which needs no build."""
@@ -346,11 +370,15 @@ class Launch1(Launch):
         if answer["errors"]:
             raise Failure("; ".join(answer["errors"]))
         names = [node["name"] for node in answer["nodes"]]
-        for wanted in self.given.awaited:
-            if not any(is_named(name, [wanted]) for name in names):
-                raise Failure("await: the launch file has no node {}; it has {}".format(wanted, " ".join(names)))
+        self.check_awaited(names)
         self.expected = len(names)
         self.watch.respawned = {node["name"] for node in answer["nodes"] if node["respawn"]}
+
+    def check_awaited(self, names: list[str]) -> None:
+        """Raise Failure if an awaited node is not among these."""
+        for wanted in self.given.awaited:
+            if not any(is_named(name, [wanted]) for name in names):
+                raise Failure("await: there is no node {}; there are {}".format(wanted, " ".join(names) or "none"))
 
     def look(self) -> bool:
         if not self.has_begun and not self.missing():
@@ -361,10 +389,17 @@ class Launch1(Launch):
             self.has_finished = self.told("finished")
         return False
 
-    def told(self, name: str) -> bool:
+    def told(self, name: str, value: object = True) -> bool:
         with contextlib.suppress(OSError, xmlrpc.client.Error, http.client.HTTPException):
-            return bool(self.master.setParam(CALLER, "/sierra/" + name, True)[0] == 1)
+            return bool(self.master.setParam(CALLER, "/sierra/" + name, value)[0] == 1)
         return False
+
+    def heard(self, name: str) -> Any:
+        """Return the value of a parameter that another part of the run has set; None without one."""
+        with contextlib.suppress(OSError, xmlrpc.client.Error, http.client.HTTPException):
+            status, _, value = self.master.getParam(CALLER, "/sierra/" + name)
+            return value if status == 1 else None
+        return None
 
     def missing(self) -> str:
         """Return what is missing until the time can begin; nothing if all nodes are there."""
@@ -394,6 +429,93 @@ class Launch1(Launch):
         if self.given.bag and list(self.given.output.glob(self.given.bag + "*.active")):
             raise Failure(f"the bag {self.given.bag} was not closed")
         super().check_bag()
+
+
+def given_variable(name: str) -> str:
+    """Return a variable that SIERRA gives to programs on robots. Raises Failure if it is not there."""
+    value = os.environ.get(name)
+    if not value:
+        raise Failure(f"{name} is not set; give each robot its address in [runners.robots.fleet]")
+    return value
+
+
+class Shared(Launch1):
+    """The part of a robot, or of the base station, in a run of ROS 1 with one master, that of the base station."""
+
+    def __init__(self, given: argparse.Namespace) -> None:
+        super().__init__(given)
+        number = int(hashlib.sha256(given_variable("SIERRA_EXECUTION").encode()).hexdigest(), 16)
+        self.run = str(uuid.UUID(int=number % 2**128))  # roslaunch refuses a master of another run
+        self.port = PORTS[number % len(PORTS)]
+        self.place = given_variable("SIERRA_ROBOT")
+        self.address, self.master_address = given_variable("SIERRA_ADDRESS"), given_variable("SIERRA_ADDRESS_0")
+        self.own: list[str] = []
+        """Its own nodes."""
+
+    def check_awaited(self, names: list[str]) -> None:
+        """Check nothing yet: the base station does it when all robots have named their nodes."""
+        self.own = names
+
+
+class BaseStation(Shared):
+    """The part of the base station: the master, the time keeper, and all nodes of no single robot."""
+
+    def __init__(self, given: argparse.Namespace) -> None:
+        super().__init__(given)
+        self.robots = [f"robot{number}" for number in range(1, int(given_variable("SIERRA_ROBOTS")) + 1)]
+
+    def find_master(self) -> tuple[str, str]:
+        port = self.reserve("port", range(self.port, self.port + 1), is_free_port)
+        return port, "--port=" + port
+
+    def missing(self) -> str:
+        nodes = {robot: self.heard(robot + "/nodes") for robot in self.robots}
+        absent = [robot for robot, found in nodes.items() if found is None]
+        if absent:
+            return f"{absent[0]} does not have all of its nodes"
+        Launch1.check_awaited(self, [*self.own, *(name for found in nodes.values() for name in found)])
+        return super().missing()
+
+    def awaits(self) -> list[str]:
+        return [*super().awaits(), *(robot for robot in self.robots if not self.heard(robot + "/finished"))]
+
+
+class Robot(Shared):
+    """The part of a robot: its own nodes. It ends when the base station says that the run is over."""
+
+    has_told = has_heard = False
+
+    def find_master(self) -> tuple[str, str]:
+        if self.master_address.startswith("127.") and not self.address.startswith("127."):
+            raise Failure(
+                f"the address of the base station is {self.master_address}, which robots cannot reach; give it another one: "
+                "address = … in [runners.robots.fleet]"
+            )
+        return str(self.port), "--wait"
+
+    def look(self) -> bool:
+        if not self.has_told and not self.missing():
+            self.has_told = self.told(f"robot{self.place}/nodes", self.own)
+        self.has_begun = self.has_begun or bool(self.has_told and self.heard("started"))
+        if not self.has_told and time.monotonic() > self.deadline:
+            raise Failure(f"after {self.given.patience:g} s, {self.missing()}")
+        if self.has_begun and not self.has_finished and not self.awaits():
+            self.has_finished = self.told(f"robot{self.place}/finished")
+        self.has_heard = self.has_begun and bool(self.heard("over"))
+        return self.has_heard
+
+    def unrecorded(self) -> str:
+        return ""
+
+    def is_over(self) -> bool:
+        return self.has_heard
+
+    def close(self) -> None:
+        if self.has_heard:
+            self.told(f"robot{self.place}/closed")
+
+    def check_bag(self) -> None:
+        """Do nothing: the base station records."""
 
 
 class Launch2(Launch):
@@ -544,6 +666,15 @@ def print_nodes(launch: str) -> None:
     print(json.dumps({"nodes": nodes, "errors": errors}))
 
 
+def kind_of(given: argparse.Namespace) -> type[Launch]:
+    """Return the kind of launch that was requested."""
+    if given.ros == 2:
+        return Launch2
+    if not given.share_master:
+        return Launch1
+    return BaseStation if given_variable("SIERRA_ROBOT") == "0" else Robot
+
+
 def raise_stopped(number: int, frame: object) -> None:
     raise Stopped(f"was told to end by signal {number}")
 
@@ -567,12 +698,13 @@ def main() -> None:
     parser.add_argument("--no-barrier", action="store_false", dest="barrier")
     parser.add_argument("--record", action="append", default=[])
     parser.add_argument("--bag")
+    parser.add_argument("--share-master", action="store_true")
     given = parser.parse_args()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, raise_stopped)
     launch = None
     try:
-        launch = Launch1(given) if given.ros == 1 else Launch2(given)
+        launch = kind_of(given)(given)
         launch.execute()
     except (Failure, Stopped) as error:
         if launch is not None and isinstance(error, Died):

@@ -13,7 +13,7 @@ from typing import Callable, NoReturn
 
 import rospy
 
-TICK_S = 0.05
+TICK_S, CLOSE_S = 0.05, 30.0
 rospy.init_node("sierra_timekeeper")
 length = float(rospy.get_param("/sierra/length"))
 patience = float(os.environ["SIERRA_ROS_PATIENCE"])
@@ -40,6 +40,15 @@ def end(text: str, status: int) -> NoReturn:
     sys.exit(status)
 
 
+def end_robots() -> None:
+    """Let the robots that use this master end their nodes, so that their files are complete. Ends the run if one does not."""
+    robots = os.environ["SIERRA_ROS_ROBOTS"].split()
+    rospy.set_param("/sierra/over", True)
+    for robot in robots:
+        if not wait(CLOSE_S, has_param(f"/sierra/{robot}/closed")):
+            end(f"{robot} has not ended its nodes within {CLOSE_S:g} s", 1)
+
+
 if not wait(float("inf"), has_param("/sierra/started")):
     sys.exit(1)
 if not wait(patience, lambda: rospy.get_time() > 0):
@@ -54,4 +63,5 @@ if os.environ["SIERRA_ROS_AWAIT"]:
         end(f"awaited nodes have not ended {patience:g} s after the length of the run: {os.environ['SIERRA_ROS_AWAIT']}", 1)
 elif not wait(float("inf"), lambda: rospy.get_time() - begin >= length):
     sys.exit(1)
+end_robots()
 end(os.environ["SIERRA_ROS_RUN"], 0)

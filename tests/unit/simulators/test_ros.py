@@ -8,8 +8,10 @@ from xml.etree import ElementTree
 
 import pytest
 
+import sierra
 import sierra.simulators
 from sierra.config import project_file
+from sierra.design import robots
 from sierra.errors import ConfigError, QueryError, SierraError, TemplateError
 from sierra.model import Set
 from sierra.platforms import base
@@ -215,6 +217,26 @@ def test_each_robot_of_a_run_on_robots_gets_a_launch_file_of_its_own(tmp_path: P
         return [(group.get("ns"), [one.get("value") for one in group.findall("arg[@name='x']")]) for group in found]
 
     assert [groups(place) for place in (0, 1, 3)] == [[], [("tb3_1", ["1.0"])], [("tb3_3", ["3.0"])]]
+
+
+def test_robots_with_one_master_leave_all_but_their_own_nodes_to_the_base_station(tmp_path: Path) -> None:
+    more = 'runner = "robots"\n[robots]\ncount = "population_size"\nbase = {}\n'
+    arena = LAUNCH.replace("<launch>", '<launch><arg name="arena" value="lab"/><param name="/goal" value="$(arg arena)"/>')
+    root = make(tmp_path / "p", OPTIONS + 'record = ["/.*/pose"]\nposes = [[1, 0], [2, 0]]\n', arena, more)
+    assert " --share-master" in command(root)
+    plan = sierra.open(root).plan("population_size=2", runs=1)
+    [(_, files)] = plan.inputs.files(plan.batch, lambda run: True)
+    launches = {place.number: ElementTree.fromstring(dict(own)["input.launch"]) for place, own in robots.read(files)}  # noqa: S314
+    assert [child.get("name") or child.get("ns") for child in launches[2]] == ["sierra", "arena", "/goal", "tb3_2"]
+    assert launches[2].findall("group/arg[@name='x']")[0].get("value") == "2.0"
+    base_station = [child.get("name") or child.get("ns") for child in launches[0] if child.get("ns") != "sierra"]
+    assert base_station == ["arena", "/goal", "judge", "sierra_timekeeper", "sierra_bag"]
+    settings = [{one.get("name") for one in launch.findall("group[@ns='sierra']/param")} for launch in launches.values()]
+    assert settings == [{"random_seed", "population_size", "length"}] * 3
+    alone = '[robots]\ncount = 2\nbase = { command = "true" }\n'
+    assert "--share-master" not in command(make(tmp_path / "alone", more=alone))
+    with pytest.raises(ConfigError, match="ROS 2 has no master that a base station could have"):
+        command(make(tmp_path / "two", OPTIONS + "ros = 2\n", LAUNCH2, more))
 
 
 def test_groups_of_ros_2_are_copied_with_their_namespace(tmp_path: Path) -> None:
