@@ -386,10 +386,12 @@ class Agent:
         self.acquire(time.monotonic() + request.get("patience", 0.0))
         os.makedirs(self.folder, exist_ok=True)
         before = dict(os.environ)
-        self.environment = with_setup(request.get("setup"), {**before, **request.get("variables", {})})
+        given = request.get("variables", {})
+        self.environment = with_setup(request.get("setup"), {**before, **given})
         leftovers = self.end_leftovers(request.get("keep", ()))
-        names = [name for name, value in self.environment.items() if before.get(name) != value]
-        variables = {name: self.environment[name] for name in sorted({*names, "PATH"} & self.environment.keys())}
+        changed = [name for name, value in self.environment.items() if before.get(name) != value]
+        names = {*changed, *given, "PATH"}  # the login may have the same value for a given one
+        variables = {name: self.environment[name] for name in sorted(names & self.environment.keys())}
         return {
             "event": "hello",
             "folder": os.path.abspath(self.folder),

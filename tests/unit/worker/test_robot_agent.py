@@ -155,8 +155,10 @@ def test_a_file_that_changed_since_it_was_verified_is_reported(agent: Start, tmp
 
 def test_a_run_starts_at_its_time_and_leaves_its_outputs(agent: Start):
     driver = agent()
-    hello = driver.hello(setup="export GREETING='a  b'", stop=["sh", "-c", "echo $GREETING > ../../../stopped"])
-    assert hello["variables"]["GREETING"] == "a  b"
+    given = {"HOME": os.environ["HOME"], "LIDAR": "front"}  # the first one is as in the login
+    stop = ["sh", "-c", "echo $GREETING > ../../../stopped"]
+    hello = driver.hello(setup="export GREETING='a  b'", stop=stop, variables=given)
+    assert {"GREETING": "a  b", **given}.items() <= hello["variables"].items()
     driver.arm("open('x', 'w').write('1')")
     at = time.time_ns() + 200_000_000
     driver.send("at", attempt=driver.attempt, at=at)
