@@ -6,6 +6,8 @@ SIERRA lays this file beside the model of each run. It needs Python, MuJoCo and 
 - `joints.csv`, with a column for each position (qpos) of the joints;
 - `bodies.csv`, with a row for each body: its position x, y, z in the world.
 
+A controller may write files of its own.
+
 One generator with the run's seed draws all random numbers: the noise of the first positions, the noise of the controls before
 each step, and what the function `control(model, data, random)` of a controller draws before each step.
 """
@@ -134,7 +136,7 @@ def simulate(given: argparse.Namespace) -> None:
     if steps < 1 or not math.isclose(steps * simulation.model.opt.timestep, given.interval, rel_tol=1e-6):
         raise InputError(f"{given.interval:g} s is not a whole number of timesteps of {simulation.model.opt.timestep:g} s")
     files = list(recorded(simulation, given))
-    if not files:
+    if not files and simulation.controller is None:
         raise InputError("nothing would be recorded: the model has no sensors; choose joints or bodies")
     opened = [(given.folder / f"{name}.csv").open("w", newline="") for name, _, _ in files]
     writers = [csv.writer(file, lineterminator="\n") for file in opened]
