@@ -33,7 +33,7 @@ def init(
             "--example",
             metavar="NAME",
             help="Copy a bundled example to FOLDER: swarm, sumo, mujoco, jsbsim, gazebo, ros, mesa, ngspice, ns3, "
-            "netlogo, turtlebot3, webots.",
+            "netlogo, robots, turtlebot3, webots.",
         ),
     ] = None,
     from_sierra1: Annotated[
