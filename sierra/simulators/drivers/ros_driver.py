@@ -486,11 +486,9 @@ class Robot(Shared):
     has_told = has_heard = False
 
     def find_master(self) -> tuple[str, str]:
-        if self.master_address.startswith("127.") and not self.address.startswith("127."):
-            raise Failure(
-                f"the address of the base station is {self.master_address}, which robots cannot reach; give it another one: "
-                "address = … in [runners.robots.fleet]"
-            )
+        for one, other in ((self.master_address, self.address), (self.address, self.master_address)):
+            if ":" in one or (one.startswith("127.") and not other.startswith("127.")):
+                raise Failure(f"{other} cannot reach {one} by ROS 1; give it another address in [runners.robots.fleet]")
         return str(self.port), "--wait"
 
     def look(self) -> bool:

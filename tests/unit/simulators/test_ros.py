@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
+import importlib.util
 import re
+import tempfile
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -237,6 +241,47 @@ def test_robots_with_one_master_leave_all_but_their_own_nodes_to_the_base_statio
     assert "--share-master" not in command(make(tmp_path / "alone", more=alone))
     with pytest.raises(ConfigError, match="ROS 2 has no master that a base station could have"):
         command(make(tmp_path / "two", OPTIONS + "ros = 2\n", LAUNCH2, more))
+
+
+def test_robots_find_the_master_of_their_run_and_refuse_one_out_of_reach(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = ros_driver()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def part(place: int, base_address: str, execution: str = "e1") -> Any:
+        monkeypatch.setenv("SIERRA_ADDRESS", "10.0.0.1" if place else base_address)
+        given = {
+            "SIERRA_EXECUTION": execution,
+            "SIERRA_ROBOTS": "2",
+            "SIERRA_ROBOT": str(place),
+            "SIERRA_ADDRESS_0": base_address,
+        }
+        for name, value in given.items():
+            monkeypatch.setenv(name, value)
+        return driver.kind_of(argparse.Namespace(ros=1, share_master=True))(argparse.Namespace(setup=None))
+
+    base_station, robot, other = part(0, "10.0.0.9"), part(2, "10.0.0.9"), part(2, "10.0.0.9", "e2")
+    assert (robot.run, robot.find_master()) == (base_station.run, (str(base_station.port), "--wait"))
+    assert base_station.robots == ["robot1", "robot2"]
+    assert other.run != robot.run
+    for address in ("127.0.0.1", "fe80::1"):
+        with pytest.raises(driver.Failure, match=f"10.0.0.1 cannot reach {address} by ROS 1; give it another address"):
+            part(1, address).find_master()
+    monkeypatch.delenv("SIERRA_ADDRESS_0")
+    with pytest.raises(driver.Failure, match="SIERRA_ADDRESS_0 is not set; give each robot its address"):
+        driver.Robot(argparse.Namespace(setup=None))
+
+
+def ros_driver() -> Any:
+    """Return the program that runs have beside their launch files, as a module."""
+    path = Path(sierra.simulators.__file__).parent / "drivers" / "ros_driver.py"
+    spec = importlib.util.spec_from_file_location("ros_driver", path)
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def test_groups_of_ros_2_are_copied_with_their_namespace(tmp_path: Path) -> None:
