@@ -32,6 +32,7 @@ CONTENTS = {
         "how-to/derived-tables",
         "how-to/figures",
         "how-to/report",
+        "how-to/explore",
         "how-to/figure-kinds",
         "how-to/videos",
         "how-to/models",
