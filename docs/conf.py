@@ -31,6 +31,7 @@ CONTENTS = {
         "how-to/sql",
         "how-to/derived-tables",
         "how-to/figures",
+        "how-to/explore",
         "how-to/report",
         "how-to/explore",
         "how-to/figure-kinds",

@@ -95,6 +95,7 @@ def seen(table: dict[str, Any]) -> dict[str, set[str]]:
         "tables": "DerivedTable",
         "figures": "Figure",
         "paper_tables": "TableForPaper",
+        "videos": "Video",
         "comparisons": "Comparison",
         "claims": "Claim",
         "models": "Model",
