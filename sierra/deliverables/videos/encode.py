@@ -4,8 +4,8 @@ Frames are encoded one by one, so that memory does not grow with their number. E
 and a fixed number of threads: then the same frames give the same bytes, whatever the number of cores. Other versions of the
 encoder give other bytes.
 
-A video is written beside its target, and renamed when it is complete. If the process is killed, the target is as before, and
-`sierra gc` removes the part that was written.
+A video is written in a folder beside its target, and renamed when it is complete. If the process is killed, the target is as
+before, and the next video removes the folder.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sierra.config.video_table import Format
 from sierra.errors import Missing, NotInstalled, SierraError
-from sierra.util.fs import unfinished_beside
+from sierra.util.scratch import scratch
 
 if TYPE_CHECKING:
     import av
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     Image: TypeAlias = npt.NDArray[np.uint8]
     """A frame: height × width × 3 (red, green, blue)."""
 
+UNFINISHED = ".video-"
+"""The beginning of the names of folders with unfinished videos."""
 EXTRA = "pip install 'sierra-experiments[video]'"
 
 
@@ -75,13 +77,10 @@ def encode(path: Path, frames: Iterable[Image], fps: float, format: Format, comm
     `fps` is in frames per second. Raises SierraError if there is no frame or the video cannot be encoded, Missing if the file
     cannot be written. Errors of `frames` leave the target as it was.
     """
-    unfinished = unfinished_beside(path)
-    try:
-        with _errors(ENCODERS[format], path):
-            _write(unfinished, frames, Fraction(fps).limit_denominator(1000), format, comment)
-            unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with _errors(ENCODERS[format], path), scratch(path.parent, UNFINISHED) as folder:
+        unfinished = folder / path.name
+        _write(unfinished, frames, Fraction(fps).limit_denominator(1000), format, comment)
+        unfinished.replace(path)
 
 
 def _write(path: Path, frames: Iterable[Image], rate: Fraction, format: Format, comment: str) -> None:
