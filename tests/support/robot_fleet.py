@@ -295,9 +295,9 @@ class Fleet:
         robot.changed = True
         self._configure(robot, *lines)
         (daemon,) = self.enter(name, "pgrep", "-o", "-x", "sshd").split()
-        self.enter(name, "kill", "-HUP", daemon)
         before = robot.log.count("listening on")
-        until(lambda: robot.log.count("listening on") > before or _answers(robot.address), f"sshd of {name} restarts")
+        self.enter(name, "kill", "-HUP", daemon)  # it answers until it restarts, and then not for a moment
+        until(lambda: robot.log.count("listening on") > before and _answers(robot.address), f"sshd of {name} restarts")
 
     def refuse_logins(self, name: str) -> None:
         """Remove the user's key from a robot."""
