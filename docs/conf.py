@@ -33,7 +33,6 @@ CONTENTS = {
         "how-to/figures",
         "how-to/explore",
         "how-to/report",
-        "how-to/explore",
         "how-to/figure-kinds",
         "how-to/videos",
         "how-to/models",
