@@ -15,13 +15,13 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from sierra.cli import pose_map
 from sierra.cli.output import raw, safe
 from sierra.config.trial_tables import Trials
-from sierra.execution.supervised.supervisor import Agreeing, Start, Supervisor, Verdict, Watch
+from sierra.execution.supervised.supervisor import Agreeing, Attendant, Start, Supervisor, Verdict
 from sierra.model import Status
 
 if TYPE_CHECKING:
@@ -29,10 +29,13 @@ if TYPE_CHECKING:
     from sierra.execution.supervised.supervisor import Ended, Trial
     from sierra.runners.base import Beat
 
-Pressed = Callable[[float], bool]
-POLL_S = 0.05
 DRAWN_S, PRINTED_S = 0.2, 10.0
 """Seconds between two states of the line that shows a trial, and between two such lines in a terminal that cannot redraw."""
+DECISIONS = {
+    **dict.fromkeys(("", "g", "go"), Start.GO),
+    **dict.fromkeys(("s", "skip"), Start.SKIP),
+    **dict.fromkeys(("a", "abort"), Start.ABORT),
+}
 PLACE, GO = "place the robots; ", "Enter: go, s: skip, a: abort > "
 
 
@@ -59,44 +62,15 @@ class Person:
             self._operator = self._terminal.ask(f"operator ({f'Enter: {login}' if login else 'Enter: none'}) > ") or login
         return self._operator
 
-    def start(self, trial: Trial) -> Start:
-        allowed = time.monotonic() + trial.wait_s
-        self._terminal.show("", *_heading(trial, plain=self._terminal.plain))
-        while True:
-            match self._terminal.ask((PLACE if trial.poses else "") + GO).lower():
-                case "s" | "skip":
-                    return Start.SKIP
-                case "a" | "abort":
-                    return Start.ABORT
-                case "" | "g" | "go":
-                    if self._counted_down(max(self._trials.countdown, allowed - time.monotonic())):
-                        return Start.GO
-
-    def _counted_down(self, seconds: float) -> bool:
-        """Count down; return False if a key was pressed."""
-        end = time.monotonic() + seconds
-        with self._terminal.keys() as pressed:
-            while (left := end - time.monotonic()) > 0:
-                self._terminal.redraw(f"starts in {math.ceil(left)} s; any key: back")
-                if pressed(min(POLL_S, left)):
-                    self._terminal.end_line("not started")
-                    return False
-        self._terminal.end_line("go")
-        return True
-
     @contextlib.contextmanager
-    def watching(self, trial: Trial) -> Iterator[Watch]:
-        with self._terminal.keys() as pressed:
-
-            def watch(seconds: float, beats: Sequence[Beat]) -> bool:
-                self._terminal.redraw(_live(seconds, beats))
-                if not pressed(0):
-                    return False
-                self._terminal.end_line("stopping")
-                return True
-
-            yield watch
-            self._terminal.end_line()
+    def attending(self, trial: Trial) -> Iterator[Attendant]:
+        self._terminal.show("", *_heading(trial, plain=self._terminal.plain))
+        with self._terminal.restored():
+            person = PersonAttending(self._terminal, trial, self._trials.countdown)
+            try:
+                yield person
+            finally:
+                person.leave()
 
     def verdict(self, trial: Trial, ended: Ended) -> Verdict:
         self._terminal.show(_ending(ended))
@@ -126,6 +100,69 @@ class Person:
 
     def _note(self) -> str | None:
         return self._terminal.ask("note (Enter: none) > ") or None
+
+
+class PersonAttending:
+    """A person at a terminal who decides on one trial: a prompt, a countdown that any key ends, and any key stops the trial."""
+
+    def __init__(self, terminal: _Terminal, trial: Trial, countdown: float) -> None:
+        self._terminal = terminal
+        self._prompt = (PLACE if trial.poses else "") + GO
+        self._countdown = countdown
+        self._allowed = time.monotonic() + trial.wait_s
+        self._goes = False
+        """True between the word go and the start."""
+        self._start: float | None = None
+        """The end of the countdown by the monotonic clock; None if there is none yet."""
+        self._line_is_open = True
+        """False after the Enter that answers the prompt for good."""
+        terminal.prompt(self._prompt)
+
+    def decide(self, *, ready: bool) -> Start | None:
+        return self._counted_down(ready=ready) if self._goes else self._answered()
+
+    def _answered(self) -> Start | None:
+        line = self._terminal.typed()
+        if line is None:
+            return None
+        if (decision := DECISIONS.get(line.lower())) in (Start.SKIP, Start.ABORT):
+            self._line_is_open = False
+            return decision
+        if decision is Start.GO:
+            self._goes, self._start = True, None
+            self._terminal.begin_keys()
+        else:
+            self._terminal.prompt(self._prompt)
+        return None
+
+    def _counted_down(self, *, ready: bool) -> Start | None:
+        """Count down as soon as the robots are ready; a key leads back to the prompt."""
+        now = time.monotonic()
+        if self._start is None and ready:
+            self._start = max(now + self._countdown, self._allowed)
+        if self._start is not None and now >= self._start:
+            self._terminal.end_line("go")
+            return Start.GO
+        state = "the trial is being prepared" if self._start is None else f"starts in {math.ceil(self._start - now)} s"
+        self._terminal.redraw(f"{state}; any key: back")
+        if self._terminal.pressed():
+            self._terminal.end_line("not started")
+            self._goes = False
+            self._terminal.prompt(self._prompt)
+        return None
+
+    def watch(self, seconds: float, beats: Sequence[Beat]) -> bool:
+        self._terminal.redraw(_live(seconds, beats))
+        if not self._terminal.pressed():
+            return False
+        self._terminal.end_line("stopping")
+        return True
+
+    def leave(self) -> None:
+        """End the line of the prompt, or that of the running trial."""
+        if self._line_is_open:
+            with contextlib.suppress(KeyboardInterrupt):  # of a terminal that is gone
+                self._terminal.end_line() if self._goes else self._terminal.show("")
 
 
 def _heading(trial: Trial, *, plain: bool) -> Iterator[str]:
@@ -170,6 +207,9 @@ class _Terminal:
         self._screen = raw(sys.stderr)
         self._redraws = os.environ.get("TERM", "dumb") != "dumb"
         self._drawn, self._width = 0.0, 0
+        self._typed = b""
+        with _if_lost():
+            self._lines = termios.tcgetattr(self._keyboard)
         self.plain = "utf" not in (self._screen.encoding or "").lower()
         """True if only ASCII characters can be shown."""
 
@@ -179,40 +219,57 @@ class _Terminal:
 
     def ask(self, prompt: str) -> str:
         """Return the line that the person types, without blanks around it. Raises KeyboardInterrupt if the terminal is gone."""
+        self.prompt(prompt)
+        while (line := self.typed(None)) is None:
+            pass
+        return line
+
+    def prompt(self, prompt: str) -> None:
+        """Show a prompt for a line. Keys that were pressed before are forgotten."""
         with _if_lost():
+            termios.tcsetattr(self._keyboard, termios.TCSANOW, self._lines)
             termios.tcflush(self._keyboard, termios.TCIFLUSH)
-            self._write(prompt)
-            typed = b""
-            while not typed.endswith(b"\n"):
-                more = os.read(self._keyboard, 1024)
-                if not more:
-                    raise KeyboardInterrupt
-                typed += more
-        return typed.decode("utf-8", "replace").strip()
+        self._typed = b""
+        self._write(prompt)
 
-    @contextlib.contextmanager
-    def keys(self) -> Iterator[Pressed]:
-        """Yield a function that waits for a key for some seconds and returns whether there was one.
+    def typed(self, seconds: float | None = 0.0) -> str | None:
+        """Return the line that was typed at the prompt, without blanks around it; None if there is none.
 
-        Lines are typed as before when the block ends, whatever happens. If the process was stopped and goes on, the shell may
-        have changed the terminal; so each call of the function sets it again.
+        `seconds` is how long it is waited for; None: until something is there.
         """
         with _if_lost():
-            before = termios.tcgetattr(self._keyboard)
+            if not select.select([self._keyboard], [], [], seconds)[0]:
+                return None
+            more = os.read(self._keyboard, 1024)
+        if not more:
+            raise KeyboardInterrupt
+        self._typed += more
+        return self._typed.decode("utf-8", "replace").strip() if more.endswith(b"\n") else None
 
-        def pressed(seconds: float) -> bool:
-            with _if_lost():
-                if termios.tcgetattr(self._keyboard)[3] & (termios.ICANON | termios.ECHO):
-                    tty.setcbreak(self._keyboard, termios.TCSANOW)
-                return bool(select.select([self._keyboard], [], [], seconds)[0] and os.read(self._keyboard, 1024))
+    def begin_keys(self) -> None:
+        """Read single keys from now on. Keys that were pressed before are forgotten."""
+        with _if_lost():
+            termios.tcflush(self._keyboard, termios.TCIFLUSH)
+        self.pressed()
 
+    def pressed(self) -> bool:
+        """Return whether a key was pressed.
+
+        If the process was stopped and goes on, the shell may have changed the terminal; so each call sets it again.
+        """
+        with _if_lost():
+            if termios.tcgetattr(self._keyboard)[3] & (termios.ICANON | termios.ECHO):
+                tty.setcbreak(self._keyboard, termios.TCSANOW)
+            return bool(select.select([self._keyboard], [], [], 0)[0] and os.read(self._keyboard, 1024))
+
+    @contextlib.contextmanager
+    def restored(self) -> Iterator[None]:
+        """Let lines be typed as before when the block ends, whatever happens."""
         try:
-            with _if_lost():
-                termios.tcflush(self._keyboard, termios.TCIFLUSH)
-            yield pressed
+            yield
         finally:
             with contextlib.suppress(termios.error, OSError):
-                termios.tcsetattr(self._keyboard, termios.TCSADRAIN, before)
+                termios.tcsetattr(self._keyboard, termios.TCSADRAIN, self._lines)
 
     def redraw(self, line: str) -> None:
         """Show a line in the place of the last one, now and then."""

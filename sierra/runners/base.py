@@ -90,6 +90,8 @@ class Look:
     """The error that ended the session while runs are missing. The caller raises it. Submitting again would not help."""
     beats: tuple[Beat, ...] = ()
     """The last signs of life of the robots that execute runs now."""
+    ready: bool = False
+    """True while a run is prepared and waits until it may begin: see `Holds`."""
 
 
 class Runner(Protocol):
@@ -149,6 +151,21 @@ class Runner(Protocol):
         Work that survives the process goes on. It may be called again.
         """
         ...
+
+
+@runtime_checkable
+class Holds(Protocol):
+    """A runner that can prepare a run, and begin it when it is told to. Other runners begin at once."""
+
+    def hold(self) -> None:
+        """Prepare the first run, but do not begin it. This is called before `submit`, if at all.
+
+        `Look.ready` is true while the run waits. If it cannot begin any more, `look` reports the reason as `wrong`. `stop`
+        undoes the preparation; then the run has no result.
+        """
+
+    def begin(self) -> None:
+        """Begin the run that was held back; this is called once, after `submit`. It returns at once."""
 
 
 @runtime_checkable

@@ -56,7 +56,11 @@ class LocalChannel:
             left = give_up - time.monotonic()
             if left <= 0:
                 raise Overdue("no line")
-            if self.stalled or not select.select([self.process.stdout], [], [], min(left, 0.05))[0]:
+            try:
+                news = not self.stalled and select.select([self.process.stdout], [], [], min(left, 0.05))[0]
+            except ValueError:  # closed meanwhile
+                return None
+            if not news:
                 time.sleep(0.005 if self.stalled else 0)
                 continue
             data = os.read(self.process.stdout.fileno(), 1 << 16)

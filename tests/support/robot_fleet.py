@@ -345,7 +345,7 @@ class Fleet:
 
     def commands(self, name: str) -> list[str]:
         """Return the command lines of the user's processes on a robot, without those of sshd."""
-        listed = self.enter(name, "sh", "-c", f"ps -u {UID} -o args= || true").splitlines()
+        listed = self.enter(name, "sh", "-c", f"ps -ww -u {UID} -o args= || true").splitlines()
         return [line for line in listed if not line.startswith("sshd:")]
 
     # Making

@@ -63,8 +63,11 @@ class Runs:
 
     def submit(self, *jobs: Job) -> Robots:
         runner = Robots(1, self.table, self.make_link)
-        runner.submit(Work(jobs, len(jobs), "b" * 64, around=RECORD, record=("GREETING",), code=self.code), self.session)
+        self.start(runner, *jobs)
         return runner
+
+    def start(self, runner: Robots, *jobs: Job) -> None:
+        runner.submit(Work(jobs, len(jobs), "b" * 64, around=RECORD, record=("GREETING",), code=self.code), self.session)
 
     def run(self, *jobs: Job) -> list[Result]:
         return self.follow(self.submit(*jobs))

@@ -115,18 +115,11 @@ class Conduct:
         """Execute a block; trials that are not valid are repeated at its end."""
         while pending and not self._outcome.interrupted and not self._enough():
             turn = pending.popleft()
-            match self._prepared(turn):
-                case Start.ABORT, _, _:
-                    self._outcome.interrupted = True
-                case Start.SKIP, _, _:
-                    self._outcome.skipped.add(turn.run.id)
-                    self._left -= 1
-                case _, trial, row:
-                    if not self._try(turn.run, trial, row):
-                        pending.append(turn)
+            if not self._try(turn.run, *self._prepared(turn)):
+                pending.append(turn)
 
-    def _prepared(self, turn: Turn) -> tuple[Start, Trial, TrialRow]:
-        """Return the decision on a trial, what was presented, and the row that is recorded with its execution."""
+    def _prepared(self, turn: Turn) -> tuple[Trial, TrialRow]:
+        """Return a trial as it is presented, and the row that is recorded with its execution."""
         run, trials, root = turn.run, self._trials, self._plan.project.root
         values = self._plan.batch.experiments[run.experiment].values
         placed = poses.of_run(trials, run.seed, values)
@@ -159,16 +152,19 @@ class Conduct:
             facts=json.dumps(printed) if printed else None,
             files=json.dumps(files) if files else None,
         )
-        return self._supervisor.start(trial), trial, row
+        return trial, row
 
     def _try(self, run: Run, trial: Trial, row: TrialRow) -> bool:
-        """Execute a trial and record the verdict; return False if it is to be repeated."""
-        with self._supervisor.watching(trial) as watch:
-            runner = WatchedRunner(self._runner(), watch, ends=self._trials.stop == "ends")
+        """Execute a trial unless the person decides otherwise, and record the verdict; return False if it is to be repeated."""
+        with self._supervisor.attending(trial) as attendant:
+            runner = WatchedRunner(self._runner(), attendant, ends=self._trials.stop == "ends")
             followed = self._execute(run, trial.attempt, runner, _as_json(row))
+        self._outcome.notes.update(dict.fromkeys(followed.notes))
+        if runner.decision is not Start.GO:
+            self._leave_out(run, runner.decision, interrupted=followed.interrupted)
+            return True
         self._ended = time.monotonic()
         self._tries[run.id] = trial.attempt + 1
-        self._outcome.notes.update(dict.fromkeys(followed.notes))
         recorded = self._store.select(_State, STATE, execution=row.execution)
         if recorded:
             self._position += 1
@@ -182,6 +178,13 @@ class Conduct:
             now = context(self._plan, self._session.id, self._session.number)
             self._outcome.inconsistent |= find_odd(self._store, self._session.paths, now)
         return verdict.valid
+
+    def _leave_out(self, run: Run, decision: Start | None, *, interrupted: bool) -> None:
+        """Note why a trial has not begun. Without a decision, the session was ended, or its code has changed."""
+        self._outcome.interrupted = interrupted or decision is Start.ABORT
+        if decision is Start.SKIP:
+            self._outcome.skipped.add(run.id)
+            self._left -= 1
 
     def _verdict(self, run: Run, trial: Trial, ended: Ended, row: TrialRow) -> Verdict:
         """Ask for the verdict on a trial, and record it; return it."""

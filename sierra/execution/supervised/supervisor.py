@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -72,11 +72,23 @@ class Verdict:
     note: str | None = None
 
 
-Watch = Callable[[float, Sequence[Beat]], bool]
-"""It gets the seconds since the start and the robots' last signs of life, several times per second.
+class Attendant(Protocol):
+    """Decides on one trial, and watches it. Each method is called several times per second, and returns at once."""
 
-It returns True to stop the trial.
-"""
+    def decide(self, *, ready: bool) -> Start | None:
+        """Return the decision; None as long as there is none. It is called until there is one.
+
+        `ready`: the trial is prepared, so that it begins at once. The decision is never GO before that, nor before
+        `trial.wait_s` and the countdown have passed.
+        """
+        ...
+
+    def watch(self, seconds: float, beats: Sequence[Beat]) -> bool:
+        """Return True to stop the trial; it is called after GO.
+
+        `seconds` have passed since the decision; `beats` are the robots' last signs of life.
+        """
+        ...
 
 
 class Supervisor(Protocol):
@@ -90,12 +102,8 @@ class Supervisor(Protocol):
         """Return the operator's name, or None. This is called once, before the first trial."""
         ...
 
-    def start(self, trial: Trial) -> Start:
-        """Return the decision on a trial, after `trial.wait_s` and the countdown have passed."""
-        ...
-
-    def watching(self, trial: Trial) -> AbstractContextManager[Watch]:
-        """Yield the function that watches the trial. The terminal is as before when the block ends, whatever happens."""
+    def attending(self, trial: Trial) -> AbstractContextManager[Attendant]:
+        """Present a trial, and yield who attends to it. The terminal is as before when the block ends, whatever happens."""
         ...
 
     def verdict(self, trial: Trial, ended: Ended) -> Verdict:
@@ -112,12 +120,21 @@ class Agreeing:
     def begin(self, trials: int) -> str | None:
         return self._operator
 
-    def start(self, trial: Trial) -> Start:
-        time.sleep(trial.wait_s)
-        return Start.GO
-
-    def watching(self, trial: Trial) -> AbstractContextManager[Watch]:
-        return contextlib.nullcontext(lambda seconds, beats: False)
+    def attending(self, trial: Trial) -> AbstractContextManager[Attendant]:
+        return contextlib.nullcontext(AgreeingAttendant(trial.wait_s))
 
     def verdict(self, trial: Trial, ended: Ended) -> Verdict:
         return Verdict(valid=True)
+
+
+class AgreeingAttendant:
+    """Starts a trial when it is ready and some seconds have passed, and never stops it."""
+
+    def __init__(self, wait_s: float = 0.0) -> None:
+        self._allowed = time.monotonic() + wait_s
+
+    def decide(self, *, ready: bool) -> Start | None:
+        return Start.GO if ready and time.monotonic() >= self._allowed else None
+
+    def watch(self, seconds: float, beats: Sequence[Beat]) -> bool:
+        return False

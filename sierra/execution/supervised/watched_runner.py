@@ -1,4 +1,7 @@
-"""A runner of one trial that a person watches, and may stop."""
+"""A runner of one trial: a person decides when it begins, watches it, and may stop it.
+
+A runner that can hold a run back (see `Holds`) prepares it while the person decides. Any other runner gets it after that.
+"""
 
 from __future__ import annotations
 
@@ -9,47 +12,71 @@ from typing import ClassVar
 
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.execution.supervised.supervisor import Watch
+from sierra.execution.supervised.supervisor import Attendant, Start
 from sierra.model import OutputFile, Result, Status
-from sierra.runners.base import Look, Runner, Work
+from sierra.runners.base import Holds, Look, Runner, Work
 from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.worker import worker
 
 
 class WatchedRunner:
-    """Another runner, which shows each look to the person who watches, and stops when this person wants it."""
+    """Another runner, which begins, and stops, when the person who attends to it wants that."""
 
     name = "watched"
     stays = False
     remote = False
     Options: ClassVar[type[Table]] = NoOptions
 
-    def __init__(self, runner: Runner, watch: Watch, *, ends: bool) -> None:
+    def __init__(self, runner: Runner, attendant: Attendant, *, ends: bool) -> None:
         """`ends`: a trial that is stopped ends as planned; otherwise it has failed."""
         self.runner = runner
         self.remote = runner.remote
-        self._watch = watch
+        self._attendant = attendant
         self._ends = ends
+        self._submitted = self._over = False
         self._began = time.monotonic()
+        self.decision: Start | None = None
+        """The decision of the person; None until there is one."""
         self.seconds = 0.0
-        """Seconds from the submission to the last look."""
+        """Seconds from the decision to the last look."""
         self.stopped = False
         """True if the person has stopped the trial."""
 
     def submit(self, work: Work, session: SessionPaths) -> None:
-        self._began = time.monotonic()
-        self.runner.submit(work, session)
+        self._work, self._session = work, session
+        if isinstance(self.runner, Holds):
+            self.runner.hold()
+            self._submit()
+
+    def _submit(self) -> None:
+        self._submitted = True
+        self.runner.submit(self._work, self._session)
 
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         raise NotImplementedError("a trial ends with the process that started it")
 
     def look(self) -> Look:
-        look = self.runner.look()
-        self.seconds = time.monotonic() - self._began
-        if look.alive and not self.stopped and self._watch(self.seconds, look.beats):
+        look = self.runner.look() if self._submitted else Look((), 0, alive=not self._over)
+        self.seconds = time.monotonic() - self._began if self.decision is Start.GO else 0.0
+        if look.alive and not self._over:
+            self._attend(look)
+        return replace(look, results=tuple(map(self._own, look.results)))
+
+    def _attend(self, look: Look) -> None:
+        """Let the person decide if the trial begins; once it has, let the person stop it."""
+        if self.decision is None:
+            self._decide(ready=look.ready or not self._submitted)
+        elif not self.stopped and self._attendant.watch(self.seconds, look.beats):
             self.stopped = True
             self.runner.stop()
-        return replace(look, results=tuple(map(self._own, look.results)))
+
+    def _decide(self, *, ready: bool) -> None:
+        self.decision = self._attendant.decide(ready=ready)
+        if self.decision is Start.GO:
+            self._began = time.monotonic()
+            self.runner.begin() if isinstance(self.runner, Holds) else self._submit()
+        elif self.decision is not None:
+            self.stop()
 
     def _own(self, result: Result) -> Result:
         """Return a result that the person's stop has ended, with its outputs and the meaning that the project gives to it.
@@ -65,10 +92,13 @@ class WatchedRunner:
         raise NotImplementedError("a trial ends with this process")
 
     def stop(self) -> None:
-        self.runner.stop()
+        self._over = True
+        if self._submitted:
+            self.runner.stop()
 
     def close(self) -> None:
-        self.runner.close()
+        if self._submitted:
+            self.runner.close()
 
 
 def _with_outputs(result: Result) -> Result:

@@ -72,6 +72,8 @@ class Robots:
         self._notes: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._robots: dict[str, Robot] = {}
         self._stopped: str | None = None
+        self._may_begin = threading.Event()
+        self._may_begin.set()
         self._trouble: BaseException | None = None
         self._trial: Trial | None = None
         """The run that executes now."""
@@ -106,6 +108,12 @@ class Robots:
         if base:
             allocate(self._table, [(0, BASE)])
 
+    def hold(self) -> None:
+        self._may_begin.clear()
+
+    def begin(self) -> None:
+        self._may_begin.set()
+
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         raise NotImplementedError("runs on robots end with the process that started them")
 
@@ -130,6 +138,7 @@ class Robots:
             notes=notes,
             wrong=wrong,
             beats=tuple(Beat(one.name, one.agent.silence, one.before.get("battery")) for one in trial.parts) if trial else (),
+            ready=trial is not None and trial.waits,
         )
 
     def stop(self) -> None:
@@ -172,20 +181,29 @@ class Robots:
         robots = {place: self._robot(name) for place, name in taken.items()}
         each(Robot.examine, robots.values())
         each(Robot.connect, robots.values())
+        if self._stopped is not None:
+            return
         addresses = {f"SIERRA_ADDRESS_{place}": one.address for place, one in robots.items() if one.address}
         parts = [self._part(job, one, robots[one.place], addresses) for one in job.members]
         attempt = f"{job.execution[:16]}-{secrets.token_hex(4)}"
         trial = Trial(
-            attempt, parts, self._table, self._events, stopping=lambda: self._stopped, notice=lambda text: self._notes.put(text)
+            attempt,
+            parts,
+            self._table,
+            self._events,
+            stopping=lambda: self._stopped,
+            notice=self._notes.put,
+            may_begin=self._may_begin.is_set,
         )
         self._trial = trial
         try:
             try:
-                trial.execute()
+                executed = trial.execute()
             finally:
                 for part in parts:
                     self._robots[part.name].take_changes(part.before.get("software"))
-            self._keep(trial, job)
+            if executed:
+                self._keep(trial, job)
         finally:
             self._trial = None
 

@@ -1,7 +1,8 @@
 """One run on several robots: check, arm, common start, supervision, stop of all together, and pull.
 
-Nothing starts unless all robots are ready. If one is lost while the run executes, or if its program fails, all others are told
-to stop. What was measured is pulled from every robot that can be reached.
+Nothing starts unless all robots are ready. They may have to wait then until a person says go; if one drops out meanwhile, all
+others are disarmed. If one is lost while the run executes, or if its program fails, all others are told to stop. What was
+measured is pulled from every robot that can be reached.
 
 The start is common: each robot gets the time by its own clock, from the offset that was measured just before. A robot that gets
 this time too late refuses, and all others are told to stop before their time has come.
@@ -113,33 +114,44 @@ class Trial:
         *,
         stopping: Callable[[], str | None],
         notice: Callable[[str], None],
+        may_begin: Callable[[], bool] = lambda: True,
     ) -> None:
-        """`stopping` returns why the run must end; None while it may go on."""
+        """Make a run. `stopping` returns why it must end; None while it may go on. `may_begin` returns whether it may begin."""
         self.attempt = attempt
         self.parts = parts
         self.stopped: str | None = None
         """The reason why the robots were told to stop; the first one counts."""
         self.at_ns = 0
         """The common start by this host's clock."""
+        self.waits = False
+        """True while all robots are armed, and the run may not begin."""
         self._table = table
         self._events = events
         self._stopping = stopping
         self._notice = notice
+        self._may_begin = may_begin
         self._by_name = {part.name: part for part in parts}
         self._stopped_at = 0.0
         self._silent: set[str] = set()
 
-    def execute(self) -> None:
-        """Execute the run until it has ended on all robots. Raises Missing if it did not start on any."""
+    def execute(self) -> bool:
+        """Execute the run until it has ended on all robots; return False if it was stopped before it began.
+
+        Raises Missing if it could not start.
+        """
         try:
             self._check()
             self._arm()
+            self._hold()
+            if reason := self._stopping():
+                return self._cancel(reason)
             self._measure()
             self._start()
         except SierraError as error:
             if not self._cancel(f"not all robots were ready: {error}"):
                 raise
         self._supervise()
+        return True
 
     def _check(self) -> None:
         """Check battery, disk and the declared conditions. Raises Missing."""
@@ -171,6 +183,20 @@ class Trial:
 
         self._each(arm)
 
+    def _hold(self) -> None:
+        """Wait until the run may begin, or is stopped. Raises Missing if a robot drops out."""
+        self.waits = True
+        try:
+            while not (self._may_begin() or self._stopping()):
+                self._take(POLL_S)
+                for part in self.parts:
+                    self._listen(part)
+                    if not part.is_open:
+                        reason = part.lost or part.failure or (part.ended or {}).get("why")
+                        raise Missing(f"{part.name}: was ready, but cannot start any more: {reason}")
+        finally:
+            self.waits = False
+
     def _measure(self) -> None:
         """Measure all clocks. Raises Missing if one cannot be measured well enough."""
         for part, clock in zip(self.parts, self._each(lambda part: part.agent.clock()), strict=True):
@@ -201,7 +227,15 @@ class Trial:
         give_up = time.monotonic() + self._patience()
         while any(part.armed and part.is_open for part in self.parts) and time.monotonic() < give_up:
             self._take(POLL_S)
-        return any(part.started for part in self.parts)
+        begun = any(part.started for part in self.parts)
+        if not begun:
+            each(self._disarm, [part for part in self.parts if part.ended])
+        return begun
+
+    def _disarm(self, part: Part) -> None:
+        """Remove what was prepared on a robot; what cannot be removed now is removed before the next run."""
+        with contextlib.suppress(SierraError):
+            part.agent.ask("done", attempt=self.attempt)
 
     def stop(self, reason: str) -> None:
         """Tell all robots whose part has not ended to stop. The reason of the first call counts."""
@@ -240,7 +274,8 @@ class Trial:
             part.agent.abandon(f"no answer for {silence:.1f} s")
         elif silence > lease / 2 and part.name not in self._silent:
             self._silent.add(part.name)
-            self._notice(f"{part.name} does not answer; its run goes on for {lease:g} s at most, its lease")
+            does = "its run goes on" if part.started else "it stays ready"
+            self._notice(f"{part.name} does not answer; {does} for {lease:g} s at most, its lease")
 
     def _take(self, seconds: float) -> None:
         """Take the next event, if there is one in this time."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
 from pathlib import Path
 
@@ -32,6 +33,7 @@ link_options = {{ ssh_config = "{config}" }}
 disk_min = 1000000
 stop = ["sh", "-c", "echo stopped >> ~/stops"]
 """
+RUN = ("run", "population_size=1", "--on", "robots", "--operator", "Ann", "--no-figures")
 ROBOT = """\
 import pathlib, sys, time
 with open("swarm.csv", "w") as file:
@@ -40,6 +42,11 @@ with open("swarm.csv", "w") as file:
 if not any(pathlib.Path("/home").glob("*/again")):
     time.sleep(600)
 """
+
+
+def is_armed(fleet: Fleet, name: str) -> bool:
+    """Check whether a worker waits on a robot."""
+    return any("worker.py" in line for line in fleet.commands(name))
 
 
 def is_moving(fleet: Fleet, name: str) -> bool:
@@ -52,13 +59,23 @@ def has_written(fleet: Fleet, name: str) -> bool:
     return any(path.read_text().count("\n") == 2 for path in fleet.robots[name].home.rglob("output/swarm.csv"))
 
 
-def test_a_key_stops_all_robots_and_the_trial_is_repeated(fleet: Fleet, tmp_path: Path) -> None:
+def project(fleet: Fleet, folder: Path) -> Path:
     members = ", ".join(f'{name} = {{ host = "{name}" }}' for name in fleet.names[:2])
-    root = projects.make(tmp_path / "project", CONFIG.format(fleet=members, config=fleet.ssh_config))
+    root = projects.make(folder / "project", CONFIG.format(fleet=members, config=fleet.ssh_config))
     (root / "robot.py").write_text(ROBOT)
-    words = ("run", "population_size=1", "--on", "robots", "--operator", "Ann", "--no-figures")
-    with Terminal(root, str(projects.SIERRA), *words) as terminal:
-        terminal.answer("a: abort > ")
+    return root
+
+
+def test_a_key_stops_all_robots_and_the_trial_is_repeated(fleet: Fleet, tmp_path: Path) -> None:
+    root = project(fleet, tmp_path)
+    with Terminal(root, str(projects.SIERRA), *RUN) as terminal:
+        terminal.expect("a: abort > ")
+        for name in fleet.names[:2]:
+            until(partial(is_armed, fleet, name), "it is armed while the person places it", 60)
+            assert not is_moving(fleet, name)
+        terminal.type("\n")
+        terminal.expect("\rgo")
+        said = time.time()
         terminal.expect("any key: stop  rb1 ")
         for name in fleet.names[:2]:
             until(partial(has_written, fleet, name))
@@ -79,8 +96,29 @@ def test_a_key_stops_all_robots_and_the_trial_is_repeated(fleet: Fleet, tmp_path
         {"valid": False, "stopped": True, "status": "stopped"},
         {"valid": True, "stopped": False, "status": "ok"},
     ]
+    [first] = projects.sql(root, "SELECT min(epoch(started)) AS at FROM robots")
+    assert first["at"] - said < 2.0, "0.4 s on a machine without other work"
     assert projects.sql(root, "SELECT robot, coverage FROM swarm ORDER BY robot") == [
         {"robot": 1, "coverage": 1},
         {"robot": 2, "coverage": 2},
     ]
     assert projects.sql(root, "SELECT count(*) AS n FROM artifacts WHERE path LIKE '%swarm.csv'") == [{"n": 4}]
+
+
+def test_robots_that_wait_are_disarmed_if_one_is_lost_or_the_trial_is_skipped(fleet: Fleet, tmp_path: Path) -> None:
+    root, names = project(fleet, tmp_path), fleet.names[:2]
+    with Terminal(root, str(projects.SIERRA), *RUN) as terminal:
+        terminal.expect("a: abort > ")
+        until(lambda: all(is_armed(fleet, name) for name in names), "all are armed", 60)
+        fleet.power_cut(names[1])
+        terminal.expect(f"sierra: {names[1]}: ")  # it was lost, or not reached again
+        assert terminal.end() == 3
+    until(lambda: not is_armed(fleet, names[0]), "the other one is disarmed", 10)
+    fleet.heal()
+    with Terminal(root, str(projects.SIERRA), *RUN) as terminal:
+        terminal.expect("a: abort > ")
+        until(lambda: all(is_armed(fleet, name) for name in names), "all are armed", 60)
+        terminal.type("s\n")
+        terminal.end()
+    assert not any(is_armed(fleet, name) or list(fleet.robots[name].home.glob(".cache/*/runs/*")) for name in names)
+    assert projects.sql(root, "SELECT count(*) AS n FROM executions") == [{"n": 0}]

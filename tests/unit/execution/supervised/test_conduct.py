@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,8 @@ import pytest
 
 import sierra
 from sierra.errors import Missing, UsageError
-from sierra.execution.supervised.supervisor import Agreeing, Ended, Start, Trial, Verdict, Watch
+from sierra.execution.supervised.supervisor import Agreeing, Attendant, Ended, Start, Trial, Verdict
+from sierra.runners.base import Beat
 from tests import projects
 
 TRIALS = """
@@ -48,12 +49,16 @@ class Script:
     def begin(self, trials: int) -> str | None:
         return "Ann"
 
-    def start(self, trial: Trial) -> Start:
+    def attending(self, trial: Trial) -> AbstractContextManager[Attendant]:
         self.trials.append(trial)
+        return contextlib.nullcontext(self)
+
+    def decide(self, *, ready: bool) -> Start | None:
+        assert ready, "a runner of this machine prepares nothing"
         return self._steps.pop(0) if isinstance(self._steps[0], Start) else Start.GO
 
-    def watching(self, trial: Trial) -> AbstractContextManager[Watch]:
-        return contextlib.nullcontext(lambda seconds, beats: self._stops() or seconds > 60)
+    def watch(self, seconds: float, beats: Sequence[Beat]) -> bool:
+        return self._stops() or seconds > 60
 
     def verdict(self, trial: Trial, ended: Ended) -> Verdict:
         self.ended.append(ended)

@@ -6,7 +6,7 @@ import hashlib
 import re
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from sierra.ingest.observations import observed
 from sierra.model import Job
 from sierra.provenance.environment import differing
 from sierra.runners.robots.fleet_table import RobotTable
+from sierra.runners.robots.runner import Robots
 from sierra.worker import worker
 from tests.support.local_link import LocalLink
 from tests.support.robot_runs import Runs, job
@@ -202,6 +203,46 @@ def test_two_names_of_one_host_are_refused_at_once(tmp_path: Path):
         fleet.run(job(1))
     assert time.monotonic() - began < 10
     assert not fleet.begun()
+
+
+def hold(fleet: Fleet) -> Robots:
+    """Return a runner that has prepared a run and holds it back."""
+    runner = Robots(1, fleet.table, fleet.make_link)
+    runner.hold()
+    fleet.start(runner, job(1))
+    until(lambda: fleet.take(runner).ready, "all robots are ready", 30)
+    return runner
+
+
+@pytest.mark.integration
+def test_a_run_that_is_held_back_begins_soon_after_the_word(fleet: Fleet):
+    runner = hold(fleet)
+    time.sleep(fleet.table.lease + 0.2)
+    assert not fleet.begun()
+    said = time.time()
+    runner.begin()
+    [result] = fleet.follow(runner)
+    assert result.error is None
+    assert 0 < min(row["started"].timestamp() for row in fleet.rows_by_place.values()) - said < 2.0
+
+
+def test_a_run_that_is_held_back_and_stopped_leaves_nothing(fleet: Fleet):
+    runner = hold(fleet)
+    runner.stop()
+    assert fleet.follow(runner) == []
+    assert fleet.rows == []
+    assert all(list((link.home / ".cache/sierra-robot/runs").iterdir()) == [] for link in fleet.links.values())
+    until(lambda: is_alone(1), "all are disarmed", 10)
+
+
+@pytest.mark.parametrize("fault", [LocalLink.kill, pytest.param(LocalLink.stall, marks=pytest.mark.integration)])
+def test_a_robot_that_is_lost_while_a_run_is_held_back_is_told_at_once(fleet: Fleet, fault: Callable[[LocalLink], None]):
+    runner = hold(fleet)
+    fault(fleet.links["bob"])
+    with pytest.raises(Missing, match=r"^bob: was ready, but cannot start any more: (its agent has ended|no answer for 2)"):
+        fleet.follow(runner)
+    assert not fleet.begun()
+    until(lambda: is_alone(1), "all are disarmed", 10)
 
 
 @pytest.mark.parametrize(
