@@ -127,6 +127,7 @@ CREATE TABLE robots (
     "clock_start_ns" BIGINT,  -- its clock when the first offset was measured, since 1970-01-01 UTC [ns]
     "clock_end_ns" BIGINT,  -- its clock when the last offset was measured, since 1970-01-01 UTC [ns]
     "rtt_ns" BIGINT,  -- round-trip time of these measurements; offsets are uncertain by half of it [ns]
+    "clock_remark" VARCHAR,  -- why its stamps cannot be converted: its clock was set during the run; NULL if they can
     "start_skew_ns" BIGINT,  -- start of its program minus the common start, by the submitting host's clock [ns]
     "started" TIMESTAMP WITH TIME ZONE,  -- when its program, or the engine of its container, started, by the submitting host's clock
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended, by the submitting host's clock
@@ -752,8 +753,9 @@ CREATE TABLE robot_clocks (
     "place" BIGINT,  -- the robot's place in the run, as in robots
     "clock_ns" BIGINT,  -- its clock when the first offset was measured [ns]
     "offset_ns" BIGINT,  -- its clock minus the clock of the submitting host at that time [ns]
-    "drift" DOUBLE,  -- how much the offset grows per second of its clock; NULL without a second measurement [s/s]
-    "uncertainty_ns" DOUBLE  -- half of the round-trip time of the measurements [ns]
+    "drift" DOUBLE,  -- how much the offset grows per second of its clock; NULL without a second measurement, and with a remark [s/s]
+    "uncertainty_ns" DOUBLE,  -- half of the round-trip time of the measurements [ns]
+    "remark" VARCHAR  -- why stamps cannot be converted: its clock was set during the run; NULL if they can
 );
 
 -- Runs with the values of the independent variables, which are further columns. A run that belongs to experiments with different values of one variable has a row for each value.

@@ -13,7 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from sierra.errors import Missing
-from sierra.execution import on_robots, recover, session_records
+from sierra.execution import on_robots, recover, robot_notes, session_records
 from sierra.execution.observation import reusable_executions, shared_services, stale_sessions
 from sierra.execution.plan import Plan, context, versioned
 from sierra.execution.reasons import FAILED
@@ -39,7 +39,11 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
     began = datetime.now(UTC)
     if is_answered(plan, store):
         return of_session(
-            plan, store, len({run.id for run in plan.batch.runs}), only=options.only, notes=shared_services.note(plan, store)
+            plan,
+            store,
+            len({run.id for run in plan.batch.runs}),
+            only=options.only,
+            notes=(*shared_services.note(plan, store), *_robot_notes(plan, store)),
         )
     return _execute(plan, store, options, began)
 
@@ -103,6 +107,11 @@ def check_packages(plan: Plan) -> None:
         )
 
 
+def _robot_notes(plan: Plan, store: Store) -> tuple[str, ...]:
+    """Return notes about the robots of a batch."""
+    return tuple(robot_notes.notes(store, plan.batch.id)) if plan.batch.spec.robots is not None else ()
+
+
 def _sum_up(executor: Executor) -> Summary:
     """Return the summary of an execution, counted from the store's current state."""
     plan, store = executor.plan, executor.store
@@ -128,6 +137,6 @@ def _sum_up(executor: Executor) -> Summary:
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
         interrupted=executor.interrupted,
         detached=tuple(paths.root.name for paths in executor.left),
-        notes=(*executor.notes, *reused),
+        notes=(*executor.notes, *reused, *_robot_notes(plan, store)),
         only=only,
     )

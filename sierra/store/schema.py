@@ -173,8 +173,14 @@ DERIVED = {
             ("place", INT, "the robot's place in the run, as in robots"),
             ("clock_ns", INT, "its clock when the first offset was measured", "ns"),
             ("offset_ns", INT, "its clock minus the clock of the submitting host at that time", "ns"),
-            ("drift", "DOUBLE", "how much the offset grows per second of its clock; NULL without a second measurement", "s/s"),
+            (
+                "drift",
+                "DOUBLE",
+                "how much the offset grows per second of its clock; NULL without a second measurement, and with a remark",
+                "s/s",
+            ),
             ("uncertainty_ns", "DOUBLE", "half of the round-trip time of the measurements", "ns"),
+            ("remark", TEXT, "why stamps cannot be converted: its clock was set during the run; NULL if they can"),
         ),
         _table(
             "points",

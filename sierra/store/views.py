@@ -461,7 +461,9 @@ FROM several s LEFT JOIN compared j USING (run, programs)
 """
 ROBOT_CLOCKS = """
 SELECT execution, place, clock_start_ns AS clock_ns, offset_start_ns AS offset_ns,
-       (offset_end_ns - offset_start_ns) / nullif(clock_end_ns - clock_start_ns, 0) AS drift, rtt_ns / 2 AS uncertainty_ns
+       CASE WHEN clock_remark IS NULL THEN (offset_end_ns - offset_start_ns) / nullif(clock_end_ns - clock_start_ns, 0) END
+           AS drift,
+       rtt_ns / 2 AS uncertainty_ns, clock_remark AS remark
 FROM robots WHERE offset_start_ns IS NOT NULL AND clock_start_ns IS NOT NULL
 """
 DEFINED = {"effective": COUNTING, "nondeterminism": NONDETERMINISM, "robot_clocks": ROBOT_CLOCKS}

@@ -10,7 +10,7 @@ Both sides exchange lines of JSON: the driver sends requests (`do`), the agent a
 | `do` | answer | meaning |
 |---|---|---|
 | `hello` | `hello` or `refused` | lock the robot, end and remove leftovers, execute the setup line |
-| `check` | `checked` | measure battery and disk, execute the checks |
+| `check` | `checked` | measure battery and disk; before a run, also read firmware and calibration, and execute the checks |
 | `clock` | `clock` | the two clocks, in ns |
 | `arm` | `armed` or `refused` | make the run's folder, and start its worker, which waits |
 | `at` | `gated` or `late` | start the run at this time (ns) of this robot's clock; a time in the past is refused |
@@ -285,6 +285,8 @@ class Agent:
         self.stop_limit = STOP_S
         self.stop_argv: Sequence[str] = ()
         self.battery: Sequence[str] | str | None = None
+        self.firmware: Sequence[str] | None = None
+        self.calibration: str | None = None
         self.checks: Sequence[Sequence[str]] = ()
         self.environment: dict[str, str] = {}
         self.looker = load("robot_software").Looker()
@@ -383,6 +385,7 @@ class Agent:
         self.who = request["who"]
         self.stop_argv, self.stop_limit = request.get("stop", ()), request.get("stop_limit", STOP_S)
         self.battery, self.checks = request.get("battery"), request.get("checks", ())
+        self.firmware, self.calibration = request.get("firmware"), request.get("calibration")
         self.acquire(time.monotonic() + request.get("patience", 0.0))
         os.makedirs(self.folder, exist_ok=True)
         before = dict(os.environ)
@@ -472,19 +475,44 @@ class Agent:
                 time.sleep(LOOK_S / 10)
 
     def check(self, request: Record) -> Record:
-        """Measure battery (percent) and disk (bytes). Before a run, execute the checks, and look for changed software."""
+        """Measure battery (percent) and disk (bytes). Before a run, also describe the robot, and execute the checks."""
+        space = shutil.disk_usage(self.folder)
+        found: Record = {"event": "checked", "battery": self.battery_level(), "disk": space.free, "failed": []}
+        if request.get("checks", True):
+            found.update(firmware=self.firmware_version(), calibration=self.calibration_hash())
+            found.update(software=self.looker.news(self.environment), failed=self.failed_checks())
+        for path, state in request.get("unchanged", {}).items():
+            if state_of(path) != state:
+                found["failed"].append("%s has changed since it was verified" % path)
+        return found
+
+    def failed_checks(self) -> list[str]:
+        """Execute the checks; return a line for each one that has failed."""
         failed = []
-        before = request.get("checks", True)
-        for argv in self.checks if before else ():
+        for argv in self.checks:
             status, words = self.output_of(argv)
             if status != 0:
                 failed.append("%s: %s" % (" ".join(argv), words or "status %s" % status))
-        for path, state in request.get("unchanged", {}).items():
-            if state_of(path) != state:
-                failed.append("%s has changed since it was verified" % path)
-        space = shutil.disk_usage(self.folder)
-        found = {"event": "checked", "battery": self.battery_level(), "disk": space.free, "failed": failed}
-        return {**found, "software": self.looker.news(self.environment) if before else None}
+        return failed
+
+    def firmware_version(self) -> str | None:
+        """Return what the command prints that knows the version; None without a command. Raises Refused."""
+        if self.firmware is None:
+            return None
+        status, words = self.output_of(self.firmware)
+        if status != 0 or not words:
+            raise Refused("its firmware cannot be read: %s: %s" % (" ".join(self.firmware), words or "status %s" % status))
+        return words
+
+    def calibration_hash(self) -> str | None:
+        """Return the SHA-256 of the calibration file; None without one. Raises Refused."""
+        if self.calibration is None:
+            return None
+        path = os.path.expanduser(self.calibration)
+        try:
+            return str(the_worker().describe(path, path)["sha256"])
+        except OSError as error:
+            raise Refused("its calibration cannot be read: %s" % the_worker().explain(error)) from None
 
     def battery_level(self) -> float | None:
         """Return the first number that the battery's file or command gives; None without one. Raises Refused."""

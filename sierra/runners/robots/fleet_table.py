@@ -31,9 +31,13 @@ class RobotTable(Table):
     variables: Mapping[str, str] = Field(
         default_factory=dict, description="variables that its setup line, its stop command and its program get"
     )
-    setup: Line | None = Field(None, description="replaces `setup` of the fleet; so do `stop` and `battery`")
+    setup: Line | None = Field(
+        None, description="replaces `setup` of the fleet; so do `stop`, `battery`, `firmware` and `calibration`"
+    )
     stop: Argv | None = Field(None, description="replaces `stop` of the fleet")
     battery: Battery | None = Field(None, description="replaces `battery` of the fleet")
+    firmware: Command | None = Field(None, description="replaces `firmware` of the fleet")
+    calibration: Line | None = Field(None, description="replaces `calibration` of the fleet")
     link_options: Mapping[str, Any] = Field(
         default_factory=dict, description="options of the link that differ from those of the fleet"
     )
@@ -81,9 +85,24 @@ class FleetTable(Table):
         examples=["/sys/class/power_supply/BAT0/capacity"],
     )
     battery_min: Annotated[float, Field(ge=0, le=100)] = Field(20.0, description="charge in percent below which no run starts")
+    firmware: Command | None = Field(
+        None,
+        description="a command that prints the version of a robot's firmware; recorded before each run",
+        examples=[["cat", "/etc/firmware"]],
+    )
+    calibration: Line | None = Field(
+        None,
+        description="the calibration file on each robot, whose SHA-256 is recorded before each run; absolute, or in ~/",
+        examples=["~/calibration.yaml"],
+    )
     disk_min: Size = Field(100_000_000, description="free space below which no run starts, in bytes or as in `1 GB`")
     clock_error: Positive = Field(
         0.05, description="largest error of the measurement of a robot's clock with which a run starts, in seconds"
+    )
+    clock_drift: Positive | None = Field(
+        None,
+        description="largest change of a robot's clock against that of this machine during a run, in seconds; a run with a "
+        "larger one has failed. By default, a remark is recorded if stamps cannot be converted (`robot_clocks.remark`)",
     )
     checks: tuple[Command, ...] = Field(
         (),
@@ -118,6 +137,8 @@ class FleetTable(Table):
                 "setup": own.setup or self.setup,
                 "stop": self.stop if own.stop is None else own.stop,
                 "battery": own.battery or self.battery,
+                "firmware": own.firmware or self.firmware,
+                "calibration": own.calibration or self.calibration,
                 "link_options": {**self.link_options, **own.link_options},
             }
         )

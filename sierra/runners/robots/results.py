@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from sierra.links.clock import Clock
-from sierra.runners.robots import observed_files
+from sierra.runners.robots import clock_changes, observed_files
 from sierra.runners.robots.trial import OVER, Part, Trial
 from sierra.store.layout import RUN_OUTPUT
 from sierra.util.json_types import RecordValue
@@ -80,7 +80,7 @@ def _first_failed(parts: Iterable[Part]) -> worker.End | None:
 
 def failure(trial: Trial) -> str | None:
     """Return what happened to which robot, in one line; None if the run has ended well on all of them."""
-    found = [f"{part.name} {text}" for part in trial.parts if (text := _trouble(part))]
+    found = [f"{part.name} {text}" for part in trial.parts if (text := _trouble(part, trial.table.clock_drift))]
     if not found and trial.stopped not in (None, OVER):
         found = [str(trial.stopped)]
     elif found and trial.stopped is not None and trial.stopped != OVER and len(trial.parts) > 1:
@@ -88,7 +88,7 @@ def failure(trial: Trial) -> str | None:
     return "; ".join(found) or None
 
 
-def _trouble(part: Part) -> str | None:
+def _trouble(part: Part, clock_drift: float | None) -> str | None:
     """Return what went wrong with one robot; None if nothing did, or if it was only told to stop."""
     if part.lost is not None:
         return f"was lost: {part.lost}" + ("" if part.files else "; its outputs are missing")
@@ -101,7 +101,7 @@ def _trouble(part: Part) -> str | None:
         return f"{part.ended['why']}"
     if part.problem:
         return f"has kept its outputs: {part.problem}"
-    return _changed(part)
+    return _changed(part) or clock_changes.failure(part, clock_drift)
 
 
 def _changed(part: Part) -> str | None:
@@ -163,15 +163,15 @@ def rows(trial: Trial, job: worker.Job, table: Iterable[str] = ()) -> Iterator[t
                 "robot_group": part.group,
                 "robot": part.name,
                 "status": _status(part),
-                "reason": _remarks(part),
+                "reason": _remarks(part, trial),
                 "host": facts.get("host"),
                 "machine": facts.get("machine"),
                 "processor": facts.get("cpu"),
                 "kernel": facts.get("kernel"),
                 "boot_id": part.hello.get("boot"),
                 "environment": part.hello.get("environment"),
-                "firmware": None,
-                "calibration_sha256": None,
+                "firmware": part.before.get("firmware"),
+                "calibration_sha256": part.before.get("calibration"),
                 "battery_start": part.before.get("battery"),
                 "battery_end": part.after.get("battery"),
                 "offset_start_ns": part.clock.offset_ns if part.clock else None,
@@ -179,6 +179,7 @@ def rows(trial: Trial, job: worker.Job, table: Iterable[str] = ()) -> Iterator[t
                 "clock_start_ns": part.clock.at_ns if part.clock else None,
                 "clock_end_ns": part.clock_after.at_ns if part.clock_after else None,
                 "rtt_ns": _slower(part.clock, part.clock_after),
+                "clock_remark": clock_changes.remark(part, trial.table.clock_error),
                 "start_skew_ns": round((times.began - trial.at_ns / 1e9) * 1e9) if times else None,
                 "started": datetime.fromtimestamp(times.began, UTC) if times else None,
                 "ended": datetime.fromtimestamp(times.ended, UTC) if times else None,
@@ -197,13 +198,13 @@ def _status(part: Part) -> str:
     return "stopped" if part.ended and part.ended["why"] else "ok"
 
 
-def _remarks(part: Part) -> str | None:
+def _remarks(part: Part, trial: Trial) -> str | None:
     """Return everything that is worth knowing about how a part ended."""
     ended = part.ended or {}
-    steps = [f"its wall clock has moved by {step:+g} s while the run was executed" for step in ended.get("steps", ())]
+    clock = clock_changes.remark(part, trial.table.clock_error)
     why = [ended["why"]] if ended.get("why") else []
     failed = [text for text in (part.lost, part.failure, part.problem) if text]
-    found = dict.fromkeys((*failed, *why, *ended.get("problems", ()), *steps))
+    found = dict.fromkeys((*failed, *why, *ended.get("problems", ()), *([clock] if clock else [])))
     return "; ".join(found) or None
 
 
@@ -213,8 +214,8 @@ def notes(trial: Trial) -> Iterator[str]:
         ended = part.ended or {}
         for problem in ended.get("problems", ()):
             yield f"{part.name}: {problem}"
-        for step in ended.get("steps", ()):
-            yield f"{part.name}: its wall clock has moved by {step:+g} s while the run was executed"
+        if clock := clock_changes.remark(part, trial.table.clock_error):
+            yield f"{part.name}: {clock}, so that its stamps cannot be converted to one time axis"
 
 
 def _slower(*clocks: Clock | None) -> int | None:

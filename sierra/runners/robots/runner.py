@@ -404,6 +404,8 @@ class Robot:
             "stop": own.stop,
             "stop_limit": table.stop_limit,
             "battery": own.battery,
+            "firmware": own.firmware,
+            "calibration": own.calibration,
             "checks": table.checks,
             "variables": dict(own.variables),
             "keep": [keep] if keep else [],

@@ -125,7 +125,7 @@ class Trial:
         """The common start by this host's clock."""
         self.waits = False
         """True while all robots are armed, and the run may not begin."""
-        self._table = table
+        self.table = table
         self._events = events
         self._stopping = stopping
         self._notice = notice
@@ -165,7 +165,7 @@ class Trial:
                 raise Missing(f"{part.name}: {reason}")
 
     def _unfit(self, found: Record) -> str | None:
-        table = self._table
+        table = self.table
         if found["battery"] is not None and found["battery"] < table.battery_min:
             return f"its battery has {found['battery']:g} %, less than battery_min = {table.battery_min:g}"
         if found["disk"] < table.disk_min:
@@ -201,10 +201,10 @@ class Trial:
         """Measure all clocks. Raises Missing if one cannot be measured well enough."""
         for part, clock in zip(self.parts, self._each(lambda part: part.agent.clock()), strict=True):
             part.clock = clock
-            if clock.rtt_ns / 2e9 > self._table.clock_error:
+            if clock.rtt_ns / 2e9 > self.table.clock_error:
                 raise Missing(
                     f"{part.name}: its clock is only known to {clock.rtt_ns / 2e6:.0f} ms, because its answers take long; "
-                    f"raise clock_error = {self._table.clock_error:g} in [runners.robots], or improve the link"
+                    f"raise clock_error = {self.table.clock_error:g} in [runners.robots], or improve the link"
                 )
 
     def _start(self) -> None:
@@ -250,7 +250,7 @@ class Trial:
         looked = time.monotonic()
         while any(part.is_open for part in self.parts):
             self._take(POLL_S)
-            if time.monotonic() - looked > self._table.lease / 2:  # this process was stopped, and may have much to read
+            if time.monotonic() - looked > self.table.lease / 2:  # this process was stopped, and may have much to read
                 for part in self.parts:
                     part.agent.heard = time.monotonic()
             looked = time.monotonic()
@@ -265,11 +265,11 @@ class Trial:
                         part.agent.abandon(f"it did not report its end within {self._patience():g} s")
 
     def _patience(self) -> float:
-        return self._table.grace + 2 * self._table.stop_limit + SETTLE_S
+        return self.table.grace + 2 * self.table.stop_limit + SETTLE_S
 
     def _listen(self, part: Part) -> None:
         """Count a robot as lost if its lease has expired, and note a shorter silence once."""
-        silence, lease = part.agent.silence, self._table.lease
+        silence, lease = part.agent.silence, self.table.lease
         if silence > lease + MARGIN_S:
             part.agent.abandon(f"no answer for {silence:.1f} s")
         elif silence > lease / 2 and part.name not in self._silent:

@@ -215,14 +215,23 @@ def test_a_slow_network_is_used(runs: Runs, fleet: Fleet):
     assert [one.error for one in runs.run(job(1))] == [None]
 
 
-def test_a_step_of_the_clock_is_recorded(runs: Runs, fleet: Fleet):
+@pytest.mark.parametrize("limit", [None, 10.0])
+def test_a_step_of_the_clock_is_a_remark_or_a_failure(runs: Runs, fleet: Fleet, limit: float | None):
+    runs.table = runs.table.model_copy(update={"clock_drift": limit})
     fleet.set_clock("rb2", 5)
     runner = runs.submit(job(1, "1", "nap", "2", "nap", "3", "nap"))
     runs.all_begun()
     fleet.set_clock("rb2", -20)
     [result] = runs.follow(runner)
-    assert result.error is None
-    assert "its wall clock has moved by -25" in runs.rows_by_place[2]["reason"]
+    if limit is None:
+        assert result.error is None
+    else:
+        assert result.error
+        assert result.error.startswith("rb2 has a clock that moved by -25 s during the run, more than clock_drift = 10 in ")
+    assert runs.rows_by_place[2]["clock_remark"].startswith("its wall clock has moved by -25")
+    assert runs.rows_by_place[2]["clock_remark"] in runs.rows_by_place[2]["reason"]
+    assert runs.rows_by_place[1]["clock_remark"] is None
+    assert any(note.startswith("rb2: its wall clock has moved by -25") for note in runs.notes)
     assert result.ended > result.started
 
 

@@ -12,7 +12,8 @@ import pytest
 import sierra
 from sierra.errors import ConfigError, QueryError, SierraError, UsageError
 from sierra.execution.commands import CommandBuilder
-from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Job
+from sierra.model import ARCH_ON_ROBOT, ON_ROBOT, Job, Member
+from sierra.store.row_types import RobotRow
 from tests import projects, robots
 
 GROUPS = """
@@ -197,4 +198,31 @@ def test_a_robot_without_an_output_and_an_invalid_trial_do_not_count(tmp_path: P
     assert projects.sql(root, "SELECT status, reason FROM executions ORDER BY lamport") == [
         {"status": "invalid", "reason": "invalid trial: fell over"},
         {"status": "failed", "reason": "robot 2 (tb3-02) did not write 'swarm.csv'"},
+    ]
+
+
+@pytest.mark.integration
+def test_robots_that_have_changed_are_noted_and_stamps_of_set_clocks_are_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, versions = robots._row, iter(("1.4", "1.5"))
+
+    def row(job: Job, one: Member, code: int) -> RobotRow:
+        version = next(versions)
+        was_set = "its wall clock has moved by +3 s" if version == "1.5" else None
+        return plain(job, one, code)._replace(firmware=version, calibration_sha256="ab" * 32, clock_remark=was_set)
+
+    monkeypatch.setattr(robots, "_row", row)
+    root = robots.project(tmp_path / "p")
+    project = sierra.open(root)
+    expected = (
+        "tb3-01: stamps of 1 run cannot be converted to one time axis (robot_clocks.remark): its wall clock has moved by +3 s",
+        "tb3-01: its firmware differs between runs of this batch: 1.4, 1.5",
+    )
+    for _ in range(2):  # also if nothing is executed
+        summary = project.run("population_size=1", target="robots", figures=False)
+        assert summary.notes[-2:] == expected
+    assert projects.sql(root, "SELECT drift IS NULL AS missing, remark IS NULL AS fine FROM robot_clocks ORDER BY ALL") == [
+        {"missing": False, "fine": True},
+        {"missing": True, "fine": False},
     ]

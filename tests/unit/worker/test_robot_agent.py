@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import secrets
@@ -285,6 +286,18 @@ def test_refusals_are_one_line(agent: Start, tmp_path: Path):
     checked = driver.receive("checked")
     assert checked["battery"] == 81
     assert checked["failed"] == ["sh -c echo no topic; exit 3: no topic"]
+    assert checked["firmware"] is checked["calibration"] is None
+    calibration = tmp_path / "calibration.yaml"
+    driver.hello(firmware=["echo", "1.4", "2"], calibration=str(calibration))
+    driver.send("check")
+    assert driver.receive("refused")["reason"] == f"its calibration cannot be read: {calibration}: No such file or directory"
+    calibration.write_text("radius: 1\n")
+    driver.send("check")
+    checked = driver.receive("checked")
+    assert (checked["firmware"], checked["calibration"]) == ("1.4 2", hashlib.sha256(b"radius: 1\n").hexdigest())
+    driver.hello(firmware=["true"])
+    driver.send("check")
+    assert driver.receive("refused")["reason"] == "its firmware cannot be read: true: status 0"
     driver.send("at", attempt="x", at=0)
     assert driver.receive("refused")["reason"] == "attempt x is not armed"
     assert driver.process.stdin

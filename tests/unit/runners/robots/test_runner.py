@@ -52,6 +52,8 @@ def is_alone(number: int) -> bool:
 
 
 def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
+    ada = RobotTable(host="ada", variables={"TZ": "Asia/Kathmandu"}, firmware=("echo", "1.4"))
+    fleet.table = fleet.table.model_copy(update={"fleet": {**fleet.table.fleet, "ada": ada}})
     first, second = fleet.run(job(1), job(2))
     assert (first.exit_code, first.error, first.stopped) == (0, None, None)
     assert [file.path for file in first.outputs] == ["1/here.csv", "2/here.csv", "3/here.csv"]
@@ -62,8 +64,11 @@ def test_a_run_on_three_robots_leaves_one_folder(fleet: Fleet):
     assert second.exit_code == 0
     row = fleet.rows_by_place[2]
     assert (row["robot"], row["status"], row["reason"], row["exit_code"]) == ("bob", "ok", None, 0)
-    assert abs(row["offset_start_ns"]) < 50_000_000
-    assert 0 <= row["start_skew_ns"] < 500_000_000
+    assert [fleet.rows_by_place[place]["firmware"] for place in (1, 2)] == ["1.4", None]
+    for row in fleet.rows_by_place.values():  # also that of a robot in another time zone
+        assert abs(row["offset_start_ns"]) < 50_000_000
+        assert 0 <= row["start_skew_ns"] < 500_000_000
+        assert row["clock_remark"] is None
     environments = {row["environment"]: row for table, row in fleet.rows if table == "environments"}
     assert '"GREETING": "hello"' in environments[row["environment"]]["variables"]
     assert all(list((link.home / ".cache/sierra-robot/runs").iterdir()) == [] for link in fleet.links.values())
