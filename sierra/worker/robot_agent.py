@@ -487,13 +487,16 @@ class Agent:
         return found
 
     def failed_checks(self) -> list[str]:
-        """Execute the checks; return a line for each one that has failed."""
-        failed = []
-        for argv in self.checks:
-            status, words = self.output_of(argv)
-            if status != 0:
-                failed.append("%s: %s" % (" ".join(argv), words or "status %s" % status))
-        return failed
+        """Execute all checks at once, because each may wait for something; return a line for each one that has failed."""
+        from concurrent.futures import ThreadPoolExecutor
+
+        with ThreadPoolExecutor(max(1, len(self.checks))) as pool:
+            ended = list(pool.map(self.output_of, self.checks))
+        return [
+            "%s: %s" % (" ".join(argv), words or "status %s" % status)
+            for argv, (status, words) in zip(self.checks, ended)
+            if status != 0
+        ]
 
     def firmware_version(self) -> str | None:
         """Return what the command prints that knows the version; None without a command. Raises Refused."""

@@ -106,8 +106,8 @@ class FleetTable(Table):
     )
     checks: tuple[Command, ...] = Field(
         (),
-        description="commands that must succeed on each robot before a run",
-        examples=[[["rosnode", "ping", "-c1", "/base"]]],
+        description="commands that must succeed on each robot before a run, within 10 s; all are executed at once",
+        examples=[[["timeout", "8", "rostopic", "echo", "-n1", "/scan"]]],
     )
 
     @model_validator(mode="after")

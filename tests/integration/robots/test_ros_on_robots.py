@@ -8,8 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from sierra.errors import Missing
+from sierra.links.base import LinkOptions
+from sierra.links.fabric import Fabric
 from tests import projects
 from tests.support.robot_fleet import Fleet
+from tests.support.robot_runs import Runs, job
+from tests.waiting import until
 
 TARGETS = """
 target = "sim"
@@ -76,3 +81,30 @@ def test_turtlebots_of_a_fleet_start_their_own_launch_files(turtles: Path, fleet
     assert [(row["robot"], row["rows"]) for row in rows] == [(1, 21), (2, 21)]
     for name in fleet.names:
         assert not [line for line in fleet.commands(name) if "ros" in line]
+
+
+def test_a_run_starts_only_if_topics_have_messages(require: Callable[..., str], fleet: Fleet, tmp_path: Path) -> None:
+    require("rostopic")
+    name = fleet.names[0]
+    options = LinkOptions(ssh_config=str(fleet.ssh_config))
+    checks = [["timeout", "8", "rostopic", "echo", "-n1", topic] for topic in ("/scan", "/odom")]
+    homes = {name: fleet.robots[name].home}
+    runs = Runs(tmp_path, homes, lambda host, _: Fabric(host, options), checks=checks, stop=[])
+
+    def begin(command: str, topic: str) -> None:
+        fleet.enter(name, "sh", "-c", f"ROS_HOME=/run/ros setsid {command} >/dev/null 2>&1 </dev/null &")
+        until(lambda: topic in fleet.enter(name, "sh", "-c", "rostopic list 2>&1 || true").split(), f"{topic} is there", 60)
+
+    try:
+        begin("roscore", "/rosout")
+        begin("rostopic pub -r 10 /scan std_msgs/String there", "/scan")
+        lacks = (
+            r"^rb1: not ready: timeout 8 rostopic echo -n1 /odom: WARNING: topic \[/odom\] does not appear to be published yet$"
+        )
+        with pytest.raises(Missing, match=lacks):
+            runs.run(job(1, robots=1))
+        assert runs.begun() == []
+        begin("rostopic pub -r 10 /odom std_msgs/String there", "/odom")
+        assert [one.error for one in runs.run(job(2, robots=1))] == [None]
+    finally:
+        fleet.power_cut(name)
