@@ -127,13 +127,13 @@ CREATE TABLE robots (
     "clock_start_ns" BIGINT,  -- its clock when the first offset was measured, since 1970-01-01 UTC [ns]
     "clock_end_ns" BIGINT,  -- its clock when the last offset was measured, since 1970-01-01 UTC [ns]
     "rtt_ns" BIGINT,  -- round-trip time of these measurements; offsets are uncertain by half of it [ns]
-    "clock_remark" VARCHAR,  -- why its stamps cannot be converted: its clock was set during the run; NULL if they can
     "start_skew_ns" BIGINT,  -- start of its program minus the common start, by the submitting host's clock [ns]
     "started" TIMESTAMP WITH TIME ZONE,  -- when its program, or the engine of its container, started, by the submitting host's clock
     "ended" TIMESTAMP WITH TIME ZONE,  -- when its program ended, by the submitting host's clock
     "exit_code" BIGINT,  -- exit status of its program; NULL if a signal ended it or it is unknown
     "signal" BIGINT,  -- the signal that ended its program; NULL if none did
-    "isolation" VARCHAR  -- its isolation, as in isolations, with the version of its engine; NULL without a container
+    "isolation" VARCHAR,  -- its isolation, as in isolations, with the version of its engine; NULL without a container
+    "clock_remark" VARCHAR  -- why its stamps cannot be converted: its clock was set during the run; NULL if they can
 );
 
 -- Supervised executions, each with the last remark on it; the table all_trials has all remarks. An execution whose last remark is that it is not valid has the status invalid. It counts nowhere, and its run is executed again.

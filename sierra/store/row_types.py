@@ -169,9 +169,6 @@ class RobotRow(NamedTuple):
     clock_start_ns: Annotated[int | None, "its clock when the first offset was measured, since 1970-01-01 UTC", "ns"] = None
     clock_end_ns: Annotated[int | None, "its clock when the last offset was measured, since 1970-01-01 UTC", "ns"] = None
     rtt_ns: Annotated[int | None, "round-trip time of these measurements; offsets are uncertain by half of it", "ns"] = None
-    clock_remark: Annotated[
-        str | None, "why its stamps cannot be converted: its clock was set during the run; NULL if they can"
-    ] = None
     start_skew_ns: Annotated[
         int | None, "start of its program minus the common start, by the submitting host's clock", "ns"
     ] = None
@@ -183,6 +180,9 @@ class RobotRow(NamedTuple):
     signal: Annotated[int | None, "the signal that ended its program; NULL if none did"] = None
     isolation: Annotated[
         str | None, "its isolation, as in isolations, with the version of its engine; NULL without a container"
+    ] = None
+    clock_remark: Annotated[
+        str | None, "why its stamps cannot be converted: its clock was set during the run; NULL if they can"
     ] = None
 
 

@@ -57,6 +57,7 @@ LATER: dict[str, tuple[str, ...]] = {
     "builds": ("processors",),
     "environments": ("packages", "workspaces"),
     "observations": ("distributions",),
+    "robots": ("isolation", "clock_remark"),
     "specs": ("named_inputs", "shared_files", "around", "robots"),
 }
 """By table, the last columns that were added within this format: older files lack them, and their values are NULL there."""
