@@ -35,7 +35,7 @@ def video(
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Show no progress.")] = False,
     as_json: AsJsonList = False,
 ) -> None:
-    """Make the videos of a batch that sierra.toml declares as [videos.NAME].
+    """Make the videos that sierra.toml declares for a batch.
 
     They are made from recorded results; nothing is executed. Each file appears whole or not at all, in the folder of the
     batch's figures. `sierra figures --check` tells whether they still follow from the store.
