@@ -58,6 +58,7 @@ Record = Dict[str, Any]
 
 RUNS = "runs"
 FIRST = "1"  # the folder in which a worker executes its only run
+WORKER = "worker"  # the only argument of a worker
 PROCESS, ENDED, STOP_LOG, WORKER_LOG = "process.json", "ended.json", "stop.log", "worker.log"
 LEASE_S, GRACE_S, STOP_S = 5.0, 2.0, 5.0
 SETUP_S, CHECK_S = 60.0, 10.0
@@ -113,11 +114,18 @@ class Run:
     """One run on this robot, from arming to its end."""
 
     def __init__(
-        self, folder: str, order: Record, environment: Mapping[str, str], stop: Sequence[str], grace: float, stop_limit: float
+        self,
+        folder: str,
+        order: Record,
+        worker: subprocess.Popen[bytes],
+        environment: Mapping[str, str],
+        stop: Sequence[str],
+        grace: float,
+        stop_limit: float,
     ) -> None:
-        """Make its folder, and start a worker that prepares the job and waits for its moment. Raises OSError.
+        """Make its folder, and let a worker prepare the job and wait for its moment. Raises OSError.
 
-        `stop` is the stop command, `stop_limit` the seconds that it may take.
+        `worker` is one of `start_worker`. `stop` is the stop command, `stop_limit` the seconds that it may take.
         """
         self.folder = folder
         self.attempt: str = order["attempt"]
@@ -138,15 +146,7 @@ class Run:
         self.between_clocks = time.time() - time.monotonic()
         os.makedirs(os.path.dirname(folder), exist_ok=True)
         os.mkdir(folder)
-        with open(os.path.join(folder, WORKER_LOG), "wb") as log:
-            self.worker = subprocess.Popen(
-                [sys.executable, "-I", "-S", "-B", beside("worker.py"), folder, "1"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=log,
-                env=dict(environment),
-                start_new_session=True,
-            )
+        self.worker = worker
         born = the_worker().birth(self.worker.pid)
         executions = [self.job["execution"]]
         self.client = (
@@ -154,7 +154,7 @@ class Run:
         )
         known = {"pid": self.worker.pid, "born": born, "boot": boot_id(), "executions": executions, "client": self.client}
         write_whole(os.path.join(folder, PROCESS), {**known, "who": order.get("who")})
-        self.tell_worker({**self.job, "waits": True})
+        self.tell_worker({"folder": folder}, {**self.job, "waits": True})
 
     def begin(self, moment: float) -> None:
         """Let the worker start the program at this moment of the monotonic clock."""
@@ -291,6 +291,7 @@ class Agent:
         self.environment: dict[str, str] = {}
         self.looker = load("robot_software").Looker()
         self.run: Run | None = None
+        self.spare: subprocess.Popen[bytes] | None = None
         self.heard = time.monotonic()
         self.leaving: str | None = None
         self.terminated = False
@@ -392,6 +393,7 @@ class Agent:
         given = request.get("variables", {})
         self.environment = with_setup(request.get("setup"), {**before, **given})
         leftovers = self.end_leftovers(request.get("keep", ()))
+        self.prepare_worker()
         changed = [name for name, value in self.environment.items() if before.get(name) != value]
         names = {*changed, *given, "PATH"}  # the login may have the same value for a given one
         variables = {name: self.environment[name] for name in sorted(names & self.environment.keys())}
@@ -560,12 +562,30 @@ class Agent:
         folder = os.path.join(self.folder, RUNS, order["attempt"])
         if os.path.lexists(folder):
             raise Refused("attempt %s was armed before" % order["attempt"])
+        worker = self.take_worker()
         try:
-            self.run = Run(folder, order, self.environment, self.stop_argv, self.grace, self.stop_limit)
+            self.run = Run(folder, order, worker, self.environment, self.stop_argv, self.grace, self.stop_limit)
         except OSError:
+            end_worker(worker)
             the_worker().remove(folder)
             raise
         return None  # `attend` answers
+
+    def prepare_worker(self) -> None:
+        """Start the worker of the next run already, because a Python takes long to start.
+
+        There is none while a run executes: it costs time of the processor, and whatever the agent has started is ended then.
+        """
+        if self.spare is not None:
+            end_worker(self.spare)  # it has the variables of an earlier setup line
+        self.spare = None
+        with contextlib.suppress(OSError):  # it is tried again for the run
+            self.spare = start_worker(self.environment)
+
+    def take_worker(self) -> subprocess.Popen[bytes]:
+        """Return a worker that waits for its folder. Raises OSError."""
+        worker, self.spare = self.spare, None
+        return worker if worker is not None and worker.poll() is None else start_worker(self.environment)
 
     def at(self, request: Record) -> Record:
         """Start the armed run at a time of this robot's wall clock (ns)."""
@@ -614,6 +634,8 @@ class Agent:
             with contextlib.suppress(OSError):  # of a full disk, the driver hears at once
                 write_whole(os.path.join(run.folder, ENDED), report)
             self.tell({"event": "ended", **report})
+            if not self.leaving:
+                self.prepare_worker()
 
     def tell(self, event: Record) -> None:
         """Send an event. A driver that does not read loses it."""
@@ -633,6 +655,41 @@ class Agent:
                 time.sleep(LOOK_S / 10)
             except OSError:  # nobody is there any more
                 self.unsent.clear()
+
+
+def start_worker(environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    """Start a worker that waits for its folder: see `become_worker`. Raises OSError."""
+    return subprocess.Popen(
+        [sys.executable, "-I", "-S", "-B", os.path.abspath(__file__), WORKER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=dict(environment),
+        start_new_session=True,
+    )
+
+
+def end_worker(worker: subprocess.Popen[bytes]) -> None:
+    """End a worker that has got no folder."""
+    worker.kill()
+    worker.wait()
+    with contextlib.suppress(OSError):
+        the_worker().stdin_of(worker).close()
+
+
+def become_worker() -> int:
+    """Wait for a line with the folder of a run on standard input, and execute the jobs in the lines after it."""
+    worker = the_worker()
+    line = b""
+    while not line.endswith(b"\n"):
+        byte = os.read(0, 1)  # no more, because the worker reads the rest
+        if not byte:
+            return 1
+        line += byte
+    folder = json.loads(line)["folder"]
+    with open(os.path.join(folder, WORKER_LOG), "wb") as log:
+        os.dup2(log.fileno(), 2)
+    return int(worker.main([folder, "1"]))
 
 
 def with_setup(line: str | None, environment: Mapping[str, str]) -> dict[str, str]:
@@ -791,6 +848,8 @@ def become_subreaper() -> None:
 
 
 def main(arguments: list[str]) -> int:
+    if arguments == [WORKER]:
+        return become_worker()
     folder, lock = arguments
     with contextlib.suppress(ImportError, OSError, AttributeError):
         become_subreaper()

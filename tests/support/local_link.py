@@ -57,13 +57,12 @@ class LocalChannel:
             if left <= 0:
                 raise Overdue("no line")
             try:
-                news = not self.stalled and select.select([self.process.stdout], [], [], min(left, 0.05))[0]
-            except ValueError:  # closed meanwhile
+                if self.stalled or not select.select([self.process.stdout], [], [], min(left, 0.05))[0]:
+                    time.sleep(0.005 if self.stalled else 0)
+                    continue
+                data = os.read(self.process.stdout.fileno(), 1 << 16)
+            except (ValueError, OSError):  # another thread has closed it meanwhile
                 return None
-            if not news:
-                time.sleep(0.005 if self.stalled else 0)
-                continue
-            data = os.read(self.process.stdout.fileno(), 1 << 16)
             if not data:
                 self.process.stdout.close()
                 self.process.wait()

@@ -45,8 +45,8 @@ if not any(pathlib.Path("/home").glob("*/again")):
 
 
 def is_armed(fleet: Fleet, name: str) -> bool:
-    """Check whether a worker waits on a robot."""
-    return any("worker.py" in line for line in fleet.commands(name))
+    """Check whether a worker waits with a run on a robot."""
+    return any(path.stat().st_size for path in fleet.robots[name].home.glob(".cache/*/runs/*/journal.jsonl"))
 
 
 def is_moving(fleet: Fleet, name: str) -> bool:

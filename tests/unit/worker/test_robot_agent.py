@@ -307,7 +307,8 @@ def test_refusals_are_one_line(agent: Start, tmp_path: Path):
 
 def test_a_step_of_the_wall_clock_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     order = {"attempt": "a", "job": job("", "a")}
-    run = robot_agent.Run(str(tmp_path / "runs" / "a"), order, dict(os.environ), (), 0.2, 0.2)
+    waiting = robot_agent.start_worker(os.environ)
+    run = robot_agent.Run(str(tmp_path / "runs" / "a"), order, waiting, dict(os.environ), (), 0.2, 0.2)
     wall = time.time
     monkeypatch.setattr(time, "time", lambda: wall() - 137.0)
     run.end("a test")
