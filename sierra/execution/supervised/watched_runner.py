@@ -66,7 +66,7 @@ class WatchedRunner:
         """Let the person decide if the trial begins; once it has, let the person stop it."""
         if self.decision is None:
             self._decide(ready=look.ready or not self._submitted)
-        elif not self.stopped and self._attendant.watch(self.seconds, look.beats):
+        if self.decision is Start.GO and not self.stopped and self._attendant.watch(self.seconds, look.beats):
             self.stopped = True
             self.runner.stop()
 
