@@ -416,14 +416,24 @@ class Launch1(Launch):
             return "the master does not answer"
 
     def unrecorded(self) -> str:
-        """Return a topic that the recorder does not receive yet from all nodes that publish it."""
-        uri = self.master.lookupNode(CALLER, "/" + RECORDER)[2]
-        recorder: Any = xmlrpc.client.ServerProxy(uri)
-        received = collections.Counter(link[4] for link in recorder.getBusInfo(CALLER)[2] if link[2] == "i")
+        """Return a topic that the recorder does not receive yet from all nodes that publish it.
+
+        The recorder lists a connection before it is there, so each node must list it, too.
+        """
+        received = collections.Counter(topic for _, topic in self.links("/" + RECORDER, "i"))
         for topic, nodes in self.master.getSystemState(CALLER)[2][0]:
-            if received[topic] < len(nodes) and any(re.fullmatch(one, topic) for one in self.given.record):
+            if not any(re.fullmatch(one, topic) for one in self.given.record):
+                continue
+            if received[topic] < len(nodes):
                 return f"the recorder has not subscribed to {topic}"
+            if silent := [node for node in nodes if ("/" + RECORDER, topic) not in self.links(node, "o")]:
+                return f"{silent[0]} does not send {topic} to the recorder yet"
         return ""
+
+    def links(self, node: str, direction: str) -> list[tuple[str, str]]:
+        """Return the other end and the topic of each connection of a node that is incoming ("i") or outgoing ("o")."""
+        served: Any = xmlrpc.client.ServerProxy(self.master.lookupNode(CALLER, node)[2])
+        return [(link[1], link[4]) for link in served.getBusInfo(CALLER)[2] if link[2] == direction]
 
     def check_bag(self) -> None:
         if self.given.bag and list(self.given.output.glob(self.given.bag + "*.active")):
