@@ -207,6 +207,11 @@ class Slurm:
         """Make SLURM use a node again after it was declared down."""
         self.command("scontrol", "update", f"nodename={node}", "state=resume")
 
+    def requeue(self, task: str) -> None:
+        """Requeue a running array task, unless the controller has done this by itself."""
+        done = self._executed("scontrol", "requeue", task)
+        assert done.returncode == 0 or "pending execution" in done.stderr, done.stderr
+
     def release_requeued(self, count: int = 1) -> None:
         """Start requeued array tasks immediately instead of after two minutes; wait until `count` are queued."""
 
@@ -235,11 +240,14 @@ class Slurm:
 
     def command(self, *argv: str) -> str:
         """Run a command of SLURM; return its output."""
-        done = subprocess.run(
-            argv, cwd=self.root, env=self._environment(), check=False, timeout=60, capture_output=True, text=True
-        )
+        done = self._executed(*argv)
         assert done.returncode == 0, f"{argv}: {done.stderr}"
         return done.stdout.strip()
+
+    def _executed(self, *argv: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            argv, cwd=self.root, env=self._environment(), check=False, timeout=60, capture_output=True, text=True
+        )
 
     def nodes(self) -> dict[str, str]:
         """Return the state of each node."""

@@ -293,7 +293,7 @@ def test_a_batch_completes_after_a_crash_of_the_controller(gated: Gated, requeue
     time.sleep(12)
     gated.slurm.start_controller(SlurmdTimeout="300")  # however long the nodes take, they count as alive
     for task in range(requeued):
-        gated.slurm.command("scontrol", "requeue", f"{job}_{task}")
+        gated.slurm.requeue(f"{job}_{task}")
     if requeued:
         gated.slurm.release_requeued(requeued)
         gated.until_begun(3 + requeued)
