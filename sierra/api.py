@@ -1493,10 +1493,7 @@ class Project:
             if prefix is not None:
                 raise UsageError(f"batch {prefix} is one of a target already; leave out --target")
         if prefix is not None:
-            found = self.store.resolve(prefix)
-            if found.kind != "batch":
-                raise NotFound(f"{prefix!r} is the id of another kind ({found.kind}); a batch is required here")
-            return found.id
+            return self.store.batch_id(prefix)
         known = [one for one in self.batches if target is None or target in one.targets]
         if not known:
             of = f" for target {target!r}" if target else ""

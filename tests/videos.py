@@ -1,4 +1,4 @@
-"""What tests see in videos: the frames of a file, and the values that colours stand for."""
+"""Videos as tests see them: the frames of a file, and the values that colours stand for."""
 
 from __future__ import annotations
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from pathlib import PurePath
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -98,6 +98,11 @@ def figures(
         paths, notes = opened.draw_together(target.split(","), prefix, name, formats=wanted)
     else:
         paths, notes = opened.draw(opened.batch(prefix, target=target), name, formats=wanted)
+    print_files(paths, notes, as_json=as_json)
+
+
+def print_files(paths: Iterable[Path], notes: Iterable[str], *, as_json: bool) -> None:
+    """Print the paths of files that were made, and notes on what could not be made."""
     for text in notes:
         note(text)
     if as_json:
@@ -124,7 +129,7 @@ def _check(found: Sequence[Checked], *, as_json: bool) -> None:
     else:
         names = Counter(one.name for one in found)
         for one in found:
-            formats = ", ".join(PurePath(file).suffix[1:] for file in one.files) if names[one.name] > 1 else ""
+            formats = ", ".join(Path(file).suffix[1:] for file in one.files) if names[one.name] > 1 else ""
             print(f"{one.name}{formats and f' ({formats})'}: {readable(one.problem or 'follows from the store')}")
         if not found:
             note("no figure of this batch has been drawn; draw them with: sierra figures")

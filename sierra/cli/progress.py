@@ -60,6 +60,36 @@ def telling(*, quiet: bool) -> Iterator[Callable[[str], None]]:
         yield lambda text: status.update(Text(safe(text)))
 
 
+@contextlib.contextmanager
+def counting(things: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function that shows how many `things` are done, unless `quiet`: as a bar, or as lines without a terminal."""
+    if quiet:
+        yield lambda done, every: None
+    elif sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bars
+
+        shown = (BarColumn(bar_width=24), MofNCompleteColumn(), TextColumn(things), TimeRemainingColumn())
+        with Bars(*shown, console=Console(file=raw(sys.stderr)), transient=True) as bars:
+            task = bars.add_task("", total=None)
+            yield lambda done, every: bars.update(task, completed=done, total=every)
+    else:
+        yield _counted_lines(things)
+
+
+def _counted_lines(things: str) -> Callable[[int, int], None]:
+    said = time.monotonic()
+
+    def tell(done: int, every: int) -> None:
+        nonlocal said
+        if time.monotonic() - said >= FIRST_S:
+            said = time.monotonic()
+            print(f"{done} of {every} {things}", file=sys.stderr, flush=True)
+
+    return tell
+
+
 class Planning(Observer):
     """Prints the progress of planning to standard error, unless `quiet`.
 

@@ -42,7 +42,7 @@ def report(
     how to cite and to replay. It is one file, which loads nothing from elsewhere. A file that exists is replaced only if it is
     a report.
 
-    Of a package, nothing is executed.
+    Nothing in a package is executed.
 
     \b
     Examples:

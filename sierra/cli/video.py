@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-import sys
-import time
-from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sierra.cli import complete
 from sierra.cli.arguments import AsJsonList, Jobs
-from sierra.cli.figures import PREFIX, from_here
-from sierra.cli.output import note, print_json, raw
+from sierra.cli.figures import PREFIX, print_files
 
 if TYPE_CHECKING:
     from sierra.api import Project
-
-EACH_S = 10.0
-"""Seconds between two lines of progress, where no terminal shows a bar."""
 
 
 def video(
@@ -46,18 +38,13 @@ def video(
       sierra video 3f9a1c heat
     """
     from sierra.cli.open_project import project
+    from sierra.cli.progress import counting
 
     opened = project()
     prefix, names = _split(opened, words or [])
-    with _progress(quiet=quiet) as progress:
+    with counting("frames", quiet=quiet) as progress:
         paths, notes = opened.videos(prefix, *names, jobs=jobs, progress=progress)
-    for text in notes:
-        note(text)
-    if as_json:
-        print_json([str(path) for path in paths])
-    else:
-        for path in paths:
-            print(from_here(path))
+    print_files(paths, notes, as_json=as_json)
 
 
 def _split(opened: Project, words: list[str]) -> tuple[str | None, list[str]]:
@@ -65,32 +52,3 @@ def _split(opened: Project, words: list[str]) -> tuple[str | None, list[str]]:
     if words and words[0] not in opened.config.videos and (words[0] in opened.config.queries or PREFIX.fullmatch(words[0])):
         return words[0], words[1:]
     return None, words
-
-
-@contextlib.contextmanager
-def _progress(*, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that shows the number of frames on standard error: as a bar, or as lines where there is no terminal."""
-    if quiet:
-        yield lambda done, frames: None
-    elif sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        shown = (BarColumn(bar_width=24), MofNCompleteColumn(), TextColumn("frames"), TimeRemainingColumn())
-        with Progress(*shown, console=Console(file=raw(sys.stderr)), transient=True) as bars:
-            task = bars.add_task("", total=None)
-            yield lambda done, frames: bars.update(task, completed=done, total=frames)
-    else:
-        yield _lines()
-
-
-def _lines() -> Callable[[int, int], None]:
-    said = time.monotonic()
-
-    def tell(done: int, frames: int) -> None:
-        nonlocal said
-        if time.monotonic() - said >= EACH_S:
-            said = time.monotonic()
-            print(f"{done} of {frames} frames", file=sys.stderr, flush=True)
-
-    return tell

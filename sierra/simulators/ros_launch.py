@@ -158,7 +158,7 @@ class Robots:
     """Arguments that all copies get."""
     poses: tuple[Pose, ...] | RandomPoses = ()
     share_master: bool = False
-    """Whether all robots of a run use the master of the base station."""
+    """True if all robots of a run use the master of the base station."""
 
     def made(self, document: bytes) -> bytes:
         """Return a launch file with a copy of the group for each robot. Raises TemplateError.

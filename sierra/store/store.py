@@ -215,6 +215,13 @@ class Store:
             raise NotFound(f"study {found.id[:10]} has no look yet; repeat its command to continue it")
         return Found("batch", found.batch, found.batch)
 
+    def batch_id(self, prefix: str) -> str:
+        """Return the id of the batch that begins with `prefix`, as `resolve` does. Raises NotFound."""
+        found = self.resolve(prefix)
+        if found.kind != "batch":
+            raise NotFound(f"{prefix!r} is the id of another kind ({found.kind}); a batch is required here")
+        return found.id
+
     def identify(self, prefix: str) -> Found:
         """Return the object whose id begins with `prefix`, as `resolve` does, but a study as a study."""
         text = prefix.lower()

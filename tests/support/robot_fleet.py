@@ -91,7 +91,7 @@ FOR_ENGINES = "\n".join(
         ),
     )
 )
-"""What container engines need, and `ip netns` hides: a FUSE device for all users, and control groups."""
+"""The needs of container engines that `ip netns` hides: a FUSE device for all users, and control groups."""
 Result = TypeVar("Result")
 _count = itertools.count()
 

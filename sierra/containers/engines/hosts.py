@@ -162,7 +162,7 @@ class Placed:
 
     path: str
     state: tuple[int, ...]
-    """What the kernel said about it when it was verified."""
+    """The kernel's data about it when it was verified."""
 
 
 class _Progress:

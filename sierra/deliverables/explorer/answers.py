@@ -24,7 +24,7 @@ from sierra.config.validate import options
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.html.tables import exact
 from sierra.deliverables.record import origin_of
-from sierra.errors import NotFound, SierraError, UsageError
+from sierra.errors import SierraError, UsageError
 from sierra.execution import list_batches
 from sierra.store.layout import PYPROJECT
 from sierra.store.samples import Frame
@@ -141,21 +141,15 @@ class Answers:
             limit.stop(STOPPED)
         return None
 
-    def _id(self, prefix: str) -> str:
-        found = self._store.resolve(prefix)
-        if found.kind != "batch":
-            raise NotFound(f"{prefix!r} is the id of another kind ({found.kind}); a batch is required here")
-        return found.id
-
     @contextmanager
     def _snapshot(self, batch: str | None) -> Iterator[Snapshot]:
-        within = self._id(batch) if batch else None
+        within = self._store.batch_id(batch) if batch else None
         with self._one, self._store.snapshot(within) as snapshot, self._limited(snapshot.interrupt):
             yield snapshot
 
     @contextmanager
     def _frame(self, batch: str) -> Iterator[Frame]:
-        with self._one, Frame(self._store, self._id(batch)) as frame, self._limited(frame.interrupt):
+        with self._one, Frame(self._store, self._store.batch_id(batch)) as frame, self._limited(frame.interrupt):
             yield frame
 
     @contextmanager

@@ -23,7 +23,7 @@ SELECT ordinal, CASE WHEN good THEN 'ok' WHEN last IS NULL THEN 'not executed' W
        AS state, count(*) AS runs
 FROM members LEFT JOIN tried USING (run) LEFT JOIN good USING (ordinal, run) GROUP BY ALL ORDER BY ordinal, state
 """
-"""How the runs of each experiment ended: ok, not executed, or the status of the last execution."""
+"""The ends of the runs of each experiment: ok, not executed, or the status of the last execution."""
 RUNS = "SELECT DISTINCT run FROM batch_runs WHERE batch = $b"
 LEFT_OUT = ("not executed", "outdated")
 """States of runs that the next `sierra run` executes, although nothing went wrong in them."""

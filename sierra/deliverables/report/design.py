@@ -28,7 +28,7 @@ MEANINGS = {
     "not executed": "has no execution yet",
     "outdated": "executed, but does not count: code, programs or rules have changed since",
 }
-"""What the states of runs mean."""
+"""The meanings of the states of runs."""
 MOST = 1000
 """The largest number of experiments that are listed."""
 

@@ -29,7 +29,7 @@ class Written:
     batches: Sequence[str]
     """The ids of the batches that it is about."""
     notes: Sequence[str]
-    """What it lacks, and why."""
+    """The parts that it lacks, and the reason."""
 
 
 def default(paths: ProjectPaths, batches: Sequence[str], *, every: bool) -> Path:

@@ -100,18 +100,9 @@ def _list(source: Source, title: str) -> Report:
 
 def _single(source: Source, state: BatchState, found: Claims, compared: Comparisons, tell: Callable[[str], None]) -> Report:
     place = Place()
-    sections, notes = _results(state, place, tell)
     of_claims = claims.section(source.project, found, place)
     of_groups = comparisons.section(compared.shown, compared.notes, place)
-    parts = [
-        question.section(state),
-        design.section(state),
-        *sections,
-        *filter(None, (of_groups, of_claims)),
-        failures.section(state, place),
-        environment.section(state, place),
-        reproduce.section(state, source.received, place),
-    ]
+    parts, notes = _parts(source, state, place, (of_groups, of_claims), tell)
     return Report(page.of_batch(state, parts, found, source.received), (state.id,), (*notes, *compared.notes))
 
 
@@ -132,21 +123,29 @@ def _several(
     chapters, notes = [], list(compared.notes)
     for state in states:
         place = Chapter(state, ()).place
-        sections, own = _results(state, place, tell)
         within = comparisons.section(compared.within(state.id), (), place)
-        parts = [
-            question.section(state),
-            design.section(state),
-            *sections,
-            *filter(None, (within,)),
-            failures.section(state, place),
-            environment.section(state, place),
-            reproduce.section(state, source.received, place),
-        ]
+        parts, own = _parts(source, state, place, (within,), tell)
         chapters.append(Chapter(state, parts))
         notes += own
     first = [index.section(listed, ids), *filter(None, (of_claims, of_groups))]
     return Report(page.of_batches(title, first, chapters, found, source.received), [one.id for one in states], notes)
+
+
+def _parts(
+    source: Source, state: BatchState, place: Place, between: Sequence[Section | None], tell: Callable[[str], None]
+) -> tuple[list[Section], list[str]]:
+    """Return the sections about a batch, with some after its results, and notes on what could not be made."""
+    sections, notes = _results(state, place, tell)
+    parts = [
+        question.section(state),
+        design.section(state),
+        *sections,
+        *filter(None, between),
+        failures.section(state, place),
+        environment.section(state, place),
+        reproduce.section(state, source.received, place),
+    ]
+    return parts, notes
 
 
 def _results(state: BatchState, place: Place, tell: Callable[[str], None]) -> tuple[list[Section], list[str]]:

@@ -57,7 +57,7 @@ class Film:
     runs: tuple[ChosenRun, ...]
     panels: tuple[Panel, ...]
     notes: tuple[str, ...] = ()
-    """What the viewer must know."""
+    """Notes for the viewer."""
 
 
 @dataclass(frozen=True, slots=True)

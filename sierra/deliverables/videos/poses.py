@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from sierra.config.video_table import Video
-from sierra.deliverables.videos.sql_tracks import Rows, Source
+from sierra.deliverables.videos.sql_tracks import Rows, Source, Stacked
 from sierra.errors import UsageError
 from sierra.store.samples import ChosenRun
 from sierra.store.sql_names import identifier
-
-if TYPE_CHECKING:
-    from sierra.deliverables.videos.tracks import State
 
 
 class Poses:
@@ -28,7 +24,7 @@ class Poses:
         if video.robot:
             for rows in self.rows:
                 _check_once(source, rows, video.robot)
-        self.tracks = [_Poses(rows) for rows in self.rows]
+        self.tracks = [Stacked(rows) for rows in self.rows]
 
 
 def _check_once(source: Source, rows: Rows, robot: str) -> None:
@@ -41,14 +37,3 @@ def _check_once(source: Source, rows: Rows, robot: str) -> None:
         place = int((rows.times * source.per_second.get(rows.run.experiment, 1.0) < row["t"]).sum())
         where = f"output {source.output.name!r}, {rows.at(place)}"
         raise UsageError(f"{where}: robot {row['robot']!r} has {row['rows']} poses; make one by sql")
-
-
-class _Poses:
-    def __init__(self, rows: Rows) -> None:
-        self._rows, self.times = rows, rows.times
-
-    def states(self) -> Iterator[State]:
-        import numpy as np
-
-        for columns in self._rows.each():
-            yield (np.column_stack([column.astype(np.float64) for column in columns.values()]),)

@@ -75,7 +75,7 @@ class Words:
     panels: Sequence[str]
     """The title of each panel; empty if there is only one."""
     notes: str
-    """What the viewer must know, in small print."""
+    """Notes for the viewer, in small print."""
 
 
 class Scene:

@@ -215,14 +215,16 @@ class Grids:
                     f"but the first one has {high}; all matrices of a video need the same shape"
                 )
         self.up, self.across = np.arange(float(high)), np.arange(float(len(self.columns)))
-        self.tracks = [_Grid(rows) for rows in self.rows]
+        self.tracks = [Stacked(rows) for rows in self.rows]
 
     @property
     def shape(self) -> tuple[int, int]:
         return len(self.up), len(self.across)
 
 
-class _Grid:
+class Stacked:
+    """The rows of a run: each time has one array, with a column for each column of the rows."""
+
     def __init__(self, rows: Rows) -> None:
         self._rows, self.times = rows, rows.times
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Subject(Protocol):
-    """What one film shows."""
+    """The subject of one film."""
 
     @property
     def tracks(self) -> Sequence[Track]:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     Floats: TypeAlias = npt.NDArray[np.float64]
     State: TypeAlias = tuple[npt.NDArray[Any], ...]
-    """What a run shows at one time: a matrix; the poses of robots; edges and places; an image."""
+    """The state of a run at one time: a matrix; the poses of robots; edges and places; an image."""
 
 ROUNDING = 1e-9
 """The largest relative difference of two times that are taken for the same."""

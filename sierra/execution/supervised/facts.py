@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Mapping
 from pathlib import Path
 
 from sierra.config.trial_tables import Trials
@@ -44,8 +43,3 @@ def _printed(name: str, argv: tuple[str, ...], root: Path) -> str:
         said = ended.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
         raise Missing(": ".join([f"{place} ended with status {ended.returncode}", *said]))
     return ended.stdout.decode("utf-8", "replace").strip()[:KEPT]
-
-
-def changed(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """Return the names whose values differ."""
-    return [name for name, value in now.items() if before.get(name, value) != value]

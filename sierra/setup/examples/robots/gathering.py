@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 TICKS_PER_SECOND = 10
-"""How often a robot looks, decides, and records where it is."""
+"""The rate at which a robot looks, decides, and records its place."""
 NEAR = 0.35  # metres from the centre of the others, where a robot stops
 GAIN, MAX_TURN = 2.0, 1.5  # 1/s and rad/s
 WHEEL_RADIUS, WHEEL_DISTANCE = 0.04, 0.16  # metres
