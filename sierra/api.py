@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from sierra.execution.outputs_taken import TakenOutputs
     from sierra.execution.plan import Plan
     from sierra.execution.run_options import RunOptions
-    from sierra.execution.show_record import Shown, ShownSession
+    from sierra.execution.shown_records import Shown, ShownSession
     from sierra.execution.summary import Summary
     from sierra.execution.supervised.supervisor import Supervisor
     from sierra.execution.takeover import Cancelled
@@ -559,13 +559,14 @@ class Project:
     def show(self, prefix: str) -> Shown | StudyOutcome:
         """Return the record of a batch, an experiment, a run, an execution, a session or a study, by a prefix of its id.
 
-        Each kind has a class in `sierra.execution.show_record`, a study in `sierra.studies.study`; its `as_dict` returns what
+        Each kind has a class in `sierra.execution.shown_records`, a study in `sierra.studies.study`; its `as_dict` returns what
         `sierra show --json` prints. Raises NotFound.
 
         >>> project.show(summary.batch).kind
         'batch'
         """
-        from sierra.execution.show_record import ShownBatch, ShownExecution, show
+        from sierra.execution.show_record import show
+        from sierra.execution.shown_records import ShownBatch, ShownExecution
 
         if (outcome := self._shown_study(prefix)) is not None:
             return outcome
@@ -611,7 +612,7 @@ class Project:
 
     def _session(self, prefix: str) -> ShownSession | None:
         """Return the record of a session, or only its log file if it is not recorded; None if there is not exactly one."""
-        from sierra.execution.show_record import ShownSession
+        from sierra.execution.shown_records import ShownSession
         from sierra.store import session_log_file
         from sierra.store.row_types import SessionRow
         from sierra.store.store import PREFIX

@@ -10,7 +10,7 @@ from sierra.util.text import counted, few, size
 
 if TYPE_CHECKING:
     from sierra.execution.row_queries import RecordedProgram
-    from sierra.execution.show_record import ShownEnvironment, ShownImage, ShownIsolation
+    from sierra.execution.shown_records import ShownEnvironment, ShownImage, ShownIsolation
 
 SHOWN = 12
 LONGEST = 100

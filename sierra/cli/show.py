@@ -16,7 +16,7 @@ from sierra.util.text import counted, few
 
 if TYPE_CHECKING:
     from sierra.deliverables.record import ShownDeliverable
-    from sierra.execution.show_record import Failed, ShownBatch, ShownBuild, ShownExecution, ShownIsolation
+    from sierra.execution.shown_records import Failed, ShownBatch, ShownBuild, ShownExecution, ShownIsolation
     from sierra.provenance.commits_between import Known
     from sierra.studies.study import Outcome
 
@@ -57,7 +57,7 @@ def show(
     """
     from sierra.cli.open_project import project
     from sierra.execution.around import commands_of_robots, described, recorded
-    from sierra.execution.show_record import ShownBatch, ShownExecution, ShownRun
+    from sierra.execution.shown_records import ShownBatch, ShownExecution, ShownRun
 
     if (os.sep in prefix or "." in prefix) and Path(prefix).exists():
         _print_deliverable(project().deliverable(prefix), long=long, as_json=as_json)

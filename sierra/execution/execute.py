@@ -20,7 +20,8 @@ from sierra.execution.reasons import FAILED
 from sierra.execution.reuse import FileCheck, is_answered, states
 from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
-from sierra.execution.summary import Summary, of_session
+from sierra.execution.sum_up import of_session
+from sierra.execution.summary import Summary
 from sierra.store.store import Store
 from sierra.util.lazy_logger import Log
 

@@ -1,25 +1,17 @@
-"""Summaries: the state of a batch after a session, counted from the store."""
+"""Summaries: the state of a batch after a session."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from collections.abc import Set as AbstractSet
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from sierra.execution.plan import Plan
-from sierra.execution.plan_notes import out_of_reach
-from sierra.model import Batch, Value
-from sierra.store.store import Store
+from sierra.model import Value
 from sierra.util import html
 from sierra.util.hashing import short
-from sierra.util.text import counted
 
 if TYPE_CHECKING:
-    from sierra.execution import show_record
     from sierra.execution.outputs_taken import TakenOutputs
-
-SHOWN_REASONS = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,143 +86,3 @@ class Summary:
         )
         title = f"batch {short(self.batch)}: {self.query}"
         return html.page(title, (*axes, *names), rows, (counts, *self.notes), total=len(self.counts))
-
-
-def of_session(
-    plan: Plan,
-    store: Store,
-    runs: int,
-    *,
-    executed: AbstractSet[str] = frozenset(),
-    reexecuted: AbstractSet[str] = frozenset(),
-    awaited: AbstractSet[str] = frozenset(),
-    reevaluated: AbstractSet[str] = frozenset(),
-    failed: AbstractSet[str] = frozenset(),
-    missing: AbstractSet[str] = frozenset(),
-    tried: AbstractSet[str] = frozenset(),
-    interrupted: bool = False,
-    detached: tuple[str, ...] = (),
-    notes: tuple[str, ...] = (),
-    only: AbstractSet[str] | None = None,
-) -> Summary:
-    """Return the summary of a session that executed some runs.
-
-    The arguments are sets of run ids. Runs that are neither `failed` nor `missing` are successful. Runs that are `missing` were
-    not `executed`. `tried` are the unsuccessful runs that failed, now or earlier. `only`: the session was limited to these
-    runs; None if it was not limited.
-    """
-    failures = tuple(_failures(plan, store, failed)) if failed else ()
-    if failures:
-        none_good = len(failed | missing) == runs
-        notes += tuple(out_of_reach(plan, None if none_good else [failure.log or "" for failure in failures]))
-    left_out = len(missing - only) if only is not None else 0
-    if left_out:
-        notes += (f"figures and statistics of this batch lack {counted(left_out, 'run')} that --only has left out",)
-    return Summary(
-        batch=plan.batch.id,
-        query=plan.text,
-        experiments=len(plan.batch.experiments),
-        runs=runs,
-        executed=len(executed),
-        reexecuted=len(reexecuted),
-        reused=runs - len(executed | failed) - len(missing),
-        awaited=len(awaited),
-        reevaluated=len(reevaluated),
-        failed=len(failed),
-        missing=len(missing),
-        interrupted=interrupted,
-        detached=detached,
-        counts=tuple(_counts(plan.batch, failed | missing if failed else missing, tried)),
-        failures=failures,
-        selected=None if only is None else sum(all(run.id in only for run in one.runs) for one in plan.batch.experiments),
-        left_out=left_out,
-        target=plan.target,
-        notes=(*plan.notes, *dict.fromkeys(notes)),
-    )
-
-
-def _counts(batch: Batch, bad: AbstractSet[str], tried: AbstractSet[str]) -> Iterator[Counted]:
-    for experiment in batch.experiments:
-        runs = {run.id for run in experiment.runs}
-        yield Counted(experiment.values, len(runs), len(runs - bad), len(runs & tried))
-
-
-REASONS = """
-WITH last AS (
-    SELECT run, arg_max(status, lamport) AS status, coalesce(arg_max(reason, lamport), '') AS reason,
-           nullif(arg_max(coalesce(log_tail, ''), lamport), '') AS log
-    FROM executions JOIN failed USING (run) GROUP BY run
-)
-SELECT count(*), arg_min(status, place), reason, arg_min(run, place), arg_min(log, place)
-FROM last JOIN failed USING (run) GROUP BY reason ORDER BY count(*) DESC, min(place) LIMIT $most
-"""
-
-
-def _failures(plan: Plan, store: Store, failed: AbstractSet[str]) -> Iterator[Failure]:
-    """Yield the failures of a batch by reason."""
-    ordered = [run for run in plan.batch.runs if run.id in failed]
-    places = {run.id: run for run in reversed(ordered)}
-    with store.snapshot() as snapshot:
-        snapshot.add_table("failed", run=places, place=range(len(places), 0, -1))
-        snapshot.views.make(("executions",))
-        for count, status, reason, run, log in snapshot.run(REASONS, {"most": SHOWN_REASONS}):
-            first = places[run]
-            values = plan.batch.experiments[first.experiment].values
-            yield Failure(count, status, reason, run, values, first.number, log)
-
-
-def of_recorded(
-    store: Store,
-    batch: str,
-    *,
-    executed: int,
-    failed: int,
-    interrupted: bool,
-    detached: tuple[str, ...],
-    notes: tuple[str, ...],
-    unfinished: int | None = None,
-) -> Summary:
-    """Return the summary of a recorded batch after some of its runs were followed on a cluster.
-
-    `executed` is the number of runs that ended meanwhile; `failed` of these failed. `unfinished`: the runs were a part of the
-    batch, and so many of them were not executed; None if they were not a part.
-    """
-    from sierra.execution import show_record
-
-    shown = show_record.batch(store, batch)
-    counts = tuple(Counted(one.values, one.runs, one.succeeded, one.failed) for one in shown.experiments)
-    succeeded, unsuccessful = sum(one.succeeded for one in counts), sum(one.failed for one in counts)
-    missing = max(0, shown.row.runs - succeeded - unsuccessful)
-    return Summary(
-        batch=batch,
-        query=shown.sessions[-1].query if shown.sessions else shown.row.query,
-        experiments=len(counts),
-        runs=shown.row.runs,
-        executed=executed,
-        reexecuted=0,
-        reused=max(0, succeeded - executed + failed),
-        failed=unsuccessful,
-        missing=missing,
-        interrupted=interrupted,
-        detached=detached,
-        counts=counts,
-        failures=tuple(_failure(store, one) for one in shown.failures[:SHOWN_REASONS]),
-        target=shown.sessions[-1].target if shown.sessions else None,
-        left_out=0 if unfinished is None else max(0, missing - unfinished),
-        notes=tuple(dict.fromkeys(notes)),
-    )
-
-
-class Last(NamedTuple):
-    """The last execution of a run: its status and the end of its log."""
-
-    status: str
-    log_tail: str | None
-
-
-LAST = "SELECT status, log_tail FROM executions WHERE run = $r ORDER BY lamport DESC LIMIT 1"
-
-
-def _failure(store: Store, failed: show_record.Failed) -> Failure:
-    [last] = store.select(Last, LAST, r=failed.run)
-    return Failure(failed.runs, last.status, failed.reason, failed.run, failed.values, failed.number, last.log_tail or None)

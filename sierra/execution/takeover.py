@@ -7,7 +7,7 @@ import time
 from dataclasses import dataclass, replace
 
 from sierra.errors import Missing, NotFound, SierraError
-from sierra.execution import sessions, summary
+from sierra.execution import sessions, sum_up
 from sierra.execution.attach import Attached, attach
 from sierra.execution.cluster_status import ClusterSession, counted, named, submitted
 from sierra.execution.observer import Observer, Relay, Tally
@@ -65,7 +65,7 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
     if not attached:
         raise SierraError("; ".join(busy))
     parts = [one.unfinished for one in attached]
-    found = summary.of_recorded(
+    found = sum_up.of_recorded(
         store,
         rows[0].batch,
         executed=sum(one.executed for one in attached),

@@ -23,6 +23,7 @@ from sierra.execution.plan import Plan, context, versioned
 from sierra.execution.plan_notes import out_of_reach
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session, locked
+from sierra.execution.shown_records import ShownExecution
 from sierra.execution.unread_files import UnreadFiles, of_run
 from sierra.model import IN_PROJECT, Experiment, Run, Status, Value
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, StorePaths, TrialPaths
@@ -270,7 +271,7 @@ WHERE o.execution = $e AND f.use IN ('executed', 'read') AND starts_with(f.path,
 def _read(store: Store, execution: str, values: Mapping[str, Value], seed: int, folder: Path | None) -> Trial:
     """Return what the store of the trial says about its execution."""
     shown = show_record.show(store, execution)
-    if not isinstance(shown, show_record.ShownExecution):
+    if not isinstance(shown, ShownExecution):
         raise SierraError(f"the trial's store has no execution {short(execution)}")
     row = shown.row
     used = None

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError
 from sierra.execution import sessions, show_record, targets
-from sierra.execution.show_record import ShownBatch
+from sierra.execution.shown_records import ShownBatch
 from sierra.store.store import Store
 from sierra.util.hashing import short
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import sierra
-from sierra.execution.show_record import ShownBatch, ShownExecution, ShownExperiment, ShownRun, ShownSession
+from sierra.execution.shown_records import ShownBatch, ShownExecution, ShownExperiment, ShownRun, ShownSession
 from tests import projects, stores
 
 
