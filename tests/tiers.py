@@ -2,6 +2,9 @@
 
 The folder of a test decides its tier. A mark on a test, a parameter or a file moves it to a later tier: `integration` if it
 needs a cluster, containers or many processes, or more than about 0.7 seconds; `nightly` if it takes too long for each change.
+
+Of a test with many cases, `make integration` runs the first and the last, and `make nightly` the others: they take most of
+the time, and rarely fail alone. The mark `each_case` keeps all of them in `make integration`.
 """
 
 from __future__ import annotations
@@ -12,16 +15,26 @@ from typing import Any
 
 import pytest
 
-INTEGRATION, NIGHTLY = "integration", "nightly"
+INTEGRATION, NIGHTLY, EACH_CASE = "integration", "nightly", "each_case"
 HERE = Path(__file__).parent
 
 
 def add_marks(items: Iterable[pytest.Item]) -> None:
-    """Mark each test with the tier of its folder, unless it has a mark of its own."""
+    """Mark each test with the tier of its folder, unless it has a mark of its own; and most of its cases for the night."""
+    cases: dict[str, list[pytest.Item]] = {}
     for item in items:
         folder = item.path.relative_to(HERE).parts[0] if item.path.is_relative_to(HERE) else ""
-        if folder in (INTEGRATION, NIGHTLY) and not any(item.iter_markers(NIGHTLY)):
+        if folder in (INTEGRATION, NIGHTLY) and not _has(item, NIGHTLY):
             item.add_marker(folder)
+        if _has(item, INTEGRATION) and not _has(item, NIGHTLY) and not _has(item, EACH_CASE):
+            cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for alike in cases.values():
+        for item in alike[1:-1]:
+            item.add_marker(NIGHTLY)
+
+
+def _has(item: pytest.Item, name: str) -> bool:
+    return any(item.iter_markers(name))
 
 
 def at_night(values: Iterable[Any]) -> list[Any]:

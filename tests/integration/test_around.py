@@ -157,6 +157,7 @@ def test_a_replay_executes_what_was_recorded_around_the_command(tmp_path: Path) 
     assert "identical (4 runs: 4 identical)" in says(root, "replay", batch["batch"])
 
 
+@pytest.mark.nightly
 def test_an_observation_has_the_files_of_all_that_is_executed_but_not_of_the_conductor(
     tmp_path: Path, require: Callable[..., str]
 ) -> None:
@@ -205,6 +206,7 @@ def test_a_command_is_executed_when_the_service_is_ready(tmp_path: Path, ready: 
     assert log(root, "stdout") == "1\n"
 
 
+@pytest.mark.nightly
 def test_a_before_that_fails_ends_the_run(tmp_path: Path) -> None:
     root = simple(tmp_path / "project", "", around='before = [["true"], ["sh", "-c", "exit 4"], ["touch", "late"]]')
     assert failure(root) == "before: 'sh -c exit 4' failed: exit status 4; the run's command was not executed"
@@ -219,6 +221,7 @@ def test_an_after_that_fails_makes_the_run_fail(tmp_path: Path) -> None:
     assert "broken" in log(root, "stderr")
 
 
+@pytest.mark.nightly
 def test_after_a_command_that_failed_nothing_is_executed_whatever_counts_as_success_later(tmp_path: Path) -> None:
     root = simple(tmp_path / "project", "", around='after = "touch late"', command="sh -c 'exit 2' {input}")
     assert failure(root) == "exit status 2; the commands in `after` were not executed"
@@ -251,6 +254,7 @@ def test_a_service_that_is_never_ready_makes_the_run_fail(tmp_path: Path, servic
     assert log(root, "stdout") == ""
 
 
+@pytest.mark.nightly
 def test_a_service_that_ends_too_early_makes_the_run_fail_although_the_command_succeeds(tmp_path: Path) -> None:
     root = simple(
         tmp_path / "project",
@@ -260,6 +264,7 @@ def test_a_service_that_ends_too_early_makes_the_run_fail_although_the_command_s
     assert failure(root) == "service 'it' ended before the run: exit status 7"
 
 
+@pytest.mark.nightly
 def test_a_port_that_another_program_uses_is_not_taken_for_the_service(tmp_path: Path) -> None:
     import socket
 
@@ -289,6 +294,7 @@ def test_nothing_of_a_service_stays_alive_after_the_run(tmp_path: Path, script: 
     assert not alive(mark)
 
 
+@pytest.mark.nightly
 def test_a_service_gets_time_to_end_after_sigterm(tmp_path: Path) -> None:
     script = "trap 'echo bye > bye.txt; echo bye; exit' TERM; echo ready; while :; do sleep 0.05; done"
     root = simple(tmp_path / "project", f'command = ["sh", "-c", "{script}"]\nready = {{ output = "ready" }}')
@@ -297,6 +303,7 @@ def test_a_service_gets_time_to_end_after_sigterm(tmp_path: Path) -> None:
     assert len(rows(root, "SELECT path FROM artifacts WHERE path LIKE '%bye.txt'")) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("ready", ['{ file = "never" }', '{ output = "ready" }'])
 def test_the_time_limit_of_a_run_includes_everything_around_its_command(tmp_path: Path, ready: str) -> None:
     mark = str(87654 + os.getpid())
@@ -328,6 +335,7 @@ def test_nothing_stays_alive_when_sierra_is_killed(tmp_path: Path) -> None:
     assert "fsck" not in says(root, "fsck")
 
 
+@pytest.mark.nightly
 def test_an_interrupted_run_ends_its_services(tmp_path: Path) -> None:
     mark = str(65432 + os.getpid())
     root = simple(
@@ -343,6 +351,7 @@ def test_an_interrupted_run_ends_its_services(tmp_path: Path) -> None:
     assert {row["status"] for row in rows(root, "SELECT status FROM executions")} <= {"interrupted"}
 
 
+@pytest.mark.nightly
 def test_a_conductor_that_is_killed_is_no_success(tmp_path: Path) -> None:
     root = simple(tmp_path / "project", "", around='after = "true"', command="sh -c 'kill -9 $PPID; sleep 1000' {input}")
     assert failure(root) == "the program that executes its services and commands has ended without a report"
@@ -378,6 +387,7 @@ def test_services_run_on_the_nodes_of_a_cluster(tmp_path: Path, slurm: Slurm, sc
     assert "== after: " in log(root, "stderr")
 
 
+@pytest.mark.nightly
 def test_runs_at_the_same_time_have_displays_of_their_own(tmp_path: Path, require: Callable[..., str]) -> None:
     require("Xvfb")
     ask = """
@@ -406,6 +416,7 @@ ready = {{ file = "/tmp/.X11-unix/X{{port}}" }}
     assert not [path for path in Path("/tmp/.X11-unix").glob("X2????") if alive(f":{path.name[1:]}")]
 
 
+@pytest.mark.nightly
 def test_a_command_that_is_stopped_is_reported_although_the_conductor_is_not(tmp_path: Path) -> None:
     root = simple(tmp_path / "project", "", around='after = "true"\nobserve = "none"', command="sh -c 'kill -STOP $$' {input}")
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace("wall = 100", "wall = 9"))
@@ -444,6 +455,7 @@ def serving(folder: Path, *, observe: str = "first") -> Path:
     return root
 
 
+@pytest.mark.nightly
 def test_a_change_of_a_file_that_only_a_shared_service_reads_executes_its_runs_again(
     tmp_path: Path, require: Callable[..., str]
 ) -> None:
@@ -462,6 +474,7 @@ def test_a_change_of_a_file_that_only_a_shared_service_reads_executes_its_runs_a
     assert "0 executed, 4 reused" in says(root, *ONE)
 
 
+@pytest.mark.nightly
 def test_a_note_names_a_shared_service_whose_files_are_not_known_when_its_runs_are_reused(tmp_path: Path) -> None:
     root = serving(tmp_path, observe="none")
     assert "not observed" not in says(root, *ONE)
@@ -472,6 +485,7 @@ def test_a_note_names_a_shared_service_whose_files_are_not_known_when_its_runs_a
         assert "runs are reused that shared 'echo', of which it was not observed what files it reads" in said
 
 
+@pytest.mark.nightly
 def test_a_service_that_cannot_be_observed_while_it_starts_is_started_once_more_without_it(
     tmp_path: Path, require: Callable[..., str]
 ) -> None:
@@ -485,6 +499,7 @@ def test_a_service_that_cannot_be_observed_while_it_starts_is_started_once_more_
     assert row["reason"].startswith("services that all runs share were not observed: ")
 
 
+@pytest.mark.nightly
 def test_runs_fail_when_the_tracer_of_a_shared_service_is_killed(tmp_path: Path, require: Callable[..., str]) -> None:
     require("strace")
     mark = str(21098 + os.getpid())
@@ -509,6 +524,7 @@ def test_runs_fail_from_when_a_shared_service_has_ended(tmp_path: Path) -> None:
     assert "[it] broken" in log(root, "stderr")
 
 
+@pytest.mark.nightly
 def test_no_run_succeeds_if_a_shared_service_is_never_ready(tmp_path: Path) -> None:
     mark = str(43210 + os.getpid())
     root = shared(tmp_path / "project", f"echo other; sleep {mark}; true")
@@ -532,6 +548,7 @@ def test_a_shared_service_ends_when_sierra_is_killed(tmp_path: Path) -> None:
     until(lambda: not alive(mark), lambda: f"{alive(mark)} have ended")
 
 
+@pytest.mark.nightly
 @pytest.mark.real
 def test_what_a_container_cannot_do_is_refused_before_anything_runs(tmp_path: Path, require: Callable[..., str]) -> None:
     require("podman")
@@ -547,6 +564,7 @@ def test_what_a_container_cannot_do_is_refused_before_anything_runs(tmp_path: Pa
     assert "the program 'no-such-program' is not in the image" in says(root, code=3)
 
 
+@pytest.mark.nightly
 def test_commands_around_get_values_of_variables_also_in_a_replay(tmp_path: Path) -> None:
     around = 'before = "sh mesh.sh {population_size} {seed}"'
     root = simple(tmp_path / "project", "", around=around, command="sh sim.sh {input}")

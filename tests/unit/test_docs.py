@@ -126,6 +126,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.integration
+@pytest.mark.each_case
 @pytest.mark.parametrize("page", EXECUTED, ids=name_of)
 def test_commands_of_a_page_print_the_shown_output(
     page: Path, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

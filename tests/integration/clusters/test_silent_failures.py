@@ -198,6 +198,7 @@ WAITS = 'while [ ! -e "{gate}" ] && [ ! -e "{gate}.$SIERRA_RUN_ID" ]; do sleep 0
 # detaching
 
 
+@pytest.mark.nightly
 def test_the_option_detach_asks_no_question_on_a_terminal(simulate: Callable[..., Simulated], slurm: Slurm) -> None:
     project = simulate()
     terminal, theirs = pty.openpty()
@@ -219,6 +220,7 @@ def test_the_option_detach_asks_no_question_on_a_terminal(simulate: Callable[...
 # no results are deleted
 
 
+@pytest.mark.nightly
 def test_a_session_whose_scheduler_is_not_installed_is_kept(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -263,6 +265,7 @@ def test_runs_that_end_during_cancellation_are_kept(
     assert (done.kept, done.missing) == (3, 0)
 
 
+@pytest.mark.nightly
 def test_sessions_of_another_user_are_not_taken_over(require: Callable[..., str]) -> None:
     require("root, to be another user", there=os.geteuid() == 0)
     require("useradd")
@@ -280,6 +283,7 @@ def test_sessions_of_another_user_are_not_taken_over(require: Callable[..., str]
         called_as(user, check)
 
 
+@pytest.mark.nightly
 def test_a_partially_removed_session_is_not_a_submission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     session = Session(Store.create(tmp_path / "store").paths, logged=False)
     for number in range(8):
@@ -297,6 +301,7 @@ def test_a_partially_removed_session_is_not_a_submission(tmp_path: Path, monkeyp
     assert not session.paths.submission.exists()
 
 
+@pytest.mark.nightly
 def test_a_session_with_unreadable_results_is_cancelled(clustered: Callable[..., Clustered]) -> None:
     from sierra.worker import array_task
 
@@ -359,6 +364,7 @@ def test_array_tasks_get_more_time_if_the_estimate_was_too_short(
     assert longer == [2 * least, 4 * least]
 
 
+@pytest.mark.nightly
 def test_resubmitted_jobs_with_more_time_are_found_by_the_scheduler(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -397,6 +403,7 @@ def test_resubmitted_jobs_with_more_time_are_found_by_the_scheduler(
     assert [request.elements for request in Here.requests if request.name.startswith("sierra-")] == [(0, 1), (0,)]
 
 
+@pytest.mark.nightly
 def test_array_tasks_that_could_not_begin_are_submitted_again_with_a_notice(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -422,6 +429,7 @@ def gives_back(project: Project) -> Callable[[Progress], None]:
     return watch
 
 
+@pytest.mark.nightly
 def test_runs_that_another_session_releases_are_executed(clustered: Callable[..., Clustered]) -> None:
     made = clustered()
     project = made.project
@@ -430,6 +438,7 @@ def test_runs_that_another_session_releases_are_executed(clustered: Callable[...
     assert made.simulated.work() == []
 
 
+@pytest.mark.nightly
 def test_a_failed_earlier_job_does_not_affect_released_runs(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -461,6 +470,7 @@ def test_a_duplicate_run_is_recorded_once(clustered: Callable[..., Clustered]) -
     assert made.rows("SELECT 1 FROM duplicates c JOIN executions e USING (execution) WHERE c.attempt = e.attempt") == []
 
 
+@pytest.mark.nightly
 def test_a_program_that_changes_during_the_batch_gives_no_result(clustered: Callable[..., Clustered]) -> None:
     made = clustered()
     tool = made.simulated.folder.with_name("tool.sh")
@@ -482,6 +492,7 @@ def test_a_program_that_changes_during_the_batch_gives_no_result(clustered: Call
 # replays
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("tells", "ended"), [({"FAILED": False}, False), ({}, True)])
 def test_failed_array_tasks_that_nobody_cancelled_are_submitted_again(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch, tells: dict[str, bool], ended: bool
@@ -500,6 +511,7 @@ def test_failed_array_tasks_that_nobody_cancelled_are_submitted_again(
     assert (summary.interrupted, summary.missing > 0) == (ended, ended)
 
 
+@pytest.mark.nightly
 def test_a_replay_cancelled_by_another_process_gives_no_verdict(clustered: Callable[..., Clustered]) -> None:
     made = clustered(WAITS)
     made.gate.touch()
@@ -515,6 +527,7 @@ def test_a_replay_cancelled_by_another_process_gives_no_verdict(clustered: Calla
     assert made.rows("SELECT * FROM replays") == []
 
 
+@pytest.mark.nightly
 def test_files_of_a_replay_are_kept_across_file_systems(
     clustered: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -531,6 +544,7 @@ def test_files_of_a_replay_are_kept_across_file_systems(
 # code
 
 
+@pytest.mark.nightly
 def test_a_note_reports_ignored_files_that_nodes_do_not_get(clustered: Callable[..., Clustered]) -> None:
     made = clustered('cat "$1/built" > /dev/null && ' + PRINTS)
     folder = made.simulated.folder
@@ -550,6 +564,7 @@ def test_a_note_reports_ignored_files_that_nodes_do_not_get(clustered: Callable[
     assert note.startswith("git ignores big.npy, maps/ in the project: nodes get only those that the command")
 
 
+@pytest.mark.nightly
 def test_files_that_change_before_they_are_copied_for_nodes_are_named(clustered: Callable[..., Clustered]) -> None:
     made = clustered()
     log = made.simulated.folder / "asked.log"
@@ -590,6 +605,7 @@ def contained(here: type[Here], tmp_path: Path, require: Callable[..., str]) -> 
     return make
 
 
+@pytest.mark.nightly
 def test_mounts_are_available_on_nodes(contained: Callable[..., Project], tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "map").write_text("5\n")
@@ -598,6 +614,7 @@ def test_mounts_are_available_on_nodes(contained: Callable[..., Project], tmp_pa
     assert (summary.executed, summary.failed) == (2, 0)
 
 
+@pytest.mark.nightly
 def test_links_in_mounts_are_accepted_on_nodes(contained: Callable[..., Project], tmp_path: Path) -> None:
     (tmp_path / "maps" / "old").mkdir(parents=True)
     (tmp_path / "maps" / "latest").symlink_to("old")
@@ -618,6 +635,7 @@ def test_containers_on_nodes_need_no_files_of_sierra(contained: Callable[..., Pr
     assert project.attach(jobs.parent.parent.name, figures=False).failed == 0
 
 
+@pytest.mark.nightly
 def test_nodes_report_a_missing_device(contained: Callable[..., Project]) -> None:
     if Path("/proc/driver/nvidia").exists():
         pytest.skip("there is a driver of NVIDIA's here")
@@ -675,6 +693,7 @@ def refuse(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Here, "submit", refused)
 
 
+@pytest.mark.nightly
 def test_a_refused_submission_while_detaching_is_reported_and_cancels_no_runs(
     untold: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -694,6 +713,7 @@ def test_a_refused_submission_while_detaching_is_reported_and_cancels_no_runs(
     assert sorted(made.simulated.executed().values()) == [1] * 24
 
 
+@pytest.mark.nightly
 def test_runs_of_a_dead_submitter_are_released_if_their_submission_is_refused(
     untold: Callable[..., Clustered], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -714,6 +734,7 @@ def test_runs_of_a_dead_submitter_are_released_if_their_submission_is_refused(
     assert sorted(made.simulated.executed().values()) == [1] * 24
 
 
+@pytest.mark.nightly
 def test_first_runs_that_crash_their_node_do_not_block_the_batch(untold: Callable[..., Clustered]) -> None:
     made = untold(KILLS, "attempts = 1\n")
     runs = made.project.plan(*QUERY, runs=8).batch.runs
@@ -728,6 +749,7 @@ def track(path: Path, node: str, started: float, ahead: float) -> collect.Track:
     return collect.Track(Pack(path), 0, attempt, ahead=ahead)
 
 
+@pytest.mark.nightly
 def test_the_last_attempt_is_found_although_an_earlier_node_had_a_fast_clock(tmp_path: Path) -> None:
     before, after = track(tmp_path / "a", "n1", 5000.0, 3600.0), track(tmp_path / "b", "n2", 2000.0, 0.0)
     assert collect.last_of([before, after], 0) is after

@@ -68,6 +68,7 @@ def test_a_changed_program_is_put_back(root: Path, name: str) -> None:
     assert (root / "build" / name).read_text() != before
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["sim", "part"])
 def test_a_missing_program_is_put_back(root: Path, name: str) -> None:
     (root / "build" / name).unlink()
@@ -85,6 +86,7 @@ def test_a_recorded_batch_is_executed_with_the_kept_programs(root: Path) -> None
     assert projects.quick(root, "sql", values, "-f", "csv").stdout.split() == ["value", "5"]
 
 
+@pytest.mark.nightly
 def test_files_that_are_no_programs_are_not_kept(root: Path) -> None:
     assert is_kept(root, SIM)
     assert is_kept(root, PART.format(5))
@@ -94,6 +96,7 @@ def test_files_that_are_no_programs_are_not_kept(root: Path) -> None:
     assert any(note.endswith("{project}/build/secret") for note in answer["notes"])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("limit", "kept"), [("0", []), ('"30 B"', ["part"]), ('"1 kB"', ["part", "sim"])])
 def test_the_setting_limits_what_is_kept(tmp_path: Path, require: Callable[..., str], limit: str, kept: list[str]) -> None:
     require("strace")
@@ -106,12 +109,14 @@ def test_the_setting_limits_what_is_kept(tmp_path: Path, require: Callable[..., 
         assert (code, "build/sim does not exist; runs need it" in said) == (3, True)
 
 
+@pytest.mark.nightly
 def test_without_observation_only_named_programs_are_kept(tmp_path: Path) -> None:
     root = make(tmp_path / "project", observe="none")
     assert is_kept(root, SIM)
     assert not is_kept(root, PART.format(5))
 
 
+@pytest.mark.nightly
 def test_kept_programs_stay_until_their_batch_is_removed(root: Path) -> None:
     assert projects.quick(root, "gc", "--yes").returncode == 0
     assert is_kept(root, SIM)
@@ -123,6 +128,7 @@ def test_kept_programs_stay_until_their_batch_is_removed(root: Path) -> None:
     assert not is_kept(root, PART.format(5))
 
 
+@pytest.mark.nightly
 def test_a_program_of_the_source_is_not_kept_twice(tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project", projects.CONFIG.replace("python3 sim.py", "./tool.sh")), "none")
     (root / "tool.sh").write_text(SIM.replace("/part", "/build/part").replace("/secret", "/build/part"))

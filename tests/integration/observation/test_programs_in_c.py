@@ -73,6 +73,7 @@ def bench(tmp_path: Path, require: Callable[..., str]) -> Bench:
     return Bench(tmp_path)
 
 
+@pytest.mark.nightly
 def test_a_plug_in_that_is_loaded_is_read_and_one_that_is_looked_for_is_missed(bench: Bench) -> None:
     plugin = bench.compile("int answer(void) { return 42; }", "-shared", "-fPIC", name="plugin.so")
     body = 'void *h = dlopen(argv[1], RTLD_NOW); dlopen(argv[2], RTLD_NOW); return ((int (*)(void))dlsym(h, "answer"))();'
@@ -84,6 +85,7 @@ def test_a_plug_in_that_is_loaded_is_read_and_one_that_is_looked_for_is_missed(b
     assert str(bench.place / "other.so") in seen.trace.missed
 
 
+@pytest.mark.nightly
 def test_a_script_of_a_shell_and_what_it_starts_are_seen(bench: Bench) -> None:
     program = bench.compile('int main() { close(open("data", 0)); return 5; }')
     bench.file("data")
@@ -95,6 +97,7 @@ def test_a_script_of_a_shell_and_what_it_starts_are_seen(bench: Bench) -> None:
     assert {str(script), str(bench.place / "data")} <= set(seen.trace.read)
 
 
+@pytest.mark.nightly
 def test_a_static_program_has_no_loader(bench: Bench, require: Callable[..., str]) -> None:
     source = bench.file("static.c", "int main() { return 3; }")
     made = subprocess.run(["gcc", "-static", "-o", bench.place / "static", source], check=False, capture_output=True)
@@ -115,6 +118,7 @@ def test_many_opened_files_are_all_seen(bench: Bench) -> None:
     assert len([path for path in seen.trace.read if "/many/" in path]) == 10_000
 
 
+@pytest.mark.nightly
 def test_a_file_that_is_removed_after_reading_has_no_content(bench: Bench) -> None:
     data = bench.file("data")
     program = bench.compile("int main(int argc, char **argv) { int f = open(argv[1], 0); unlink(argv[1]); return f < 0; }")
@@ -124,6 +128,7 @@ def test_a_file_that_is_removed_after_reading_has_no_content(bench: Bench) -> No
     assert "removed" in seen.contents.unusable[str(data)]
 
 
+@pytest.mark.nightly
 def test_a_file_that_is_removed_and_made_again_is_written_and_not_read(bench: Bench) -> None:
     data = bench.file("data")
     body = "unlink(argv[1]); close(open(argv[1], O_CREAT | O_EXCL | O_RDWR, 0600)); close(open(argv[1], 0));"
@@ -141,6 +146,7 @@ def test_a_file_that_is_opened_to_be_changed_is_read_and_written(bench: Bench) -
     assert str(bench.place / "emptied") not in seen.trace.read
 
 
+@pytest.mark.nightly
 def test_an_unnamed_file_counts_when_it_gets_a_name(bench: Bench) -> None:
     body = (
         'int f = open(argv[1], O_TMPFILE | O_RDWR, 0600); char name[99]; sprintf(name, "/proc/self/fd/%d", f);'
@@ -153,6 +159,7 @@ def test_an_unnamed_file_counts_when_it_gets_a_name(bench: Bench) -> None:
     assert str(bench.place / "named") not in seen.trace.read
 
 
+@pytest.mark.nightly
 def test_an_input_that_is_moved_is_read_under_its_first_name(bench: Bench) -> None:
     data = bench.file("data")
     body = 'chdir(argv[1]); rename("data", "a"); rename("a", "b"); close(open("b", 0));'
@@ -162,6 +169,7 @@ def test_an_input_that_is_moved_is_read_under_its_first_name(bench: Bench) -> No
     assert str(data) in seen.contents.unusable
 
 
+@pytest.mark.nightly
 def test_threads_share_their_folder_and_may_execute_a_program(bench: Bench) -> None:
     bench.file("data")
     text = """
@@ -183,6 +191,7 @@ def test_threads_share_their_folder_and_may_execute_a_program(bench: Bench) -> N
         assert seen.trace.complete
 
 
+@pytest.mark.nightly
 def test_a_program_that_lets_itself_be_traced_was_disturbed(bench: Bench) -> None:
     seen = bench.main("return ptrace(PTRACE_TRACEME, 0, 0, 0) ? 4 : 0;")
     assert seen.status == 4
@@ -190,6 +199,7 @@ def test_a_program_that_lets_itself_be_traced_was_disturbed(bench: Bench) -> Non
     assert "traces processes" in (seen.trace.disturbed or "")
 
 
+@pytest.mark.nightly
 def test_a_filter_of_the_programs_own_stays_observable(bench: Bench) -> None:
     body = """
     struct sock_filter rules[] = {
@@ -215,6 +225,7 @@ def test_io_uring_makes_a_trace_incomplete(bench: Bench, require: Callable[..., 
     assert seen.trace.disturbed is None
 
 
+@pytest.mark.nightly
 def test_a_connection_to_a_daemon_is_noted(bench: Bench) -> None:
     body = """
     struct sockaddr_un a = { AF_UNIX, "s" };
@@ -227,12 +238,14 @@ def test_a_connection_to_a_daemon_is_noted(bench: Bench) -> None:
     assert seen.trace.notes == ("waited for connections", "may have read through the socket s")
 
 
+@pytest.mark.nightly
 def test_a_process_that_nobody_may_trace_is_missed(bench: Bench) -> None:
     body = "if (syscall(SYS_clone, CLONE_UNTRACED | SIGCHLD, 0, 0, 0, 0) == 0) _exit(0); wait(0);"
     seen = bench.main(body)
     assert "escaped" in (seen.trace.reason or "")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("call", "reason"), [('chroot("/")', "root folder"), ("unshare(CLONE_NEWNS)", "mounts")])
 def test_a_changed_root_or_mount_makes_a_trace_incomplete(
     call: str, reason: str, bench: Bench, require: Callable[..., str]
@@ -243,6 +256,7 @@ def test_a_changed_root_or_mount_makes_a_trace_incomplete(
     assert reason in (seen.trace.reason or "")
 
 
+@pytest.mark.nightly
 def test_processes_of_a_namespace_of_their_own_are_seen(bench: Bench, require: Callable[..., str]) -> None:
     body = """
     if (unshare(CLONE_NEWPID)) return 77;
@@ -272,6 +286,7 @@ def test_a_killed_tracer_makes_calls_fail_and_the_run_disturbed(bench: Bench) ->
     assert seen.trace.disturbed
 
 
+@pytest.mark.nightly
 def test_a_full_disk_makes_the_run_disturbed(bench: Bench, disk: Callable[[Path, str], Path]) -> None:
     small = disk(bench.place / "disk", "64k")
     body = 'for (int i = 0; i < 3000; i++) close(open("/etc/passwd", 0));'
@@ -286,6 +301,7 @@ def test_a_full_disk_makes_the_run_disturbed(bench: Bench, disk: Callable[[Path,
     assert trace.disturbed
 
 
+@pytest.mark.nightly
 def test_a_log_that_grows_too_long_is_cut_off_without_disturbing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(file_trace, "LOG_BYTES", 10_000)
     body = """
@@ -317,6 +333,7 @@ def user(require: Callable[..., str]) -> Iterator[User]:
         yield made
 
 
+@pytest.mark.nightly
 def test_a_setuid_program_was_disturbed(user: User, require: Callable[..., str]) -> None:
     require("strace")
     require("gcc")
@@ -335,6 +352,7 @@ def test_a_setuid_program_was_disturbed(user: User, require: Callable[..., str])
     called_as(user, observed)
 
 
+@pytest.mark.nightly
 def test_a_real_log_that_is_cut_anywhere_is_never_complete(bench: Bench) -> None:
     body = 'if (fork() == 0) { chdir("/"); access("x", 0); _exit(0); } wait(0); close(open("/etc/passwd", 0));'
     assert bench.main(body).trace.complete

@@ -101,6 +101,7 @@ def test_statistics_tables_and_files_of_reused_executions_are_those_of_the_new_r
     assert "did not use what differs: {project}/unused.py" in projects.quick(root, "why", second["batch"][:10]).stdout
 
 
+@pytest.mark.nightly
 def test_removing_the_first_batch_keeps_what_the_second_reuses(root: Path) -> None:
     first, _ = projects.run(root, QUERY)
     (root / "unused.py").write_text("2")
@@ -128,6 +129,7 @@ def test_removing_an_execution_executes_each_run_that_reused_it_again(root: Path
     assert projects.quick(root, "fsck").returncode == 0
 
 
+@pytest.mark.nightly
 def test_runs_that_were_not_observed_are_executed_again_for_another_source(root: Path) -> None:
     config = root / "sierra.toml"
     config.write_text(config.read_text().replace('observe = "all"', 'observe = "first"'))
@@ -137,6 +139,7 @@ def test_runs_that_were_not_observed_are_executed_again_for_another_source(root:
     assert (summary["executed"], summary["reused"]) == (3, 1)
 
 
+@pytest.mark.nightly
 def test_other_rules_evaluate_only_executions_of_the_same_run(root: Path) -> None:
     projects.run(root, QUERY)
     (root / "unused.py").write_text("2")
@@ -167,6 +170,7 @@ def install(venv: Path, name: str) -> None:
     )
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("observe", "executed"),
     [('observe = "all"', 0), ('observe = "first"\nobserve_budget = 1e9', 0), ('observe = "first"\nobserve_budget = 0', 2)],
@@ -204,6 +208,7 @@ def test_a_distribution_that_runs_could_use_executes_them_again(root: Path, venv
     assert projects.run(root, QUERY)[0]["executed"] == 4
 
 
+@pytest.mark.nightly
 def test_another_program_on_the_search_path_executes_again(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tool = shutil.which("cat")
     assert tool is not None
@@ -224,6 +229,7 @@ def test_another_program_on_the_search_path_executes_again(root: Path, monkeypat
     assert projects.sql(root, "SELECT DISTINCT value FROM swarm") == [{"value": 2}]
 
 
+@pytest.mark.nightly
 def test_a_program_that_may_be_executed_now_executes_again(root: Path) -> None:
     """The search went on behind a file without the right to be executed."""
     folders = [root.parent / name for name in ("one", "two")]
@@ -243,6 +249,7 @@ def test_a_program_that_may_be_executed_now_executes_again(root: Path) -> None:
     assert projects.sql(root, "SELECT DISTINCT value FROM swarm") == [{"value": 1}]
 
 
+@pytest.mark.nightly
 def test_diff_names_the_files_that_executions_used(root: Path) -> None:
     """Files of the source are left out, because the difference of the sources has them."""
     (root / ".gitignore").write_text(".sierra\nfactor.txt\nextra.txt\n")
@@ -258,6 +265,7 @@ def test_diff_names_the_files_that_executions_used(root: Path) -> None:
     assert expected in said
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("change", "expected"), [("unused.py", (0, 0)), ("factor.txt", (1, 1))])
 def test_an_edit_meanwhile_fails_only_executions_that_use_the_file(root: Path, change: str, expected: tuple[int, int]) -> None:
     """The second run waits until the file was edited; the first one had ended before. They talk through files in a cache."""

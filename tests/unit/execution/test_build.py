@@ -108,6 +108,7 @@ def test_a_product_is_built_before_runs_use_it_and_recorded(root: Path) -> None:
     assert rows(root, "SELECT name FROM programs WHERE name LIKE '{project}%'") == [{"name": "{project}/build/sim"}]
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_product_that_is_up_to_date_is_not_built_again(root: Path) -> None:
     run(root)
@@ -128,6 +129,7 @@ def test_changed_source_is_built_whatever_its_times_say(root: Path) -> None:
     assert rows(root, "SELECT coverage FROM swarm JOIN points USING (run) ORDER BY ALL")[-1] == {"coverage": 3}
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_source_that_was_built_before_is_built_again_if_the_product_is_another(root: Path) -> None:
     run(root)
@@ -156,6 +158,7 @@ def test_a_changed_or_removed_product_is_built_again_even_if_the_tool_finds_it_u
     assert (root / "build/sim").read_text() == f"{SIMULATOR}# \n"
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_changed_product_that_the_tool_copies_from_elsewhere_is_never_taken_for_built(tmp_path: Path) -> None:
     compiler = f"test -e build/copy || {{ {COMPILER}ln build/sim build/copy; }}\nln -f build/copy build/sim\n"
@@ -169,6 +172,7 @@ def test_a_changed_product_that_the_tool_copies_from_elsewhere_is_never_taken_fo
     assert "0 executed, 2 reused" in run(root).stdout
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_the_probe_for_determinism_builds_in_its_replay(root: Path) -> None:
     (root / "sierra.toml").write_text(CONFIG + "[determinism]\nprobe = true\n")
@@ -176,6 +180,7 @@ def test_the_probe_for_determinism_builds_in_its_replay(root: Path) -> None:
     assert rows(root, "SELECT purpose FROM builds ORDER BY lamport") == [{"purpose": "run"}, {"purpose": "replay"}]
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_missing_runs_of_a_recorded_batch_refer_to_its_build(root: Path) -> None:
     run(root)
@@ -186,6 +191,7 @@ def test_missing_runs_of_a_recorded_batch_refer_to_its_build(root: Path) -> None
     assert len(rows(root, "SELECT DISTINCT build FROM sessions")) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_another_command_flag_or_compiler_builds_again_and_executes_with_the_other_product(root: Path) -> None:
     run(root)
@@ -233,6 +239,7 @@ def test_a_pattern_that_matches_nothing_is_an_error(root: Path) -> None:
     assert "it made no file that matches 'build/*.so' of produces" in failing(root)
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_try_builds_what_its_run_needs_and_a_batch_uses_it(root: Path) -> None:
     done = projects.quick(root, "try", "population_size=3")
@@ -244,6 +251,7 @@ def test_a_try_builds_what_its_run_needs_and_a_batch_uses_it(root: Path) -> None
     assert "building" not in run(root).stderr
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_an_interrupted_build_is_ended_and_leaves_the_older_product(tmp_path: Path) -> None:
     root = make(tmp_path / "project", ignored="build/\nbegun\n")
@@ -268,6 +276,7 @@ def test_a_product_in_the_source_is_an_error_with_a_remedy(tmp_path: Path) -> No
     assert "build/sim would be part of the source, which products must not change; name the code in [source]" in done.stderr
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_outside_git_paths_of_the_source_must_leave_products_out(tmp_path: Path) -> None:
     root = make(tmp_path / "project")
@@ -292,6 +301,7 @@ def test_a_file_that_matches_but_is_no_product_is_kept_and_named(tmp_path: Path)
     assert (root / "build/data").read_text() == "precious"
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_product_that_is_not_built_any_more_is_removed(tmp_path: Path) -> None:
     root = make(tmp_path / "project", CONFIG.replace('"build/sim"', '"build/*"'), compiler=f"{COMPILER}cp sim.sh build/old\n")
@@ -307,6 +317,7 @@ def test_a_command_whose_product_no_pattern_matches_is_an_error(root: Path) -> N
     assert "the command names 'build/sim', which the build makes; add it to [build] produces" in failing(root)
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_build_that_takes_too_long_is_ended_with_all_its_processes(root: Path) -> None:
     (root / "compile.sh").write_text("sleep 1000 & echo $! > build.pid; wait\n")
@@ -316,6 +327,7 @@ def test_a_build_that_takes_too_long_is_ended_with_all_its_processes(root: Path)
     assert has_ended(int((root / "build.pid").read_text()))
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_the_build_has_the_declared_variables_and_no_others(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FLAVOUR", "of the caller")
@@ -325,6 +337,7 @@ def test_the_build_has_the_declared_variables_and_no_others(root: Path, monkeypa
     assert (root / "build/sim").read_text() == f"{SIMULATOR}#  declared\n"
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_the_build_is_executed_in_its_folder(root: Path) -> None:
     (root / "code").mkdir()
@@ -359,6 +372,7 @@ def test_a_mistake_in_the_table_is_named(root: Path, line: str, complaint: str) 
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_the_commit_alone_is_not_executed_with_products_of_other_files(root: Path) -> None:
     (root / "sierra.toml").write_text(CONFIG + '[source]\ndirty = "ignore"\n')
@@ -369,6 +383,7 @@ def test_the_commit_alone_is_not_executed_with_products_of_other_files(root: Pat
     assert '[source] dirty = "ignore" executes the commit, but [build] builds the files on disk' in done.stderr
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_clean_commit_is_built_where_changes_are_refused(root: Path) -> None:
     (root / "sierra.toml").write_text(CONFIG + '[source]\ndirty = "refuse"\n')
@@ -430,6 +445,7 @@ def test_a_replay_builds_from_the_recorded_source_in_a_fresh_clone(root: Path, t
     assert build["session"] == rows(clone, "FROM replays")[0]["replay"]
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_replay_uses_the_recorded_source_after_the_code_has_changed(root: Path) -> None:
     run(root)
@@ -440,6 +456,7 @@ def test_a_replay_uses_the_recorded_source_after_the_code_has_changed(root: Path
     assert "$((count + 1))" in (root / "build/sim").read_text()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_replay_names_products_that_are_not_reproducible_in_one_line(tmp_path: Path) -> None:
     random = COMPILER.replace("# $FLAVOUR", "# $(cat /proc/sys/kernel/random/uuid)")
@@ -455,6 +472,7 @@ def test_a_replay_names_products_that_are_not_reproducible_in_one_line(tmp_path:
     assert "0 executed, 2 reused" in run(root).stdout
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_files_beside_the_products_do_not_count_even_if_a_variable_names_their_folder(tmp_path: Path) -> None:
     """No run is observed: an observed one would count although a file has changed that it has not read."""
@@ -476,6 +494,7 @@ def test_files_beside_the_products_do_not_count_even_if_a_variable_names_their_f
     assert "2 executed, 0 reused" in run(root).stdout
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_replay_whose_build_fails_says_so(root: Path) -> None:
     run(root)
@@ -489,6 +508,7 @@ def test_a_replay_whose_build_fails_says_so(root: Path) -> None:
     assert "the build failed, so nothing was executed: exit status 5 of sh" in failing(root, "replay", batch["batch"])
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_recorded_batch_is_executed_only_with_the_products_of_its_source(root: Path) -> None:
     run(root)
@@ -502,6 +522,7 @@ def test_a_recorded_batch_is_executed_only_with_the_products_of_its_source(root:
     assert "is not the product that was built from the recorded source" in done.stderr
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_previews_say_whether_products_would_be_built_and_why(root: Path) -> None:
     assert "build: the products would be built first, because nothing has been built yet" in run(root, *QUERY, "-n").stdout
@@ -514,6 +535,7 @@ def test_previews_say_whether_products_would_be_built_and_why(root: Path) -> Non
     assert "would be built first, because build/sim is missing" in run(root, "why", batch["batch"]).stdout
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_show_names_the_build_of_a_batch(root: Path) -> None:
     run(root)
@@ -526,6 +548,7 @@ def test_show_names_the_build_of_a_batch(root: Path) -> None:
     assert record["build"]["products"][0]["name"] == "build/sim"
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_doctor_checks_the_command_of_the_build(root: Path) -> None:
     def found(name: str) -> dict[str, Any]:
@@ -537,6 +560,7 @@ def test_doctor_checks_the_command_of_the_build(root: Path) -> None:
     assert found("build")["state"] == "missing"
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_records_of_builds_stay_sound_and_are_removed_with_their_batch(root: Path) -> None:
     run(root)

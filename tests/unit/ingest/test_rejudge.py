@@ -101,6 +101,7 @@ def test_newly_declared_outputs_are_read_without_executing_runs(tmp_path: Path) 
     project.is_sound()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_changed_delimiter_reads_the_recorded_bytes_again(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ","\n')
@@ -116,6 +117,7 @@ def test_changed_delimiter_reads_the_recorded_bytes_again(project: Counted) -> N
     project.is_sound()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_headerless_columns_are_read_from_the_recorded_bytes(project: Counted) -> None:
     project.declare(WIDE + 'header = false\ncolumns = ["x", "y"]\ndelimiter = ";"\n')
@@ -124,6 +126,7 @@ def test_headerless_columns_are_read_from_the_recorded_bytes(project: Counted) -
     assert project.executed == RUNS
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_returning_to_earlier_rules_evaluates_nothing_again(project: Counted) -> None:
     before = project.rows("SELECT * FROM wide ORDER BY ALL")
@@ -171,6 +174,7 @@ def test_failed_runs_become_successful_by_new_rules_without_execution(tmp_path: 
     project.is_sound()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_runs_that_failed_a_reevaluation_are_evaluated_again_by_newer_rules(project: Counted) -> None:
     project.declare(WIDE + "min_rows = 5\n")
@@ -182,6 +186,7 @@ def test_runs_that_failed_a_reevaluation_are_evaluated_again_by_newer_rules(proj
     project.is_sound()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_failures_with_another_cause_than_the_rules_are_executed_again(tmp_path: Path) -> None:
     failing = SIMULATOR + "sys.exit(3)\n"
@@ -195,6 +200,7 @@ def test_failures_with_another_cause_than_the_rules_are_executed_again(tmp_path:
     assert project.executed == 2 * RUNS
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_success_markers_are_searched_in_the_recorded_log(project: Counted) -> None:
     project.declare(WIDE + '[success]\nmarker = "stdout"\ncontains = "done 1"\n')
@@ -203,6 +209,7 @@ def test_success_markers_are_searched_in_the_recorded_log(project: Counted) -> N
     assert project.executed == RUNS
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_truncated_logs_cannot_be_evaluated_again_so_their_runs_are_executed(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", "", SIMULATOR + "print('x' * 3_000_000)\n")
@@ -213,6 +220,7 @@ def test_truncated_logs_cannot_be_evaluated_again_so_their_runs_are_executed(tmp
     assert project.executed == 2
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_changed_mismatch_rule_evaluates_again_without_executing_runs(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", WIDE.replace("ragged", "strict"))
@@ -228,6 +236,7 @@ def test_changed_mismatch_rule_evaluates_again_without_executing_runs(tmp_path: 
     project.is_sound()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_dry_run_why_and_run_report_how_many_runs_are_evaluated_again(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
@@ -242,6 +251,7 @@ def test_dry_run_why_and_run_report_how_many_runs_are_evaluated_again(project: C
     assert f"{RUNS} runs evaluated again by other rules, not executed" in told
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_runs_are_executed_again_with_the_reason_if_their_raw_files_are_not_stored(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", "[store]\nraw = false\n" + WIDE)
@@ -254,6 +264,7 @@ def test_runs_are_executed_again_with_the_reason_if_their_raw_files_are_not_stor
     assert project.executed == 2 * RUNS
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_rules_that_do_not_change_parsing_need_no_raw_files(tmp_path: Path) -> None:
     project = Counted(tmp_path / "project", "[store]\nraw = false\n" + WIDE)
@@ -277,6 +288,7 @@ def test_rules_that_do_not_change_parsing_need_no_raw_files(tmp_path: Path) -> N
     project.is_sound()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_reevaluation_fails_if_the_number_of_copied_rows_differs_from_the_record(
     project: Counted, monkeypatch: pytest.MonkeyPatch
@@ -290,6 +302,7 @@ def test_reevaluation_fails_if_the_number_of_copied_rows_differs_from_the_record
     assert "were recorded; see sierra fsck" in ended.stderr
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_gc_raw_reports_dropped_files_and_runs_that_need_them_are_executed_again(project: Counted) -> None:
     rows = project.rows("SELECT * EXCLUDE (row) FROM swarm ORDER BY run, row")
@@ -313,6 +326,7 @@ def test_gc_raw_reports_dropped_files_and_runs_that_need_them_are_executed_again
     project.is_sound()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_gc_raw_keeps_raw_files_that_are_declared_as_files(project: Counted) -> None:
     project.declare('[outputs.swarm]\nfile = "swarm.csv"\nformat = "file"\n' + WIDE)
@@ -337,6 +351,7 @@ def test_two_sessions_that_evaluate_again_at_once_do_not_duplicate_rows(project:
     project.is_sound()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_killed_reevaluation_loses_nothing_and_executes_nothing_again(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
@@ -361,6 +376,7 @@ def test_killed_reevaluation_loses_nothing_and_executes_nothing_again(project: C
     project.is_sound()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_replay_compares_with_the_effective_execution_after_reevaluation(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
@@ -372,6 +388,7 @@ def test_replay_compares_with_the_effective_execution_after_reevaluation(project
     project.is_sound()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_removing_an_execution_removes_its_judgements_and_rows(project: Counted) -> None:
     project.declare(WIDE + 'delimiter = ";"\n')
@@ -388,6 +405,7 @@ def test_removing_an_execution_removes_its_judgements_and_rows(project: Counted)
     project.is_sound()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_gc_changes_no_rows_or_judgements_of_reevaluated_executions(project: Counted) -> None:
     for config in (WIDE + 'delimiter = ";"\n', WIDE + "min_rows = 1\n", WIDE + "min_rows = 2\n", WIDE + "min_rows = 3\n"):

@@ -121,6 +121,7 @@ def test_files_of_a_batch_experiment_run_or_execution_are_listed(project: Path, 
 # one file
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_one_file_is_written_to_standard_output_byte_for_byte(project: Path) -> None:
     run = first_run(project)
@@ -172,6 +173,7 @@ def test_a_table_whose_bytes_are_stored_is_exported_byte_for_byte(tmp_path: Path
     assert hashlib.sha256(content).hexdigest() == files["output/said.jsonl"]["sha256"]
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_listed_path_selects_only_that_file(tmp_path: Path) -> None:
     simulator = "open('stdout', 'w').write('mine'); open('a[b]', 'w').write('brackets'); print('log')\n"
@@ -182,6 +184,7 @@ def test_a_listed_path_selects_only_that_file(tmp_path: Path) -> None:
         assert quick(folder, "files", run, path).stdout == content
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_paths_that_match_no_file_or_several_are_reported(project: Path) -> None:
     run = first_run(project)["run"]
@@ -211,6 +214,7 @@ def test_a_batch_is_exported_into_folders_by_experiment_and_number(project: Path
     assert found == {}
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_all_files_of_one_table_and_of_a_run_in_two_experiments_are_exported(tmp_path: Path) -> None:
     simulator = (
@@ -353,6 +357,7 @@ def test_a_table_that_differs_from_the_record_is_not_exported(tmp_path: Path) ->
     assert len(written(tmp_path / "out")) == 1
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_store_that_cannot_be_read_is_reported_in_one_line(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", CONFIG)
@@ -368,6 +373,7 @@ def test_a_store_that_cannot_be_read_is_reported_in_one_line(tmp_path: Path) -> 
     refused(quick(folder, "files", run), 1, "the store cannot be read")
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_files_of_a_failed_run_come_from_its_last_execution(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
@@ -385,6 +391,7 @@ def test_files_of_a_failed_run_come_from_its_last_execution(tmp_path: Path) -> N
     assert "1 run without an effective execution: files of the last execution" in ended.stdout
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_large_files_and_truncated_logs_are_exported(tmp_path: Path) -> None:
     simulator = SIMULATOR + "print('x' * 3_000_000)\n"
@@ -402,6 +409,7 @@ def test_large_files_and_truncated_logs_are_exported(tmp_path: Path) -> None:
 # show
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_show_names_the_files_of_a_run_and_the_command_to_export_them(project: Path) -> None:
     run = first_run(project)["run"]
@@ -411,6 +419,7 @@ def test_show_names_the_files_of_a_run_and_the_command_to_export_them(project: P
     assert len(json.loads(quick(project, "show", run, "--json").stdout)["files"]) == 8
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_show_groups_failures_by_their_reason(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)
@@ -424,6 +433,7 @@ def test_show_groups_failures_by_their_reason(tmp_path: Path) -> None:
     assert [(failure["reason"], failure["runs"]) for failure in failures] == [("exit status 3", 6), ("exit status 4", 3)]
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_show_lists_at_most_ten_reasons(tmp_path: Path) -> None:
     simulator = "import os, sys\nsys.exit(1 + int(os.environ['SIERRA_SEED']) % 200)\n"
@@ -436,6 +446,7 @@ def test_show_lists_at_most_ten_reasons(tmp_path: Path) -> None:
     assert f"and {reasons - 10} more reasons" in said
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_columns_of_axes_are_in_the_order_of_the_query(tmp_path: Path) -> None:
     folder = make(tmp_path / "project", simulator=SIMULATOR)

@@ -236,6 +236,7 @@ def test_two_copies_of_an_array_task_do_not_disturb_each_other(folder: Folder, t
     assert set(folder.ended()) == {f"run{n}" for n in range(10)}
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_suspicious_runs_are_executed_alone_before_all_others(folder: Folder, tmp_path: Path) -> None:
     log = tmp_path / "log"
@@ -272,6 +273,7 @@ def test_sigterm_stops_the_runs_of_an_array_task_without_results(folder: Folder)
     assert list(folder.scratch.iterdir()) == []
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 @pytest.mark.parametrize("observed", [False, True])
 def test_a_signal_to_all_processes_of_an_array_task_gives_no_result(
@@ -311,6 +313,7 @@ def test_an_observed_run_is_packed_with_the_files_that_it_used(
     assert not (folder.root / "__pycache__").exists()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_node_without_strace_observes_the_files_that_are_mapped_and_says_why(folder: Folder, tmp_path: Path) -> None:
     folder.deal([job("one", "sleep 2", observe={})])
@@ -371,6 +374,7 @@ def test_a_run_whose_tracer_is_killed_begins_once_and_is_executed_unobserved(
     assert (result.observed, result.exit_code, [file.path for file in result.outputs]) == (True, 0, ["out"])
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_a_run_whose_tracer_is_killed_at_the_end_of_its_array_task_has_no_result(
     folder: Folder, tmp_path: Path, require: Callable[..., str]
@@ -445,6 +449,7 @@ def test_an_array_task_without_progress_or_a_cancelled_one_is_not_requeued(folde
     assert not called.exists()
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_an_array_task_of_a_cancelled_session_starts_no_more_runs(folder: Folder) -> None:
     folder.deal(many(3, "sleep 60"))
@@ -457,6 +462,7 @@ def test_an_array_task_of_a_cancelled_session_starts_no_more_runs(folder: Folder
     assert folder.ended() == {}
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_packing_stops_when_the_session_is_cancelled(folder: Folder) -> None:
     script = folder.root / "array_task.py"
@@ -472,6 +478,7 @@ def test_packing_stops_when_the_session_is_cancelled(folder: Folder) -> None:
     assert folder.packs()[0].path.stat().st_size < 100_000
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 @pytest.mark.parametrize("what", ["the folder", "the pack"])
 def test_runs_are_stopped_if_the_session_folder_or_the_pack_is_removed(folder: Folder, what: str) -> None:
@@ -777,6 +784,7 @@ def packed(tmp_path_factory: pytest.TempPathFactory) -> Pack:
     return folder.packs()[0]
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 @given(data=st.data())
 @settings(max_examples=200)
@@ -854,6 +862,7 @@ def cpu_of_children() -> float:
     return used.ru_utime + used.ru_stime
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_the_cpu_time_of_an_array_task_is_limited_relative_to_its_worker(folder: Folder, tmp_path: Path) -> None:
     folder.deal(many(300, "true"))
@@ -873,6 +882,7 @@ def test_the_cpu_time_of_an_array_task_is_limited_relative_to_its_worker(folder:
     assert whole < 2.5 * (cpu_of_children() - began) + 2
 
 
+@pytest.mark.nightly
 @pytest.mark.integration
 def test_an_array_task_with_long_runs_is_idle(folder: Folder) -> None:
     folder.deal(many(2, "sleep 5"))
