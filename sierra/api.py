@@ -1423,9 +1423,9 @@ class Project:
         >>> sorted({path.suffix for path in project.draw_comparison(compared)})
         ['.pdf', '.png', '.svg', '.tex', '.txt']
         """
-        from sierra.deliverables import comparison
+        from sierra.deliverables import comparison_figure
 
-        return comparison.draw(compared, self.store, self.paths, self.config.figure_formats)
+        return comparison_figure.draw(compared, self.store, self.paths, self.config.figure_formats)
 
     def paper_comparison(
         self,

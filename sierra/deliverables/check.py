@@ -7,7 +7,7 @@ from functools import cache, partial
 from pathlib import Path
 
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import comparison, declared_tables, record, render
+from sierra.deliverables import comparison, comparison_figure, declared_tables, record, render
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Checked, Content, ShownDeliverable
 from sierra.deliverables.videos import render as videos
@@ -31,7 +31,7 @@ def find(project: LoadedProject, store: Store, file: Path) -> ShownDeliverable:
 def _again(project: LoadedProject, store: Store, row: DeliverableRow, shared: Callable[[], Gallery] | None = None) -> Content:
     """Return the content of a deliverable by its recorded definition and the data that the store has now."""
     if row.kind == comparison.KIND:
-        return comparison.content(project, store, row)
+        return comparison_figure.content(project, store, row)
     if row.kind == declared_tables.KIND:
         return declared_tables.content(project, store, row.name, row.definition, row.batches)
     if row.kind == videos.KIND:

@@ -11,7 +11,8 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from sierra.deliverables.comparison import Compared, caption_of
+from sierra.deliverables.comparison import Compared
+from sierra.deliverables.comparison_figure import caption_of
 from sierra.deliverables.paper_tables import FORMATS, Cell, PaperTable, as_markdown, check_format, escaped, plain
 from sierra.stats.comparison.model import Effect, Omnibus, Pair
 from sierra.stats.comparison.wording import number, p_value

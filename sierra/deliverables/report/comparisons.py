@@ -9,7 +9,7 @@ from functools import partial
 
 from sierra.config.deliverable_tables import Comparison
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import comparison
+from sierra.deliverables import comparison, comparison_figure
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.comparison_text import paper_table
 from sierra.deliverables.html.elements import Markup, element, joined
@@ -111,7 +111,7 @@ def _compared(one: Compared, place: Place) -> Markup:
 
 def _picture(one: Compared) -> Iterator[Markup]:
     try:
-        svg = comparison.svg(one)
+        svg = comparison_figure.svg(one)
     except UsageError as error:
         yield note(f"There is no figure: {error}")
         return

@@ -1,0 +1,110 @@
+"""The figure of a comparison: drawn, recorded, and made again from its record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sierra.config import plugin_registry
+from sierra.config.deliverable_tables import PRINTED, Figure, Format
+from sierra.config.project_file import LoadedProject
+from sierra.deliverables import comparison
+from sierra.deliverables.comparison import KIND, Compared
+from sierra.deliverables.record import Content, Recorder, marked_folder
+from sierra.errors import UsageError
+from sierra.store.layout import COMPARISONS, ProjectPaths
+from sierra.store.row_types import DeliverableRow
+from sierra.store.store import Store
+from sierra.util.json_types import JsonView
+from sierra.util.text import n_of
+
+if TYPE_CHECKING:
+    from sierra.deliverables.figures.drawing import Drawing
+
+
+def draw(compared: Compared, store: Store, paths: ProjectPaths, formats: tuple[Format, ...] = PRINTED) -> list[Path]:
+    """Draw the figure of a comparison in these formats, and record it; return the files.
+
+    A comparison with a package is not drawn, because its data could not be computed again from the store.
+    Raises UsageError if there is nothing to draw, Missing if the store cannot be written.
+    """
+    from sierra.deliverables.figures import drawing, style
+    from sierra.deliverables.figures.forest import forest
+
+    if compared.packaged:
+        raise UsageError(f"the runs of {', '.join(compared.packaged)} are not in the store, so the data could not be checked")
+    drawn = replace(_drawing(compared), formats=formats)
+    with style.applied():
+        figure = forest(compared)
+        style.settle(figure, drawn)
+        files = drawing.save(figure, drawn, marked_folder(paths.drawn(COMPARISONS), "Figures of comparisons, drawn by SIERRA."))
+    recorder = Recorder(store, paths.root, drawn.batch)
+    recorder.add(_content(compared, drawn), files)
+    recorder.close()
+    return list(files)
+
+
+def svg(compared: Compared) -> bytes:
+    """Return the figure of a comparison as an SVG file. Raises UsageError if there is nothing to draw."""
+    from sierra.deliverables.figures import drawing, style
+    from sierra.deliverables.figures.forest import forest
+
+    drawn = replace(_drawing(compared), formats=("svg",))
+    with style.applied():
+        figure = forest(compared)
+        style.settle(figure, drawn)
+        return drawing.svg(figure, drawn)
+
+
+def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+    """Return the content of a recorded comparison by its definition and the data that the store has now."""
+    compared = comparison.again(project, store, row)
+    return _content(compared, _drawing(compared))
+
+
+def _content(compared: Compared, drawn: Drawing) -> Content:
+    definition: dict[str, JsonView] = {
+        "comparison": compared.asked.model_dump(mode="json"),
+        "groups": list(compared.batches),
+        "note": drawn.note,
+        "formats": drawn.formats,
+    }
+    content = drawn.content()
+    made_by = (*content.made_by, *plugin_registry.COMPARISONS.packages(compared.analysis.method))
+    return replace(content, kind=KIND, batches=tuple(compared.batches.values()), definition=definition, made_by=made_by)
+
+
+def _drawing(compared: Compared) -> Drawing:
+    """Return the data and the small print of the figure of a comparison."""
+    import pyarrow as pa
+
+    from sierra.deliverables.figures.drawing import Drawing
+
+    bands = [{name: getattr(band, name) for name in ("times", "mean", "low", "high")} for band in compared.bands]
+    return Drawing(
+        name=compared.name,
+        figure=Figure(),
+        axes=(),
+        cells={},
+        tables={"": compared.arrow()},
+        rows={str(place): pa.table(band) for place, band in enumerate(bands)},
+        note=caption_of(compared),
+        sql=f"-- comparison of {', '.join(compared.batches.values())}",
+        batch=next(iter(compared.batches.values())),
+    )
+
+
+def caption_of(compared: Compared) -> str:
+    """Return the small print of the figure."""
+    found = compared.analysis
+    if compared.effects:
+        return f"{found.title}; {found.pairing.reason}"
+    runs = n_of(n for pair in compared.pairs for n in (pair.n_first, pair.n_second))
+    if compared.bands:
+        pairs = " pairs" if found.pairing.paired else ""
+        return f"mean difference, {100 * (1 - found.question.alpha):.4g} % CI at each time (no test), {runs}{pairs}"
+    known = any(pair.low is not None for pair in compared.pairs)
+    interval = found.estimates + (f", {100 * (1 - found.question.alpha):.4g} % CI of each" if known else "")
+    margin = "; shaded: the margin" if found.question.margin is not None else ""
+    return f"{interval}, {runs}{' pairs' if found.pairing.paired else ''}; filled: different (Holm){margin}"
