@@ -8,9 +8,14 @@ from __future__ import annotations
 import base64
 import json
 import os
+import select
 import subprocess
+import time
 from pathlib import Path
 from typing import Any
+
+PATIENCE_S = 120.0
+"""The longest time that an answer of the browser may take. Pages are slow on a busy machine."""
 
 
 class Browser:
@@ -35,6 +40,13 @@ class Browser:
         self._number, self._rest, self._session = 0, b"", ""
         self.console: list[str] = []
         self.requests: list[str] = []
+        try:
+            self._attach()
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def _attach(self) -> None:
         targets = self.call("Target.getTargets")["targetInfos"]
         target = next(one["targetId"] for one in targets if one["type"] == "page")
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
@@ -96,16 +108,20 @@ class Browser:
             message["sessionId"] = self._session
         self._out.write(json.dumps(message).encode() + b"\0")
         self._out.flush()
+        limit = time.monotonic() + PATIENCE_S
         while True:
-            got = self._message()
+            got = self._message(limit, method)
             if got.get("id") == self._number:
                 if "error" in got:
                     raise AssertionError(f"{method}: {got['error']}")
                 return got["result"]
             self._heard(got)
 
-    def _message(self) -> Any:
+    def _message(self, limit: float, method: str) -> Any:
+        """Return the next message. Raises AssertionError if it is not there at `limit`, a time of the monotonic clock."""
         while b"\0" not in self._rest:
+            ready, _, _ = select.select([self._in], [], [], max(0.0, limit - time.monotonic()))
+            assert ready, f"the browser has not answered {method} for {PATIENCE_S:g} s"
             data = os.read(self._in.fileno(), 1 << 16)
             assert data, "the browser has ended"
             self._rest += data
