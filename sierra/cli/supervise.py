@@ -37,6 +37,7 @@ DECISIONS = {
     **dict.fromkeys(("a", "abort"), Start.ABORT),
 }
 PLACE, GO = "place the robots; ", "Enter: go, s: skip, a: abort > "
+AGAIN = "Enter: try again, s: skip, a: abort > "
 
 
 def supervisor(plan: Plan, *, operator: str | None, agreed: bool) -> Supervisor | None:
@@ -71,6 +72,12 @@ class Person:
                 yield person
             finally:
                 person.leave()
+
+    def unready(self, reason: str) -> Start | None:
+        self._terminal.show(f"not ready: {reason}")
+        while True:
+            if decision := DECISIONS.get(self._terminal.ask(AGAIN).lower()):
+                return decision
 
     def verdict(self, trial: Trial, ended: Ended) -> Verdict:
         self._terminal.show(_ending(ended))

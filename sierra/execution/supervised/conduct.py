@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from itertools import groupby
 from typing import NamedTuple
 
-from sierra.errors import UsageError
+from sierra.errors import Missing, UsageError
 from sierra.execution import commands
 from sierra.execution.follow import Followed
 from sierra.execution.observer import Tally
@@ -115,8 +115,30 @@ class Conduct:
         """Execute a block; trials that are not valid are repeated at its end."""
         while pending and not self._outcome.interrupted and not self._enough():
             turn = pending.popleft()
-            if not self._try(turn.run, *self._prepared(turn)):
+            if not self._tried(turn):
                 pending.append(turn)
+
+    def _tried(self, turn: Turn) -> bool:
+        """Execute a trial, or leave it out; return False if it is to be repeated.
+
+        If it cannot begin, for example because a robot is lost, the person decides. Raises Missing without a person.
+        """
+        while True:
+            try:
+                return self._try(turn.run, *self._prepared(turn))
+            except Missing as error:
+                execution = self._execution(turn.run)
+                has_begun = bool(self._store.select(_State, STATE, execution=execution))
+                decision = None if has_begun else self._supervisor.unready(str(error))
+                if decision is None:
+                    raise
+                if decision is not Start.GO:
+                    self._leave_out(turn.run, decision, interrupted=False)
+                    return True
+
+    def _execution(self, run: Run) -> str:
+        """Return the id of the next execution of a run."""
+        return commands.execution_id(self._session.id, run.id, self._tries.get(run.id, 0))
 
     def _prepared(self, turn: Turn) -> tuple[Trial, TrialRow]:
         """Return a trial as it is presented, and the row that is recorded with its execution."""
@@ -138,7 +160,7 @@ class Conduct:
             wait_s=max(0.0, self._ended + trials.pause - time.monotonic()),
         )
         row = TrialRow(
-            execution=commands.execution_id(self._session.id, run.id, trial.attempt),
+            execution=self._execution(run),
             marked=datetime.now(UTC),
             valid=False,
             reason=UNJUDGED,

@@ -106,6 +106,13 @@ class Supervisor(Protocol):
         """Present a trial, and yield who attends to it. The terminal is as before when the block ends, whatever happens."""
         ...
 
+    def unready(self, reason: str) -> Start | None:
+        """Decide on a trial that cannot begin, for example because a robot is lost. Nothing of it was executed.
+
+        GO presents and prepares the trial again. None ends the session with the error whose text is `reason`.
+        """
+        ...
+
     def verdict(self, trial: Trial, ended: Ended) -> Verdict:
         """Return the verdict on a trial that has ended."""
         ...
@@ -122,6 +129,9 @@ class Agreeing:
 
     def attending(self, trial: Trial) -> AbstractContextManager[Attendant]:
         return contextlib.nullcontext(AgreeingAttendant(trial.wait_s))
+
+    def unready(self, reason: str) -> Start | None:
+        return None
 
     def verdict(self, trial: Trial, ended: Ended) -> Verdict:
         return Verdict(valid=True)

@@ -42,6 +42,7 @@ class Script:
 
     def __init__(self, *steps: Start | Verdict | Gone, stops: Callable[[], bool] = lambda: False) -> None:
         self._steps = list(steps)
+        self.unready_because: list[str] = []
         self._stops = stops
         self.trials: list[Trial] = []
         self.ended: list[Ended] = []
@@ -59,6 +60,11 @@ class Script:
 
     def watch(self, seconds: float, beats: Sequence[Beat]) -> bool:
         return self._stops() or seconds > 60
+
+    def unready(self, reason: str) -> Start | None:
+        self.unready_because.append(reason)
+        step = self._steps.pop(0)
+        return step if isinstance(step, Start) else None
 
     def verdict(self, trial: Trial, ended: Ended) -> Verdict:
         self.ended.append(ended)
@@ -204,6 +210,25 @@ def test_without_a_supervisor_nothing_is_executed_but_finished_runs_are_reused(r
         project.run("population_size=1,2", runs=1, figures=False, runner="slurm", supervisor=Agreeing())
     assert execute(root, Agreeing("Bob")).executed == 2
     assert project.run("population_size=1,2", runs=1, figures=False).reused == 2
+
+
+def test_a_trial_that_cannot_begin_is_tried_again_skipped_or_ends_the_session(root: Path, tmp_path: Path) -> None:
+    (root / "sierra.toml").write_text(CONFIG.replace("echo 1.2.3", f"cat {tmp_path}/version"))
+    script = Script(Start.GO, Start.SKIP, Start.ABORT)
+    summary = execute(root, script)
+    assert (summary.executed, summary.failed, summary.interrupted, script.trials) == (0, 0, True, [])
+    assert [reason.partition(":")[0] for reason in script.unready_because] == ["[trials.commands] firmware"] * 3
+
+    class Repairing(Script):
+        def unready(self, reason: str) -> Start | None:
+            (tmp_path / "version").write_text("1.2.4")
+            return super().unready(reason)
+
+    repairing = Repairing(Start.GO, VALID, VALID)
+    assert execute(root, repairing).executed == 2
+    assert [(trial.position, trial.total, trial.facts) for trial in repairing.trials] == [
+        (position, 2, {"firmware": "1.2.4"}) for position in (1, 2)
+    ]
 
 
 @pytest.mark.parametrize(
