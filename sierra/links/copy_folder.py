@@ -61,15 +61,20 @@ def push(
 def pull(exchange: Exchange, folder: str, target: Path, timeout: float) -> Folder:
     """Receive a folder, unless the target has its contents already."""
     host = _Host(exchange, timeout, f"{exchange.name}: {_shown(folder)} cannot be copied")
-    host.request(folder)
+    is_there = os.path.lexists(target)
+    host.request(folder, "compare" if is_there else "copy")
     answer = host.answer()
-    entries = _checked(exchange.name, answer.get("entries"))
+    entries = _checked(exchange.name, answer.get("entries"), hashed=is_there)
     left_out = tuple(_shown(str(name)) for name in answer.get("left_out", ()))
     try:
-        if not _is_there(target, entries):
+        if is_there:
+            _compare(target, entries)
+        else:
             with remote_folder.unfinished(os.fsencode(target.absolute())) as made:
-                remote_folder.write(made, entries, host.read)
+                digests = remote_folder.write(made, entries, host.read)
+                remote_folder.verify(entries, digests, _digests(host, len(digests)))
                 remote_folder.finish(made, os.fsencode(target.absolute()))
+            entries = _with_digests(entries, digests)
     except remote_folder.Problem as error:
         raise Missing(f"{exchange.name}: {_shown(folder)}: {error}") from error
     except OSError as error:
@@ -77,20 +82,31 @@ def pull(exchange: Exchange, folder: str, target: Path, timeout: float) -> Folde
     return _folder(entries, left_out)
 
 
-def _is_there(target: Path, entries: list[Entry]) -> bool:
-    """Check whether a target has these contents. Raises Missing if it has others."""
-    if not os.path.lexists(target):
-        return False
-    if target.is_dir() and remote_folder.entries(os.fsencode(target)) == (entries, []):
-        return True
-    raise Missing(f"{target} is there already, with other contents; remove it or choose another name")
+def _compare(target: Path, entries: list[Entry]) -> None:
+    """Raise Missing if a target that is there has other contents."""
+    if not (target.is_dir() and remote_folder.entries(os.fsencode(target)) == (entries, [])):
+        raise Missing(f"{target} is there already, with other contents; remove it or choose another name")
+
+
+def _digests(host: _Host, count: int) -> list[Any]:
+    """Return the hashes of the files that a host has sent. Raises Missing."""
+    digests = host.answer().get("digests")
+    if not isinstance(digests, list) or len(digests) != count:
+        raise Missing(f"{host.failure}: it sends no list of hashes")
+    return digests
+
+
+def _with_digests(entries: list[Entry], digests: list[str]) -> list[Entry]:
+    """Return entries with the hashes of their files."""
+    left = iter(digests)
+    return [[*entry[:2], next(left), *entry[3:]] if entry[0] == "file" else entry for entry in entries]
 
 
 class _Host:
     """The part on the host, with a limit on its silence."""
 
     def __init__(self, exchange: Exchange, timeout: float, failure: str) -> None:
-        self._exchange, self._timeout, self._failure = exchange, timeout, failure
+        self._exchange, self._timeout, self.failure = exchange, timeout, failure
         self._held, self._errors = b"", b""
 
     def request(self, *words: object) -> None:
@@ -104,7 +120,7 @@ class _Host:
             raise self._overdue() from None
         except OSError:
             self.answer()  # the reason
-            raise Unreachable(f"{self._failure}: the connection ended") from None
+            raise Unreachable(f"{self.failure}: the connection ended") from None
 
     def answer(self) -> dict[str, Any]:
         """Return the next answer. Raises Missing if it is a problem."""
@@ -113,16 +129,16 @@ class _Host:
             while b"\n" not in self._held:
                 self._receive()
                 if len(self._held) > LONGEST:
-                    raise Missing(f"{self._failure}: the host sends a list of more than {LONGEST >> 20} MiB")
+                    raise Missing(f"{self.failure}: the host sends a list of more than {LONGEST >> 20} MiB")
             line, _, self._held = self._held.partition(b"\n")
         try:
             found = json.loads(line)
         except (ValueError, RecursionError):
             found = None
         if isinstance(found, dict) and "error" in found:
-            raise Missing(f"{self._failure}: {_shown(str(found['error']))}")
+            raise Missing(f"{self.failure}: {_shown(str(found['error']))}")
         if not isinstance(found, dict) or not found.keys() & {"state", "entries"}:
-            raise Missing(f"{self._failure}: it sends no answer of the protocol")
+            raise Missing(f"{self.failure}: it sends no answer of the protocol")
         return found
 
     def read(self, size: int) -> bytes:
@@ -139,14 +155,14 @@ class _Host:
             raise self._overdue() from None
         if found is None:
             said = self._errors.decode(errors="replace").strip().splitlines()[-1:]
-            raise Missing(f"{self._failure}: {said[0] if said else 'python3 ended'} (Python 3.8 or newer is needed there)")
+            raise Missing(f"{self.failure}: {said[0] if said else 'python3 ended'} (Python 3.8 or newer is needed there)")
         if found[0] == 1:
             self._held += found[1]
         else:
             self._errors = (self._errors + found[1])[-(1 << 14) :]
 
     def _overdue(self) -> Overdue:
-        return Overdue(f"{self._failure}: no progress within {self._timeout:g} s")
+        return Overdue(f"{self.failure}: no progress within {self._timeout:g} s")
 
 
 def _contents(folder: Path, entries: list[Entry]) -> Iterator[bytes]:
@@ -159,8 +175,8 @@ def _contents(folder: Path, entries: list[Entry]) -> Iterator[bytes]:
                 raise Missing(f"{folder}/{_shown(entry[1])} changed while it was copied: {error.strerror}") from error
 
 
-def _checked(host: str, entries: Any) -> list[Entry]:
-    """Return entries that a host sent, if none leads out of a folder. Raises Missing."""
+def _checked(host: str, entries: Any, *, hashed: bool) -> list[Entry]:
+    """Return entries that a host sent, if none leads out of a folder, and files have hashes as expected. Raises Missing."""
     if not isinstance(entries, list):
         raise Missing(f"{host}: sends no list of a folder")
     folders, seen = {""}, set()
@@ -168,7 +184,7 @@ def _checked(host: str, entries: Any) -> list[Entry]:
         match entry:
             case ["folder", str(path)]:
                 folders.add(path)
-            case ["file", str(path), str(digest), int(size), bool()] if size >= 0 and re.fullmatch("[0-9a-f]{64}", digest):
+            case ["file", str(path), digest, int(size), bool()] if size >= 0 and _is_digest(digest, hashed=hashed):
                 pass
             case ["link", str(path), str(to)] if remote_folder.stays_within(path, to):
                 pass
@@ -179,6 +195,10 @@ def _checked(host: str, entries: Any) -> list[Entry]:
             raise Missing(f"{host}: sends the name {_shown(path)!r}, which does not stay within the folder")
         seen.add(path)
     return list(entries)
+
+
+def _is_digest(digest: Any, *, hashed: bool) -> bool:
+    return isinstance(digest, str) and bool(re.fullmatch("[0-9a-f]{64}", digest)) if hashed else digest is None
 
 
 def _folder(entries: list[Entry], left_out: tuple[str, ...] = ()) -> Folder:

@@ -2,25 +2,26 @@
 
 `push` reads a line of JSON from standard input, `[target, entries]`, and answers with the line `{"state": "there"}` if the
 target has these entries, or `{"state": "send"}`. Then it reads the contents of all files, one after the other, and answers with
-`{"state": "done"}`. `pull` reads `[folder]`, and answers with `{"entries": …, "left_out": …}` and the contents of all files.
+`{"state": "done"}`. `pull` reads `[folder, way]`, and answers with `{"entries": …, "left_out": …}`. That is all if the way is
+`compare`. If it is `copy`, files are read once: their entries have no hash (null), the contents of all files follow, and then
+`{"state": "done", "digests": […]}` with the hashes in the order of the files, or a problem if one has changed meanwhile.
 Problems are answered with `{"error": text}`. Empty lines before an answer are signs of life.
 
 An entry is `["file", path, sha256, bytes, executable]`, `["folder", path]` or `["link", path, target]`. Names are UTF-8 with
 surrogate escapes, so that each sequence of bytes has a text. The same functions make the entries on this machine.
+
+A program of this size takes as long to start as 20 MB to copy. So modules that not every exchange needs are imported late.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import errno
 import fcntl
 import hashlib
 import json
 import os
 import re
-import secrets
-import shutil
 import signal
 import stat
 import sys
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
     from typing import Any
 
 CHUNK = 1 << 18
+CHANGED, YOUNG = "changed while it was copied; try again", "was changed just before"
+YOUNG_S = 2.0
+"""Seconds after its last change in which a file is read twice: another change might leave no trace in its times."""
 SILENCE_S = 600
 """Seconds without input after which the transfer ends and removes what it wrote: the connection is lost."""
 FREE = re.compile(r"(\.\./)*[^/]+(/[^/]+)*")
@@ -51,8 +55,11 @@ def stays_within(path: str, target: str) -> bool:
     return ups <= path.count("/") and not {".", ".."} & set(parts[ups:])
 
 
-def entries(root: bytes, alive: Callable[[], None] = lambda: None) -> tuple[list[list[Any]], list[str]]:
-    """Return the entries of a folder, sorted, and the paths of all that is neither file nor folder nor link within it."""
+def entries(root: bytes, alive: Callable[[], None] = lambda: None, hashed: bool = True) -> tuple[list[list[Any]], list[str]]:
+    """Return the entries of a folder, sorted, and the paths of all that is neither file nor folder nor link within it.
+
+    Unless they are `hashed`, files have None in the place of their hash.
+    """
     found: list[list[Any]] = []
     left_out: list[str] = []
 
@@ -64,7 +71,7 @@ def entries(root: bytes, alive: Callable[[], None] = lambda: None) -> tuple[list
                 found.append(["folder", path])
                 visit(one.path, path + "/")
             elif stat.S_ISREG(status.st_mode):
-                found.append(file_entry(one.path, path, alive))
+                found.append(file_entry(one.path, path, alive) if hashed else unread(status, path))
             elif stat.S_ISLNK(status.st_mode) and stays_within(path, text(os.readlink(one.path))):
                 found.append(["link", path, text(os.readlink(one.path))])
             else:
@@ -78,6 +85,11 @@ def file_entry(file: bytes, path: str, alive: Callable[[], None] = lambda: None)
     """Return the entry of a file."""
     digest, size = hash_of(file, alive)
     return ["file", path, digest, size, bool(os.stat(file).st_mode & 0o111)]
+
+
+def unread(status: os.stat_result, path: str) -> list[Any]:
+    """Return the entry of a file without its hash."""
+    return ["file", path, None, status.st_size, bool(status.st_mode & 0o111)]
 
 
 def hash_of(path: bytes, alive: Callable[[], None]) -> tuple[str, int]:
@@ -103,13 +115,15 @@ def raw(name: str) -> bytes:
 @contextlib.contextmanager
 def unfinished(target: bytes) -> Iterator[bytes]:
     """Yield a new folder beside the target, which is removed unless it was renamed. Those that were left are removed, too."""
+    import shutil
+
     beside, name = os.path.split(target)
     os.makedirs(beside, exist_ok=True)
     prefix = UNFINISHED + b"-" + hashlib.sha256(name).hexdigest()[:16].encode() + b"-"
     for one in os.listdir(beside):
         if one.startswith(prefix):
             remove_left(os.path.join(beside, one))
-    made = os.path.join(beside, prefix + secrets.token_hex(8).encode())
+    made = os.path.join(beside, prefix + os.urandom(8).hex().encode())
     os.mkdir(made, 0o700)
     held = lock(made)
     try:
@@ -121,6 +135,8 @@ def unfinished(target: bytes) -> Iterator[bytes]:
 
 def remove_left(path: bytes) -> None:
     """Remove the folder of a transfer that is gone; that of a running one is locked."""
+    import shutil
+
     with contextlib.suppress(OSError):
         held = lock(path)
         shutil.rmtree(path, ignore_errors=True)
@@ -137,20 +153,22 @@ def lock(folder: bytes) -> int:
     return opened
 
 
-def write(root: bytes, listed: list[list[Any]], read: Callable[[int], bytes]) -> None:
-    """Write entries into an empty folder, with the contents of files from `read`, and verify them."""
+def write(root: bytes, listed: list[list[Any]], read: Callable[[int], bytes]) -> list[str]:
+    """Write entries into an empty folder, with the contents of files from `read`; return the hashes of these."""
+    digests = []
     for entry in listed:
         path = os.path.join(root, raw(entry[1]))
         if entry[0] == "folder":
             os.mkdir(path, 0o777)
         elif entry[0] == "file":
-            write_file(path, entry, read)
+            digests.append(write_file(path, entry, read))
     for entry in listed:
         if entry[0] == "link":
             os.symlink(raw(entry[2]), os.path.join(root, raw(entry[1])))
+    return digests
 
 
-def write_file(path: bytes, entry: list[Any], read: Callable[[int], bytes]) -> None:
+def write_file(path: bytes, entry: list[Any], read: Callable[[int], bytes]) -> str:
     digest, left = hashlib.sha256(), entry[3]
     opened = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o777 if entry[4] else 0o666)
     with open(opened, "wb", buffering=0) as file:
@@ -163,8 +181,15 @@ def write_file(path: bytes, entry: list[Any], read: Callable[[int], bytes]) -> N
                 written = file.write(data)
                 left -= written
                 data = data[written:]
-    if digest.hexdigest() != entry[2]:
-        raise Problem("%s changed while it was copied; try again" % ascii(entry[1])[1:-1])
+    return digest.hexdigest()
+
+
+def verify(listed: list[list[Any]], written: list[str], expected: list[Any]) -> None:
+    """Compare the hashes of all files, in their order, with the expected ones. Raises Problem."""
+    files = [entry[1] for entry in listed if entry[0] == "file"]
+    for path, digest, right in zip(files, written, expected):
+        if digest != right:
+            raise Problem("%s %s" % (ascii(path)[1:-1], CHANGED))
 
 
 def finish(made: bytes, target: bytes) -> None:
@@ -181,6 +206,8 @@ def finish(made: bytes, target: bytes) -> None:
 
 def sync(folder: bytes) -> None:
     """Write everything to the disk of a folder: one call for all files, and for no other disk if the C library has it."""
+    import ctypes
+
     opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         ctypes.CDLL(None).syncfs(opened)
@@ -205,22 +232,55 @@ def push(read: Callable[[int], bytes], line: bytes, answer: Callable[..., None],
         raise Problem("it is there already, with other contents; remove it or choose another name")
     with unfinished(target) as made:
         answer(state="send")
-        write(made, listed, read)
+        verify(listed, write(made, listed, read), [entry[2] for entry in listed if entry[0] == "file"])
         finish(made, target)
     return answer(state="done")
 
 
 def pull(line: bytes, answer: Callable[..., None], alive: Callable[[], None], out: Any) -> None:
-    (folder,) = json.loads(line)
+    folder, way = json.loads(line)
     folder = os.path.join(raw(os.path.expanduser("~")), raw(folder))
-    listed, left_out = entries(folder, alive)
+    listed, left_out = entries(folder, alive, hashed=way == "compare")
     answer(entries=listed, left_out=left_out)
-    for entry in listed:
-        if entry[0] == "file":
-            for data in contents(os.path.join(folder, raw(entry[1])), entry[3]):
+    if way == "compare":
+        return
+    files = [entry for entry in listed if entry[0] == "file"]
+    sent = [send(os.path.join(folder, raw(path)), size, out) for _, path, _, size, _ in files]
+    for (_, path, *_), (digest, reason) in zip(files, sent):
+        if reason == YOUNG:
+            again, _ = hash_of(os.path.join(folder, raw(path)), alive)
+            reason = "" if again == digest else CHANGED
+        if reason:
+            raise Problem("%s %s" % (ascii(path)[1:-1], reason))
+    answer(state="done", digests=[digest for digest, _ in sent])
+
+
+def send(path: bytes, size: int, out: Any) -> tuple[str, str]:
+    """Send exactly this number of bytes of a file; return their hash, and why it may be none of the file, or nothing."""
+    digest, left, reason = hashlib.sha256(), size, CHANGED
+    try:
+        with open(path, "rb") as file:
+            before, now = os.fstat(file.fileno()), time.time()
+            while left:
+                data = file.read(min(CHUNK, left))
+                if not data:
+                    break
                 signal.alarm(SILENCE_S)
-                out.write(data)
-    out.flush()
+                digest.update(data)
+                left -= out.write(data)
+            after = os.fstat(file.fileno())
+        if after.st_size == size and state(before) == state(after):
+            reason = YOUNG if now - after.st_mtime < YOUNG_S else ""
+    except OSError as error:
+        reason = "cannot be read: %s" % error.strerror
+    while left:
+        left -= out.write(bytes(min(CHUNK, left)))
+    return digest.hexdigest(), reason
+
+
+def state(status: os.stat_result) -> tuple[int, ...]:
+    """Return what differs after a change of a file."""
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
 def contents(path: bytes, size: int) -> Iterator[bytes]:
